@@ -4,10 +4,10 @@
     python native/build.py --gpu               the threads' functions as PTX, too; elsewhere a GPU's first use makes it
     python native/build.py --levels all --gpu  for all levels of this architecture, as a wheel has them
     python native/build.py --to FOLDER         somewhere else than beside `src/loewner/_native/library.py`
-    python native/build.py --log FILE          go on in the background, and write into a file what is said
+    python native/build.py --log FILE          go on in the background, and write messages into a file
 
 It takes Numba, NumPy's headers and a C compiler. For this machine's level, groups of kernels can be used as soon as
-they are compiled, and whoever asks for others waits for them (`library.py`); files for other machines are built whole.
+they are compiled, and callers of other kernels wait for them (`library.py`); files for other machines are built whole.
 """
 
 import argparse
@@ -33,22 +33,19 @@ from typing import Any, NamedTuple
 
 HERE = Path(__file__).parent
 SOURCES = HERE.parent / "src"
-sys.path.insert(0, str(SOURCES))
+sys.path[:] = [str(SOURCES), *sys.path, str(HERE)]
+
+import headers  # noqa: E402
 
 from loewner import _ptx  # noqa: E402
-from loewner._kernels import codes, columns, tolerances  # noqa: E402
 from loewner._kernels._sources import source_hash  # noqa: E402
 from loewner._native.entries import ENTRIES  # noqa: E402
 from loewner._native.library import CALL, HOME, LIST, LOCK  # noqa: E402
 from loewner._native.library import levels as built_levels  # noqa: E402
 from loewner._threads import processors  # noqa: E402
-from loewner.planners import compiled as compiled_planner  # noqa: E402
-from loewner.planners import joint_limits, judge  # noqa: E402
-from loewner.robots import checker, contacts, motion_tables, robot, watch  # noqa: E402
-from loewner.robots.edges import NEARLY_WHOLE  # noqa: E402
 
-# By architecture: the levels, best first, and what LLVM is told of each. Without the last word it takes registers of
-# half the width for level 4.
+# By architecture: the levels, best first, and LLVM's features for each. Without this one, LLVM uses only half of the
+# width of the registers of level 4.
 LEVELS = {
     "x86_64": {"x86-64-v4": "-prefer-256-bit", "x86-64-v3": ""},
     "arm64": {"arm64": ""},
@@ -57,7 +54,7 @@ CPU_OF = {"arm64": "generic"}
 
 # Entries by module: each group becomes an object file of its own for this machine's level, so that an edit rebuilds few
 # of them, and programs can begin when theirs is there. Functions that several groups call are in each of them, so
-# groups that share much are one. What is built for other machines has one object file for each level, the smallest.
+# groups that share much are one. For other machines there is one object file for each level, which is smallest.
 GROUPS = {
     "bodies": ("fits.", "pieces.", "trees.cuts", "trees.piece_tree", "trees.triangle"),
     "verdicts": ("pipeline.verdicts", "pipeline.fallback", "pipeline.workspace", "pipeline.bounds", "elementary"),
@@ -72,70 +69,19 @@ GROUPS = {
 FUNCTIONS, FUNCTION, LEVEL, CHECK = 1100, 0.24, 80.0, 2.3
 
 
-# What the C compiler is told of files that people get. The linker of macOS knows no -s; Windows is untried.
+# Options of the C compiler for files that users receive. The linker of macOS has no -s; Windows is untried.
 MAC, WINDOWS = sys.platform == "darwin", sys.platform == "win32"
 RELEASE = ("-O2",) if MAC or WINDOWS else ("-O2", "-s")
 
 EXTENSION = ("call.c", "single.c", "pairs.c", "configurations.c", "module.c")
 
-# Names of `codes` that the extension knows.
-CODES = ("FREE", "COLLIDING", "AMBIGUOUS", "CERTIFY", "EXACT", "OPEN", "TIERS")
-
-# What the extension knows of `codes` and of the steps of a motion: definitions for the C compiler.
-DEFINED = [f"-DCODE_{name}={getattr(codes, name)}" for name in CODES] + [f"-DNEARLY_WHOLE={NEARLY_WHOLE!r}"]
-
-
-# `libloewner`, which programs in C and C++ link with, and the constants of Python that it knows.
+# `libloewner`, which programs in C and C++ link with.
 LIBRARY, API = "libloewner.so", ("kernels.c", "files.c", "scene.c", "queries.c", "plans.c", "gate.c", "pairs.c")
 FOR_C = () if WINDOWS else (LIBRARY,)  # it maps files and locks as POSIX does
 HEADERS = SOURCES / "loewner" / "include"
-API_CODES = (
-    *CODES,
-    "INEXACT",
-    "TOO_LONG",
-    "BY_CARE",
-    "NO_LIMIT",
-    "MOST_POINTS",
-    "MET",
-    "SPENT",
-    "FULL",
-    "SINE_OF",
-    "ARC_COSINE",
-)
-API_COLUMNS = (
-    "SOLID", "SURFACE", "MAPPED", "POLYTOPE", "REACH", "HOT", "COLUMNS", "POINTS_FROM", "POINTS_TO", "SURFACE_AT",
-    "LAYOUT", "PARTS", "DEEPEST", "WIDE", "FIXED", "REVOLUTE", "PLANAR", "BALL", "TRANSLATION", "SINE", "COSINE",
-    "BOUNDS",
-)  # fmt: skip
-API_CONSTANTS = {
-    **{name: getattr(columns, name) for name in API_COLUMNS},
-    "KIND_OF": columns.KIND,
-    "LAST_KIND": columns.POINT,
-    "POINT_BLOCK": columns.BLOCK,
-    "LINK_CONSTANTS": columns.CONSTANTS,
-    "STRETCH": motion_tables.STRETCH,
-    "ROUNDED_VALUES": contacts.OFF,
-    "FIRST_LOOK": checker.FIRST_LOOK,
-    "LARGEST_VALUE": watch.LARGEST_VALUE,
-    "QUATERNION_TOLERANCE": robot.QUATERNION_TOLERANCE,
-    "ROTATION_TOLERANCE": tolerances.ROTATION_TOLERANCE,
-    "ON_LIMIT": joint_limits.ON_LIMIT,
-    "PLAN_TOLERANCE": judge.TOLERANCE,
-    "LONGEST_SHARE": compiled_planner.SHARE,
-    "TREE_CAPACITY": compiled_planner.CAPACITY,
-    "FIRST_ITERATIONS": compiled_planner.FIRST,
-    "MOST_ITERATIONS": compiled_planner.AT_A_TIME,
-    "A_WHILE": compiled_planner.A_WHILE,
-    "USUAL_CUTS": compiled_planner.CUTS,
-    "USUAL_ITERATIONS": compiled_planner.UNLIMITED,
-    "MOST_ROOM": compiled_planner.MOST_ROOM,
-}
-API_DEFINED = [f"-DCODE_{name}={getattr(codes, name)}" for name in API_CODES] + [
-    f"-D{name}=({value!r})" for name, value in API_CONSTANTS.items()
-]
 
 
-# Seconds between words on the progress, and what the first estimate counts for beside the share that is done.
+# Seconds between lines about the progress, and the weight of the first estimate beside the share that is done.
 EVERY, FIRST_WEIGHT = 10.0, 0.1
 
 KEY = re.compile(r"-[0-9a-f]{32}$")  # how a line ends that names a function
@@ -143,7 +89,7 @@ EARLY = re.compile(r"-\d+\.so$")  # how the name of a file ends that is handed o
 
 
 class Command(NamedTuple):
-    """What is made, arguments of Python, variables of its environment, and the file of what it says."""
+    """Name of the product, arguments of Python, variables of its environment, and the file with its output."""
 
     what: str
     arguments: list[str]
@@ -159,7 +105,7 @@ class Command(NamedTuple):
 
 
 class BuildError(Exception):
-    """Something that a build needs is missing, or failed; the text says what."""
+    """Something that a build needs is missing, or failed, as described by the text."""
 
 
 def architecture() -> str:
@@ -169,9 +115,9 @@ def architecture() -> str:
 
 
 def recipe() -> str:
-    """Hash of all that decides what is built, but for the levels."""
+    """Hash of everything except the levels on which the files depend."""
     digest = hashlib.sha256(source_hash().encode())
-    digest.update(repr((version("numba"), version("llvmlite"), version("numpy"), DEFINED, API_DEFINED)).encode())
+    digest.update(repr((version("numba"), version("llvmlite"), version("numpy"), headers.text())).encode())
     written = [
         HERE / "build.py",
         HERE / "emit.py",
@@ -186,7 +132,7 @@ def recipe() -> str:
 
 
 def is_built(levels: list[str], home: Path = HOME, gpu: bool = False) -> bool:
-    """Tell whether the library is there for these levels, and for GPUs, and whole."""
+    """Return whether there is a complete library for these levels, and for GPUs."""
     try:
         built = json.loads((home / LIST).read_text(encoding="utf-8"))
         wanted = [f"kernels-{level}.so" for level in levels] + [CALL, *FOR_C, *([_ptx.NAME] if gpu else [])]
@@ -200,12 +146,12 @@ def _sum(path: Path) -> str:
 
 
 def told(level: str) -> dict[str, str]:
-    """Variables by which Numba is told to compile for a level instead of for this processor."""
+    """Variables that make Numba compile for a level instead of for this processor."""
     return {"NUMBA_CPU_NAME": CPU_OF.get(level, level), "NUMBA_CPU_FEATURES": LEVELS[architecture()][level]}
 
 
 def machine_level() -> str:
-    """Level of this machine's processor, asked of the extension that was built, or of one made for this."""
+    """Level of this machine's processor, from the extension that was built, or from one made for this."""
     if known := built_levels():
         return known[0]
     with tempfile.TemporaryDirectory() as folder:
@@ -220,7 +166,7 @@ def machine_level() -> str:
 
 
 def build(levels: list[str], home: Path = HOME, gpu: bool = False, in_groups: bool = False) -> list[Path]:
-    """Build for these levels, and for GPUs if asked; what was there is replaced only when all is done.
+    """Build for these levels, and for GPUs if requested; older files are replaced only when everything is done.
 
     With ``in_groups``, for one level, there is an object file for each group, and each is handed out when it is done.
 
@@ -257,7 +203,7 @@ def build(levels: list[str], home: Path = HOME, gpu: bool = False, in_groups: bo
         objects = [work / f"{level}-{group}.o" for level in levels for group in groups]
 
         def hand_out(made: list[Path]) -> None:
-            """Link the objects that are there, for those who wait."""
+            """Link the objects that are there, for waiting programs."""
             if in_groups and len(made) < len(objects):
                 (level,) = levels
                 early = work / f"kernels-{level}-{len(made)}.so"
@@ -325,8 +271,8 @@ def build_all(
 ) -> int:
     """Run commands, each in a process of its own, as many at a time as there are processors; count the functions.
 
-    Call `hand_out` with the objects that are there, whenever there are more. Print, every ten seconds, what is being
-    compiled, and how long the rest will take: at first by the speed of the machine, then by what was done so far.
+    Call `hand_out` with the objects that are there, whenever there are more. Print, every ten seconds, the kernels in
+    work, and how long the rest will take: at first by the speed of the machine, then by the progress so far.
     """
     start = time.perf_counter()
     waiting, running = list(commands), list[tuple[subprocess.Popen[bytes], Command]]()
@@ -377,7 +323,7 @@ def build_all(
 
 
 def run(arguments: list[str], environment: dict[str, str], failed: str) -> None:
-    """Run Python in a process of its own, or stop with what it said."""
+    """Run Python in a process of its own, or stop with its error output."""
     done = subprocess.run([sys.executable, *arguments], env=environment, capture_output=True, text=True, check=False)
     if done.returncode:
         raise BuildError(f"{failed}:\n{done.stderr.strip()[-4000:]}")
@@ -394,33 +340,38 @@ def compile_extension(to: Path, flags: tuple[str, ...] = RELEASE) -> None:
     python = (
         ["-undefined", "dynamic_lookup"] if MAC else [f"-L{Path(sys.base_prefix, 'libs')}"] if WINDOWS else ["-ldl"]
     )
-    compile_c([*(HERE / name for name in EXTENSION), *DEFINED, *included, *python], to, flags)
+    compile_c([*(HERE / name for name in EXTENSION), written_header(to.parent), *included, *python], to, flags)
 
 
-def api_flags() -> list[str]:
-    """What the C compiler is told of the library for C.
+def written_header(folder: Path) -> str:
+    """Write `kernels.h` into a folder, and return the option by which the C compiler finds it."""
+    (folder / headers.NAME).write_text(headers.text(), encoding="utf-8")
+    return f"-I{folder}"
+
+
+def api_flags(folder: Path) -> list[str]:
+    """Options of the C compiler for the library for C; `kernels.h` is written into a folder.
 
     No products are fused with sums, so that lengths and fractions are Python's to the last bit.
     """
-    known = [*API_DEFINED, f'-DSOURCES="{source_hash()}"']
-    return [*known, "-Wextra", "-fvisibility=hidden", "-ffp-contract=off", f"-I{HEADERS}"]
+    return [written_header(folder), "-Wextra", "-fvisibility=hidden", "-ffp-contract=off", f"-I{HEADERS}"]
 
 
 def compile_api(to: Path, flags: tuple[str, ...] = RELEASE) -> None:
     """Compile the library for programs in C and C++."""
     sources = [HERE / "capi" / name for name in API]
     name = f"-Wl,-install_name,@rpath/{LIBRARY}" if MAC else f"-Wl,-soname,{LIBRARY}"
-    compile_c([*sources, *api_flags(), name, "-pthread", "-ldl", "-lm"], to, flags)
+    compile_c([*sources, *api_flags(to.parent), name, "-pthread", "-ldl", "-lm"], to, flags)
 
 
 def link(objects: list[Path], level: str, to: Path) -> None:
-    """Link object files and what they need of Numba's run time; nothing may be left to be found elsewhere but libm."""
+    """Link object files and the parts of Numba's run time that they need; no other library than libm may be needed."""
     strict = [] if MAC or WINDOWS else ["-Wl,-z,defs", "-Wl,--gc-sections", "-lm"]
     compile_c([*objects, HERE / "runtime.c", f'-DLOEWNER_BUILD="{source_hash()} {level}"', *strict], to)
 
 
 def compile_c(what: list[Path | str], to: Path, flags: tuple[str, ...] = RELEASE) -> None:
-    """Call the C compiler: that of the environment, or `cc`; on Windows `clang`."""
+    """Call the C compiler: ``CC`` of the environment, or `cc`; on Windows `clang`."""
     compiler = shlex.split(os.environ.get("CC") or ("clang" if WINDOWS else "cc"))
     strict = ["-std=gnu11", "-Wall", "-Werror=implicit-function-declaration", *([] if WINDOWS else ["-fPIC"])]
     command = [*compiler, *flags, *strict, "-shared", "-o", str(to), *map(str, what)]
@@ -477,7 +428,7 @@ def time_of_processes() -> float:
 
 
 def main() -> int:
-    """Build what is asked for, unless it is there."""
+    """Build the requested files, unless they are there."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--levels", default="machine", help="'machine' (default), 'all', or names with commas")
     parser.add_argument("--gpu", action="store_true", help="code for NVIDIA's GPUs, too")

@@ -35,7 +35,7 @@ void free_object(PyObject *object)
     Py_DECREF(type);
 }
 
-/* -- what a kernel takes and gives ------------------------------------------------------------------------------- */
+/* -- signatures of kernels ----------------------------------------------------------------------------------------- */
 
 int read_words(const char *text, Word *words, int most)
 {
@@ -121,7 +121,7 @@ static int put_number(char kind, PyObject *given, int64_t *slot)
     return *slot == -1 && PyErr_Occurred() ? -1 : 0;
 }
 
-/* One result from its slots, which are given back whatever happens. */
+/* Make one result from its slots; its memory is released even after an error. */
 static PyObject *taken(const Kernel *kernel, const Word *word, const int64_t **slot)
 {
     if (word->kind == 'A') {

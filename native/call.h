@@ -1,4 +1,4 @@
-/* What all files of the extension know: the functions of the native library, see `call.c`. */
+/* For all files of the extension: the functions of the native library, see `call.c`. */
 
 #ifndef LOEWNER_CALL_H
 #define LOEWNER_CALL_H

@@ -1,4 +1,4 @@
-"""Check a wheel: what is in it, how large it is, and what its libraries need of a system.
+"""Check a wheel: its files, its size, and the libraries that it needs from a system.
 
 python native/check_wheel.py dist/*.whl
 python native/check_wheel.py --same-as other.whl dist/*.whl     besides, that both hold the same files
@@ -22,7 +22,7 @@ HOME, PTX = "loewner/_native/", "threads.ptx.z"
 
 
 def faults(path: Path) -> list[str]:
-    """What is wrong with a wheel."""
+    """Return the faults of a wheel."""
     wheel, names, found = zipfile.ZipFile(path), files(path), list[str]()
     if (size := path.stat().st_size) >= LARGEST:
         found.append(f"expected less than {LARGEST:,} bytes, found {size:,}")
@@ -54,7 +54,7 @@ def files(path: Path) -> set[str]:
 
 
 def _belongs(name: str) -> bool:
-    """Tell whether a file may be in a wheel."""
+    """Return whether a file may be in a wheel."""
     top, _, rest = name.partition("/")
     if rest.startswith("_native/"):
         return rest.endswith((".py", ".so", "built.json", "threads.ptx.z"))
@@ -65,7 +65,7 @@ def _belongs(name: str) -> bool:
 
 
 def needed(content: bytes) -> set[str]:
-    """Libraries that a library of ELF needs; those of other systems are not looked into."""
+    """Libraries that a library of ELF needs; libraries of other systems are not read."""
     if not content.startswith(b"\x7fELF"):
         return set()
     sections = [one for one in ELFFile(BytesIO(content)).iter_sections() if isinstance(one, DynamicSection)]
@@ -73,7 +73,7 @@ def needed(content: bytes) -> set[str]:
 
 
 def main() -> int:
-    """Check a wheel, and print what is wrong."""
+    """Check a wheel, and print its faults."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("wheel", type=Path)
     parser.add_argument("--same-as", type=Path, metavar="WHEEL", help="another wheel, which holds the same files")

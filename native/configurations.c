@@ -6,29 +6,14 @@
 
 #include <math.h>
 
-/* -- arguments of the kernels -------------------------------------------------------------------------------------- */
-
-#define MOTION_TAKES "F1 F1 F1 i i B1 I1 i"
-#define MOTION_GIVES "i i"
-typedef struct {
-    Array1 start, end, fractions;
-    int64_t pack, problem;
-    Array1 out, hits;
-    void *memory;
-} MotionArguments;
-
-typedef struct {
-    int64_t verdict, settled;
-} MotionResults;
-
 /* -- Configurations ------------------------------------------------------------------------------------------------ */
 
 typedef struct {
     PyObject_HEAD
-    PyObject *held; /* whatever owns the memory behind the rest */
+    PyObject *held; /* owners of the memory behind the rest */
     Function check_configurations, check_motion;
     int64_t pack, problem, memory, width, piece_pairs;
-    const double *least, *most; /* of values that nothing has to be said about: `Watch` may move them outwards */
+    const double *least, *most; /* of values without a warning: `Watch` may move them outwards */
     Array1 hits;
 } Configurations;
 
@@ -51,33 +36,33 @@ static const double *take_configuration(const Configurations *self, PyObject *gi
 static int verdict_of(const Configurations *self, int mode, PyObject *given)
 {
     const double *entries = take_configuration(self, given);
-    int8_t verdict = AMBIGUOUS, tier;
+    int8_t verdict = CODE_AMBIGUOUS, tier;
     int64_t nothing;
     if (entries == NULL)
         return -1;
-    CheckArguments arguments = {
-        mode, 0, 1, {entries, 1, self->width}, self->pack, self->problem, {&verdict, 1}, {&tier, 1}, self->hits,
-        thread_memory(self->memory),
+    struct check_configurations arguments = {
+        .mode = mode, .stop = 1, .Q = {entries, 1, self->width}, .pack = self->pack, .problem_handle = self->problem,
+        .out = {&verdict, 1}, .tiers_out = {&tier, 1}, .hits = self->hits, .memory = thread_memory(self->memory),
     };
     if (arguments.memory == NULL ||
         call_kernel(self->check_configurations, &arguments, &nothing, self->piece_pairs > MANY) != 0)
         return -1;
-    return mode == EXACT && verdict == AMBIGUOUS ? -1 : verdict;
+    return mode == CODE_EXACT && verdict == CODE_AMBIGUOUS ? -1 : verdict;
 }
 
 /* collide(q): a bool, or None. */
 static PyObject *configurations_collide(Configurations *self, PyObject *q)
 {
-    int verdict = verdict_of(self, EXACT, q);
+    int verdict = verdict_of(self, CODE_EXACT, q);
     if (verdict < 0)
         Py_RETURN_NONE;
-    return PyBool_FromLong(verdict == COLLIDING);
+    return PyBool_FromLong(verdict == CODE_COLLIDING);
 }
 
 /* classify(q): the number of a verdict, or None. */
 static PyObject *configurations_classify(Configurations *self, PyObject *q)
 {
-    int verdict = verdict_of(self, CERTIFY, q);
+    int verdict = verdict_of(self, CODE_CERTIFY, q);
     if (verdict < 0)
         Py_RETURN_NONE;
     return PyLong_FromLong(verdict);
@@ -115,8 +100,8 @@ static double exact_length(const double *a, const double *b, int64_t count)
     return length;
 }
 
-/* In how many steps a motion is divided, as `edges.steps` does it; 0 if that takes the long way. `build.py` says how
-   near to a whole number a quotient may be rounded to either side of it. */
+/* The number of steps of a motion, as in `edges.steps`; 0 if that takes the long way. A quotient within NEARLY_WHOLE
+   of a whole number may have been rounded to the other side of it. */
 static int64_t steps_of(const double *a, const double *b, int64_t count, double step)
 {
     double squared = 0;
@@ -128,7 +113,7 @@ static int64_t steps_of(const double *a, const double *b, int64_t count, double 
     return steps <= MOST_STEPS ? (int64_t)fmax(ceil(steps), 1) : 0;
 }
 
-/* Call what gives the fractions of a motion of so many steps; a new reference to an array, or NULL. */
+/* Get from Python the fractions of a motion with `steps` steps; a new reference to an array, or NULL. */
 static PyObject *fractions_of(PyObject *order, int64_t steps)
 {
     PyObject *number = steps > 0 ? PyLong_FromLongLong(steps) : NULL;
@@ -139,27 +124,28 @@ static PyObject *fractions_of(PyObject *order, int64_t steps)
     return fractions;
 }
 
-/* How many configurations of a motion were looked at, less than 0 if the last ones collide; 0 is the long way. */
+/* The number of configurations of a motion that were checked, negative if the last ones collide; 0 is the long way. */
 static int64_t looked_at(const Configurations *self, const double *start, const double *end, PyArrayObject *fractions)
 {
     int64_t count = PyArray_DIM(fractions, 0);
     char *memory = thread_memory(self->memory + count);
     if (memory == NULL)
         return 0;
-    MotionResults results;
-    MotionArguments arguments = {
-        {start, self->width}, {end, self->width}, {PyArray_DATA(fractions), count}, self->pack, self->problem,
-        {memory + self->memory, count}, self->hits, memory,
+    struct check_motion_results results;
+    struct check_motion arguments = {
+        .start = {start, self->width}, .end = {end, self->width}, .fractions = {PyArray_DATA(fractions), count},
+        .pack = self->pack, .problem_handle = self->problem, .out = {memory + self->memory, count},
+        .hits = self->hits, .memory = memory,
     };
-    if (call_kernel(self->check_motion, &arguments, &results, 1) != 0 || results.verdict == AMBIGUOUS)
+    if (call_kernel(self->check_motion, &arguments, &results, 1) != 0 || results.verdict == CODE_AMBIGUOUS)
         return 0;
-    return results.verdict == COLLIDING ? -results.settled : results.settled;
+    return results.verdict == CODE_COLLIDING ? -results.total : results.total;
 }
 
-/* motion(q0, q1, resolution, order): configurations looked at, less than 0 if they collide; or None.
+/* motion(q0, q1, resolution, order): the number of configurations checked, negative if the last ones collide; or None.
 
-   order(steps) gives the fractions of the way in the order that they are looked at. It is Python's: what it raises, an
-   interrupt for one, goes on to the caller. */
+   order(steps) returns the fractions of the motion in the order in which they are checked. It runs in Python, and its
+   exceptions, such as an interrupt, are passed on to the caller. */
 static PyObject *configurations_motion(Configurations *self, PyObject *const *given, Py_ssize_t count)
 {
     if (count != 4 || !PyFloat_CheckExact(given[2]))
@@ -196,7 +182,7 @@ static PyObject *configurations_new(PyTypeObject *type, PyObject *arguments, PyO
     };
     if (!PyArg_ParseTupleAndKeywords(arguments, names, "OOLLLLO!O!O", known, &check, &motion, &pack, &problem, &memory,
                                      &piece_pairs, &PyArray_Type, &range, &PyArray_Type, &hits, &held) ||
-        !is_kernel(check, CHECK_TAKES, "") || !is_kernel(motion, MOTION_TAKES, MOTION_GIVES))
+        !is_kernel(check, CHECK_CONFIGURATIONS_WORDS) || !is_kernel(motion, CHECK_MOTION_WORDS))
         return NULL;
     if (!is_plain(range, 2) || PyArray_DIM((PyArrayObject *)range, 0) != 2 || PyArray_NDIM((PyArrayObject *)hits) != 1 ||
         PyArray_TYPE((PyArrayObject *)hits) != NPY_INT64 || !PyArray_ISCARRAY((PyArrayObject *)hits)) {

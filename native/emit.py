@@ -7,8 +7,8 @@ Run by `build.py`, in processes of its own:
 
 The folder holds `groups.json`, which lists the entries of each group, and `sources`, the hash of the kernels' sources.
 The processes write the code of each entry (`ENTRY.code`), which is the same for all levels, and an object file of each
-group for each level (`LEVEL-GROUP.o`). Each takes what nobody has taken, and begins with another group or at its other
-end, since entries of one group share most of their code.
+group for each level (`LEVEL-GROUP.o`). Each takes files that no other has taken, and begins with another group or at
+its other end, since entries of one group share most of their code.
 
 Numba reads the level from the environment when it is imported. Machine code does not run there, since this machine's
 processor may be of a lower level.
@@ -50,8 +50,8 @@ PREFIX = "loewner_"
 def remember_operators() -> None:
     """Let Numba find the type of an operator's result for given types once; it searches anew for each ``a + b``.
 
-    That is a sixth of the time. Other operations are left alone, as those with slices: their search compiles what they
-    need, and notes what has to be linked.
+    That is a sixth of the time. Other operations, such as slicing, are left alone: their search compiles functions that
+    they call, and notes that these have to be linked.
     """
     search, known = BaseFunction.get_call_type, {}
     plain = types.Number | types.Boolean | types.IntegerLiteral | vectors.Lanes
@@ -76,12 +76,12 @@ def remember_operators() -> None:
 
 
 def remember_sizes() -> None:
-    """Let Numba ask LLVM once for the size of a type; it asks again for each variable: a twentieth of the time."""
+    """Let Numba get the size of a type from LLVM once, instead of for each variable: a twentieth of the time."""
     measure, known = BaseContext.get_abi_sizeof, {}
 
     def get_abi_sizeof(context, kind):
         if id(kind) not in known:
-            known[id(kind)] = kind, measure(context, kind)  # what is kept alive keeps its identity
+            known[id(kind)] = kind, measure(context, kind)  # kept alive, a type keeps its identity
         return known[id(kind)][1]
 
     BaseContext.get_abi_sizeof = get_abi_sizeof
@@ -279,9 +279,9 @@ HARMLESS = re.compile(r"  (?:%\S+ = )?(?:(?:tail )?call|icmp) ")
 def uncounted(text: str) -> str:
     """Remove the counting of references to a function's arguments where the function only passes them on.
 
-    A caller keeps what it passes until the call has returned, so counting in between changes nothing unless the
-    function hands the reference to someone else: stores it, returns it, or mixes it with others. Numba counts all
-    arguments, and removes too few of these pairs: they are three quarters of all calls in the kernels.
+    A caller keeps its references until the call has returned, so counting in between changes nothing unless the
+    function stores a reference, returns it, or mixes it with others. Numba counts all arguments, and removes too few
+    pairs of counts: these are three quarters of all calls in the kernels.
     """
 
     def of_function(found: re.Match[str]) -> str:
@@ -298,7 +298,7 @@ def uncounted(text: str) -> str:
 
 
 def hide(module: llvm.ModuleRef, linkage: str) -> None:
-    """Give all functions but those that Python calls a linkage that lets them go if nobody calls them."""
+    """Give all functions except Python's entries a linkage by which they are removed if they have no callers."""
     for function in module.functions:
         if not function.is_declaration and not function.name.startswith(PREFIX):
             function.linkage = linkage
@@ -318,7 +318,7 @@ def expect_sources(folder: Path) -> None:
 
 
 def work(folder: Path, level: str, number: int) -> None:
-    """Write what nobody has taken until all is taken: objects whose codes are there, or else codes."""
+    """Write files that no other process has taken, until all are taken: objects with all their codes, or else codes."""
     groups = json.loads((folder / "groups.json").read_text(encoding="utf-8"))
     objects = {folder / f"{level}-{group}.o": [folder / f"{name}.code" for name in groups[group]] for group in groups}
     order = list(groups)
@@ -326,7 +326,7 @@ def work(folder: Path, level: str, number: int) -> None:
     step = -1 if number % 2 else 1
     codes = {folder / f"{name}.code": name for group in order for name in groups[group][::step]}
     parent = os.getppid()
-    while (objects or codes) and os.getppid() == parent:  # which ends what it began, unless it is killed
+    while (objects or codes) and os.getppid() == parent:  # which ends its processes, unless it is killed
         ready = [to for to, needed in objects.items() if all(map(Path.exists, needed))]
         if ready:
             needed = objects.pop(ready[0])
@@ -345,7 +345,7 @@ def work(folder: Path, level: str, number: int) -> None:
 
 
 def is_mine(to: Path) -> bool:
-    """Take a file that nobody has taken."""
+    """Take a file, and return whether no other process had taken it."""
     try:
         to.with_suffix(".taken").touch(exist_ok=False)
     except FileExistsError:

@@ -36,7 +36,7 @@ def install(prefix: Path, home: Path = HOME) -> list[Path]:
 
 
 def main() -> int:
-    """Build what is missing, and install."""
+    """Build missing files, and install."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("prefix", type=Path)
     parser.add_argument("--levels", choices=("machine", "all"), default="machine")

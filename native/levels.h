@@ -14,7 +14,7 @@ static inline int has_all(unsigned found, unsigned wanted)
     return (found & wanted) == wanted;
 }
 
-/* Ask the processor instead of the compiler's `__builtin_cpu_supports`: compilers differ in the names that it takes. */
+/* Query the processor itself, since compilers differ in the names that `__builtin_cpu_supports` takes. */
 static inline const char *const *processor_levels(void)
 {
     static const char *const known[] = {"x86-64-v4", "x86-64-v3", NULL};

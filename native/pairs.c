@@ -21,7 +21,7 @@ static PyObject *word_exact, *name_packed, *name_handle;
 
 /* One side of a query: a body and where it is. */
 typedef struct {
-    PyObject *packed; /* held, whatever else happens to the body */
+    PyObject *packed; /* a reference of our own, in case the body changes */
     int64_t handle;
     Array3 poses;
 } Side;
@@ -98,17 +98,18 @@ typedef struct {
 /* The verdict of two bodies; -1 if that takes the long way. */
 static int settled(const Pairs *self, int mode, double margin, const Side *a, const Side *b)
 {
-    int8_t verdict = AMBIGUOUS;
-    int64_t tally[TIERS] = {0}, are_rigid = 0;
-    SettleArguments arguments = {
-        mode, margin, 0, 1, ONE_PAIR, NO_ROWS, a->handle, a->poses, b->handle, b->poses,
-        {&verdict, 1}, {tally, TIERS}, thread_memory(self->settle_memory),
+    int8_t verdict = CODE_AMBIGUOUS;
+    int64_t tally[CODE_TIERS] = {0}, are_rigid = 0;
+    struct settle_range arguments = {
+        .mode = mode, .margin = margin, .stop = 1, .plan = ONE_PAIR, .rows = NO_ROWS, .pack_a = a->handle,
+        .Ta = a->poses, .pack_b = b->handle, .Tb = b->poses, .out = {&verdict, 1}, .tally = {tally, CODE_TIERS},
+        .memory = thread_memory(self->settle_memory),
     };
     if (arguments.memory == NULL || call_kernel(self->settle_range, &arguments, &are_rigid, is_long(a, b)) != 0 ||
         !(are_rigid & 1))
         return -1;
-    /* What the fast searches left open is for the fallback. */
-    return mode == EXACT && (tally[OPEN] != 0 || verdict == AMBIGUOUS) ? -1 : verdict;
+    /* Pairs that the fast searches leave open are for the fallback. */
+    return mode == CODE_EXACT && (tally[CODE_OPEN] != 0 || verdict == CODE_AMBIGUOUS) ? -1 : verdict;
 }
 
 /* collide(Body, a, T_world_a, b, T_world_b, method, margin, pairs): a bool, or None. */
@@ -120,11 +121,11 @@ static PyObject *pairs_collide(Pairs *self, PyObject *const *given, Py_ssize_t c
         Py_RETURN_NONE;
     if (given[5] != word_exact && !(PyUnicode_CheckExact(given[5]) && PyUnicode_Compare(given[5], word_exact) == 0))
         Py_RETURN_NONE;
-    int verdict = take_sides(given[0], given + 1, &a, &b) ? settled(self, EXACT, margin, &a, &b) : -1;
+    int verdict = take_sides(given[0], given + 1, &a, &b) ? settled(self, CODE_EXACT, margin, &a, &b) : -1;
     leave_sides(&a, &b);
     if (verdict < 0)
         Py_RETURN_NONE;
-    return PyBool_FromLong(verdict == COLLIDING);
+    return PyBool_FromLong(verdict == CODE_COLLIDING);
 }
 
 /* classify(Body, a, T_world_a, b, T_world_b, margin, pairs): the number of a verdict, or None. */
@@ -134,7 +135,7 @@ static PyObject *pairs_classify(Pairs *self, PyObject *const *given, Py_ssize_t 
     double margin;
     if (count != 7 || given[6] != Py_None || !take_margin(given[5], &margin))
         Py_RETURN_NONE;
-    int verdict = take_sides(given[0], given + 1, &a, &b) ? settled(self, CERTIFY, margin, &a, &b) : -1;
+    int verdict = take_sides(given[0], given + 1, &a, &b) ? settled(self, CODE_CERTIFY, margin, &a, &b) : -1;
     leave_sides(&a, &b);
     if (verdict < 0)
         Py_RETURN_NONE;
@@ -158,17 +159,18 @@ typedef struct {
 
 static int is_rigid(const Pairs *self, const Array3 *poses)
 {
-    FaultResults fault;
+    struct first_fault_results fault;
     return poses->data == identity ||
-           (self->first_fault((const int64_t *)poses, (int64_t *)&fault) == 0 && fault.row == poses->count);
+           (self->first_fault((const int64_t *)poses, (int64_t *)&fault) == 0 && fault.k == poses->count);
 }
 
 /* Measure the piece pairs that the fast searches left. */
-static int finished(const Pairs *self, const DistanceArguments *asked, const DistanceResults *left)
+static int finished(const Pairs *self, const struct distance_range *asked, const struct distance_range_results *left)
 {
-    LeftArguments arguments = {
-        left->pieces.array, left->values.array, asked->a, asked->poses_a, asked->b, asked->poses_b,
-        asked->numbers, asked->vectors, asked->status,
+    struct measure_left arguments = {
+        .pieces = left->pieces.array, .values = left->values.array, .pack_a = asked->pack_a, .Ta = asked->Ta,
+        .pack_b = asked->pack_b, .Tb = asked->Tb, .numbers = asked->numbers, .vectors = asked->vectors,
+        .status = asked->status,
     };
     int64_t nothing;
     return left->pieces.array.rows == 0 || call_kernel(self->measure_left, &arguments, &nothing, 1) == 0;
@@ -178,11 +180,13 @@ static int finished(const Pairs *self, const DistanceArguments *asked, const Dis
 static int measured(const Pairs *self, int wanted, const Side *a, const Side *b, Found *found)
 {
     int8_t status = 0;
-    DistanceResults left;
+    struct distance_range_results left;
     double *number = found->number;
-    DistanceArguments arguments = {
-        wanted, 0, 1, ONE_PAIR, NO_ROWS, a->handle, a->poses, b->handle, b->poses, thread_memory(self->distance_memory),
-        {number, VALUE + wanted, 1}, {found->vector, VECTORS, wanted, 3}, {&status, wanted},
+    struct distance_range arguments = {
+        .wanted = wanted, .stop = 1, .plan = ONE_PAIR, .rows = NO_ROWS, .pack_a = a->handle, .Ta = a->poses,
+        .pack_b = b->handle, .Tb = b->poses, .memory = thread_memory(self->distance_memory),
+        .numbers = {number, VALUE + wanted, 1}, .vectors = {found->vector, VECTORS, wanted, 3},
+        .status = {&status, wanted},
     };
     if (arguments.memory == NULL || call_kernel(self->distance_range, &arguments, &left, is_long(a, b)) != 0)
         return 0;
@@ -195,9 +199,9 @@ static int measured(const Pairs *self, int wanted, const Side *a, const Side *b,
         return 1;
     if (!isfinite(number[VALUE]))
         return 0;
-    /* The bounds are proven, the value is computed: where rounding puts it outside, they know better. */
+    /* The bounds are proven and the value is only computed, so it is moved to the nearest bound if it lies outside. */
     number[VALUE] = fmax(number[LOWER], fmin(number[VALUE], number[UPPER]));
-    return number[VALUE] != 0; /* which of two zeros is taken, where their signs differ, is for NumPy to say */
+    return number[VALUE] != 0; /* NumPy decides the sign of a zero */
 }
 
 static PyObject *vector_of(const double *entries)
@@ -209,7 +213,7 @@ static PyObject *vector_of(const double *entries)
     return array;
 }
 
-/* A field of a Distance, by its place; what was not asked for is None. */
+/* A field of a Distance, by its place; None if it was not requested. */
 static PyObject *field_of(const Found *found, int place, int wanted)
 {
     if (place >= VALUE && !wanted)
@@ -217,7 +221,7 @@ static PyObject *field_of(const Found *found, int place, int wanted)
     return place < NUMBERS ? PyFloat_FromDouble(found->number[place]) : vector_of(found->vector[place - NUMBERS]);
 }
 
-/* What the class would make of the fields, which it guards against change, not against being made. */
+/* Make a Distance with these fields. Its class prevents changes of fields, but not their first assignment. */
 static PyObject *distance_of(PyObject *class, const Found *found, int wanted)
 {
     PyObject *made = new_of_object((PyTypeObject *)class, no_arguments, NULL);
@@ -259,8 +263,8 @@ static PyObject *pairs_new(PyTypeObject *type, PyObject *arguments, PyObject *na
     };
     if (!PyArg_ParseTupleAndKeywords(arguments, names, "OOOOLL", known, &settle, &distance, &left, &fault,
                                      &settle_memory, &distance_memory) ||
-        !is_kernel(settle, SETTLE_TAKES, "b") || !is_kernel(distance, DISTANCE_TAKES, DISTANCE_GIVES) ||
-        !is_kernel(left, LEFT_TAKES, "") || !is_kernel(fault, FAULT_TAKES, FAULT_GIVES))
+        !is_kernel(settle, SETTLE_RANGE_WORDS) || !is_kernel(distance, DISTANCE_RANGE_WORDS) ||
+        !is_kernel(left, MEASURE_LEFT_WORDS) || !is_kernel(fault, FIRST_FAULT_WORDS))
         return NULL;
     Pairs *made = new_object(type);
     if (made == NULL)

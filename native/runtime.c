@@ -1,7 +1,7 @@
 /* All of Numba's run time that the kernels need: memory that counts who uses it.
 
    The layout of a description is Numba's (numba/core/runtime/nrt.cpp); compiled code counts in it by itself, and calls
-   NRT_MemInfo_call_dtor when nobody is left. `tests/test_native.py` compares both with the Numba that is installed. */
+   NRT_MemInfo_call_dtor when the count is zero. `tests/test_native.py` compares both with the installed Numba. */
 
 #include "system.h"
 

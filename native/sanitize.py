@@ -27,8 +27,8 @@ FLAGS = ("-O1", "-g", "-fno-omit-frame-pointer", "-fsanitize=address,undefined",
 TESTS = ("tests/test_native.py", "tests/test_native_calls.py", "tests/test_threads.py", "tests/test_capi.py",
          "tests/test_capi_gates.py", "tests/test_bounded_work.py::test_limits_in_c_are_those_of_python",
          "tests/fuzz/test_border.py", "tests/fuzz/test_hostile_calls.py")  # fmt: skip
-# The sanitizer keeps in memory what was freed, which one of these measures; and a fork while another thread is in its
-# allocator leaves the child without it. Of the bad arguments a sample will do: few of them reach the extension.
+# The first test measures memory, and the sanitizer keeps freed memory. After a fork while another thread is in its
+# allocator, the child has none. A sample of the bad arguments suffices, since few of them reach the extension.
 LEFT_OUT = (
     "tests/test_native.py::test_results_leave_no_memory_behind",
     "tests/fuzz/test_hostile_calls.py::test_forks_under_load",
@@ -55,7 +55,7 @@ def instrumented(to: Path) -> None:
 
 
 def threads_are_clean(to: Path) -> bool:
-    """Run eight threads with gates under the sanitizer of threads, and under that of addresses, which finds leaks."""
+    """Run eight threads with gates under the sanitizer of threads, then under that for addresses, which finds leaks."""
     cell, kernels = to / "cell.lwn", library.HOME
     save = [sys.executable, str(HERE.parent / "examples" / "save_cell.py"), cell.name]
     subprocess.run(save, check=True, cwd=to, env=os.environ | {"PYTHONPATH": str(SOURCES)})
@@ -63,7 +63,7 @@ def threads_are_clean(to: Path) -> bool:
     clean = True
     for kind in ("thread", "address,undefined"):
         program = to / f"threads-{kind.partition(',')[0]}"
-        told = ["-std=gnu11", "-O1", "-g", f"-fsanitize={kind}", "-fno-sanitize-recover=undefined", *api_flags()]
+        told = ["-std=gnu11", "-O1", "-g", f"-fsanitize={kind}", "-fno-sanitize-recover=undefined", *api_flags(to)]
         compiler = shlex.split(os.environ.get("CC") or "cc")
         subprocess.run([*compiler, *told, *sources, "-o", str(program), "-pthread", "-ldl", "-lm"], check=True)
         for path in kernels.glob("kernels-*.so"):
@@ -79,7 +79,7 @@ def threads_are_clean(to: Path) -> bool:
 def runtime() -> str:
     """The libraries that a program which was compiled without the sanitizer has to load first.
 
-    That of C++ is among them since the sanitizer looks for its functions at the start, and Python loads it later.
+    One is the library of C++, since the sanitizer looks for its functions at the start, and Python loads it later.
     """
     compiler = shlex.split(os.environ.get("CC") or "cc")
     asked = [[*compiler, f"-print-file-name={name}"] for name in ("libasan.so", "libstdc++.so.6")]
@@ -92,7 +92,7 @@ def runtime() -> str:
 
 def environment(to: Path) -> dict[str, str]:
     """Variables for an interpreter that uses the copy, and whose objects the sanitizer sees one by one."""
-    # Python and NumPy keep what they hold until the end. Tests ask for more memory than there is.
+    # Python and NumPy release some memory only at the end. Tests request more memory than there is.
     report = f"'{to / 'report'}'"  # quoted, as blanks divide options
     options = f"halt_on_error=1:detect_leaks=0:allocator_may_return_null=1:log_path={report}"
     return os.environ | {
@@ -106,7 +106,7 @@ def environment(to: Path) -> dict[str, str]:
 
 
 def main() -> int:
-    """Compile, run the tests, show what was reported."""
+    """Compile, run the tests, show the reports."""
     try:
         instrumented(TO)
         around = environment(TO)

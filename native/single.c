@@ -5,13 +5,11 @@
 
 #include <string.h>
 
-#define CACHE_LINE 64
-
 static pthread_key_t memory_key; /* of a `Memory`, which is freed when its thread ends; a fork keeps the thread's own */
 
 typedef struct {
     size_t size;
-    char head[CACHE_LINE - sizeof(size_t)]; /* what follows begins at a cache line */
+    char head[CACHE_LINE - sizeof(size_t)]; /* so that the bytes begin at a cache line */
     char bytes[];
 } Memory;
 

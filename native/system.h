@@ -21,7 +21,7 @@
 
 #define EXPORTED __declspec(dllexport)
 
-/* Files that include this one free nothing but what they allocated so. */
+/* All memory that files with this header free was allocated in this way. */
 #define aligned_alloc(alignment, size) _aligned_malloc(size, alignment)
 #define free _aligned_free
 

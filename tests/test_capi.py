@@ -18,10 +18,9 @@ import pytest
 import loewner
 from families import random_poses
 from loewner import Bodies, Body, CollisionChecker, InputError, Scene, classify, collide, distance, planners
-from loewner._native import entries, library
+from loewner._native import library
 from loewner.bodies import native_files
 from loewner.errors import PlanningError
-from loewner.robots import problem
 from motion_oracle import AFLOAT, example, ring, steps, written
 from native_files import NATIVE
 
@@ -546,40 +545,6 @@ def test_files_with_any_changed_word_are_harmless(forged, tmp_path, count):
         check=False,
     )
     assert done.returncode == 0, done.stderr[-2000:]
-
-
-def test_numbers_are_those_of_the_kernels():
-    """What the C files know of layouts, besides the constants that the build passes."""
-    from loewner._kernels import columns as kernel_columns
-    from loewner._kernels.records import MOTIONS, MotionTables, Pieces, Problem, Tree
-    from loewner._kernels.trees import boxes, triangle_tree
-
-    sources = "".join(path.read_text() for path in sorted((NATIVE / "capi").glob("*.[ch]")))
-    found = dict(re.findall(r"^#define (\w+) (\d+)\b", sources, re.M))
-    found |= dict(re.findall(r"\b([A-Z_]+) = (\d+)\b", "".join(re.findall(r"enum \{[^}]*\}", sources))))
-    expected = {
-        "WIDE_SURFACE": triangle_tree.WIDE, "LEAF_BITS": triangle_tree.LEAF_BITS, "BLOCK_NUMBERS": triangle_tree.BLOCK,
-        "DIAGONAL_NUMBERS": triangle_tree.DIAGONALS, "SURFACE_LEVELS": triangle_tree.LEVELS,
-        "GROUP_NUMBERS": boxes.ROWS, "TREE_LEVELS": boxes.LEVELS, "HEADER": native_files.HEADER.size,
-        "BEHIND_CHECKSUM": native_files.BEHIND_CHECKSUM, "FORMAT": native_files.FORMAT,
-        "PACK_ARRAYS": len(Pieces._fields), "SURFACE_ARRAYS": 5,
-        "TABLE_ROWS": len(Tree._fields) + len(Problem._fields) - 1 + len(MotionTables._fields),
-        "ORDER_ROW": problem._ORDER, "STATE": kernel_columns.STATE, "MOTIONS_AT": MOTIONS,
-    }  # fmt: skip
-    assert {name: int(found[name]) for name in expected} == expected
-    (before,) = re.findall(r"enum \{\s*NAMES,(.*?)BEFORE,", sources, re.S)
-    assert ["NAMES", *re.findall(r"\w+", before)] == [name.upper() for name in native_files.BEFORE]
-
-
-def test_kernels_are_called_by_their_signatures():
-    """The words that `ALL_KERNELS` gives each kernel are those of `entries.py`."""
-    defined = dict(re.findall(r'^#define (\w+) "(.*)"$', (NATIVE / "arguments.h").read_text(), re.M))
-    header = (NATIVE / "capi" / "internal.h").read_text()
-    listed = re.findall(r'X\((\w+), ("[^"]*"|\w+), ("[^"]*"|\w+)\)', header)
-    assert len(listed) == header.count(" X(")
-    for name, *words in listed:
-        takes, gives = (word.strip('"') if word.startswith('"') else defined[word] for word in words)
-        assert (takes, gives) == (entries.ENTRIES[name].arguments, entries.ENTRIES[name].results), name
 
 
 class BrokenPath:

@@ -1,6 +1,7 @@
 """The native library: what it relies on in Numba, when it is refused, how its functions take what they are given."""
 
 import ctypes
+import inspect
 import json
 import os
 import platform
@@ -16,11 +17,10 @@ import numpy as np
 import pytest
 
 import loewner
-from loewner._kernels import _parts, _store
+from loewner._kernels import _parts, _store, columns, records
 from loewner._kernels._sources import source_hash
 from loewner._native import entries, library
 from loewner.errors import InputError, MissingExtraError
-from loewner.robots import edges
 from native_files import NATIVE, module
 
 OFFERED = library.level() is not None or os.environ.get("LOEWNER_NATIVE") == "required"
@@ -358,16 +358,41 @@ def test_the_library_has_not_grown():
         assert (library.HOME / f"kernels-{level}.so").stat().st_size <= 1.1 * int(size)
 
 
-@needs_library
-def test_codes_that_the_extension_knows_are_those_of_the_kernels():
-    """The build hands over the numbers; `single.h` holds none of its own."""
-    header, build = (NATIVE / "single.h").read_text(), module("build")
-    assert sorted(re.findall(r"\b(\w+) = CODE_\1\b", header)) == sorted(build.CODES)
-    assert not re.search(r"enum \{[^}]*= \d", header)
-    steps = (NATIVE / "configurations.c").read_text()
-    assert "NEARLY_WHOLE * " in steps
-    assert "define NEARLY_WHOLE" not in steps
-    assert f"-DNEARLY_WHOLE={edges.NEARLY_WHOLE!r}" in build.DEFINED
+STRUCT = re.compile(r"^struct (\w+) \{\n(.*?)^\};", re.M | re.S)  # name and fields
+
+
+def test_structs_for_c_are_the_signatures_of_the_kernels():
+    """A struct has as many fields as a signature has words, of their types; the header lists kernels and words."""
+    text = module("headers").text()
+    structs = {name: re.findall(r"^ +(.*) \w+;$", fields, re.M) for name, fields in STRUCT.findall(text)}
+    types = {"i": {"int64_t", "void *"}, "b": {"int64_t"}, "f": {"double"}}
+    for entry in entries.ENTRIES.values():
+        assert f'#define {entry.name.upper()}_WORDS "{entry.arguments}", "{entry.results}"\n' in text
+        assert f" X({entry.name})" in text
+        takes, gives = entry.arguments.split(), entry.results.split()
+        for name, words, array in (
+            (entry.name, takes, "Array"),
+            (f"{entry.name}_results", gives[1:] and gives, "Given"),
+        ):
+            found = zip(structs.pop(name, []), words, strict=True)
+            assert all(kind in types.get(word, {array + word[-1]}) for kind, word in found), name
+    assert {name: len(fields) for name, fields in structs.items()} == {"pieces": 12, "problem": 14, "motion_tables": 10}
+    assert records.MOTIONS == 8 * records.ENTRIES * 14
+
+
+def test_names_and_numbers_for_c_are_those_of_the_modules():
+    """The header reads them from sources; Python finds them in the modules, which import Numba."""
+    from loewner._kernels.robots import brakes
+    from loewner._kernels.trees import boxes, triangle_tree
+
+    headers = module("headers")
+    for imported, read in (
+        (boxes, headers.numbers_of("trees/boxes.py", WIDE=columns.WIDE)),
+        (triangle_tree, headers.numbers_of("trees/triangle_tree.py")),
+    ):
+        assert all(value == getattr(imported, name) for name, value in read.items())
+    fields = re.findall(r"(\w+);", dict(STRUCT.findall(headers.text()))["brakes_by_joint"])
+    assert fields == list(inspect.signature(brakes.brakes_by_joint.py_func).parameters)
 
 
 @needs_library

@@ -1,9 +1,9 @@
 """Prose is plain: no file gains a sentence of the ten kinds that CONTRIBUTING.md lists.
 
-The law: the count of these patterns in a file never rises. `tests/prose_counts.json` holds the counts; files without a
-pattern are left out. When a file has become plainer, the table is stale: `python tests/test_prose.py` rewrites it and
-refuses to raise a number. Regular expressions find the patterns, so a count includes a few good sentences. Only its
-direction has a meaning.
+The law: the count of these patterns in a file never rises. Sentences with five or more numbers and paragraphs of more
+than 110 words count as well. `tests/prose_counts.json` holds the counts; files without a pattern are left out. When a
+file has become plainer, the table is stale: `python tests/test_prose.py` rewrites it and refuses to raise a number.
+Regular expressions find the patterns, so a count includes a few good sentences. Only its direction has a meaning.
 """
 
 import ast
@@ -25,7 +25,8 @@ TABLE = Path(__file__).parent / "prose_counts.json"
 PAGES = sorted([*(path for path in ROOT.glob("*.md") if path.stem != "CHANGELOG"), *pages(ROOT / "docs")])
 GENERATED = {"_build", "generated", "measured.md", "command.md"}
 PAGES = [path for path in PAGES if not GENERATED & set(path.parts)]
-SOURCES = sorted((ROOT / "src" / "loewner").rglob("*.py"))
+NATIVE = [path for path in (ROOT / "native").rglob("*") if path.suffix in (".c", ".h", ".py")]
+SOURCES = sorted([*(ROOT / "src" / "loewner").rglob("*.py"), *NATIVE])
 WIDTH = 120
 
 pytestmark = pytest.mark.light
@@ -56,6 +57,7 @@ PATTERNS = {
     "dialect": r"(?i:\b(?:but for|square to|a hair|so many|so much|foretold|foretells?|to be had|is had)\b)",
 }
 FOUND = {name: re.compile(words.replace(" ", r"\s"), re.M) for name, words in PATTERNS.items()}
+MOST_NUMBERS, MOST_WORDS = 4, 110  # of a sentence, and of a paragraph
 
 
 def blanked(match: re.Match[str]) -> str:
@@ -76,23 +78,64 @@ def source_text(text: str) -> str:
     for node in ast.walk(ast.parse(text)):
         if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef) and ast.get_docstring(node, clean=False):
             string = node.body[0]
-            shown = text.split("\n")[string.lineno - 1 : string.end_lineno]
-            lines[string.lineno - 1 : string.end_lineno] = [re.sub(r"^ *(?:>>>|\.\.\.).*", "", line) for line in shown]
+            shown = "\n".join(text.split("\n")[string.lineno - 1 : string.end_lineno])
+            shown = re.sub(r"^ *>>>.*(?:\n.*\S.*)*", blanked, shown, flags=re.M)  # with their output
+            lines[string.lineno - 1 : string.end_lineno] = shown.split("\n")
     for token in tokenize.generate_tokens(io.StringIO(text).readline):
         if token.type == tokenize.COMMENT:
-            lines[token.start[0] - 1] = token.string.lstrip("# ")
+            is_alone = token.line.lstrip().startswith("#")
+            lines[token.start[0] - 1] = token.string.lstrip("# ") + ("" if is_alone else ".")
     return re.sub(r"`[^`]*`", blanked, "\n".join(lines), flags=re.S)
+
+
+def c_text(text: str) -> str:
+    """Comments of a C file in their place, each with an end like that of a sentence."""
+    comments = re.sub(r"(?:\A|\*/).*?(?:/\*|\Z)", lambda code: "." + blanked(code)[1:], text, flags=re.S)
+    return re.sub(r"`[^`]*`", blanked, comments, flags=re.S)
+
+
+def paragraphs(text: str, is_page: bool) -> Iterator[tuple[int, str]]:
+    """First lines and words of paragraphs: of the items of a list, and in sources of lines with one indentation."""
+    words, first, before = list[str](), 0, 0
+    for number, line in enumerate([*text.split("\n"), ""], 1):
+        shown = line.strip()
+        indentation = len(line) - len(line.lstrip())
+        is_prose = bool(shown) and not re.match(r"[|#:]|---", shown)
+        is_other = not is_prose or re.match(r"[-*] |\d+\. ", shown) or (not is_page and indentation != before)
+        if words and is_other:
+            yield first, " ".join(words)
+            words = []
+        if is_prose:
+            first = first if words else number
+            words += shown.split()
+        before = indentation
+
+
+def crowded(text: str, is_page: bool) -> Iterator[tuple[int, str, str]]:
+    """Line, kind and first words of sentences with too many numbers, and of paragraphs with too many words."""
+    for line, paragraph in paragraphs(text, is_page):
+        for sentence in re.split(r"(?<=[.!?])\s+", paragraph):
+            if len(re.findall(r"(?<![\w.^-])\d[\d,.]*", sentence)) > MOST_NUMBERS:
+                yield line, "many numbers", sentence[:60]
+        if len(paragraph.split()) > MOST_WORDS:
+            yield line, "long paragraph", paragraph[:60]
+
+
+def text_of(path: Path) -> str:
+    """The prose of a file."""
+    return {".md": page_text, ".py": source_text}.get(path.suffix, c_text)(path.read_text())
 
 
 @functools.cache
 def matches(path: Path) -> list[tuple[int, str, str]]:
     """Line, kind and words of each pattern in a file."""
-    text = (page_text if path.suffix == ".md" else source_text)(path.read_text())
-    return sorted(
+    text = text_of(path)
+    found = [
         (text.count("\n", 0, match.start()) + 1, name, " ".join(match[0].split()))
         for name, pattern in FOUND.items()
         for match in pattern.finditer(text)
-    )
+    ]
+    return sorted([*found, *crowded(text, path.suffix == ".md")])
 
 
 def counts() -> dict[str, int]:
@@ -129,6 +172,27 @@ def test_patterns_are_found_in_prose_alone():
     assert [len(FOUND[name].findall(page)) for name in ("clause as a noun", "code that talks", "those of")] == [1, 1, 0]
     source = source_text('"""What is free."""\na = "what is"  # those of b\n')
     assert [len(FOUND[name].findall(source)) for name in ("clause as a noun", "those of")] == [1, 1]
+    comment = c_text('/* What is free. */ int what_is = 1; /* `what is` that of b */ char *a = "what is";\n')
+    assert [len(FOUND[name].findall(comment)) for name in ("clause as a noun", "those of")] == [1, 1]
+
+
+def test_crowded_sentences_and_paragraphs_are_found():
+    """Five numbers in one sentence, not in two, in a table or in code; and 111 words, not in two items of a list."""
+    many = "It takes 1, 2, 3.5, 4,000 and 5 s."
+    words = "word " * 60
+    for text, kinds in (
+        (many, ["many numbers"]),
+        ("It takes 1, 2 and\n3 s. Or 4 and 5 s in B6 and v7.", []),
+        (f"| {many} |\n\n    {many}\n", []),
+        (f"{words}\n{words}", ["long paragraph"]),
+        (f"- {words}\n- {words}\n\n{words}", []),
+    ):
+        assert [kind for _, kind, _ in crowded(page_text(f"\n\n{text}"), is_page=True)] == kinds
+    for text, found in ((f"/* {many} */ 6 /* 7 */", 1), ("a(1, 2); /* 3 */ b(4) /* 5 and 6 */", 0)):
+        assert len(list(crowded(c_text(text), is_page=False))) == found
+    assert (
+        list(crowded(source_text(f'"""Free.\n\n>>> a\n{many}\n"""\na = 1  # 2, 3\nb = 4  # 5, 6 and 7\n'), False)) == []
+    )
 
 
 def prose_lines(text: str) -> Iterator[tuple[int, str]]:

@@ -16,22 +16,10 @@
 #include <unistd.h>
 
 #define MAGIC "lwn file"
-#define FORMAT 1
-#define HEADER 160
-#define BEHIND_CHECKSUM 32
 #define SOURCES_LENGTH 64
 #define GOLDEN 0x9E3779B97F4A7C15u
 
 #define MOST ((int64_t)1 << 40) /* of any count; products of a few stay far from overflow */
-
-/* Kinds and columns of `loewner/_kernels/columns.py`, whose numbers `build.py` passes. */
-#define WIDE_SURFACE 16 /* boxes of a node of a surface, `triangle_tree.py` */
-#define LEAF_BITS 3
-#define BLOCK_NUMBERS 72
-#define DIAGONAL_NUMBERS 320
-#define SURFACE_LEVELS 68
-#define GROUP_NUMBERS 48
-#define TREE_LEVELS 22
 
 typedef struct {
     uint64_t format, size, checksum;
@@ -45,31 +33,6 @@ typedef struct {
 
 enum { INTEGERS, DOUBLES, SINGLES, BYTES };
 static const int64_t item_sizes[] = {8, 8, 4, 1};
-
-/* The arrays before the packs, in order. */
-enum {
-    NAMES,
-    PARENT,
-    KIND,
-    COLUMN,
-    MULTIPLIER,
-    OFFSET,
-    CONSTANTS,
-    LIMITS,
-    JOINTS,
-    QUATERNIONS,
-    LINK,
-    PAIRS,
-    MARGINS,
-    ORDER,
-    MARGIN,
-    POSES,
-    OWN,
-    LOWERED,
-    RULES,
-    RULE_MARGINS,
-    BEFORE,
-};
 
 /* The file that this thread opens. */
 static _Thread_local const char *opened_path;
@@ -108,7 +71,7 @@ static loewner_status map(File *file, const char *path)
     loewner_status outcome = LOEWNER_OK;
     if (fstat(descriptor, &status) != 0 || !S_ISREG(status.st_mode))
         outcome = fail(LOEWNER_BAD_FILE, "%.300s: expected a regular file, found another kind", path);
-    else if (status.st_size < HEADER)
+    else if (status.st_size < FILE_HEADER)
         outcome = fail(LOEWNER_BAD_FILE, "%.300s: expected a file that loewner saved, found another", path);
     else {
         file->size = (size_t)status.st_size;
@@ -130,11 +93,11 @@ static loewner_status read_header(const File *file, const char *path, Header *he
         return fail(LOEWNER_BAD_FILE, "%.300s: expected a file that loewner saved, found another", path);
     memcpy(&header->format, content + 8, 24);
     memcpy(numbers, content + 32 + SOURCES_LENGTH, sizeof numbers);
-    if (header->format != FORMAT || memcmp(content + 32, SOURCES, SOURCES_LENGTH) != 0)
+    if (header->format != FILE_FORMAT || memcmp(content + 32, SOURCES, SOURCES_LENGTH) != 0)
         return fail(LOEWNER_OTHER_VERSION,
                     "%.300s: expected a file of format %d for kernels %.8s, found one of format %llu for kernels %.8s; "
                     "save it again with the loewner that this library belongs to",
-                    path, FORMAT, SOURCES, (unsigned long long)header->format, content + 32);
+                    path, FILE_FORMAT, SOURCES, (unsigned long long)header->format, content + 32);
     EXPECT(header->size == file->size && file->size % CACHE_LINE == 0, "its size is not the one in its header");
     EXPECT(header->checksum == checksum(content + BEHIND_CHECKSUM, file->size - BEHIND_CHECKSUM),
            "its checksum differs");
@@ -148,10 +111,10 @@ static loewner_status read_header(const File *file, const char *path, Header *he
     header->has_cut = (int64_t)numbers[5];
     header->surfaces = (int64_t)numbers[6];
     EXPECT((header->has_cut == 0 || header->has_cut == CUTTINGS - 1) &&
-               header->arrays == BEFORE + PACK_ARRAYS * (1 + header->has_cut) + SURFACE_ARRAYS * header->surfaces,
+               header->arrays == FILE_PACKS + PACK_ARRAYS * (1 + header->has_cut) + SURFACE_ARRAYS * header->surfaces,
            "the number of its arrays");
     EXPECT(header->arrays <= (int64_t)(file->size / 32), "the number of its arrays");
-    EXPECT(HEADER + 32 * header->arrays <= (int64_t)file->size, "its directory");
+    EXPECT(FILE_HEADER + 32 * header->arrays <= (int64_t)file->size, "its directory");
     return LOEWNER_OK;
 }
 
@@ -159,12 +122,12 @@ static loewner_status read_header(const File *file, const char *path, Header *he
 static loewner_status look_up(const File *file, int64_t number, Found *found)
 {
     int64_t row[4];
-    memcpy(row, (const char *)file->map + HEADER + 32 * number, sizeof row);
+    memcpy(row, (const char *)file->map + FILE_HEADER + 32 * number, sizeof row);
     EXPECT(0 <= row[0] && row[0] <= BYTES && 0 <= row[1] && row[1] < MOST && 0 <= row[2] && row[2] < MOST,
            "its directory");
     EXPECT(row[2] == 0 || row[1] <= MOST / row[2], "its directory");
     int64_t bytes = row[1] * row[2] * item_sizes[row[0]], size = (int64_t)file->size;
-    EXPECT(row[3] % CACHE_LINE == 0 && HEADER + 32 <= row[3] && row[3] <= size && bytes <= size - row[3],
+    EXPECT(row[3] % CACHE_LINE == 0 && FILE_HEADER + 32 <= row[3] && row[3] <= size && bytes <= size - row[3],
            "its directory");
     *found = (Found){row[0], row[1], row[2], (const char *)file->map + row[3]};
     return LOEWNER_OK;
@@ -218,8 +181,7 @@ static int rises(const int64_t *starts, int64_t count, int64_t total)
 
 /* -- packs --------------------------------------------------------------------------------------------------------- */
 
-/* Check the nodes of a large hull (`directions.py`), which follow its vertices: `room` numbers, of which nodes take
- * two. */
+/* Check the nodes of a large hull (`directions.py`), which follow its vertices: two numbers each, `room` in all. */
 static loewner_status check_nodes(const double *nodes, int64_t room, int64_t vertices)
 {
     int64_t count = room / 2;
@@ -269,7 +231,7 @@ static loewner_status check_pieces(const Pack *pack, int64_t surfaces)
     return LOEWNER_OK;
 }
 
-/* Check the trees over the pieces of bodies: those of a body follow each other, and lead to its own pieces only. */
+/* Check the trees over the pieces of bodies: groups of a body follow each other, and lead to its own pieces only. */
 static loewner_status check_trees(const Pack *pack)
 {
     int64_t begin = 0;
@@ -288,10 +250,10 @@ static loewner_status check_trees(const Pack *pack)
                 if (child >= 0) {
                     is_sound &= begin <= child && child < g && !has_parent[child];
                     if (is_sound)
-                        has_parent[child] = 1; /* a tree, not a net of which a walk sees every way */
+                        has_parent[child] = 1; /* a tree; in a net, a walk would follow every way */
                     if (is_sound && height[g] <= height[child])
                         height[g] = (int8_t)(height[child] + 1);
-                } else /* an unused place says -1 whatever the piece */
+                } else /* an unused place has -1 */
                     is_sound &= child == -1 || (first <= ~child && ~child < last);
                 is_sound = is_sound && height[g] < TREE_LEVELS;
             }
@@ -347,7 +309,7 @@ static loewner_status take_pack(const File *file, int64_t at, int64_t bodies, in
 }
 
 /* Check the tree over the triangles of a surface (`triangle_tree.py`). */
-static loewner_status take_surface(const File *file, int64_t at, int64_t words[SURFACE_WORDS])
+static loewner_status take_surface(const File *file, int64_t at, Array2 arrays[SURFACE_ARRAYS])
 {
     const float *boxes, *diagonals;
     const int64_t *children;
@@ -388,12 +350,9 @@ static loewner_status take_surface(const File *file, int64_t at, int64_t words[S
     }
     free(depth);
     EXPECT(is_sound, "children of a surface");
-    const void *arrays[SURFACE_ARRAYS] = {boxes, children, blocks, parts, diagonals};
-    for (int k = 0; k < SURFACE_ARRAYS; k++) {
-        words[3 * k] = (int64_t)arrays[k];
-        words[3 * k + 1] = sizes[k];
-        words[3 * k + 2] = 1;
-    }
+    const void *data[SURFACE_ARRAYS] = {boxes, children, blocks, parts, diagonals};
+    for (int k = 0; k < SURFACE_ARRAYS; k++)
+        arrays[k] = (Array2){data[k], sizes[k], 1};
     return LOEWNER_OK;
 }
 
@@ -410,7 +369,7 @@ static loewner_status link_surfaces(File *file, Pack *pack, int which)
     for (int64_t p = 0; p < pack->pieces; p++) {
         int64_t *at = copy + LAYOUT * p + SURFACE_AT;
         if (*at != 0)
-            *at = (int64_t)(file->surfaces + SURFACE_WORDS * (*at - 1));
+            *at = (int64_t)(file->surfaces + SURFACE_ARRAYS * (*at - 1));
     }
     pack->layout = copy;
     return LOEWNER_OK;
@@ -424,24 +383,24 @@ static loewner_status take_robot(File *file, const Header *header)
 {
     Tree *tree = &file->tree;
     int64_t links = header->links, dof = header->dof, moving = header->moving, bodies = moving + header->standing;
-    TRY(take(file, PARENT, INTEGERS, links, 1, "parent", &tree->parent, NULL));
-    TRY(take(file, KIND, INTEGERS, links, 1, "kind", &tree->kind, NULL));
-    TRY(take(file, COLUMN, INTEGERS, links, 1, "column", &tree->column, NULL));
-    TRY(take(file, MULTIPLIER, DOUBLES, links, 1, "multiplier", &tree->multiplier, NULL));
-    TRY(take(file, OFFSET, DOUBLES, links, 1, "offset", &tree->offset, NULL));
-    TRY(take(file, CONSTANTS, DOUBLES, links, LINK_CONSTANTS, "constants", &tree->constants, NULL));
-    TRY(take(file, LIMITS, DOUBLES, 4, dof, "limits", &file->limits, NULL));
-    TRY(take(file, JOINTS, INTEGERS, dof, 1, "joints", &file->joints, NULL));
-    TRY(take(file, QUATERNIONS, INTEGERS, -1, 1, "quaternions", &file->quaternions, &file->quaternion_count));
-    TRY(take(file, LINK, INTEGERS, moving, 1, "link", &file->link, NULL));
-    TRY(take(file, PAIRS, INTEGERS, -1, 2, "pairs", &file->pair_list, &file->pairs));
-    TRY(take(file, MARGINS, DOUBLES, file->pairs, 1, "margins", &file->margins, NULL));
-    TRY(take(file, ORDER, INTEGERS, file->pairs, 1, "order", &file->order, NULL));
-    TRY(take(file, POSES, DOUBLES, header->standing, 16, "poses", &file->poses, NULL));
-    TRY(take(file, OWN, DOUBLES, bodies, 1, "own", &file->own, NULL));
-    TRY(take(file, LOWERED, INTEGERS, bodies, 1, "lowered", &file->lowered, NULL));
-    TRY(take(file, RULES, INTEGERS, -1, 3, "rules", &file->rules, &file->rule_count));
-    TRY(take(file, RULE_MARGINS, DOUBLES, file->rule_count, 1, "rule_margins", &file->rule_margins, NULL));
+    TRY(take(file, FILE_PARENT, INTEGERS, links, 1, "parent", &tree->parent, NULL));
+    TRY(take(file, FILE_KIND, INTEGERS, links, 1, "kind", &tree->kind, NULL));
+    TRY(take(file, FILE_COLUMN, INTEGERS, links, 1, "column", &tree->column, NULL));
+    TRY(take(file, FILE_MULTIPLIER, DOUBLES, links, 1, "multiplier", &tree->multiplier, NULL));
+    TRY(take(file, FILE_OFFSET, DOUBLES, links, 1, "offset", &tree->offset, NULL));
+    TRY(take(file, FILE_CONSTANTS, DOUBLES, links, LINK_CONSTANTS, "constants", &tree->constants, NULL));
+    TRY(take(file, FILE_LIMITS, DOUBLES, 4, dof, "limits", &file->limits, NULL));
+    TRY(take(file, FILE_JOINTS, INTEGERS, dof, 1, "joints", &file->joints, NULL));
+    TRY(take(file, FILE_QUATERNIONS, INTEGERS, -1, 1, "quaternions", &file->quaternions, &file->quaternion_count));
+    TRY(take(file, FILE_LINK, INTEGERS, moving, 1, "link", &file->link, NULL));
+    TRY(take(file, FILE_PAIRS, INTEGERS, -1, 2, "pairs", &file->pair_list, &file->pairs));
+    TRY(take(file, FILE_MARGINS, DOUBLES, file->pairs, 1, "margins", &file->margins, NULL));
+    TRY(take(file, FILE_ORDER, INTEGERS, file->pairs, 1, "order", &file->order, NULL));
+    TRY(take(file, FILE_POSES, DOUBLES, header->standing, 16, "poses", &file->poses, NULL));
+    TRY(take(file, FILE_OWN, DOUBLES, bodies, 1, "own", &file->own, NULL));
+    TRY(take(file, FILE_LOWERED, INTEGERS, bodies, 1, "lowered", &file->lowered, NULL));
+    TRY(take(file, FILE_RULES, INTEGERS, -1, 3, "rules", &file->rules, &file->rule_count));
+    TRY(take(file, FILE_RULE_MARGINS, DOUBLES, file->rule_count, 1, "rule_margins", &file->rule_margins, NULL));
     for (int64_t k = 0; k < bodies; k++)
         EXPECT(file->own[k] >= 0 && file->own[k] <= 1e30, "own");
     for (int64_t k = 0; k < file->rule_count; k++) {
@@ -479,7 +438,7 @@ static loewner_status take_names(File *file, int64_t count)
 {
     const char *text;
     int64_t size, found = 0, begin = 0;
-    TRY(take(file, NAMES, BYTES, -1, 1, "names", &text, &size));
+    TRY(take(file, FILE_NAMES, BYTES, -1, 1, "names", &text, &size));
     EXPECT(count <= size, "names");
     file->names = malloc(sizeof(char *) * (size_t)(count + 1));
     if (file->names == NULL)
@@ -496,7 +455,7 @@ static loewner_status take_names(File *file, int64_t count)
 
 static loewner_status take_all(File *file, const Header *header)
 {
-    int64_t bodies = header->moving + header->standing, at = BEFORE;
+    int64_t bodies = header->moving + header->standing, at = FILE_PACKS;
     const double *margin;
     file->dof = header->dof;
     file->links = header->links;
@@ -505,7 +464,7 @@ static loewner_status take_all(File *file, const Header *header)
     file->has_cut = (int)header->has_cut;
     EXPECT(bodies <= INT32_MAX && header->links <= INT32_MAX && header->dof <= INT32_MAX, "a count in its header");
     TRY(take_names(file, bodies + header->links + header->dof));
-    TRY(take(file, MARGIN, DOUBLES, -1, 1, "margin", &margin, &file->pairs));
+    TRY(take(file, FILE_MARGIN, DOUBLES, -1, 1, "margin", &margin, &file->pairs));
     EXPECT(file->pairs <= 1, "margin");
     file->margin = file->pairs == 1 ? *margin : 0;
     EXPECT(file->margin >= 0 && file->margin <= 1e30, "margin");
@@ -517,11 +476,11 @@ static loewner_status take_all(File *file, const Header *header)
     for (int k = 0; k <= file->has_cut; k++, at += PACK_ARRAYS)
         TRY(take_pack(file, at, bodies, header->surfaces, file->packs + k));
     if (header->surfaces > 0) {
-        file->surfaces = malloc(sizeof(int64_t) * SURFACE_WORDS * (size_t)header->surfaces);
+        file->surfaces = malloc(sizeof(Array2) * SURFACE_ARRAYS * (size_t)header->surfaces);
         if (file->surfaces == NULL)
             return no_memory();
         for (int64_t k = 0; k < header->surfaces; k++, at += SURFACE_ARRAYS)
-            TRY(take_surface(file, at, file->surfaces + SURFACE_WORDS * k));
+            TRY(take_surface(file, at, file->surfaces + SURFACE_ARRAYS * k));
     }
     for (int k = 0; k < CUTTINGS; k++)
         TRY(link_surfaces(file, file->packs + k, k));
@@ -563,24 +522,22 @@ void leave_file(File *file)
     free(file);
 }
 
-void write_words(const Pack *pack, int64_t words[PACK_WORDS])
+struct pieces table_of(const Pack *pack)
 {
-    int64_t singles = pack->is_single ? pack->pieces : 0, starts = pack->has_parts ? PARTS * pack->pieces : 0;
-    const Array2 rows[PACK_ARRAYS] = {
-        {pack->table, pack->pieces, COLUMNS},
-        {pack->layout, pack->pieces, LAYOUT},
-        {pack->points, pack->numbers, 1},
-        {pack->piece_start, pack->bodies + 1, 1},
-        {pack->hot, pack->pieces, HOT},
-        {pack->single, singles, HOT},
-        {pack->tree_groups, GROUP_NUMBERS * pack->groups, 1},
-        {pack->children, WIDE * pack->groups, 1},
-        {pack->roots, pack->bodies, 1},
-        {pack->vertices, pack->is_single ? pack->numbers : 0, 1},
-        {pack->part_rows, pack->parts, HOT},
-        {pack->part_start, starts, 1},
+    return (struct pieces){
+        .table = {pack->table, pack->pieces, COLUMNS},
+        .layout = {pack->layout, pack->pieces, LAYOUT},
+        .points = {pack->points, pack->numbers, 1},
+        .piece_start = {pack->piece_start, pack->bodies + 1, 1},
+        .hot = {pack->hot, pack->pieces, HOT},
+        .single = {pack->single, pack->is_single ? pack->pieces : 0, HOT},
+        .groups = {pack->tree_groups, GROUP_NUMBERS * pack->groups, 1},
+        .children = {pack->children, WIDE * pack->groups, 1},
+        .roots = {pack->roots, pack->bodies, 1},
+        .vertices = {pack->vertices, pack->is_single ? pack->numbers : 0, 1},
+        .parts = {pack->part_rows, pack->parts, HOT},
+        .part_start = {pack->part_start, pack->has_parts ? PARTS * pack->pieces : 0, 1},
     };
-    memcpy(words, rows, sizeof rows);
 }
 
 /* -- bodies -------------------------------------------------------------------------------------------------------- */

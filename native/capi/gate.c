@@ -6,13 +6,13 @@
 #include <stdlib.h>
 #include <string.h>
 
-enum { EXACT = CODE_EXACT, VECTORS = 9 };
+enum { VECTORS = 9 };
 
 #define SAME_TICK 1e-6 /* times that agree to this share of a period belong to the same tick */
 #define ROUNDED 0x1p-47  /* by how much brakes may be off straight motions, as a share of values */
 #define WITHIN 1e-12   /* metres, and shares, by which bounds must be narrower than older ones to lie within these */
 
-/* What may change of a body of the scene without making the scene another one. */
+/* The properties of a body of the scene that may change while the scene remains the same. */
 typedef struct {
     double pose[16];
     loewner_bounds bounds;
@@ -250,8 +250,8 @@ static Stop stop_at(int64_t tick, int64_t needed, const Proof *proof)
     return (Stop){is_known ? tick : -1, needed, proof->pair, proof->reason};
 }
 
-/* Range of the ticks of the last chunk at which the robot may be, none behind its proven motions, where a robot that
-   executes the answers is not; whether what was proven of it still holds. */
+/* Write the range of the last chunk's ticks at which the robot may be, and return whether the proofs of the chunk still
+   hold. A robot that executes the answers is never behind the proven motions. */
 static int find_ticks(const loewner_gate *gate, double now, int64_t *from, int64_t *to)
 {
     const Chunk *last = &gate->last;
@@ -272,9 +272,9 @@ static int find_ticks(const loewner_gate *gate, double now, int64_t *from, int64
     return holds;
 }
 
-/* The ticks from..to of the last chunk that agree with a measured state, nearest first, one with each call; -1 if there
-   are no more. There are several if the robot is slow; the tick of a time that has run on comes first, in a world at rest
-   as well. `off` and `tick` are those of the call before, first -1. */
+/* Return the ticks from..to of the last chunk that agree with a measured state, nearest first, one with each call; -1
+   if there are no more. A slow robot agrees with several. The tick of the present time comes first, even if the world
+   is at rest. `off` and `tick` have the values of the previous call; at the first call both are -1. */
 static int64_t next_tick(const loewner_gate *gate, const double *q, const double *dq, int64_t from, int64_t to,
                          double *off, int64_t tick)
 {
@@ -375,44 +375,30 @@ static loewner_status prove_course(loewner_gate *gate, double *course, int64_t p
     return LOEWNER_OK;
 }
 
+/* The brake in a gate, as arguments of kernels. */
+#define BRAKE(gate)                                                                                                    \
+    .times = {gate->times, 1, gate->pieces}, .states = {gate->states, 1, gate->pieces, 3, gate->dof},                  \
+    .counts = {&gate->pieces_made, 1}
+
 /* Brake joint by joint. */
 static loewner_status stop(loewner_gate *gate, const double *q, const double *dq)
 {
-    int64_t dof = gate->dof, nothing;
-    const struct {
-        Array2 q, dq, ddq;
-        Array1 strongest, jerk;
-        Array2 times;
-        Array4 states;
-        Array1 counts;
-    } arguments = {
-        {q, 1, dof}, {dq, 1, dof}, {gate->resting, 1, dof}, {gate->strongest, dof}, {gate->jerk, dof},
-        {gate->times, 1, gate->pieces}, {gate->states, 1, gate->pieces, 3, dof}, {&gate->pieces_made, 1},
-    };
-    return call(kernels()->brakes_by_joint, &arguments, &nothing);
+    int64_t dof = gate->dof;
+    return CALL(brakes_by_joint, NULL, .Q = {q, 1, dof}, .V = {dq, 1, dof}, .A = {gate->resting, 1, dof},
+                .strongest = {gate->strongest, dof}, .jerk = {gate->jerk, dof}, BRAKE(gate));
 }
 
 /* Brake from a tick of a chunk; on the path, on as much of it as was known when this brake was proven. */
 static loewner_status brake_from(loewner_gate *gate, const Chunk *chunk, int64_t tick)
 {
-    int64_t dof = gate->dof, rows = chunk->ends[tick] + 2, nothing;
+    int64_t dof = gate->dof, rows = chunk->ends[tick] + 2;
     if (!gate->on_path)
         return stop(gate, chunk->rows + tick * dof, chunk->rates + tick * dof);
     for (int64_t k = 0; k < rows; k++)
         gate->at[k] = chunk->dt * (double)k;
-    const struct {
-        Array2 rows;
-        Array1 at, begins, strongest, jerk;
-        int64_t beyond;
-        Array2 times;
-        Array4 states;
-        Array1 counts, needed;
-    } arguments = {
-        {chunk->rows - dof, rows, dof}, {gate->at, rows}, {gate->at + tick + 1, 1}, {gate->strongest, dof},
-        {gate->jerk, dof}, 1, {gate->times, 1, gate->pieces}, {gate->states, 1, gate->pieces, 3, dof},
-        {&gate->pieces_made, 1}, {&gate->rows_needed, 1},
-    };
-    return call(kernels()->brakes_on_path, &arguments, &nothing);
+    return CALL(brakes_on_path, NULL, .rows = {chunk->rows - dof, rows, dof}, .at = {gate->at, rows},
+                .begins = {gate->at + tick + 1, 1}, .strongest = {gate->strongest, dof}, .jerk = {gate->jerk, dof},
+                .beyond = 1, .needed = {&gate->rows_needed, 1}, BRAKE(gate));
 }
 
 static double stopping_time(const loewner_gate *gate, int64_t c, double v)
@@ -434,19 +420,10 @@ static int64_t steps_of_whole(const loewner_gate *gate)
 static loewner_status prove_whole(loewner_gate *gate, double begin, double dt, int64_t points, double until,
                                   int64_t steps, Proof *proof, int *is_free)
 {
-    int64_t dof = gate->dof, nothing;
+    int64_t dof = gate->dof;
     Proof attempt = {0, -1, proof->work + steps, proof->work, 1};
-    const struct {
-        Array2 times;
-        Array4 states;
-        Array1 counts, until;
-        Array3 courses;
-        Array2 off;
-    } arguments = {
-        {gate->times, 1, gate->pieces}, {gate->states, 1, gate->pieces, 3, dof}, {&gate->pieces_made, 1}, {&until, 1},
-        {gate->courses, 1, points, dof}, {gate->looser, 1, dof},
-    };
-    TRY(call(kernels()->whole_brakes, &arguments, &nothing));
+    TRY(CALL(whole_brakes, NULL, .until = {&until, 1}, .courses = {gate->courses, 1, points, dof},
+             .off = {gate->looser, 1, dof}, BRAKE(gate)));
     for (int64_t c = 0; c < dof; c++)
         gate->looser[c] += gate->widened[c];
     until = fmax(until, gate->times[gate->pieces_made - 1]);
@@ -457,7 +434,7 @@ static loewner_status prove_whole(loewner_gate *gate, double begin, double dt, i
 }
 
 /* Prove the brake that was made last, which begins at a time; `rate` is its velocity, NULL on the path. A robot that is
-   faster by the error goes farther and is at rest later. Joint by joint, `steps` may be spent on the brake as a whole. */
+   faster by the error goes farther and is at rest later. Joint by joint, the brake as a whole may take `steps`. */
 static loewner_status prove_brake(loewner_gate *gate, double begin, double dt, const double *rate, int64_t steps,
                                   Proof *proof)
 {
@@ -477,17 +454,8 @@ static loewner_status prove_brake(loewner_gate *gate, double begin, double dt, c
         TRY(prove_whole(gate, begin, dt, points, rests ? stands : 0, steps, proof, &is_free));
     if (is_free)
         return LOEWNER_OK;
-    const struct {
-        Array2 times;
-        Array4 states;
-        Array1 counts;
-        Array3 courses;
-        Array1 seconds;
-    } arguments = {
-        {gate->times, 1, gate->pieces}, {gate->states, 1, gate->pieces, 3, dof}, {&gate->pieces_made, 1},
-        {gate->courses, pieces, points, dof}, {gate->seconds, pieces},
-    };
-    TRY(call(kernels()->courses_of_brakes, &arguments, &made));
+    TRY(CALL(courses_of_brakes, &made, .courses = {gate->courses, pieces, points, dof},
+             .seconds = {gate->seconds, pieces}, BRAKE(gate)));
     if (rate == NULL) {
         /* Where a long brake fails, it mostly fails at its end, where no interval has to be halved. */
         double *still = gate->courses + pieces * points * dof;
@@ -569,7 +537,7 @@ static loewner_status prove_chunk(loewner_gate *gate, Chunk *chunk, Proof *proof
     return LOEWNER_OK;
 }
 
-/* Find the largest scale of time, of 1/2, 1/4 and 1/8, with which the chunk is proven; 0 if there is none. */
+/* Find the largest scale of time (half, quarter or eighth) with which the chunk is proven; 0 if there is none. */
 static loewner_status find_scale(loewner_gate *gate, Proof *proof, double *scale)
 {
     const Chunk *chunk = &gate->made;
@@ -684,7 +652,7 @@ static loewner_status begin_chunk(loewner_gate *gate, int goes_on, const double 
     memcpy(still + gate->dof, q, size);
     TRY(collide(gate->checker, its, HASTY, still, 1, &verdict));
     if (verdict == LOEWNER_AMBIGUOUS)
-        TRY(collide(gate->checker, its, EXACT, still, 1, &verdict));
+        TRY(collide(gate->checker, its, CODE_EXACT, still, 1, &verdict));
     if (verdict == LOEWNER_FREE)
         return LOEWNER_OK;
     TRY(certify(gate->checker, its, still, 1, 2, its->off, 0, gate->tolerance, 0, gate->steps, work, &verdict,
@@ -693,8 +661,8 @@ static loewner_status begin_chunk(loewner_gate *gate, int goes_on, const double 
     return LOEWNER_OK;
 }
 
-/* Let the chunk be the last one that may run. If it goes on, the places of now are within the older ones, and new motions
-   are proven for the places of now only. */
+/* Let the chunk be the last one that may run. If it goes on, the present places of bodies are within the older ones, and
+   new motions are proven for the present places only. */
 static void adopt(loewner_gate *gate)
 {
     const Chunk made = gate->made;

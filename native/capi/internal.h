@@ -1,7 +1,7 @@
-/* What the files of `libloewner` share; `loewner.h` has what programs see.
+/* Shared by the files of `libloewner`; programs include `loewner.h` only.
 
    kernels.c   finds the machine code beside the library        files.c     maps files and checks them
-   scene.c     bodies, pairs and poses of a checker, and what kernels are given of them
+   scene.c     bodies, pairs and poses of a checker, as kernels take them
    queries.c   configurations and motions                       plans.c     paths
    gate.c      chunks of targets in a control loop              pairs.c     pairs of bodies, without a checker */
 
@@ -10,12 +10,10 @@
 
 #include "loewner.h"
 
-#include "../arguments.h"
+#include "kernels.h"
 
 #include <pthread.h>
 #include <stdatomic.h>
-
-#define CACHE_LINE 64
 
 /* Set the text of this thread's last error; returns the status. */
 loewner_status fail(loewner_status status, const char *format, ...) __attribute__((format(printf, 2, 3)));
@@ -32,38 +30,8 @@ loewner_status no_memory(void);
 
 typedef int32_t (*Kernel)(const int64_t *, int64_t *);
 
-/* Name, arguments, results. */
-#define ALL_KERNELS(X)                                                                                                 \
-    X(settle_range, SETTLE_TAKES, "b")                                                                                 \
-    X(settle_open, OPEN_TAKES, "")                                                                                     \
-    X(workspace_size, "", "i")                                                                                         \
-    X(distance_range, DISTANCE_TAKES, DISTANCE_GIVES)                                                                  \
-    X(measure_left, LEFT_TAKES, "")                                                                                    \
-    X(memory_of_distances, "", "i")                                                                                    \
-    X(first_fault, FAULT_TAKES, FAULT_GIVES)                                                                           \
-    X(check_configurations, CHECK_TAKES, "")                                                                           \
-    X(memory_size, "i i i", "i")                                                                                       \
-    X(certify_motions, "i i F3 F2 F1 f i i i B1 F1 I1 I2 i", "")                                                          \
-    X(free_motions, "i i i F3 i f i i i I2 B1 i", "")                                                                  \
-    X(motion_memory, "i i i", "i")                                                                                     \
-    X(connect_trees, "i F1 I1 F1 I2 F2 F3 I2 F2 I1 F1 F2 F2 F1", "i")                                                  \
-    X(shorten_path, "i i I1 F1 F2 I1 F2 F2", "i")                                                                      \
-    X(nearest_pairs, "b i i F2 i i i F2 F3 I2 B1", "")                                                                 \
-    X(memory_of_nearest, "i i i", "i")                                                                                 \
-    X(clearances, "b f i i F2 i i i F1 F2", "")                                                                        \
-    X(memory_of_clearances, "i i i", "i")                                                                              \
-    X(pair_gradients, "i i F2 i i i cI2 cF2 cF2 F2", "")                                                               \
-    X(link_poses, "I1 I1 I1 F1 F1 F2 F2 i i F4", "")                                                                   \
-    X(elementary, "i F1 F1 F1", "")                                                                                  \
-    X(brakes_by_joint, "F2 F2 F2 F1 F1 F2 F4 I1", "")                                                                  \
-    X(brakes_on_path, "F2 F1 F1 F1 F1 b F2 F4 I1 I1", "")                                                              \
-    X(courses_of_brakes, "F2 F4 I1 F3 F1", "i")                                                                        \
-    X(whole_brakes, "F2 F4 I1 F1 F3 F2", "")                                                                           \
-    X(measure_moving, "i i i", "")                                                                                     \
-    X(place_static, "i i F1 F2", "i")
-
 typedef struct {
-#define DECLARE(name, takes, gives) Kernel name;
+#define DECLARE(name) Kernel name;
     ALL_KERNELS(DECLARE)
 #undef DECLARE
     void (*release)(void *);
@@ -74,8 +42,8 @@ typedef struct {
 /* The kernels of this machine, loaded at the first call; NULL, with an error, if there are none. */
 const Kernels *kernels(void);
 
-/* Settle pairs, in mode EXACT also those that the fast searches leave open; whether all poses are rigid. */
-loewner_status settle_all(const SettleArguments *asked, int *are_rigid);
+/* Settle pairs; in mode EXACT, also the pairs that the fast searches leave open. Write whether all poses are rigid. */
+loewner_status settle_all(const struct settle_range *asked, int *are_rigid);
 
 /* Write result k of n kernels' distances: bounds, values (NaN: none), and vectors, shape (3, n, 3). */
 void write_distance(loewner_distance *found, const double *lower, const double *upper, const double *values,
@@ -84,9 +52,12 @@ void write_distance(loewner_distance *found, const double *lower, const double *
 /* Call a kernel with the address of a struct of slots; kernels fail only where memory is short. */
 loewner_status call(Kernel kernel, const void *arguments, void *results);
 
+/* Call a kernel with its arguments by their names; omitted ones are 0. Without results, pass NULL. */
+#define CALL(name, results, ...) call(kernels()->name, &(const struct name){__VA_ARGS__}, results)
+
 /* -- packs: bodies as kernels take them, see `loewner/_kernels/pieces/shapes.py` ----------------------------------- */
 
-enum { PACK_ARRAYS = 12, PACK_WORDS = 3 * PACK_ARRAYS };
+enum { PACK_ARRAYS = sizeof(struct pieces) / sizeof(Array2) };
 
 typedef struct {
     int64_t bodies, pieces, numbers, groups, parts; /* `numbers` of `points` */
@@ -104,7 +75,7 @@ typedef struct {
     const int64_t *part_start;
 } Pack;
 
-/* How many groups the tree over so many pieces of a body has, if it has one. */
+/* Number of groups in the tree over the pieces of a body, if it has one. */
 static inline int64_t groups_of(int64_t pieces)
 {
     int64_t total = 0;
@@ -115,8 +86,8 @@ static inline int64_t groups_of(int64_t pieces)
     return total;
 }
 
-/* Write the table of addresses to which a handle points. */
-void write_words(const Pack *pack, int64_t words[PACK_WORDS]);
+/* The table of addresses to which a handle points. */
+struct pieces table_of(const Pack *pack);
 
 /* -- files --------------------------------------------------------------------------------------------------------- */
 
@@ -126,9 +97,9 @@ typedef struct {
     const double *multiplier, *offset, *constants;
 } Tree;
 
-enum { SURFACE_ARRAYS = 5, SURFACE_WORDS = 3 * SURFACE_ARRAYS };
+enum { SURFACE_ARRAYS = 5 };
 
-/* Which surfaces are in parts: none, all, or those of static bodies without solids, in small parts. */
+/* Which surfaces are in parts: none; all; or surfaces of static bodies without solids, in small parts. */
 typedef enum { WHOLE, CUT, OPEN_CUT, CUTTINGS } Cutting;
 
 typedef struct {
@@ -136,7 +107,7 @@ typedef struct {
     void *map;
     size_t size;
     void *owned[CUTTINGS]; /* copies of layouts, with addresses of surfaces */
-    int64_t *surfaces;     /* tables of their addresses */
+    Array2 *surfaces;      /* SURFACE_ARRAYS of each */
     int64_t dof, links, moving, bodies, pairs;
     int has_cut;
     const char **names; /* of bodies, links and values */
@@ -166,7 +137,11 @@ struct loewner_bodies {
 
 /* -- checkers ------------------------------------------------------------------------------------------------------ */
 
-enum { TABLE_ROWS = 24, TABLE_WORDS = 3 * TABLE_ROWS, ORDER_ROW = 10, MOTIONS_AT = 336 };
+/* The tables of a problem: kernels for motions take the address of the second one, too. */
+typedef struct {
+    struct problem problem;
+    struct motion_tables motions;
+} Tables;
 
 typedef struct {
     char *name;
@@ -181,7 +156,7 @@ typedef struct {
     size_t touch_count;
 } Body;
 
-/* What a user said about a pair. */
+/* Settings of a user for a pair. */
 typedef struct {
     int32_t a, b; /* a < b */
     int has_margin, has_allowed, allowed;
@@ -192,7 +167,7 @@ typedef struct {
 typedef struct {
     Pack pack;
     void *joined; /* memory of the pack, unless it is a file's */
-    int64_t words[PACK_WORDS];
+    struct pieces pieces; /* its table */
     double *ball, *chain, *block;
     int64_t block_words;
     int64_t handle, motions;
@@ -204,12 +179,12 @@ typedef struct {
     int64_t moving, standing, pairs, groups;
     int64_t growing; /* bodies with bounds */
     int starts_matter, is_as_saved; /* the second: the bodies and pairs are the file's, and its arrays are used */
-    int32_t *body;  /* moving + standing: which body is where */
+    int32_t *body;  /* the body at each place: first the moving ones */
     int32_t *place; /* of a body, -1 if it is absent */
     Tree tree;      /* with a link for each attached body */
     int64_t *link, *pair_list, *rows, *order, *motion_order, *path_start, *path_link, *group_start, *group_pairs;
     double *margins, *poses;
-    Half halves[CUTTINGS]; /* of words[0] == 0: there is none, and `half_of` returns the first one */
+    Half halves[CUTTINGS]; /* without a block: there is none, and `half_of` returns the first one */
     void *memory[32];
     int memory_count;
 } State;
@@ -229,7 +204,8 @@ struct loewner_checker {
 struct loewner_workspace {
     atomic_flag is_used;
     uint64_t serial; /* of the state that it is prepared for */
-    int64_t table[TABLE_WORDS], pack;
+    Tables tables; /* with the workspace's own order of the pairs */
+    int64_t pack;
     int64_t *order, *hits, seen, next_look;
     char *memory; /* for kernels */
     char *validator;         /* for `free_motions`, which keeps an order of pairs in it from call to call */
@@ -243,7 +219,7 @@ struct loewner_workspace {
     size_t path_room;
 };
 
-/* Let nobody else use a workspace until the function that calls this returns; two threads would get wrong answers. */
+/* Reserve a workspace until the calling function returns; in one workspace, two threads would get wrong answers. */
 loewner_status take_workspace(loewner_workspace *workspace, loewner_workspace **held);
 
 static inline void leave_workspace(loewner_workspace **held)
@@ -264,7 +240,7 @@ enum { WORK = 3 }; /* numbers of a tally of `certify_motions`; the last one coun
 /* Take over changes of the scene, and prepare a workspace. */
 loewner_status prepare(const loewner_checker *checker, loewner_workspace *workspace);
 
-/* The same for queries that know nothing of bounds; refuse these. */
+/* Prepare for queries that do not support bounds: refuse bodies with bounds. */
 loewner_status prepare_exact(const loewner_checker *checker, loewner_workspace *workspace);
 
 /* The bodies with some of their surfaces cut, or whole where there is nothing to cut. */
@@ -277,8 +253,8 @@ loewner_status check_poses(const double *poses, size_t n, const char *name);
 /* Refuse numbers of rows, of some doubles each, whose size in bytes would wrap around and pass for a small one. */
 loewner_status check_count(size_t n, size_t doubles, const char *name);
 
-/* Verdicts of configurations that were checked. In the mode HASTY, what fast searches leave open stays AMBIGUOUS: nothing
-   is allocated. */
+/* Verdicts of configurations that were checked. In the mode HASTY, which allocates nothing, configurations that the fast
+   searches leave open stay AMBIGUOUS. */
 enum { HASTY = -1 };
 loewner_status collide(const loewner_checker *checker, loewner_workspace *workspace, int mode,
                        const double *configurations, size_t n, int8_t *verdicts);
@@ -290,15 +266,15 @@ loewner_status prove(const loewner_checker *checker, loewner_workspace *workspac
                      int32_t degree, double tolerance, const double *joint_error, const double *t0, const double *t1,
                      int64_t steps, int8_t *verdicts, double *fractions, int64_t *pairs);
 
-/* Let the kernel prove courses, and nothing be confirmed; `off` has rows of `width`, with what bodies may be off behind
-   the values; COLLIDING counts this as a margin, unless `as_given`. Each course may take `steps`, and `work`, shape
-   (count, WORK), receives what it took. */
+/* Let the kernel prove courses, and confirm nothing. The rows of `off`, with `width` numbers, are errors of the values
+   and then of bodies; COLLIDING counts these as margins, unless `as_given`. Each course may take `steps`, and `work`,
+   shape (count, WORK), receives its work. */
 loewner_status certify(const loewner_checker *checker, loewner_workspace *workspace, double *courses, int64_t count,
                        int64_t points, double *off, int64_t width, double tolerance, int64_t as_given, int64_t steps,
                        int64_t *work, int8_t *verdicts, double *fractions, int64_t *pairs);
 
-/* Write how far the values of a course (`joint_error` may be NULL) and bodies with bounds may be off from t0 to t1, if
-   these times are off by `late`; the row has dof + 3 growing numbers. */
+/* Write the errors of the values of a course (`joint_error` may be NULL) and of bodies with bounds from t0 to t1, where
+   these times have an error of `late`; the row has dof + 3 growing numbers. */
 void write_off(const loewner_checker *checker, const double *course, int64_t points, const double *joint_error,
                double t0, double t1, double late, double *row);
 

@@ -68,16 +68,15 @@ static int load(const char *path, const char *level)
         return 0;
     }
     int is_whole = 1;
-#define LOOK_UP(name, takes, gives)                                                                                    \
+#define LOOK_UP(name)                                                                                    \
     *(void **)&found.name = dlsym(handle, "loewner_" #name);                                                           \
     is_whole = is_whole && found.name != NULL;
     ALL_KERNELS(LOOK_UP)
 #undef LOOK_UP
     *(void **)&found.release = dlsym(handle, "loewner_release");
     is_whole = is_whole && found.release != NULL;
-    int64_t nothing = 0;
-    if (!is_whole || found.workspace_size(&nothing, &found.settle_memory) != 0 ||
-        found.memory_of_distances(&nothing, &found.distance_memory) != 0) {
+    if (!is_whole || found.workspace_size(NULL, &found.settle_memory) != 0 ||
+        found.memory_of_distances(NULL, &found.distance_memory) != 0) {
         snprintf(why_not, sizeof why_not, "%.300s lacks a function", path);
         dlclose(handle);
         return 0;

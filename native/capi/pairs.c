@@ -11,7 +11,8 @@ static const int64_t no_rows[1];
 
 /* One side of a query for kernels: some of the bodies of a pack, as a pack of their own. */
 typedef struct {
-    int64_t words[PACK_WORDS], start[2], step, pose_step;
+    struct pieces pieces;
+    int64_t start[2], step, pose_step;
     Array3 poses;
 } View;
 
@@ -44,7 +45,7 @@ static loewner_status view(const loewner_side *side, size_t first, size_t n, con
         pack.single += pack.is_single ? HOT * from : 0;
         pack.part_start += pack.has_parts ? PARTS * from : 0;
     }
-    write_words(&pack, made->words);
+    made->pieces = table_of(&pack);
     made->step = all;
     made->pose_step = side->poses != NULL && side->pose_count > 1;
     const double *poses = side->poses == NULL ? identity : side->poses + 16 * (made->pose_step ? first : 0);
@@ -75,21 +76,19 @@ static loewner_status scratch(loewner_workspace *workspace, int64_t size)
     return workspace->block == NULL ? no_memory() : LOEWNER_OK;
 }
 
-loewner_status settle_all(const SettleArguments *asked, int *are_rigid)
+loewner_status settle_all(const struct settle_range *asked, int *are_rigid)
 {
     const int64_t *tally = asked->tally.data;
     int8_t *out = (int8_t *)asked->out.data;
-    int64_t rigid = 0, nothing;
+    int64_t rigid = 0;
     TRY(call(kernels()->settle_range, asked, &rigid));
     *are_rigid = rigid & 1;
     if (!*are_rigid || asked->mode != CODE_EXACT || tally[CODE_OPEN] == 0)
         return LOEWNER_OK;
-    const OpenArguments careful = {
-        asked->margin, asked->first,   asked->last, asked->plan,    asked->rows,
-        asked->a,      asked->poses_a, asked->b,    asked->poses_b, asked->out,
-    };
-    TRY(call(kernels()->settle_open, &careful, &nothing));
-    for (int64_t k = asked->first; k < asked->last; k++)
+    TRY(CALL(settle_open, NULL, .margin = asked->margin, .start = asked->start, .stop = asked->stop,
+             .plan = asked->plan, .rows = asked->rows, .pack_a = asked->pack_a, .Ta = asked->Ta,
+             .pack_b = asked->pack_b, .Tb = asked->Tb, .out = asked->out));
+    for (int64_t k = asked->start; k < asked->stop; k++)
         if (out[k] == CODE_INEXACT) /* Python decides it in whole numbers */
             out[k] = LOEWNER_AMBIGUOUS;
     return LOEWNER_OK;
@@ -111,10 +110,10 @@ static loewner_status settle(loewner_workspace *workspace, int mode, const loewn
     HOLD(workspace);
     TRY(scratch(workspace, kernels()->settle_memory));
     workspace->serial = 0; /* its memory is written to */
-    const SettleArguments asked = {
-        .mode = mode, .margin = margin, .last = count, .plan = {plan, 5, 1}, .rows = {no_rows, 2, 0},
-        .a = (int64_t)sides[0].words, .poses_a = sides[0].poses, .b = (int64_t)sides[1].words,
-        .poses_b = sides[1].poses, .out = {verdicts, count}, .tally = {tally, CODE_TIERS}, .memory = workspace->block,
+    const struct settle_range asked = {
+        .mode = mode, .margin = margin, .stop = count, .plan = {plan, 5, 1}, .rows = {no_rows, 2, 0},
+        .pack_a = (int64_t)&sides[0].pieces, .Ta = sides[0].poses, .pack_b = (int64_t)&sides[1].pieces,
+        .Tb = sides[1].poses, .out = {verdicts, count}, .tally = {tally, CODE_TIERS}, .memory = workspace->block,
     };
     TRY(settle_all(&asked, &are_rigid));
     return are_rigid ? LOEWNER_OK : fail(LOEWNER_BAD_ARGUMENT, "poses: expected rigid motions, found others");
@@ -164,25 +163,25 @@ loewner_status loewner_measure(loewner_workspace *workspace, const loewner_side 
     workspace->serial = 0;
     for (size_t first = 0; first < n; first += AT_ONCE) {
         View sides[2];
-        int64_t plan[5], count = (int64_t)(n - first < AT_ONCE ? n - first : AT_ONCE), nothing;
+        int64_t plan[5], count = (int64_t)(n - first < AT_ONCE ? n - first : AT_ONCE);
         double numbers[4 * AT_ONCE], vectors[9 * AT_ONCE];
         int8_t status[AT_ONCE];
         TRY(views(a, b, first, (size_t)count, sides, plan));
         for (int side = 0; side < 2; side++)
             TRY(check_poses(sides[side].poses.data, (size_t)sides[side].poses.count, side == 0 ? "a" : "b"));
-        const DistanceArguments asked = {
-            .wanted = 1, .last = count, .plan = {plan, 5, 1}, .rows = {no_rows, 2, 0}, .a = (int64_t)sides[0].words,
-            .poses_a = sides[0].poses, .b = (int64_t)sides[1].words, .poses_b = sides[1].poses,
-            .memory = workspace->block, .numbers = {numbers, 4, count}, .vectors = {vectors, 3, count, 3},
-            .status = {status, count},
+        const struct distance_range asked = {
+            .wanted = 1, .stop = count, .plan = {plan, 5, 1}, .rows = {no_rows, 2, 0},
+            .pack_a = (int64_t)&sides[0].pieces, .Ta = sides[0].poses, .pack_b = (int64_t)&sides[1].pieces,
+            .Tb = sides[1].poses, .memory = workspace->block, .numbers = {numbers, 4, count},
+            .vectors = {vectors, 3, count, 3}, .status = {status, count},
         };
-        DistanceResults left;
+        struct distance_range_results left;
         TRY(call(known->distance_range, &asked, &left));
-        const LeftArguments rest = {
-            left.pieces.array, left.values.array, asked.a,       asked.poses_a, asked.b,
-            asked.poses_b,     asked.numbers,     asked.vectors, asked.status,
-        };
-        loewner_status outcome = left.pieces.array.rows == 0 ? LOEWNER_OK : call(known->measure_left, &rest, &nothing);
+        loewner_status outcome = LOEWNER_OK;
+        if (left.pieces.array.rows > 0)
+            outcome = CALL(measure_left, NULL, .pieces = left.pieces.array, .values = left.values.array,
+                           .pack_a = asked.pack_a, .Ta = asked.Ta, .pack_b = asked.pack_b, .Tb = asked.Tb,
+                           .numbers = asked.numbers, .vectors = asked.vectors, .status = asked.status);
         known->release(left.pieces.memory);
         known->release(left.values.memory);
         TRY(outcome);

@@ -7,9 +7,6 @@
 #include <string.h>
 #include <time.h>
 
-/* Of the state of a search, `columns.py`. */
-enum { ITERATION, STARTS, GOALS, OF_START, OF_GOAL, MOTIONS, RANDOM, STATE = 10 };
-
 typedef struct {
     const loewner_checker *checker;
     loewner_workspace *workspace;
@@ -41,7 +38,7 @@ static Judge judge_of(const loewner_checker *checker, loewner_workspace *workspa
         checker,
         workspace,
         is_off ? joint_error : NULL,
-        {(int64_t)half->words, half->handle, half->motions, (int64_t)workspace->memory, 1,
+        {(int64_t)&half->pieces, half->handle, half->motions, (int64_t)workspace->memory, 1,
          is_off ? (int64_t)joint_error : 0, 0},
         {PLAN_TOLERANCE, 0},
     };
@@ -209,7 +206,7 @@ static double seconds(void)
     return (double)now.tv_sec + 1e-9 * (double)now.tv_nsec;
 }
 
-/* Let the trees grow, for at most so many iterations in all. */
+/* Let the trees grow, until they have had `most` iterations in all. */
 static loewner_status grow_on(const Judge *judge, const Space *space, Trees *trees, double *reach, int64_t *state,
                               double *gap, double *ends, double *points, int64_t most, int64_t *outcome)
 {
@@ -218,32 +215,12 @@ static loewner_status grow_on(const Judge *judge, const Space *space, Trees *tre
     while (*outcome == CODE_FULL) {
         memcpy(ends, space->start, sizeof(double) * (size_t)dof);
         memcpy(ends + dof, space->start, sizeof(double) * (size_t)dof);
-        struct {
-            int64_t most;
-            Array1 reach, handles, lengths;
-            Array2 joints, limits;
-            Array3 nodes;
-            Array2 parents, domains;
-            Array1 state, gap;
-            Array2 ends, points;
-            Array1 squares;
-        } arguments = {
-            most,
-            {reach, 2},
-            {judge->handles, 7},
-            {judge->lengths, 2},
-            {space->columns, 2, joints},
-            {space->limits, 5, joints},
-            {trees->nodes, 2, joints, trees->capacity},
-            {trees->parents, 2, trees->capacity},
-            {trees->domains, 2, trees->capacity},
-            {state, STATE},
-            {gap, 1},
-            {ends, 2, dof},
-            {points, 4, joints},
-            {trees->squares, trees->capacity},
-        };
-        TRY(call(kernels()->connect_trees, &arguments, outcome));
+        TRY(CALL(connect_trees, outcome, .most = most, .reach = {reach, 2}, .handles = {judge->handles, 7},
+                 .lengths = {judge->lengths, 2}, .joints = {space->columns, 2, joints},
+                 .limits = {space->limits, 5, joints}, .nodes = {trees->nodes, 2, joints, trees->capacity},
+                 .parents = {trees->parents, 2, trees->capacity}, .domains = {trees->domains, 2, trees->capacity},
+                 .state = {state, STATE}, .gap = {gap, 1}, .ends = {ends, 2, dof}, .points = {points, 4, joints},
+                 .squares = {trees->squares, trees->capacity}));
         if (*outcome == CODE_FULL)
             TRY(grow(trees, joints, 2 * trees->capacity));
     }
@@ -272,32 +249,34 @@ static int64_t length_of_branch(const Trees *trees, int tree, int64_t node)
     return length;
 }
 
+/* Write the values of a node into a row of a path. */
+static void copy_node(const Space *space, const Trees *trees, int tree, int64_t node, double *row)
+{
+    for (int64_t k = 0; k < space->count; k++)
+        row[space->columns[k]] = trees->nodes[(tree * space->count + k) * trees->capacity + node];
+}
+
 /* Write the path through both trees to the workspace. */
 static loewner_status write_path(const Judge *judge, const Space *space, const Trees *trees, const int64_t *state,
                                  int64_t *count)
 {
     int64_t joints = space->count, dof = space->dof, first = length_of_branch(trees, 0, state[OF_START]);
-    int64_t total = first + length_of_branch(trees, 1, state[OF_GOAL]), at = first;
+    int64_t total = first + length_of_branch(trees, 1, state[OF_GOAL]), row = first;
     TRY(make_room(judge->workspace, total, dof));
     double *path = judge->workspace->path;
-    for (int64_t row = 0; row < total; row++)
-        memcpy(path + row * dof, space->start, sizeof(double) * (size_t)dof);
+    for (int64_t k = 0; k < total; k++)
+        memcpy(path + k * dof, space->start, sizeof(double) * (size_t)dof);
     for (int64_t node = state[OF_START]; node >= 0; node = trees->parents[node])
-        for (at--; at >= 0;) {
-            for (int64_t k = 0; k < joints; k++)
-                path[at * dof + space->columns[k]] = trees->nodes[k * trees->capacity + node];
-            break;
-        }
-    at = first;
-    for (int64_t node = state[OF_GOAL]; node >= 0; node = trees->parents[trees->capacity + node], at++)
-        for (int64_t k = 0; k < joints; k++)
-            path[at * dof + space->columns[k]] = trees->nodes[(joints + k) * trees->capacity + node];
+        copy_node(space, trees, 0, node, path + dof * --row);
+    row = first;
+    for (int64_t node = state[OF_GOAL]; node >= 0; node = trees->parents[trees->capacity + node])
+        copy_node(space, trees, 1, node, path + dof * row++);
     int turned = 0;
     for (int64_t k = 0; k < joints; k++) {
         int64_t c = space->columns[k];
         double turns =
             space->columns[joints + k] ? rint((path[first * dof + c] - path[(first - 1) * dof + c]) / (2 * M_PI)) : 0;
-        for (int64_t row = first; turns != 0 && row < total; row++)
+        for (row = first; turns != 0 && row < total; row++)
             path[row * dof + c] -= 2 * M_PI * turns;
         turned |= turns != 0;
     }
@@ -378,23 +357,11 @@ static loewner_status cut_corners(const Judge *judge, int64_t *count, int64_t cu
     state[RANDOM] = seed;
     while (done < cuts && *count > 2 && done != state[ITERATION]) {
         done = state[ITERATION];
-        struct {
-            int64_t count, most;
-            Array1 handles, lengths;
-            Array2 path;
-            Array1 state;
-            Array2 ends, points;
-        } arguments = {
-            *count,
-            done + MOST_ITERATIONS < cuts ? done + MOST_ITERATIONS : cuts,
-            {judge->handles, 7},
-            {judge->lengths, 2},
-            {workspace->path, room, dof},
-            {state, STATE},
-            {workspace->courses, 2, dof},
-            {workspace->courses + 2 * dof, 2, dof},
-        };
-        TRY(call(kernels()->shorten_path, &arguments, count));
+        TRY(CALL(shorten_path, count, .count = *count,
+                 .most = done + MOST_ITERATIONS < cuts ? done + MOST_ITERATIONS : cuts,
+                 .handles = {judge->handles, 7}, .lengths = {judge->lengths, 2}, .path = {workspace->path, room, dof},
+                 .state = {state, STATE}, .ends = {workspace->courses, 2, dof},
+                 .points = {workspace->courses + 2 * dof, 2, dof}));
     }
     return LOEWNER_OK;
 }

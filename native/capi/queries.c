@@ -6,8 +6,6 @@
 #include <stdlib.h>
 #include <string.h>
 
-/* Of `loewner/_kernels/codes.py`, whose numbers `build.py` passes. */
-enum { CERTIFY = CODE_CERTIFY, EXACT = CODE_EXACT };
 _Static_assert(CODE_FREE == LOEWNER_FREE && CODE_COLLIDING == LOEWNER_COLLIDING && CODE_AMBIGUOUS == LOEWNER_AMBIGUOUS,
                "verdicts have the numbers of codes.py");
 
@@ -23,18 +21,17 @@ loewner_status check_count(size_t n, size_t doubles, const char *name)
 
 loewner_status check_poses(const double *poses, size_t n, const char *name)
 {
-    FaultResults fault = {0};
+    struct first_fault_results fault = {0};
     TRY(check_count(n, 16, name));
     if (poses == NULL && n > 0)
         return fail(LOEWNER_BAD_ARGUMENT, "%s: expected poses, found NULL", name);
-    Array3 all = {poses, (int64_t)n, 4, 4};
-    TRY(call(kernels()->first_fault, &all, &fault));
+    TRY(CALL(first_fault, &fault, .Ts = {poses, (int64_t)n, 4, 4}));
     static const char *const faults[] = {
         "rigid",        "not finite", "with another last row than 0 0 0 1", "whose rotation is not orthonormal",
         "a reflection",
     };
-    if (fault.row < (int64_t)n)
-        return fail(LOEWNER_BAD_ARGUMENT, "%s[%lld]: expected a rigid motion, found one %s", name, (long long)fault.row,
+    if (fault.k < (int64_t)n)
+        return fail(LOEWNER_BAD_ARGUMENT, "%s[%lld]: expected a rigid motion, found one %s", name, (long long)fault.k,
                     faults[fault.kind >= 0 && fault.kind <= 4 ? fault.kind : 0]);
     return LOEWNER_OK;
 }
@@ -69,28 +66,14 @@ loewner_status check_configurations(const loewner_checker *checker, const double
 
 /* -- verdicts ------------------------------------------------------------------------------------------------------ */
 
-/* Poses of all links, those of attached bodies included, at configurations that were checked. */
+/* Poses of all links, including the links of attached bodies, at configurations that were checked. */
 static loewner_status place_links(const Tree *tree, const double *configurations, int64_t n, int64_t dof, double *poses)
 {
-    struct {
-        Array1 parent, kind, column, multiplier, offset;
-        Array2 constants, configurations;
-        int64_t first, last;
-        Array4 out;
-    } arguments = {
-        {tree->parent, tree->links},
-        {tree->kind, tree->links},
-        {tree->column, tree->links},
-        {tree->multiplier, tree->links},
-        {tree->offset, tree->links},
-        {tree->constants, tree->links, LINK_CONSTANTS},
-        {configurations, n, dof},
-        0,
-        n,
-        {poses, n, tree->links, 4, 4},
-    };
-    int64_t nothing;
-    return call(kernels()->link_poses, &arguments, &nothing);
+    int64_t links = tree->links;
+    return CALL(link_poses, NULL, .parent = {tree->parent, links}, .kind = {tree->kind, links},
+                .column = {tree->column, links}, .multiplier = {tree->multiplier, links},
+                .offset = {tree->offset, links}, .constants = {tree->constants, links, LINK_CONSTANTS},
+                .Q = {configurations, n, dof}, .stop = n, .out = {poses, n, links, 4, 4});
 }
 
 /* Exact verdicts of all pairs, with all bodies at poses. */
@@ -98,17 +81,17 @@ static loewner_status settle_pairs(const State *state, loewner_workspace *worksp
                                    int8_t *verdicts)
 {
     int64_t bodies = state->moving + state->standing, count = state->pairs, plan[5] = {count, 1, 1, 1, 1};
-    int64_t pack = (int64_t)state->halves[WHOLE].words;
+    int64_t pack = (int64_t)&state->halves[WHOLE].pieces;
     memset(verdicts, LOEWNER_AMBIGUOUS, (size_t)count);
     for (int64_t first = 0, last; first < count; first = last) {
         for (last = first + 1; last < count && state->margins[last] == state->margins[first];)
             last++;
         int64_t tally[CODE_TIERS] = {0};
         int are_rigid;
-        const SettleArguments asked = {
-            .mode = EXACT, .margin = state->margins[first], .first = first, .last = last, .plan = {plan, 5, 1},
-            .rows = {state->rows, 2, count}, .a = pack, .poses_a = {poses, bodies, 4, 4}, .b = pack,
-            .poses_b = {poses, bodies, 4, 4}, .out = {verdicts, count}, .tally = {tally, CODE_TIERS},
+        const struct settle_range asked = {
+            .mode = CODE_EXACT, .margin = state->margins[first], .start = first, .stop = last, .plan = {plan, 5, 1},
+            .rows = {state->rows, 2, count}, .pack_a = pack, .Ta = {poses, bodies, 4, 4}, .pack_b = pack,
+            .Tb = {poses, bodies, 4, 4}, .out = {verdicts, count}, .tally = {tally, CODE_TIERS},
             .memory = workspace->memory,
         };
         TRY(settle_all(&asked, &are_rigid));
@@ -174,15 +157,13 @@ loewner_status collide(const loewner_checker *checker, loewner_workspace *worksp
     const State *state = &checker->state;
     int64_t dof = checker->file->dof;
     for (size_t first = 0; first < n; first += CHUNK) {
-        int64_t count = (int64_t)(n - first < CHUNK ? n - first : CHUNK), nothing;
+        int64_t count = (int64_t)(n - first < CHUNK ? n - first : CHUNK);
         const double *rows = configurations + first * (size_t)dof;
-        const CheckArguments arguments = {
-            .mode = mode == HASTY ? EXACT : mode, .last = count, .configurations = {rows, count, dof},
-            .pack = workspace->pack, .problem = (int64_t)workspace->table, .out = {verdicts + first, count}, .tiers = {workspace->tiers, count},
-            .hits = {workspace->hits, state->pairs}, .memory = workspace->memory,
-        };
-        TRY(call(kernels()->check_configurations, &arguments, &nothing));
-        for (int64_t k = 0; mode == EXACT && k < count; k++)
+        TRY(CALL(check_configurations, NULL, .mode = mode == HASTY ? CODE_EXACT : mode, .stop = count,
+                 .Q = {rows, count, dof}, .pack = workspace->pack, .problem_handle = (int64_t)&workspace->tables,
+                 .out = {verdicts + first, count}, .tiers_out = {workspace->tiers, count},
+                 .hits = {workspace->hits, state->pairs}, .memory = workspace->memory));
+        for (int64_t k = 0; mode == CODE_EXACT && k < count; k++)
             if (verdicts[first + (size_t)k] == LOEWNER_AMBIGUOUS) {
                 TRY(settle_one(checker, workspace, rows + k * dof, workspace->pair_verdicts));
                 verdicts[first + (size_t)k] = worst(workspace->pair_verdicts, state->pairs);
@@ -206,13 +187,13 @@ static loewner_status asked(const loewner_checker *checker, loewner_workspace *w
 loewner_status loewner_checker_classify(const loewner_checker *checker, loewner_workspace *workspace,
                                         const double *configurations, size_t n, int8_t *verdicts)
 {
-    return asked(checker, workspace, CERTIFY, configurations, n, verdicts);
+    return asked(checker, workspace, CODE_CERTIFY, configurations, n, verdicts);
 }
 
 loewner_status loewner_checker_collide(const loewner_checker *checker, loewner_workspace *workspace,
                                        const double *configurations, size_t n, int8_t *verdicts)
 {
-    return asked(checker, workspace, EXACT, configurations, n, verdicts);
+    return asked(checker, workspace, CODE_EXACT, configurations, n, verdicts);
 }
 
 loewner_status loewner_checker_collide_by_pair(const loewner_checker *checker, loewner_workspace *workspace,
@@ -288,26 +269,11 @@ static int64_t owner(const Pack *pack, int64_t piece)
 static loewner_status differentiate(const loewner_checker *checker, loewner_workspace *workspace, const double *rows,
                                     int64_t count, double *gradients)
 {
-    int64_t dof = checker->file->dof, nothing;
-    struct {
-        int64_t first, last;
-        Array2 configurations;
-        int64_t pack, problem;
-        void *memory;
-        Array2 bodies, normal, witness, slopes;
-    } arguments = {
-        0,
-        count,
-        {rows, count, dof},
-        workspace->pack,
-        (int64_t)workspace->table,
-        workspace->memory,
-        {workspace->pieces, count, 2},
-        {workspace->vectors + 6 * count, count, 3},
-        {workspace->vectors, count, 3},
-        {gradients, count, dof},
-    };
-    return call(kernels()->pair_gradients, &arguments, &nothing);
+    int64_t dof = checker->file->dof;
+    return CALL(pair_gradients, NULL, .stop = count, .Q = {rows, count, dof}, .pack = workspace->pack,
+                .problem_handle = (int64_t)&workspace->tables, .memory = workspace->memory,
+                .bodies = {workspace->pieces, count, 2}, .force = {workspace->vectors + 6 * count, count, 3},
+                .point = {workspace->vectors, count, 3}, .slopes = {gradients, count, dof});
 }
 
 loewner_status loewner_checker_distance(const loewner_checker *checker, loewner_workspace *workspace,
@@ -322,33 +288,14 @@ loewner_status loewner_checker_distance(const loewner_checker *checker, loewner_
     if (state->pairs == 0 || (distances == NULL && n > 0))
         return fail(LOEWNER_BAD_ARGUMENT, "expected pairs to check and a place for distances, found none");
     for (size_t first = 0; first < n; first += MOTIONS_AT_ONCE) {
-        int64_t count = (int64_t)(n - first < MOTIONS_AT_ONCE ? n - first : MOTIONS_AT_ONCE), nothing;
+        int64_t count = (int64_t)(n - first < MOTIONS_AT_ONCE ? n - first : MOTIONS_AT_ONCE);
         const double *rows = configurations + first * (size_t)dof;
         int8_t *status = workspace->found;
         double *numbers = workspace->numbers, *vectors = workspace->vectors;
-        struct {
-            int64_t wanted, first, last;
-            Array2 configurations;
-            int64_t pack, problem;
-            void *memory;
-            Array2 numbers;
-            Array3 vectors;
-            Array2 pieces;
-            Array1 status;
-        } arguments = {
-            1,
-            0,
-            count,
-            {rows, count, dof},
-            workspace->pack,
-            (int64_t)workspace->table,
-            workspace->memory,
-            {numbers, 3, count},
-            {vectors, 3, count, 3},
-            {workspace->pieces, count, 2},
-            {status, count},
-        };
-        TRY(call(kernels()->nearest_pairs, &arguments, &nothing));
+        TRY(CALL(nearest_pairs, NULL, .wanted = 1, .stop = count, .Q = {rows, count, dof}, .pack = workspace->pack,
+                 .problem_handle = (int64_t)&workspace->tables, .memory = workspace->memory,
+                 .numbers = {numbers, 3, count}, .vectors = {vectors, 3, count, 3},
+                 .pieces_out = {workspace->pieces, count, 2}, .status = {status, count}));
         for (int64_t k = 0; k < count; k++) {
             loewner_distance *found = distances + first + k;
             write_distance(found, numbers, numbers + count, numbers + 2 * count, vectors, count, k, status[k] == 0);
@@ -382,29 +329,11 @@ loewner_status loewner_checker_clearance(const loewner_checker *checker, loewner
     if (!(softness > 0 && softness < INFINITY))
         return fail(LOEWNER_BAD_ARGUMENT, "softness: expected a positive number, found %g", softness);
     const Half *half = half_of(checker, OPEN_CUT);
-    int64_t dof = checker->file->dof, count = (int64_t)n, nothing;
-    struct {
-        int64_t gradient;
-        double softness;
-        int64_t first, last;
-        Array2 configurations;
-        int64_t pack, problem;
-        void *memory;
-        Array1 lower;
-        Array2 slopes;
-    } arguments = {
-        gradients != NULL,
-        softness,
-        0,
-        count,
-        {configurations, count, dof},
-        (int64_t)half->words,
-        half->handle,
-        workspace->memory,
-        {clearances, count},
-        {gradients, gradients != NULL ? count : 0, dof},
-    };
-    TRY(call(kernels()->clearances, &arguments, &nothing));
+    int64_t dof = checker->file->dof, count = (int64_t)n;
+    TRY(CALL(clearances, NULL, .gradient = gradients != NULL, .softness = softness, .stop = count,
+             .Q = {configurations, count, dof}, .pack = (int64_t)&half->pieces, .problem_handle = half->handle,
+             .memory = workspace->memory, .lower = {clearances, count},
+             .slopes = {gradients, gradients != NULL ? count : 0, dof}));
     for (size_t k = 0; k < n; k++)
         if (!isfinite(clearances[k]))
             return fail(LOEWNER_OVERFLOW, "positions overflow at configuration %zu", k);
@@ -431,12 +360,8 @@ void straight(const loewner_checker *checker, const double *a, const double *b, 
 /* An elementary function of a number, with the bits that it has in Python. */
 static double elementary(int64_t function, double x)
 {
-    double result;
-    const struct {
-        int64_t function;
-        Array1 x, y, result;
-    } asked = {function, {&x, 1}, {&x, 1}, {&result, 1}};
-    kernels()->elementary((const int64_t *)&asked, NULL);
+    double result = NAN;
+    CALL(elementary, NULL, .function = function, .x = {&x, 1}, .y = {&x, 1}, .result = {&result, 1});
     return result;
 }
 
@@ -499,38 +424,16 @@ loewner_status certify(const loewner_checker *checker, loewner_workspace *worksp
                        int64_t *work, int8_t *verdicts, double *fractions, int64_t *pairs)
 {
     const Half *half = half_of(checker, CUT);
-    int64_t dof = checker->file->dof, nothing;
-    struct {
-        int64_t first, last;
-        Array3 courses;
-        Array2 off;
-        Array1 clear;
-        double tolerance;
-        int64_t pack, problem, tables;
-        Array1 out, fractions, pairs;
-        Array2 work;
-        void *memory;
-    } arguments = {
-        0,
-        count,
-        {courses, count, points, dof},
-        {off, width > 0 ? count : 0, width},
-        {NULL, 0}, /* nothing beside the margins */
-        tolerance,
-        (int64_t)half->words,
-        half->handle,
-        half->motions,
-        {verdicts, count},
-        {fractions, count},
-        {pairs, count},
-        {work, count, WORK},
-        workspace->memory,
-    };
     for (int64_t k = 0; k < count; k++) {
         work[WORK * k + WORK - 1] = steps;
         verdicts[k] = (int8_t)as_given;
     }
-    return call(kernels()->certify_motions, &arguments, &nothing);
+    /* `clear` is left out: bodies may be as near as their margins. */
+    return CALL(certify_motions, NULL, .stop = count, .courses = {courses, count, points, checker->file->dof},
+                .off = {off, width > 0 ? count : 0, width}, .tolerance = tolerance, .pack = (int64_t)&half->pieces,
+                .problem_handle = half->handle, .tables_handle = half->motions, .out = {verdicts, count},
+                .t_out = {fractions, count}, .pair_out = {pairs, count}, .tallies = {work, count, WORK},
+                .memory = workspace->memory);
 }
 
 /* Bound how far points of a body may be off at a time that is itself off by `late` [m], with more than enough for
@@ -605,11 +508,11 @@ loewner_status prove(const loewner_checker *checker, loewner_workspace *workspac
             /* COLLIDING only if the configuration that a user computes from the fraction collides. */
             int8_t found;
             evaluate(file, course, degree, fractions[k], q);
-            TRY(collide(checker, workspace, EXACT, q, 1, &found));
+            TRY(collide(checker, workspace, CODE_EXACT, q, 1, &found));
             verdicts[k] = found == LOEWNER_COLLIDING ? LOEWNER_COLLIDING : LOEWNER_AMBIGUOUS;
         } else if (verdicts[k] == LOEWNER_FREE && state->starts_matter) {
             int8_t found;
-            TRY(collide(checker, workspace, EXACT, course, 1, &found));
+            TRY(collide(checker, workspace, CODE_EXACT, course, 1, &found));
             if (found == LOEWNER_FREE)
                 continue;
             TRY(settle_one(checker, workspace, course, workspace->pair_verdicts));
@@ -668,7 +571,7 @@ static loewner_status check_edges(const loewner_checker *checker, const double *
     return LOEWNER_OK;
 }
 
-/* Write the courses of as many motions from the first on as are proven at once, and return how many these are. */
+/* Write the courses of the next batch of motions, which starts at `first`, and return the size of the batch. */
 static size_t write_courses(const loewner_checker *checker, loewner_workspace *workspace, const double *starts,
                             const double *ends, size_t first, size_t n)
 {
@@ -692,7 +595,7 @@ static void write_steps(const loewner_workspace *workspace, const loewner_proof_
         options->steps_taken[first + k] = workspace->work[WORK * k + WORK - 1];
 }
 
-/* Prove a block of courses that are in the workspace, and write what the caller wants to know. */
+/* Prove a block of courses that are in the workspace, and write the requested results. */
 static loewner_status prove_block(const loewner_checker *checker, loewner_workspace *workspace, size_t first,
                                   size_t count, int32_t degree, const loewner_proof_options *options, int8_t *verdicts,
                                   double *fractions, int32_t (*bodies)[2])
@@ -736,43 +639,25 @@ static loewner_status find_free(const loewner_checker *checker, loewner_workspac
                                 const loewner_proof_options *options, int8_t *is_free)
 {
     const Half *half = half_of(checker, CUT);
-    int64_t dof = checker->file->dof, nothing;
+    int64_t dof = checker->file->dof;
     const double *error = options != NULL ? options->joint_error : NULL;
     int is_off = 0;
     for (int64_t c = 0; error != NULL && c < dof; c++)
         is_off |= error[c] > 0;
-    const struct {
-        int64_t prepared, first, last;
-        Array3 courses;
-        int64_t error;
-        double tolerance;
-        int64_t pack, problem, tables;
-        Array2 work;
-        Array1 out;
-        void *memory;
-    } arguments = {
-        workspace->is_ready,
-        0,
-        count,
-        {workspace->courses, count, 2, dof},
-        is_off ? (int64_t)error : 0,
-        options != NULL && options->tolerance > 0 ? options->tolerance : TOLERANCE,
-        (int64_t)half->words,
-        half->handle,
-        half->motions,
-        {workspace->work, count, WORK},
-        {is_free, count},
-        workspace->validator,
-    };
     for (int64_t k = 0; k < count; k++)
         workspace->work[WORK * k + WORK - 1] = steps_of(options);
+    int64_t is_ready = workspace->is_ready;
     workspace->is_ready = 0;
-    TRY(call(kernels()->free_motions, &arguments, &nothing));
+    TRY(CALL(free_motions, NULL, .prepared = is_ready, .stop = count, .courses = {workspace->courses, count, 2, dof},
+             .error = is_off ? (int64_t)error : 0,
+             .tolerance = options != NULL && options->tolerance > 0 ? options->tolerance : TOLERANCE,
+             .pack = (int64_t)&half->pieces, .problem_handle = half->handle, .tables_handle = half->motions,
+             .tallies = {workspace->work, count, WORK}, .out = {is_free, count}, .memory = workspace->validator));
     workspace->is_ready = 1;
     for (int64_t k = 0; checker->state.starts_matter && k < count; k++)
         if (is_free[k]) {
             int8_t found;
-            TRY(collide(checker, workspace, EXACT, workspace->courses + 2 * k * dof, 1, &found));
+            TRY(collide(checker, workspace, CODE_EXACT, workspace->courses + 2 * k * dof, 1, &found));
             is_free[k] = found == LOEWNER_FREE;
         }
     return LOEWNER_OK;

@@ -1,5 +1,5 @@
-/* The bodies of a checker, where they are, and which pairs are checked; and what kernels are given of them: what
-   `Problem.of` of `loewner/robots/problem.py` makes, and by the same rules. */
+/* The bodies of a checker, their poses, and the pairs to check, as kernels take them; by the rules of `Problem.of` in
+   `loewner/robots/problem.py`. */
 
 #include "internal.h"
 
@@ -78,7 +78,7 @@ static int64_t rigid_link(const Tree *tree, int64_t link)
     return tree->kind[link] == FIXED ? tree->parent[link] : link;
 }
 
-/* Whether the body at a place stands still, whatever the robot does. */
+/* Whether the body at a place never moves. */
 static int stands(const State *state, int64_t k)
 {
     return k >= state->moving || rigid_link(&state->tree, state->link[k]) == rigid_link(&state->tree, 0);
@@ -371,7 +371,7 @@ static int is_checked(const loewner_checker *checker, int32_t x, int32_t y, doub
         }
     }
     *margin = is_lowered ? *margin : fmax(*margin, file->margin);
-    /* The file knows the pairs with a body that moves in it. */
+    /* For a body that moves in the file, the file lists all pairs. */
     if (a < file->moving && b < file->bodies) {
         int64_t pair = listed_pair(file, a, b);
         is = pair >= 0;
@@ -390,7 +390,7 @@ static int is_checked(const loewner_checker *checker, int32_t x, int32_t y, doub
     return is && !touches(checker, one, other) && !touches(checker, other, one);
 }
 
-/* Whether the bodies are those of the file, all present, with its pairs. */
+/* Whether the bodies are exactly the bodies of the file, all present, with its pairs. */
 static int is_as_saved(const loewner_checker *checker)
 {
     int is = checker->body_count == checker->file->bodies && checker->rule_count == 0;
@@ -419,6 +419,30 @@ static int64_t choose_pairs(const loewner_checker *checker, const State *state, 
         }
     }
     return count;
+}
+
+/* List the pairs of each moving body with static ones in groups of eight, filled up with repeats: `pairs_in_groups`. */
+static loewner_status list_groups(State *state)
+{
+    int64_t count = state->pairs, at = 0;
+    for (int64_t body = 0, k = 0; body < state->moving; body++) {
+        int64_t filled = 0;
+        for (; k < count && state->rows[k] == body; k++)
+            filled += state->rows[count + k] >= state->moving;
+        state->group_start[body + 1] = state->group_start[body] + (filled + LANES - 1) / LANES;
+    }
+    state->groups = state->group_start[state->moving];
+    state->group_pairs = room(state, LANES * state->groups, 8);
+    if (state->group_pairs == NULL)
+        return no_memory();
+    for (int64_t body = 0, k = 0; body < state->moving; body++) {
+        for (; k < count && state->rows[k] == body; k++)
+            if (state->rows[count + k] >= state->moving)
+                state->group_pairs[at++] = k;
+        for (; at < LANES * state->group_start[body + 1]; at++)
+            state->group_pairs[at] = state->group_pairs[at - 1];
+    }
+    return LOEWNER_OK;
 }
 
 static loewner_status list_pairs(const loewner_checker *checker, State *state)
@@ -455,38 +479,7 @@ static loewner_status list_pairs(const loewner_checker *checker, State *state)
         for (int64_t k = 0; k < count; k++)
             if (depth_of(state, state->link[state->rows[k]]) == depth)
                 state->motion_order[at++] = k;
-    /* Pairs with static bodies in groups of eight, filled up with repeats: `pairs_in_groups`. */
-    for (int pass = 0; pass < 2; pass++) {
-        int64_t groups = 0;
-        for (int64_t body = 0, k = 0; body < state->moving; body++) {
-            int64_t filled = 0, last = -1;
-            for (; k < count && state->rows[k] == body; k++) {
-                if (state->rows[count + k] < state->moving)
-                    continue;
-                if (pass == 1)
-                    state->group_pairs[8 * groups + filled] = k;
-                filled++;
-                last = k;
-                if (filled % 8 == 0) {
-                    groups++;
-                    filled = 0;
-                }
-            }
-            if (filled > 0) {
-                for (; pass == 1 && filled < 8; filled++)
-                    state->group_pairs[8 * groups + filled] = last;
-                groups++;
-            }
-            state->group_start[body + 1] = groups;
-        }
-        if (pass == 0) {
-            state->groups = groups;
-            state->group_pairs = room(state, 8 * groups, 8);
-            if (state->group_pairs == NULL)
-                return no_memory();
-        }
-    }
-    return LOEWNER_OK;
+    return list_groups(state);
 }
 
 /* -- halves -------------------------------------------------------------------------------------------------------- */
@@ -502,18 +495,9 @@ static double length_of(const Tree *tree, int64_t link)
 /* Place the static bodies that have moved where they are, since no other thread may query this checker meanwhile. */
 static loewner_status place(const State *state, Half *half)
 {
-    struct {
-        int64_t pack, problem;
-        Array1 block;
-        Array2 poses;
-    } arguments = {
-        (int64_t)half->words,
-        half->handle,
-        {half->block, half->block_words},
-        {state->poses, state->standing, 16},
-    };
-    TRY(call(kernels()->place_static, &arguments, &half->handle));
-    half->motions = half->handle + MOTIONS_AT;
+    TRY(CALL(place_static, &half->handle, .pack = (int64_t)&half->pieces, .handle = half->handle,
+             .block = {half->block, half->block_words}, .poses = {state->poses, state->standing, 16}));
+    half->motions = half->handle + (int64_t)offsetof(Tables, motions);
     return LOEWNER_OK;
 }
 
@@ -521,13 +505,13 @@ static loewner_status place(const State *state, Half *half)
 static loewner_status measure(const loewner_checker *checker, Half *half, int is_for_motions)
 {
     const Kernels *known = kernels();
-    const int64_t arguments[] = {(int64_t)half->words, half->handle, checker->file->dof};
+    const struct memory_size arguments = {(int64_t)&half->pieces, half->handle, checker->file->dof};
     const Kernel sizes[] = {known->memory_size, known->memory_of_nearest, known->memory_of_clearances,
                             known->motion_memory};
     half->memory = known->settle_memory;
     for (int k = 0; k < 3 + is_for_motions; k++) {
         int64_t size = 0;
-        TRY(call(sizes[k], arguments, &size));
+        TRY(call(sizes[k], &arguments, &size));
         half->memory = size > half->memory ? size : half->memory;
     }
     return LOEWNER_OK;
@@ -541,7 +525,7 @@ static loewner_status make_half(const loewner_checker *checker, State *state, Cu
         half->pack = checker->file->packs[cutting];
     else
         TRY(join(checker, state, cutting, half));
-    write_words(&half->pack, half->words);
+    half->pieces = table_of(&half->pack);
     int64_t pieces = half->pack.piece_start[bodies] - half->pack.piece_start[state->moving];
     half->ball = room(state, 5 * state->moving, 8);
     half->chain = room(state, 3, 8);
@@ -561,10 +545,10 @@ static loewner_status make_half(const loewner_checker *checker, State *state, Cu
     half->chain[2] = bend_of(&state->tree);
     /* Words of the arrays that depend on poses; the last one starts as NaN, which differs from all poses. */
     const int64_t sizes[] = {
-        bodies * links,   pieces * HOT,         state->standing, 64 * state->groups, state->standing * BOUNDS / 2,
+        bodies * links, pieces * HOT, state->standing, 8 * LANES * state->groups, state->standing * BOUNDS / 2,
         pieces * HOT / 2, 16 * state->standing,
     };
-    int64_t words = TABLE_WORDS + CACHE_LINE / 8;
+    int64_t next = sizeof(Tables) / 8, words = next + CACHE_LINE / 8;
     double *at[7];
     for (int k = 0; k < 7; k++)
         words += sizes[k];
@@ -574,7 +558,6 @@ static loewner_status make_half(const loewner_checker *checker, State *state, Cu
     if (block == NULL)
         return no_memory();
     memset(block, 0, (size_t)words * 8);
-    int64_t next = TABLE_WORDS;
     for (int k = 0; k < 7; k++) {
         at[k] = block + next;
         next += sizes[k];
@@ -582,45 +565,34 @@ static loewner_status make_half(const loewner_checker *checker, State *state, Cu
     for (int64_t k = 0; k < sizes[6]; k++)
         at[6][k] = NAN;
     const Tree *tree = &state->tree;
-    const Array2 table[TABLE_ROWS] = {
-        {tree->parent, links, 1},
-        {tree->kind, links, 1},
-        {tree->column, links, 1},
-        {tree->multiplier, links, 1},
-        {tree->offset, links, 1},
-        {tree->constants, links, LINK_CONSTANTS},
-        {state->link, state->moving, 1},
-        {half->ball, state->moving, 5},
-        {state->pair_list, pairs, 2},
-        {state->margins, pairs, 1},
-        {state->order, pairs, 1},
-        {at[4], state->standing, BOUNDS},
-        {at[5], pieces, HOT},
-        {at[6], state->standing, 16},
-        /* of `MotionTables` */
-        {state->path_start, links + 1, 1},
-        {state->path_link, state->path_start[links], 1},
-        {at[0], bodies, links},
-        {at[1], pieces, HOT},
-        {at[2], state->standing, 1},
-        {state->motion_order, pairs, 1},
-        {state->group_start, state->moving + 1, 1},
-        {state->group_pairs, 8 * state->groups, 1},
-        {at[3], 64 * state->groups, 1},
-        {half->chain, 3, 1},
+    const struct problem problem = {
+        .parent = {tree->parent, links, 1}, .kind = {tree->kind, links, 1}, .column = {tree->column, links, 1},
+        .multiplier = {tree->multiplier, links, 1}, .offset = {tree->offset, links, 1},
+        .constants = {tree->constants, links, LINK_CONSTANTS}, .link = {state->link, state->moving, 1},
+        .ball = {half->ball, state->moving, 5}, .pairs = {state->pair_list, pairs, 2},
+        .margins = {state->margins, pairs, 1}, .order = {state->order, pairs, 1},
+        .standing = {at[4], state->standing, BOUNDS}, .standing_rows = {at[5], pieces, HOT},
+        .standing_poses = {at[6], state->standing, 16},
     };
-    memcpy(block, table, sizeof table);
+    const struct motion_tables motions = {
+        .path_start = {state->path_start, links + 1, 1}, .path_link = {state->path_link, state->path_start[links], 1},
+        .reach = {at[0], bodies, links}, .standing_rows = {at[1], pieces, HOT}, .sizes = {at[2], state->standing, 1},
+        .order = {state->motion_order, pairs, 1}, .group_start = {state->group_start, state->moving + 1, 1},
+        .group_pairs = {state->group_pairs, LANES * state->groups, 1}, .groups = {at[3], 8 * LANES * state->groups, 1},
+        .chain = {half->chain, 3, 1},
+    };
+    Tables *tables = (Tables *)block;
+    *tables = (Tables){problem, motions};
     half->handle = (int64_t)block;
-    const int64_t arguments[] = {(int64_t)half->words, half->handle, half->handle + MOTIONS_AT};
-    int64_t nothing;
-    TRY(call(kernels()->measure_moving, arguments, &nothing));
+    TRY(CALL(measure_moving, NULL, .pack = (int64_t)&half->pieces, .problem_handle = half->handle,
+             .tables_handle = (int64_t)&tables->motions));
     TRY(place(state, half));
     return measure(checker, half, is_for_motions);
 }
 
 /* -- states -------------------------------------------------------------------------------------------------------- */
 
-/* Put the moving bodies first: those of the robot, then those that are attached; then those that stand. */
+/* Order the bodies: the robot's own, then attached ones, then static ones. */
 static loewner_status arrange(const loewner_checker *checker, State *state)
 {
     int32_t count = checker->body_count;
@@ -704,7 +676,7 @@ static loewner_status renew(loewner_checker *checker)
     } else { /* workspaces stay prepared, since all arrays stay where they are */
         copy_poses(checker, state);
         for (Half *half = state->halves; half < state->halves + CUTTINGS; half++)
-            if (half->words[0] != 0)
+            if (half->block != NULL)
                 TRY(place(state, half));
     }
     atomic_store(&checker->is_stale, 0);
@@ -714,7 +686,7 @@ static loewner_status renew(loewner_checker *checker)
 const Half *half_of(const loewner_checker *checker, Cutting cutting)
 {
     const Half *half = checker->state.halves + cutting;
-    return half->words[0] != 0 ? half : checker->state.halves + WHOLE;
+    return half->block != NULL ? half : checker->state.halves + WHOLE;
 }
 
 /* -- workspaces ---------------------------------------------------------------------------------------------------- */
@@ -788,11 +760,11 @@ static loewner_status bind(const loewner_checker *checker, loewner_workspace *wo
         at += (parts[k].size + 2 * CACHE_LINE - 1) / CACHE_LINE * CACHE_LINE;
     }
     /* The order of pairs is the workspace's own: it learns which collide most often. */
-    memcpy(workspace->table, (const void *)state->halves[WHOLE].handle, sizeof workspace->table);
+    memcpy(&workspace->tables, (const void *)state->halves[WHOLE].handle, sizeof workspace->tables);
     memcpy(workspace->order, state->order, 8 * pairs);
     memset(workspace->hits, 0, 8 * pairs);
-    workspace->table[3 * ORDER_ROW] = (int64_t)workspace->order;
-    workspace->pack = (int64_t)state->halves[WHOLE].words;
+    workspace->tables.problem.order.data = workspace->order;
+    workspace->pack = (int64_t)&state->halves[WHOLE].pieces;
     workspace->seen = 0;
     workspace->is_ready = 0;
     workspace->next_look = FIRST_LOOK;
@@ -1140,7 +1112,7 @@ loewner_status loewner_checker_allow(loewner_checker *checker, int32_t a, int32_
         return fail(LOEWNER_BAD_ARGUMENT,
                     "expected a pair that was checked when the file was saved, found %.100s and %.100s",
                     checker->bodies[rule->a].name, checker->bodies[rule->b].name);
-    /* Pairs are checked unless the file says otherwise; so says a rule of the file for two static bodies. */
+    /* Pairs are checked unless the file excludes them; it may do so by a rule for two static bodies. */
     rule->has_allowed = allowed || rule_of_file(file, rule->a, rule->b) >= 0;
     rule->allowed = allowed != 0;
     return LOEWNER_OK;
