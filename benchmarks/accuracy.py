@@ -26,8 +26,8 @@ import figures
 import report
 from clock import threads_set_to
 from loewner import Bodies, Verdict, classify, collide, distance, paper
-from loewner._proportions import wilson
-from loewner.ellipsoid_pairs import NEAR_POINT_METHODS
+from loewner._base._proportions import wilson
+from loewner.ellipsoids.ellipsoid_pairs import NEAR_POINT_METHODS
 from samples import Array
 
 HERE = Path(__file__).parent

@@ -27,8 +27,8 @@ import numpy as np
 
 import loewner
 from loewner import Body, CollisionChecker, PlanningError, Robot, Scene, Verdict, planners
-from loewner.robots.courses import configurations
-from loewner.robots.curves import form_of
+from loewner.robots.proofs.courses import configurations
+from loewner.robots.proofs.curves import form_of
 from samples import Array
 
 CELL, RADIUS, WALL = 0.05, 0.8, 0.2  # metres

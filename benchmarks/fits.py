@@ -26,8 +26,8 @@ import numpy as np
 from scipy.spatial import ConvexHull
 
 import loewner
-from loewner import fits, polytopes
 from loewner._kernels.fits.mvce import fit_outer
+from loewner.ellipsoids import fits, polytopes
 
 TOL = 1e-4
 # Points and dimension of the large fits, their tolerance, and the seconds after which the rival is stopped.

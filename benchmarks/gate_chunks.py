@@ -26,7 +26,7 @@ import numpy as np
 sys.path.append(str(Path(__file__).parents[1] / "tests"))
 import capi
 from loewner import Body, CollisionChecker, Joint, Robot, Scene
-from loewner._rotations import rotations_of
+from loewner._base._rotations import rotations_of
 from loewner.planners import Gate, GateState
 from robot_samples import panda
 from samples import Array

@@ -25,7 +25,7 @@ import figures
 import report
 from clock import Cost, threads_set_to
 from loewner import CollisionChecker, Problem, Robot, read_motion_bench_maker
-from loewner.robots.edges import coarse_first
+from loewner.robots.checking.edges import coarse_first
 from report import REQUIRED, Row
 from rivals import Missing
 from robot_rivals import MANAGERS, Pinocchio

@@ -8,8 +8,9 @@ import numpy as np
 
 import loewner
 from clock import race, threads_set_to, timed
-from loewner import Body, bodies, queries
+from loewner import Body, bodies
 from loewner._kernels import codes, columns
+from loewner.queries import pairs as queries
 from report import Row
 from samples import poses, rotations
 

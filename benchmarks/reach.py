@@ -23,7 +23,7 @@ from scipy.optimize import least_squares
 import report
 from clock import threads_set_to
 from loewner import CollisionChecker, Robot
-from loewner.robots.robot import chain_to
+from loewner.robots.description.robot import chain_to
 from rivals import Missing
 from robot_samples import example, obstacles, panda, robots_folder, talos
 from samples import Array

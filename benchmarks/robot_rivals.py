@@ -12,7 +12,7 @@ import numpy as np
 
 from loewner import Body, CollisionChecker
 from loewner.bodies import Piece
-from loewner.robots.urdf import read_urdf
+from loewner.robots.description.urdf import read_urdf
 from rivals import Missing
 from samples import Array
 

@@ -11,7 +11,7 @@ import numpy as np
 
 import loewner
 from clock import race, timed
-from loewner.robots.edges import coarse_first, steps
+from loewner.robots.checking.edges import coarse_first, steps
 from report import Row
 from rivals import CoalPython, Missing
 from robot_rivals import Pinocchio

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from loewner import meshes
+from loewner.meshes import decomposition as meshes
 from rivals import Missing
 from samples import Array, poses, rotations
 

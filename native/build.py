@@ -37,12 +37,12 @@ sys.path[:] = [str(SOURCES), *sys.path, str(HERE)]
 
 import headers  # noqa: E402
 
-from loewner import _ptx  # noqa: E402
+from loewner._base._threads import processors  # noqa: E402
 from loewner._kernels._sources import source_hash  # noqa: E402
 from loewner._native.entries import ENTRIES  # noqa: E402
 from loewner._native.library import CALL, HOME, LIST, LOCK  # noqa: E402
 from loewner._native.library import levels as built_levels  # noqa: E402
-from loewner._threads import processors  # noqa: E402
+from loewner.gpu import _ptx  # noqa: E402
 
 # By architecture: the levels, best first, and LLVM's features for each. Without this one, LLVM uses only half of the
 # width of the registers of level 4.
@@ -125,7 +125,7 @@ def recipe() -> str:
         *HERE.glob("capi/*.[ch]"),
         HEADERS / "loewner.h",
     ]
-    besides = SOURCES / "loewner" / "_native" / "entries.py", SOURCES / "loewner" / "_ptx.py"
+    besides = SOURCES / "loewner" / "_native" / "entries.py", SOURCES / "loewner" / "gpu" / "_ptx.py"
     for path in sorted([*written, *besides]):
         digest.update(path.read_bytes())
     return digest.hexdigest()
@@ -260,7 +260,7 @@ def ptx(to: Path) -> Command:
     """Write the threads' functions as PTX, which are the same for all processors."""
     paths = os.pathsep.join([str(SOURCES), *filter(None, [os.environ.get("PYTHONPATH")])])
     environment = {"PYTHONPATH": paths, "LOEWNER_CACHE_DIR": f"{to}.cache"}
-    return Command("code for GPUs", ["-m", "loewner._ptx", str(to)], environment, to)
+    return Command("code for GPUs", ["-m", "loewner.gpu._ptx", str(to)], environment, to)
 
 
 def build_all(

@@ -18,8 +18,11 @@ from loewner._kernels._sources import source_hash
 from loewner._native.entries import ENTRIES, Entry
 from loewner.bodies import native_files
 from loewner.planners import compiled, joint_limits, judge
-from loewner.robots import checker, contacts, motion_tables, robot, watch
-from loewner.robots.edges import NEARLY_WHOLE
+from loewner.robots import checker
+from loewner.robots.checking import motion_tables
+from loewner.robots.checking.edges import NEARLY_WHOLE
+from loewner.robots.description import robot, watch
+from loewner.robots.proofs import contacts
 
 NAME = "kernels.h"
 KERNELS = Path(records.__file__).parent

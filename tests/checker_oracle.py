@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from loewner import Body, CollisionChecker, Robot, Scene, queries
+from loewner import Body, CollisionChecker, Robot, Scene
+from loewner.queries import pairs as queries
 
 KINDS = ("revolute", "continuous", "prismatic", "planar", "floating", "fixed")
 

@@ -17,8 +17,8 @@ import loewner
 from loewner import Verdict
 from loewner._native import entries, library, singles
 from loewner.cli import jobs
-from loewner.robots import pair_cache, verdicts
 from loewner.robots.checker import UNPREPARED
+from loewner.robots.checking import pair_cache, verdicts
 
 sys.path[:0] = [str(Path(__file__).parent), str(Path(__file__).parent / "fuzz")]
 

@@ -13,8 +13,7 @@ import numba
 import numpy as np
 import pytest
 
-from loewner import _ptx
-from loewner.gpu import driver
+from loewner.gpu import _ptx, driver
 
 INVALID_VALUE, INVALID_CONTEXT, NOT_FOUND = 1, 201, 500
 

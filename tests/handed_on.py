@@ -26,8 +26,9 @@ from scipy.interpolate import BPoly
 
 import loewner
 from families import translation
-from loewner import Body, CollisionChecker, PlanningError, Robot, Scene, planners, queries
+from loewner import Body, CollisionChecker, PlanningError, Robot, Scene, planners
 from loewner.cli.main import main as command
+from loewner.queries import pairs as queries
 from robot_oracle import robots_folder
 
 RADIUS, LENGTH = 0.03, 0.12  # of the can [m]

@@ -9,7 +9,7 @@ from checker_oracle import random_robot, random_scene, simple_bodies
 from loewner import Body, CollisionChecker, Robot, Scene, Verdict
 from loewner._kernels import columns
 from loewner._kernels.robots.motion_bounds import Rates, rates_of, uncertainty
-from loewner.robots import courses
+from loewner.robots.proofs import courses
 from robot_oracle import robots_folder
 
 Real = np.longdouble

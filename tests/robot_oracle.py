@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from loewner import Robot
-from loewner.robots.urdf import read_urdf
+from loewner.robots.description.urdf import read_urdf
 
 # URDF and SRDF, below the folder of all robots.
 ROBOTS = """

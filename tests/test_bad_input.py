@@ -23,9 +23,9 @@ from loewner import (
     PoseError,
     Scene,
     UnknownNameError,
-    _validate,
     paper,
 )
+from loewner._base import _validate
 
 CUBE = box_corners(np.ones(3))
 

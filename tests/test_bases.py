@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from loewner import Body, CollisionChecker, InputError, LoewnerError, Robot, Scene, Verdict, planners
 from loewner.planners import steering
 from loewner.planners.drives import base_columns
-from loewner.robots.courses import configurations
-from loewner.robots.curves import form_of
+from loewner.robots.proofs.courses import configurations
+from loewner.robots.proofs.curves import form_of
 
 BOX = [[0.4, 0.2], [-0.2, 0.2], [-0.2, -0.2], [0.4, -0.2]]
 BOUNDS = [[-2.5, 2.5], [-2.0, 2.0]]

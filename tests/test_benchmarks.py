@@ -47,7 +47,7 @@ import trajectories
 from gpu_stand_in import StandIn, put_in
 from loewner import paper
 from loewner.gpu import driver
-from loewner.robots import courses, curves
+from loewner.robots.proofs import courses, curves
 
 
 @pytest.fixture(autouse=True)

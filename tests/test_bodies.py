@@ -15,11 +15,13 @@ import trimesh
 import loewner
 from exact import halfspaces_crossed, hull_planes, points_outside, rational
 from families import FAMILIES, box_corners, pieces, random_poses
-from loewner import Bodies, Body, meshes, polytopes
+from loewner import Bodies, Body
 from loewner._kernels import columns
 from loewner._kernels.pieces.shapes import unit_support
 from loewner.bodies import CURVED
 from loewner.bodies.triangulated import of_piece
+from loewner.ellipsoids import polytopes
+from loewner.meshes import decomposition as meshes
 from oracles import hull
 
 ALL_KINDS = {

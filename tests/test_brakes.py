@@ -24,7 +24,7 @@ from loewner import (
 from loewner._kernels.robots.brakes import NEAR
 from loewner.planners import JointLimits, Trajectory, brake, limit_use, trajectory
 from loewner.planners.brakes import Brakes
-from loewner.robots.curves import curve_of, form_of
+from loewner.robots.proofs.curves import curve_of, form_of
 from motion_oracle import AFLOAT, written
 from test_trajectories import dense, in_blend, off_polyline, paths
 

@@ -14,8 +14,9 @@ from gantry import RADIUS, gantry
 from loewner import Body, CollisionChecker, InputError, Robot, Scene, Verdict
 from loewner._kernels import columns
 from loewner._kernels.robots import motions, sweeps
-from loewner.robots import courses, motion_tables
-from loewner.robots import motions as robots_motions
+from loewner.robots.checking import motion_tables
+from loewner.robots.proofs import courses
+from loewner.robots.proofs import motions as robots_motions
 from motion_oracle import (
     AFLOAT,
     FINGERS,

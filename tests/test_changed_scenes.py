@@ -12,8 +12,8 @@ from loewner import Bodies, Body, CollisionChecker, InputError, PoseError, Scene
 from loewner._kernels import codes
 from loewner.bodies import packed_of
 from loewner.bodies.pack import Packed, joined
-from loewner.robots import verdicts
-from loewner.robots.problem import Problem
+from loewner.robots.checking import verdicts
+from loewner.robots.checking.problem import Problem
 
 CHANGES = ("move", "move_all", "add", "remove", "replace", "attach", "detach", "allow", "forbid", "margin")
 

@@ -39,11 +39,11 @@ from loewner import (
     UnknownNameError,
     Verdict,
     pairs_by_sampling,
-    queries,
 )
-from loewner.robots import edges
+from loewner.queries import pairs as queries
 from loewner.robots.checker import prepared_of
-from loewner.robots.verdicts import lengths
+from loewner.robots.checking import edges
+from loewner.robots.checking.verdicts import lengths
 
 SLIDE = '<axis xyz="1 0 0"/><limit lower="-1" upper="1"/>'
 

@@ -28,7 +28,7 @@ from loewner.cli import jobs
 from loewner.cli.info import MISSING
 from loewner.cli.main import _parser
 from loewner.cli.output import covering_text, new_table, print_table
-from loewner.robots import verdicts
+from loewner.robots.checking import verdicts
 
 
 @pytest.fixture

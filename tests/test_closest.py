@@ -13,7 +13,7 @@ from scipy.interpolate import BPoly, CubicSpline, PPoly
 from checker_oracle import composed_bodies, random_robot, random_scene, simple_bodies
 from loewner import Body, CollisionChecker, Robot, Scene, planners
 from loewner.errors import InputError
-from loewner.robots import approaches, curves
+from loewner.robots.proofs import approaches, curves
 
 SLIDE = """<robot name="slide"><link name="base"/><link name="ball"><collision><geometry><sphere radius="0.1"/>
 </geometry></collision></link><joint name="x" type="prismatic"><parent link="base"/><child link="ball"/>

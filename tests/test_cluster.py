@@ -15,8 +15,9 @@ import trimesh
 
 import loewner
 from gantry import gantry, wall
-from loewner import Body, CollisionChecker, InputError, Robot, Verdict, _threads, cli, cluster, planners
-from loewner._plausible import told_to
+from loewner import Body, CollisionChecker, InputError, Robot, Verdict, cli, cluster, planners
+from loewner._base import _threads
+from loewner._base._plausible import told_to
 
 distributed = pytest.importorskip("distributed")
 da = pytest.importorskip("dask.array")

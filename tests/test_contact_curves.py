@@ -9,9 +9,10 @@ from scipy.interpolate import CubicSpline, PchipInterpolator, make_interp_spline
 
 import loewner
 from families import translation
-from loewner import Body, CollisionChecker, ConvergenceError, InputError, Robot, Scene, Verdict, planners, queries
+from loewner import Body, CollisionChecker, ConvergenceError, InputError, Robot, Scene, Verdict, planners
 from loewner.cli.main import main
-from loewner.robots import contacts
+from loewner.queries import pairs as queries
+from loewner.robots.proofs import contacts
 from test_contacts import HAND, START, TOLERANCE, can_on_table, height
 
 FREE, COLLIDING = Verdict.FREE, Verdict.COLLIDING

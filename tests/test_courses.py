@@ -10,8 +10,8 @@ from families import translation
 from gantry import RADIUS, gantry
 from loewner import Body, CollisionChecker, Robot, Scene, Verdict
 from loewner._kernels import codes
-from loewner.robots import courses
-from loewner.robots.proofs import prove
+from loewner.robots.proofs import courses
+from loewner.robots.proofs.proofs import prove
 from motion_oracle import AFLOAT, example, free_configurations, ring, written
 
 FREE, COLLIDING, AMBIGUOUS = Verdict.FREE, Verdict.COLLIDING, Verdict.AMBIGUOUS

@@ -16,8 +16,8 @@ from loewner import Body, CollisionChecker, FileError, InputError, Joint, Robot,
 from loewner.bodies import packed_of
 from loewner.bodies.triangulated import of_pieces
 from loewner.cli.cover_tables import _interval
-from loewner.cover_files import FORMATS, _Balls, _rounded
 from loewner.robots import covers
+from loewner.robots.cover_files import FORMATS, _Balls, _rounded
 
 SUFFIX = {
     "curobo": "yml",

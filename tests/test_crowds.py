@@ -8,9 +8,10 @@ from scipy.spatial import ConvexHull
 
 import loewner
 from families import FAMILIES, pieces, random_poses, translation
-from loewner import Bodies, Body, Verdict, crowds, overlapping_pairs
+from loewner import Bodies, Body, Verdict, overlapping_pairs
 from loewner._kernels import columns
 from loewner._native import entries
+from loewner.queries import crowds
 
 SEEDS = st.integers(0, 2**32 - 1)
 

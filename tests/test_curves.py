@@ -23,8 +23,8 @@ from scipy.interpolate import (
 from families import translation
 from loewner import Body, CollisionChecker, FileError, InputError, Robot, Scene, Verdict, plots
 from loewner.planners import ControllerPoints, Trajectory, trajectory
-from loewner.robots.courses import configurations
-from loewner.robots.curves import curve_of
+from loewner.robots.proofs.courses import configurations
+from loewner.robots.proofs.curves import curve_of
 from motion_oracle import AFLOAT, example, free_configurations, ring, steps, written
 
 FREE, COLLIDING, AMBIGUOUS = Verdict.FREE, Verdict.COLLIDING, Verdict.AMBIGUOUS

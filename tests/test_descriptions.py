@@ -24,9 +24,10 @@ from loewner import (
     load_scene,
     read_motion_bench_maker,
 )
-from loewner.robots import checked_pairs, tree
-from loewner.robots import srdf as rules
-from loewner.robots.watch import Watch
+from loewner.robots.checking import checked_pairs
+from loewner.robots.description import srdf as rules
+from loewner.robots.description import tree
+from loewner.robots.description.watch import Watch
 
 BALL = '<collision><geometry><sphere radius="0.1"/></geometry></collision>'
 LIMIT = '<limit lower="-2" upper="2"/>'

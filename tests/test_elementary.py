@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from loewner import _elementary
+from loewner._base import _elementary
 from loewner._kernels._jit import njit
 from loewner._kernels.elementary import decays, exponential
 from loewner._kernels.simd.vectors import load, store

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 import pytest
 
 from loewner import Body, FileError, Scene, save_scene
-from loewner._files import CHUNK, read_regular, replacing
+from loewner._base._files import CHUNK, read_regular, replacing
 
 
 @contextmanager

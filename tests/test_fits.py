@@ -7,7 +7,8 @@ from hypothesis import strategies as st
 
 from exact import halfspaces_crossed, hull_planes, points_outside
 from families import polygon
-from loewner import ConvergenceError, GeometryError, InputError, fits, mvce, mvie, polytopes
+from loewner import ConvergenceError, GeometryError, InputError, mvce, mvie
+from loewner.ellipsoids import fits, polytopes
 from loewner.paper import mvce_by_lifted_mvie
 
 TIGHT = 1e-9

@@ -13,7 +13,7 @@ sys.path.append(str(Path(__file__).parents[1] / "benchmarks"))
 from loewner._native import library
 from loewner.planners import Gate, gates
 from loewner.planners.brakes import Brakes
-from loewner.pose_paths import PackedPaths
+from loewner.queries.pose_paths import PackedPaths
 from test_gates import OffAsOn, WithoutBrakes, WithoutJerk
 
 OFFERED = library.level() is not None or os.environ.get("LOEWNER_NATIVE") == "required"

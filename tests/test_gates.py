@@ -6,7 +6,7 @@ import pytest
 import loewner
 from loewner import Body, CollisionChecker, InputError, Joint, Robot, Scene, UnknownNameError, Verdict
 from loewner.planners import Gate, GateState
-from loewner.pose_paths import PackedPaths
+from loewner.queries.pose_paths import PackedPaths
 
 ACCELERATION, JERK = 4.0, 60.0
 DT = 0.02

@@ -9,12 +9,12 @@ from numba.core.errors import NumbaError
 import loewner
 from families import box_corners, pieces, posed_near_contact, random_poses, rotations
 from loewner import Bodies, Body, PoseError
+from loewner._base._workspaces import Memory
 from loewner._kernels import codes, columns
 from loewner._kernels._jit import njit
 from loewner._kernels.narrow import gjk_batch
 from loewner._kernels.simd.vectors import broadcast, store
-from loewner._workspaces import Memory
-from loewner.queries import _prepare, _settle
+from loewner.queries.pairs import _prepare, _settle
 from oracles import differences, hull, pack, posed_gaps
 
 ROUNDOFF = 2.0**-24

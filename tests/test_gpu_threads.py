@@ -19,13 +19,13 @@ import pytest
 from checker_oracle import random_scene, robot_of, simple_bodies
 from families import FAMILIES, pieces, random_poses
 from gpu_stand_in import StandIn, put_in
-from loewner import Bodies, Body, CollisionChecker, Robot, Scene, Verdict, _ptx, classify, gpu
+from loewner import Bodies, Body, CollisionChecker, Robot, Scene, Verdict, classify, gpu
 from loewner._kernels import _sealed, _store, columns
 from loewner._kernels._sources import source_hash
 from loewner._kernels.simd import scalars, trig
 from loewner._kernels.threads import configurations as threads_of_configurations
 from loewner._native import library
-from loewner.gpu import configurations, driver, motions, tables, tiles
+from loewner.gpu import _ptx, configurations, driver, motions, tables, tiles
 from loewner.gpu.driver import Device
 
 sys.path.append(str(Path(__file__).parents[1] / "benchmarks"))

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from checker_oracle import composed_bodies, pairwise, pose, random_robot, random_scene, simple_bodies
 from loewner import Body, CollisionChecker, InputError, Robot, Scene, UnknownNameError, distance
-from loewner._gradients import rounded_down
+from loewner.robots.gradients import rounded_down
 
 SEEDS = st.integers(0, 2**32 - 1)
 STEP = 1e-6

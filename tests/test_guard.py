@@ -8,20 +8,8 @@ import numpy as np
 import pytest
 
 import loewner
-from loewner import (
-    Body,
-    CollisionChecker,
-    Ellipsoids,
-    InputError,
-    MemoryLimitError,
-    Polytope,
-    Robot,
-    Scene,
-    Verdict,
-    _guard,
-    _memory,
-    _validate,
-)
+from loewner import Body, CollisionChecker, Ellipsoids, InputError, MemoryLimitError, Polytope, Robot, Scene, Verdict
+from loewner._base import _guard, _memory, _validate
 from loewner._native import entries, singles
 
 

@@ -9,7 +9,7 @@ from scipy.spatial import ConvexHull
 import families
 from exact import rational
 from loewner.errors import InputError
-from loewner.inscribed import inscribed_ellipsoids
+from loewner.meshes.inscribed import inscribed_ellipsoids
 from oracles import fibonacci_sphere
 
 Mesh = tuple[np.ndarray, np.ndarray]

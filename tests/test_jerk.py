@@ -22,8 +22,8 @@ from loewner.planners.joint_limits import limits_of
 from loewner.planners.judge import Judge
 from loewner.planners.profiles import Limits, phases, ramp, ramp_way, reached
 from loewner.planners.trajectories import corners_of
-from loewner.robots.courses import configurations
-from loewner.robots.curves import curve_of
+from loewner.robots.proofs.courses import configurations
+from loewner.robots.proofs.curves import curve_of
 from motion_oracle import FINGERS, example, free_configurations, ring, steps, written
 from test_trajectories import dense, in_blend, limits, off_polyline, paths
 

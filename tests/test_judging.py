@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 import loewner
 from families import FAMILIES, near_contact, pieces, random_poses, stretch, translation
 from loewner import Bodies, Body, ConvergenceError, InputError, PoseError, cli, judging
-from loewner._rotations import from_quaternion
+from loewner._base._rotations import from_quaternion
 from loewner.judging import PARTS, Finding, judge_answers
 from loewner.reproductions import reproduction
 from oracles import exact_squared_distance, hull, pack, signed_distance

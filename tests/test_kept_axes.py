@@ -5,7 +5,7 @@ import pytest
 
 from interpreted_kernels import interpreted, source_of
 from loewner import CollisionChecker, InputError, PlanningError, Scene, UnknownNameError, planners
-from loewner.robots.robot import chain_to
+from loewner.robots.description.robot import chain_to
 from test_lines import ARMS, DENSE, cases, with_bodies
 from test_reach import example
 

@@ -13,15 +13,15 @@ import numpy as np
 import pytest
 
 import loewner
-from loewner import compilation
 from loewner._kernels import _jit, _sealed, _sources, _store
 from loewner._native import library
 from loewner._native.entries import ENTRIES
+from loewner.cli import compilation
 
 ASK = """
 import sys
 sys.path.insert(0, {root!r})
-import loewner.ellipsoids
+import loewner.ellipsoids.ellipsoids
 assert loewner.__file__.startswith({root!r}), loewner.__file__
 from loewner._kernels.edited import caller
 print(caller.answer(1.0))
@@ -387,7 +387,7 @@ def test_nothing_is_kept_where_the_sources_cannot_be_told(tmp_path: Path):
             zipped.writestr(f"loewner/_kernels/{name}", content)
     query = (
         "import sys, numpy as np; sys.path.insert(0, sys.argv[1]); import loewner; assert '.zip' in loewner.__file__; "
-        "loewner._validate.rigid_motions(np.eye(4)[None], 'T')"
+        "loewner._base._validate.rigid_motions(np.eye(4)[None], 'T')"
     )
     env = {**os.environ, "LOEWNER_CACHE_DIR": str(tmp_path / "cache"), "PYTHONPATH": ""}
     done = subprocess.run([sys.executable, "-c", query, str(archive)], env=env, capture_output=True, text=True)

@@ -8,7 +8,7 @@ import warnings
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 
-from loewner.robots.urdf import read_urdf
+from loewner.robots.description.urdf import read_urdf
 from robot_oracle import compare_with_pinocchio, robots_folder, without_shapes
 
 PAGE = Path(__file__).parents[1] / "docs" / "robots.md"

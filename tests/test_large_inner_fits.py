@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from exact import halfspaces_crossed, points_outside
-from loewner import ConvergenceError, GeometryError, InputError, fits, mvce, mvie
-from loewner._large_fits import inner
+from loewner import ConvergenceError, GeometryError, InputError, mvce, mvie
+from loewner.ellipsoids import fits
+from loewner.ellipsoids.large_fits import inner
 
 
 @pytest.fixture

@@ -7,10 +7,11 @@ import pytest
 from scipy.linalg import hadamard
 
 from exact import points_outside
-from loewner import ConvergenceError, GeometryError, InputError, fits, mvce
-from loewner._large_fits import outer
+from loewner import ConvergenceError, GeometryError, InputError, mvce
 from loewner._native import entries
-from loewner.polytopes import FLATNESS
+from loewner.ellipsoids import fits
+from loewner.ellipsoids.large_fits import outer
+from loewner.ellipsoids.polytopes import FLATNESS
 
 DIMENSIONS = (3, 10, 50, 100)
 

@@ -11,7 +11,7 @@ from interpreted_kernels import interpreted, source_of
 from loewner import CollisionChecker, InputError, PlanningError, PoseError, Robot, UnknownNameError, planners
 from loewner._kernels import codes
 from loewner._native import entries
-from loewner.robots.robot import chain_to, sources_of
+from loewner.robots.description.robot import chain_to, sources_of
 from test_reach import arm, joint, robot_of
 
 KERNEL = interpreted("robots.lines")

@@ -18,8 +18,8 @@ import links
 import loewner
 from families import translation
 from loewner import Body, CollisionChecker, InputError, Robot, cli
-from loewner.protrusion import Solid
-from loewner.robots.link_meshes import hull_or_solid
+from loewner.meshes.protrusion import Solid
+from loewner.robots.description.link_meshes import hull_or_solid
 
 LINK = '<collision><origin xyz="{}"/><geometry><mesh filename="{}.stl"/></geometry></collision>'
 URDF = """<robot name="r"><link name="a">{}</link><link name="b">{}</link>

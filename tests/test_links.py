@@ -21,7 +21,7 @@ from loewner import (
     Verdict,
     planners,
 )
-from loewner.robots.urdf import read_urdf
+from loewner.robots.description.urdf import read_urdf
 from robot_oracle import robots_folder
 from test_robot_exports import LIMITS, SLED, expect_same_back
 

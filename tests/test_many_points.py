@@ -9,11 +9,13 @@ from scipy.spatial import ConvexHull
 
 from exact import halfspaces_crossed, points_outside, rational
 from families import polygon
-from loewner import Body, MemoryLimitError, Polytope, _memory, fits, mvie, polytopes
+from loewner import Body, MemoryLimitError, Polytope, mvie
+from loewner._base import _memory
 from loewner._kernels import columns, tolerances
 from loewner._kernels.fits import many
 from loewner._native import entries
 from loewner.bodies import layout, pack
+from loewner.ellipsoids import fits, polytopes
 
 Maker = Callable[[np.random.Generator], np.ndarray]
 

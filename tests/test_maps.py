@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from loewner import Body, FileError, InputError, Scene, collide
-from loewner._maps import read_map, rectangles
+from loewner.scenes.maps import read_map, rectangles
 
 TEXT = """image: {image}
 resolution: 0.5

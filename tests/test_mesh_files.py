@@ -9,7 +9,8 @@ import warnings
 import numpy as np
 import pytest
 
-from loewner import FileError, GeometryError, meshes
+from loewner import FileError, GeometryError
+from loewner.meshes import decomposition as meshes
 
 CUBE = [(x, y, z) for x in (0, 1) for y in (0, 1) for z in (0, 1)]
 FACES = [

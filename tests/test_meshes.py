@@ -22,8 +22,10 @@ from scipy.optimize import nnls
 import loewner
 import made_parts
 from families import translation
-from loewner import FileError, GeometryError, InputError, MissingExtraError, Verdict, coverage, meshes, plane_cuts
-from loewner.polytopes import Polytope
+from loewner import FileError, GeometryError, InputError, MissingExtraError, Verdict
+from loewner.ellipsoids.polytopes import Polytope
+from loewner.meshes import coverage, plane_cuts
+from loewner.meshes import decomposition as meshes
 
 SUFFIXES = ("stl", "obj", "ply", "off", "glb", "dae")
 
@@ -542,7 +544,7 @@ def test_one_mesh_shown_too_often(tmp_path):
     (tmp_path / "part.gltf").write_text(gltf(change))
     assert len(meshes.load(tmp_path / "part.gltf")[1]) == 1600
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("loewner.mesh_files.parts.MOST", 1500)
+        patch.setattr("loewner.meshes.files.parts.MOST", 1500)
         refused(tmp_path, "part.gltf", gltf(change), "expected at most 1500 vertices")
 
 
@@ -565,7 +567,7 @@ def test_what_is_no_regular_file(tmp_path):
 
 def test_size_limit(tmp_path, monkeypatch):
     """A file larger than the limit is refused, and the message gives the limit."""
-    monkeypatch.setattr("loewner.mesh_files.LIMIT", 1000)
+    monkeypatch.setattr("loewner.meshes.files.LIMIT", 1000)
     refused(
         tmp_path,
         "part.stl",

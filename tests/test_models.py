@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from loewner import Robot
-from loewner.robots.xacro_files import expanded
+from loewner.robots.description.xacro_files import expanded
 from mjcf_oracle import compare
 from robot_oracle import compare_with_pinocchio, without_shapes
 

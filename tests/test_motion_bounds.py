@@ -9,8 +9,8 @@ from loewner import Body, CollisionChecker
 from loewner._kernels import columns
 from loewner._kernels.robots.motion_bounds import ways_between, write_strays
 from loewner._kernels.robots.motion_path import write_part
-from loewner.robots import courses
-from loewner.robots.robot import on_the_way
+from loewner.robots.description.robot import on_the_way
+from loewner.robots.proofs import courses
 from motion_oracle import (
     AFLOAT,
     Real,

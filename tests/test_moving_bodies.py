@@ -24,9 +24,9 @@ from loewner import (
     load_scene,
     save_scene,
 )  # fmt: skip
-from loewner.pose_paths import PackedPaths, PosePath, path_of
-from loewner.robots import in_time
-from loewner.robots.courses import parts
+from loewner.queries.pose_paths import PackedPaths, PosePath, path_of
+from loewner.robots.proofs import in_time
+from loewner.robots.proofs.courses import parts
 from motion_oracle import AFLOAT
 
 SAMPLES = 400

@@ -10,7 +10,7 @@ from families import translation
 from loewner import Body, CollisionChecker, Joint, LoewnerError, Robot, Scene, Verdict, planners
 from loewner._kernels import columns
 from loewner.bodies import parts
-from loewner.robots.problem import Problem
+from loewner.robots.checking.problem import Problem
 from moving_surfaces import SLIDES, Case, inverted, joined
 
 FREE, COLLIDING, AMBIGUOUS = Verdict.FREE, Verdict.COLLIDING, Verdict.AMBIGUOUS

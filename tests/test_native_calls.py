@@ -19,6 +19,7 @@ from families import FAMILIES, pieces, random_poses, translation
 from loewner import Bodies, Body, CollisionChecker, Distance, LoewnerError, Scene
 from loewner._kernels import records
 from loewner._native import entries, library, singles
+from loewner.robots.checking import edges
 
 native = pytest.mark.skipif(library.level() is None, reason=f"no native library: {library.why_not()}")
 
@@ -447,7 +448,7 @@ def test_usual_configurations_are_answered_by_the_extension(sliders):
     single = checker._ready().single
     assert single.collide(np.array([0.5, 0.0])) is True
     assert single.classify(np.array([-0.5, 0.0])) == 0
-    assert single.motion(np.array([-0.5, 0.0]), np.array([0.5, 0.0]), 0.1, loewner.robots.edges.coarse_first) < 0
+    assert single.motion(np.array([-0.5, 0.0]), np.array([0.5, 0.0]), 0.1, edges.coarse_first) < 0
 
 
 def test_what_is_raised_on_the_way_reaches_the_caller(sliders):
@@ -480,7 +481,7 @@ def test_configurations_leak_nothing(sliders):
             checker.valid_edges(q[0], q[1], 0.1)
             checker.valid_edges(q[0], q[1], 0.25)
             for x in q:
-                held[4].motion(x, x, 0.1, loewner.robots.edges.coarse_first)
+                held[4].motion(x, x, 0.1, edges.coarse_first)
                 held[4].collide(x)
 
     checker._next_look = 10**9  # no other order of pairs meanwhile, which would be another object

@@ -19,9 +19,10 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from loewner import LoewnerError, Robot, load_scene, meshes, planners, read_motion_bench_maker
-from loewner.robots.srdf import read_srdf
-from loewner.robots.urdf import read_urdf as description
+from loewner import LoewnerError, Robot, load_scene, planners, read_motion_bench_maker
+from loewner.meshes import decomposition as meshes
+from loewner.robots.description.srdf import read_srdf
+from loewner.robots.description.urdf import read_urdf as description
 from robot_oracle import robots_folder
 
 

@@ -11,7 +11,8 @@ import pytest
 import trimesh
 
 import loewner
-from loewner import Body, GeometryError, InputError, Robot, meshes
+from loewner import Body, GeometryError, InputError, Robot
+from loewner.meshes import decomposition as meshes
 
 SLIDE = """<robot name="r"><link name="a"/><link name="b"/><joint name="j" type="prismatic"><parent link="a"/>
 <child link="b"/><limit lower="-1" upper="1" velocity="1"/></joint></robot>"""

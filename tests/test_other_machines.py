@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import other_machines
-from loewner import _low_discrepancy, _matrices
+from loewner._base import _low_discrepancy, _matrices
 
 HERE = Path(__file__).parent
 

@@ -14,7 +14,7 @@ from loewner import verify
 from loewner.bodies.files import BODIES
 from loewner.cli import report
 from loewner.planners.roadmaps import ROADMAPS
-from loewner.robots.written_proofs import VERSION
+from loewner.robots.proofs.written_proofs import VERSION
 
 ROOT = Path(__file__).parent.parent
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]

@@ -24,7 +24,7 @@ from loewner import (
     prove,
 )
 from loewner.bodies import packed_of
-from loewner.robots import common_points, proof_models, separations, written_proofs
+from loewner.robots.proofs import common_points, proof_models, separations, written_proofs
 from loewner.verify import verify
 
 SPHERE, BOX = Body.sphere(0.5), Body.box([1.0, 1.0, 1.0])

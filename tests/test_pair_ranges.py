@@ -14,8 +14,9 @@ import loewner
 import mechanisms
 from loewner import Body, CollisionChecker, InputError, Robot, Scene, UnknownNameError, cli
 from loewner.errors import FileError
-from loewner.robots import distances, pair_cache, pair_ranges
-from loewner.robots.pair_verdicts import PairVerdict
+from loewner.robots.checking import distances, pair_cache
+from loewner.robots.description.pair_verdicts import PairVerdict
+from loewner.robots.proofs import pair_ranges
 from mechanisms import ARM, BALL, HINGE_TOUCHES, ball, box, joint, link
 from robot_oracle import robots_folder
 

@@ -16,8 +16,8 @@ from gantry import RADIUS, gantry
 from loewner import Body, CollisionChecker, InputError, PlanningError, Robot, Scene, Verdict, planners
 from loewner.bodies import layout, parts
 from loewner.bodies.flat_faces import flat_faces
+from loewner.ellipsoids.polytopes import Polytope
 from loewner.planners.judge import Judge
-from loewner.polytopes import Polytope
 from motion_oracle import assert_true, steps
 
 FREE, COLLIDING = Verdict.FREE, Verdict.COLLIDING

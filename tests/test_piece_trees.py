@@ -7,9 +7,10 @@ from hypothesis import strategies as st
 
 import loewner
 from families import random_poses, translation
-from loewner import Bodies, Body, Verdict, bodies, queries
+from loewner import Bodies, Body, Verdict, bodies
 from loewner._kernels import codes, columns, tolerances
 from loewner._kernels.trees import piece_tree
+from loewner.queries import pairs as queries
 
 SEEDS = st.integers(0, 2**32 - 1)
 

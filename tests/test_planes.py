@@ -17,7 +17,7 @@ from loewner._kernels.robots.motion_bounds import rates_of, uncertainty, ways_be
 from loewner._kernels.robots.motion_path import write_part
 from loewner._kernels.robots.planes import write_gaps
 from loewner._kernels.robots.strays import error_of_strays, longest_lever, write_strays_along
-from loewner.robots import courses
+from loewner.robots.proofs import courses
 from motion_oracle import (
     AFLOAT,
     Real,

@@ -23,7 +23,7 @@ from loewner import (
     planners,
 )
 from loewner.planners import compiled
-from loewner.robots import verdicts
+from loewner.robots.checking import verdicts
 
 RESOLUTION = 0.02
 

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 import loewner
-from loewner import meshes
-from loewner.mesh_files import parts
+from loewner.meshes import decomposition as meshes
+from loewner.meshes.files import parts
 
 # An L, which its first corner does not see whole; a square with a hole, joined by a slit; a comb.
 L = [(2, 0), (2, 1), (1, 1), (1, 2), (0, 2), (0, 0)]

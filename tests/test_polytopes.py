@@ -7,7 +7,8 @@ from hypothesis import strategies as st
 
 from exact import hull_planes, rational
 from families import polygon, prism
-from loewner import GeometryError, InputError, Polytope, polytopes
+from loewner import GeometryError, InputError, Polytope
+from loewner.ellipsoids import polytopes
 
 seeds = st.integers(0, 2**32 - 1)
 

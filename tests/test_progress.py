@@ -11,7 +11,9 @@ import trimesh
 import border_calls
 import loewner
 from gantry import GANTRY
-from loewner import cluster, compilation, meshes, paper
+from loewner import cluster, paper
+from loewner.cli import compilation
+from loewner.meshes import decomposition as meshes
 
 RNG = np.random.default_rng(5)
 

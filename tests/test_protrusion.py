@@ -10,10 +10,12 @@ import trimesh
 
 import loewner
 from families import translation
-from loewner import InputError, meshes, plane_cuts
-from loewner.closed_parts import closed_parts
-from loewner.polytopes import Polytope
-from loewner.protrusion import Solid, _smaller, protrusion_of_hulls, protrusions
+from loewner import InputError
+from loewner.ellipsoids.polytopes import Polytope
+from loewner.meshes import decomposition as meshes
+from loewner.meshes import plane_cuts
+from loewner.meshes.closed_parts import closed_parts
+from loewner.meshes.protrusion import Solid, _smaller, protrusion_of_hulls, protrusions
 from test_meshes import l_shape, surface_points, two_boxes
 
 CAVITY_RADIUS, WALL, HEIGHT = 0.036, 0.004, 0.095

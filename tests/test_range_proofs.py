@@ -14,8 +14,8 @@ import mechanisms
 from families import translation
 from loewner import Body, CollisionChecker, ConvergenceError, InputError, Proof, Scene, cli
 from loewner.errors import FileError
-from loewner.robots import range_proofs
-from loewner.robots.proof_models import model_of as model_of_problem
+from loewner.robots.proofs import range_proofs
+from loewner.robots.proofs.proof_models import model_of as model_of_problem
 from loewner.verify import Refused, verify
 from mechanisms import ARM, BALL, HINGE_TOUCHES, ball, box, joint, link
 from test_pair_ranges import example_robot, refuted

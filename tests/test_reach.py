@@ -7,9 +7,9 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from loewner import Body, CollisionChecker, InputError, PoseError, Robot, Scene, UnknownNameError
-from loewner.robots import reaching
-from loewner.robots.robot import chain_to
-from loewner.robots.urdf import read_urdf
+from loewner.robots.description import reaching
+from loewner.robots.description.robot import chain_to
+from loewner.robots.description.urdf import read_urdf
 from robot_oracle import pinocchio_configuration, robots_folder
 
 FREE = np.inf

@@ -24,9 +24,9 @@ from loewner import (
     Scene,
     UnknownNameError,
     Verdict,
-    _archives,
     planners,
 )
+from loewner._base import _archives
 from loewner.planners import roadmaps
 from loewner.planners.judge import TOLERANCE, Judge
 

@@ -28,9 +28,9 @@ from loewner._kernels import _sources
 from loewner._kernels._jit import njit
 from loewner._kernels.simd.trig import sine_cosine
 from loewner._kernels.simd.vectors import load, store
-from loewner.robots import link_bodies, reaching
-from loewner.robots.tree import KINDS
-from loewner.robots.urdf import VALUES, Shape
+from loewner.robots.description import link_bodies, reaching
+from loewner.robots.description.tree import KINDS
+from loewner.robots.description.urdf import VALUES, Shape
 from robot_oracle import disagreement, robots_folder
 
 
@@ -226,7 +226,7 @@ def test_poses_are_rigid(tmp_path):
     T = robot.forward_kinematics(robot.random_configurations(500))
     R = T[..., :3, :3]
     np.testing.assert_allclose(R.swapaxes(-1, -2) @ R, np.broadcast_to(np.eye(3), R.shape), atol=1e-14)
-    loewner._validate.poses(T, "T")
+    loewner._base._validate.poses(T, "T")
 
 
 def test_shapes_of_batches_and_odd_layouts(tmp_path):
@@ -908,7 +908,7 @@ def test_links_are_where_pinocchio_sees_them(name):
 def without_bodies(path: Path) -> Robot:
     """A robot whose meshes are left alone: only where its links are is asked."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("loewner.robots.robot.link_bodies", lambda *a, **k: ({}, {}))
+        patch.setattr("loewner.robots.description.robot.link_bodies", lambda *a, **k: ({}, {}))
         return Robot.from_urdf(path)
 
 

@@ -21,8 +21,8 @@ from scipy.spatial.transform import Rotation
 import loewner
 from families import translation
 from loewner import Body, FileError, GeometryError, Scene, load_scene, read_motion_bench_maker, save_scene
-from loewner.scene_files import yaml_scenes
-from loewner.scene_files.sensor_shapes import read_array
+from loewner.scenes.files import yaml_scenes
+from loewner.scenes.files.sensor_shapes import read_array
 
 EVERYTHING = """\
 margin: 0.01
@@ -287,7 +287,7 @@ def test_scenes_too_large_to_read_are_not_written(tmp_path, monkeypatch):
     """What `load_scene` would refuse is refused when it is saved, and nothing is written."""
     for limit, most in (("MOST_BYTES", 100), ("MOST_ENTRIES", 20)):
         with monkeypatch.context() as patched:
-            patched.setattr(f"loewner.scene_files.yaml_scenes.{limit}", most)
+            patched.setattr(f"loewner.scenes.files.yaml_scenes.{limit}", most)
             with pytest.raises(FileError, match=f"expected a scene of at most .*{most}.*, found"):
                 save_scene(scene_of(**{f"b{k}": hull(k) for k in range(9)}), tmp_path / "scene.yaml")
     assert list(tmp_path.iterdir()) == []

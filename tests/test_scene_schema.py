@@ -12,11 +12,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from loewner import FileError, InputError, Scene, load_scene, save_scene
-from loewner._nodes import NUMBER, read_yaml
+from loewner._base._nodes import NUMBER, read_yaml
 from loewner.cli import main
-from loewner.scene_files import yaml_scenes
-from loewner.scene_files.schema import BODY, SCHEMA, SCHEMA_FILE, keys_of
-from loewner.scene_files.sensor_shapes import SENSOR_SHAPES
+from loewner.scenes.files import yaml_scenes
+from loewner.scenes.files.schema import BODY, SCHEMA, SCHEMA_FILE, keys_of
+from loewner.scenes.files.sensor_shapes import SENSOR_SHAPES
 from test_scene_files import EVERYTHING, MALFORMED
 
 ROOT = Path(__file__).parents[1]

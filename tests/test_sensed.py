@@ -23,12 +23,12 @@ from loewner import (
     MemoryLimitError,
     Robot,
     Scene,
-    _memory,
     planners,
 )
+from loewner._base import _memory
 from loewner.bodies import sensed
 from loewner.cli import configurations, inputs
-from loewner.scene_files.sensor_shapes import read_array
+from loewner.scenes.files.sensor_shapes import read_array
 
 SHAPES = {
     "ball": Body.sphere(0.07),

@@ -20,8 +20,9 @@ from scipy.spatial import ConvexHull
 import loewner
 from families import translation
 from gantry import LEFT, RIGHT, beside_a_post
-from loewner import Bodies, Body, Scene, _log, _pictures, planners
-from loewner._pictures import Shape
+from loewner import Bodies, Body, Scene, planners
+from loewner._base import _log, _pictures
+from loewner._base._pictures import Shape
 
 NOTEBOOK = Path(__file__).parents[1] / "examples" / "first_steps.ipynb"
 RNG = np.random.default_rng(2)
@@ -239,7 +240,7 @@ def test_long_work_is_logged(caplog, monkeypatch, tmp_path):
     ring = trimesh.creation.annulus(0.5, 1.0, 0.4, sections=6)
     Body.from_mesh(ring, tolerance=0.3)
     monkeypatch.setattr("loewner.bodies.body.MANY_TRIANGLES", 12)
-    monkeypatch.setattr("loewner.meshes.MANY_TRIANGLES", 12)
+    monkeypatch.setattr("loewner.meshes.decomposition.MANY_TRIANGLES", 12)
     trimesh.creation.box().export(tmp_path / "box.stl")
     Body.from_surface(tmp_path / "box.stl")
     checker = beside_a_post(tmp_path)

@@ -24,7 +24,6 @@ from loewner import (
     Robot,
     Scene,
     Verdict,
-    _archives,
     cli,
     collide,
     distance,
@@ -34,7 +33,8 @@ from loewner import (
     plots,
     save_scene,
 )
-from loewner.robots import link_bodies
+from loewner._base import _archives
+from loewner.robots.description import link_bodies
 from motion_oracle import assert_true, example
 from robot_oracle import robots_folder
 

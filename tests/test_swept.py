@@ -26,8 +26,8 @@ from loewner import (
 )
 from loewner._native import entries
 from loewner.robots import swept
-from loewner.robots.courses import straight
-from loewner.robots.curves import curve_of
+from loewner.robots.proofs.courses import straight
+from loewner.robots.proofs.curves import curve_of
 from motion_oracle import AFLOAT, FINGERS, example, points_of, real_poses, written
 from motion_oracle import rates as measured_rates
 

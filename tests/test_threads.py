@@ -17,9 +17,10 @@ import pytest
 
 import driver
 import loewner
-from loewner import Bodies, Body, InputError, _threads, get_num_threads, set_num_threads
-from loewner._kept import kept
-from loewner._threads import in_shares
+from loewner import Bodies, Body, InputError, get_num_threads, set_num_threads
+from loewner._base import _threads
+from loewner._base._kept import kept
+from loewner._base._threads import in_shares
 
 
 @pytest.fixture(params=[1, 2])

@@ -9,9 +9,9 @@ from families import translation
 from gantry import LEFT, RADIUS, RIGHT, UP, clearance, gantry, wall
 from loewner import Body, CollisionChecker, InputError, PlanningError, Robot, Scene, Verdict, planners
 from loewner._kernels import codes
-from loewner.robots import tracking
-from loewner.robots.proofs import prove_by_rules
-from loewner.robots.tracking import NEAR
+from loewner.robots.proofs import tracking
+from loewner.robots.proofs.proofs import prove_by_rules
+from loewner.robots.proofs.tracking import NEAR
 
 # A ball that slides along x, and one at the end of an arm of 1 m that turns about z.
 SLIDER = """<robot name="s"><link name="base"/>

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from loewner import Body, CollisionChecker, FileError, InputError, PlanningError, Robot, collide, planners, verify
-from loewner.robots.robot import sources_of
-from loewner.robots.srdf import read_srdf
-from loewner.robots.urdf import read_urdf
+from loewner.robots.description.robot import sources_of
+from loewner.robots.description.srdf import read_srdf
+from loewner.robots.description.urdf import read_urdf
 from robot_oracle import robots_folder
 
 HARD = '<limit lower="-1" upper="1" effort="1" velocity="1"/>'

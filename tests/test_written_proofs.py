@@ -29,7 +29,7 @@ from loewner import (
     planners,
 )
 from loewner._kernels.robots import plane_trees
-from loewner.robots import proof_models, separations, written_proofs
+from loewner.robots.proofs import proof_models, separations, written_proofs
 from loewner.verify import Refused, verify
 from motion_oracle import AFLOAT, FINGERS, example, free_configurations, ring, steps, written
 

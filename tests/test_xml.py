@@ -2,7 +2,7 @@
 
 import pytest
 
-from loewner import _xml
+from loewner._base import _xml
 
 
 def parsed(data, **options):

@@ -1,4 +1,4 @@
-/* Pairs of bodies, without a checker: what `loewner/queries.py` does. */
+/* Pairs of bodies, without a checker: what `loewner/queries/pairs.py` does. */
 
 #include "internal.h"
 

@@ -1,4 +1,4 @@
-/* Configurations and motions of a checker: what `loewner/robots/verdicts.py`, `proofs.py` and `distances.py` do. */
+/* Configurations and motions of a checker: what `loewner/robots/checking/verdicts.py`, `proofs.py` and `distances.py` do. */
 
 #include "internal.h"
 

@@ -1,5 +1,5 @@
 /* The bodies of a checker, their poses, and the pairs to check, as kernels take them; by the rules of `Problem.of` in
-   `loewner/robots/problem.py`. */
+   `loewner/robots/checking/problem.py`. */
 
 #include "internal.h"
 

@@ -3,13 +3,12 @@
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from loewner import cover_files as _cover_files  # noqa: F401 - it answers methods of Robot
-from loewner._threads import get_num_threads, set_num_threads
+from loewner._base._threads import get_num_threads, set_num_threads
 from loewner.bodies import Bodies, Body, Piece
-from loewner.coverage import Covering, CoverReport
-from loewner.crowds import Overlaps, overlapping_pairs
-from loewner.ellipsoid_pairs import NearPoints, contact_function, near_points, overlap
-from loewner.ellipsoids import Ellipsoids
+from loewner.ellipsoids.ellipsoid_pairs import NearPoints, contact_function, near_points, overlap
+from loewner.ellipsoids.ellipsoids import Ellipsoids
+from loewner.ellipsoids.fits import Fit, mvce, mvie
+from loewner.ellipsoids.polytopes import Polytope
 from loewner.errors import (
     BodyIndexError,
     ConvergenceError,
@@ -24,11 +23,11 @@ from loewner.errors import (
     PoseError,
     UnknownNameError,
 )
-from loewner.first_contacts import FirstContact, first_contact
-from loewner.fits import Fit, mvce, mvie
-from loewner.polytopes import Polytope
-from loewner.pose_paths import PosePath
-from loewner.queries import Distance, Verdict, classify, collide, distance, push
+from loewner.meshes.coverage import Covering, CoverReport
+from loewner.queries.crowds import Overlaps, overlapping_pairs
+from loewner.queries.first_contacts import FirstContact, first_contact
+from loewner.queries.pairs import Distance, Verdict, classify, collide, distance, push
+from loewner.queries.pose_paths import PosePath
 from loewner.robots import (
     CertifiedMotions,
     CertifiedTrajectory,
@@ -46,8 +45,9 @@ from loewner.robots import (
     pairs_by_sampling,
     prove,
 )
-from loewner.scene_files import Problem, load_scene, read_motion_bench_maker, save_scene
-from loewner.scenes import Attachment, Contact, Scene
+from loewner.robots import cover_files as _cover_files  # noqa: F401 - it answers methods of Robot
+from loewner.scenes.files import Problem, load_scene, read_motion_bench_maker, save_scene
+from loewner.scenes.scene import Attachment, Contact, Scene
 
 __version__ = "0.1.0"
 

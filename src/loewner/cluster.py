@@ -22,16 +22,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from loewner import _json, _validate, mesh_files
-from loewner._archives import LARGEST_CONTENT
-from loewner._files import read_regular, replacing, shown
-from loewner._guard import guarded
-from loewner._outcomes import TETRAHEDRON, Outcome, outcome_of
-from loewner._plausible import told_to
-from loewner._threads import at_most
-from loewner._validate import Bools, Floats, Progress
+from loewner._base import _json, _validate
+from loewner._base._archives import LARGEST_CONTENT
+from loewner._base._files import read_regular, replacing, shown
+from loewner._base._guard import guarded
+from loewner._base._outcomes import TETRAHEDRON, Outcome, outcome_of
+from loewner._base._plausible import told_to
+from loewner._base._threads import at_most
+from loewner._base._validate import Bools, Floats, Progress
 from loewner.bodies import Body
 from loewner.errors import FileError, GeometryError, InputError, LoewnerError, MissingExtraError, installing
+from loewner.meshes import files as mesh_files
 from loewner.robots import CollisionChecker
 
 __all__ = ["Fitted", "certify_edges", "collide", "distance", "fit"]

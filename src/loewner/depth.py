@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from loewner import _validate
-from loewner._guard import guarded
-from loewner._validate import Bools, Floats, Ints
+from loewner._base import _validate
+from loewner._base._guard import guarded
+from loewner._base._validate import Bools, Floats, Ints
 from loewner.bodies import Body, camera_of, points_of
 from loewner.errors import InputError
 from loewner.robots import CollisionChecker

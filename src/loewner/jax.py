@@ -11,10 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from loewner import _gradients, _validate
-from loewner._gradients import Measure
+from loewner._base import _validate
 from loewner.errors import InputError, MissingExtraError, installing
 from loewner.robots import CollisionChecker
+from loewner.robots import gradients as _gradients
+from loewner.robots.gradients import Measure
 
 __all__ = ["clearance", "distance"]
 

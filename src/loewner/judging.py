@@ -11,14 +11,15 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from loewner import _validate, queries
-from loewner._guard import guarded
+from loewner._base import _validate
+from loewner._base._guard import guarded
+from loewner._base._matrices import lengths
+from loewner._base._validate import Bools, Floats
 from loewner._kernels import columns
-from loewner._matrices import lengths
-from loewner._validate import Bools, Floats
 from loewner.bodies import Bodies, Body, packed_of
 from loewner.errors import InputError
-from loewner.queries import Distance, expect_bodies, plan_of
+from loewner.queries import pairs as queries
+from loewner.queries.pairs import Distance, expect_bodies, plan_of
 
 __all__ = ["Finding", "Judgement", "judge_answers"]
 

@@ -14,18 +14,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from loewner import _validate
-from loewner._files import replacing
-from loewner._proportions import wilson
-from loewner._validate import Bools, Floats
+from loewner._base import _validate
+from loewner._base._files import replacing
+from loewner._base._proportions import wilson
+from loewner._base._validate import Bools, Floats
 from loewner.bodies import Body, packed_of
 from loewner.bodies.triangulated import of_pieces
 from loewner.errors import FileError, InputError, MissingExtraError, installing
-from loewner.queries import Verdict, classify, collide, distance
-from loewner.robots import ClosestApproach, CollisionChecker, Robot, Settled, approaches, curves
-from loewner.robots.courses import configurations
-from loewner.robots.robot import first_shown
-from loewner.triangles import halved, longest_edges
+from loewner.meshes.triangles import halved, longest_edges
+from loewner.queries.pairs import Verdict, classify, collide, distance
+from loewner.robots import ClosestApproach, CollisionChecker, Robot, Settled
+from loewner.robots.description.robot import first_shown
+from loewner.robots.proofs import approaches, curves
+from loewner.robots.proofs.courses import configurations
 
 COLOURS = ("#4477aa", "#cc6677")
 INNER, OUTER = "#228833", "#777777"

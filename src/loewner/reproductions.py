@@ -9,12 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from loewner import _validate, queries
-from loewner._guard import guarded
-from loewner._validate import Floats, Ints
+from loewner._base import _validate
+from loewner._base._guard import guarded
+from loewner._base._validate import Floats, Ints
 from loewner.bodies import Body
 from loewner.errors import GeometryError, InputError
 from loewner.judging import PARTS, POINT, Finding, Judgement, judge_answers
+from loewner.queries import pairs as queries
 
 # Answers of another program, by the names of arguments of `judging.judge_answers`.
 Answers = Mapping[str, Any]

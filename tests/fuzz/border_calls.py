@@ -35,7 +35,7 @@ import pytest
 import loewner
 from families import box_corners, translation
 from gantry import gantry
-from loewner import (
+from loewner import (  # fmt: skip
     Bodies,
     Body,
     CollisionChecker,
@@ -46,20 +46,20 @@ from loewner import (
     Scene,
     cli,
     judging,
-    meshes,
     paper,
     planners,
     reproductions,
-)  # fmt: skip
+)
 from loewner import cluster as clustering
-from loewner import compilation as compiling
 from loewner import depth as depths
 from loewner import gpu as on_gpus
 from loewner import jax as for_jax
 from loewner import plots as drawing
 from loewner import torch as for_torch
 from loewner import viewer as viewing
-from loewner.pose_paths import path_of
+from loewner.cli import compilation as compiling
+from loewner.meshes import decomposition as meshes  # fmt: skip
+from loewner.queries.pose_paths import path_of
 
 # Modules for frameworks that are there.
 OF_DRAKE = ("Robot.from_drake", "planners.Trajectory.to_drake")

@@ -15,8 +15,9 @@ import numpy as np
 
 import mesh_examples
 import test_description_files as descriptions
-from loewner import Body, CollisionChecker, Robot, Scene, cli, load_scene, meshes, planners, read_motion_bench_maker
+from loewner import Body, CollisionChecker, Robot, Scene, cli, load_scene, planners, read_motion_bench_maker
 from loewner.cli import configurations, judge_answers, report
+from loewner.meshes import decomposition as meshes
 
 SLIDER = """<robot name="slider"><link name="base"/>
 <link name="cart"><collision><geometry><sphere radius="0.1"/></geometry></collision></link>

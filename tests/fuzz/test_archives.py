@@ -27,9 +27,10 @@ from scipy.spatial import ConvexHull
 import driver
 import loewner
 from families import CUT_FROM_A_MUG, FAMILIES, near_corners, pieces, prism, random_poses
-from loewner import Bodies, Body, _archives
+from loewner import Bodies, Body
+from loewner._base import _archives
 from loewner.bodies import files
-from loewner.protrusion import Solid
+from loewner.meshes.protrusion import Solid
 
 Arrays = dict[str, Any]
 

@@ -12,7 +12,8 @@ import pytest
 
 import border_calls as border
 import loewner
-from loewner import planners, pose_paths
+from loewner import planners
+from loewner.queries import pose_paths
 
 # Classes that users have objects of. What these objects hold is compared as well.
 PUBLIC = {

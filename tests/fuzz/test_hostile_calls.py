@@ -21,7 +21,7 @@ from checker_oracle import robot_of
 from families import random_poses
 from loewner import Body, CollisionChecker, LoewnerError, Scene
 from loewner._native import entries, library
-from loewner.robots.edges import coarse_first
+from loewner.robots.checking.edges import coarse_first
 
 pytestmark = [
     pytest.mark.skipif(library.level() is None, reason=f"no native library: {library.why_not()}"),

@@ -11,7 +11,8 @@ import pytest
 import driver
 import mesh_examples
 import mesh_oracles
-from loewner import Body, meshes
+from loewner import Body
+from loewner.meshes import decomposition as meshes
 
 EXAMPLES = mesh_examples.examples()
 

@@ -5,8 +5,8 @@ import pytest
 
 from loewner import Verdict, planners
 from loewner.planners import steering
-from loewner.robots.courses import configurations
-from loewner.robots.curves import form_of
+from loewner.robots.proofs.courses import configurations
+from loewner.robots.proofs.curves import form_of
 from test_bases import base, long_arcs, off_goal, random_drive, random_poses, room
 
 pytestmark = pytest.mark.verify

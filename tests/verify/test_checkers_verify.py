@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from loewner import Body, CollisionChecker, InputError, Robot, Scene, Verdict, read_motion_bench_maker
-from loewner.robots.urdf import read_urdf
+from loewner.robots.description.urdf import read_urdf
 from robot_oracle import PAIRS, pinocchio_configuration, robots_folder
 
 pytestmark = pytest.mark.verify

@@ -11,7 +11,7 @@ import trimesh
 
 from gantry import gantry, wall
 from loewner import Body, CollisionChecker, Robot, cluster
-from loewner._plausible import told_to
+from loewner._base._plausible import told_to
 
 distributed = pytest.importorskip("distributed")
 da = pytest.importorskip("dask.array")

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from exact import halfspaces_crossed, hull_planes, points_outside
-from loewner import fits, mvce, mvie, polytopes
+from loewner import mvce, mvie
+from loewner.ellipsoids import fits, polytopes
 from loewner.paper import mvce_by_lifted_mvie
 
 pytestmark = pytest.mark.verify

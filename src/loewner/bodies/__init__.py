@@ -1,10 +1,11 @@
 """Bodies: unions of convex pieces, each with its inner and outer ellipsoid.
 
-A `Body` is one such union; `Bodies` packs a sequence of bodies for batched queries. Both are read-only. To move a body,
-pass a pose to a query; its ellipsoids are not fitted again.
-
-`body` defines these two classes, `pack` and `layout` define the arrays behind them, and `files` defines the ``.npz``
-format.
+A `Body` is one such union; `Bodies` packs a sequence of bodies for batched queries. Both are read-only. `body` defines
+these two classes, and `pack` and `layout` the arrays behind them. `primitives` and `kinds` are curved pieces,
+`surfaces`, `surface_trees`, `boxes` and `flat_faces` triangles as pieces, `triangulated` triangles for pictures,
+`sensed` clouds, voxels and terrain, `depth_images` their points, `parts` surfaces in convex parts. `files`,
+`native_files`, `octrees` and `exports` are formats, and `checks` checks arrays from files. `cover_fits`, `cover_proofs`
+and `elements` cover a body by few elements.
 """
 
 from loewner.bodies.body import (

@@ -10,14 +10,14 @@ from typing import Any, Literal, cast, overload
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from loewner import _validate, fits, meshes
-from loewner._guard import guarded
+from loewner._base import _validate
+from loewner._base._guard import guarded
+from loewner._base._log import MANY_TRIANGLES, logged
+from loewner._base._matrices import dot, lengths
+from loewner._base._pictures import COLOURS, bodies, pictured
+from loewner._base._read_only import KeepsReadOnly
+from loewner._base._validate import Floats, Ints, Progress
 from loewner._kernels import columns, tolerances
-from loewner._log import MANY_TRIANGLES, logged
-from loewner._matrices import dot, lengths
-from loewner._pictures import COLOURS, bodies, pictured
-from loewner._read_only import KeepsReadOnly
-from loewner._validate import Floats, Ints, Progress
 from loewner.bodies import sensed, surfaces
 from loewner.bodies.depth_images import points_of
 from loewner.bodies.kinds import KIND_NAMES
@@ -25,10 +25,12 @@ from loewner.bodies.layout import PieceArrays
 from loewner.bodies.pack import Packed, as_one, empty, join, moved, take
 from loewner.bodies.primitives import CLOSED_FORM_ROUNDING, primitives
 from loewner.bodies.triangulated import MANY_PIECES, for_pictures
-from loewner.coverage import Covering, CoverReport
-from loewner.ellipsoids import Ellipsoids, trusted
+from loewner.ellipsoids import fits
+from loewner.ellipsoids.ellipsoids import Ellipsoids, trusted
+from loewner.ellipsoids.polytopes import Hulls, Polytope, box_hull, hulls
 from loewner.errors import BodyIndexError, FileError, GeometryError, InputError
-from loewner.polytopes import Hulls, Polytope, box_hull, hulls
+from loewner.meshes import decomposition as meshes
+from loewner.meshes.coverage import Covering, CoverReport
 
 # Edge of the largest half-space [m]: contact is accurate to about 1e-12 of it.
 LARGEST_EXTENT = 1e9

@@ -6,8 +6,8 @@ from functools import cache
 
 import numpy as np
 
-from loewner import _elementary
-from loewner._validate import Floats
+from loewner._base import _elementary
+from loewner._base._validate import Floats
 
 # Largest number of triangles that suggest orientations.
 MOST_ASKED = 512

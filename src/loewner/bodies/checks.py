@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from loewner._base._validate import Floats, Ints
 from loewner._kernels import columns, tolerances
-from loewner._validate import Floats, Ints
 from loewner.bodies import surfaces
 from loewner.bodies.kinds import CURVED, KIND_NAMES
 from loewner.bodies.layout import ARRAYS, LARGEST, Maps, PieceArrays, direction_maps, heights_of

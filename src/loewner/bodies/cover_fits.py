@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.distance import cdist
 
+from loewner._base._low_discrepancy import points as even_points
+from loewner._base._matrices import lengths
+from loewner._base._validate import Bools, Floats, Ints, Progress
 from loewner._kernels import columns
-from loewner._low_discrepancy import points as even_points
-from loewner._matrices import lengths
-from loewner._validate import Bools, Floats, Ints, Progress
 from loewner.bodies.boxes import least_box_axes
 from loewner.bodies.cover_proofs import OCTANTS, Target, excess_of, first_failures, prove
 from loewner.bodies.elements import Elements
@@ -16,9 +16,9 @@ from loewner.bodies.pack import Packed, as_one, moved
 from loewner.bodies.primitives import primitives
 from loewner.bodies.sensed import ball_pieces, box_pieces
 from loewner.bodies.triangulated import of_piece
+from loewner.ellipsoids.fits import mvce
 from loewner.errors import GeometryError, InputError
-from loewner.fits import mvce
-from loewner.triangles import halved, longest_edges, unit_normals
+from loewner.meshes.triangles import halved, longest_edges, unit_normals
 
 # Points of the surface, corners, and points of the inside that balls have to hold at first.
 SURFACE, CORNERS, INSIDE = 6000, 1500, 500

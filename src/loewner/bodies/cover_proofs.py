@@ -10,18 +10,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from loewner._base._matrices import dot, lengths
+from loewner._base._validate import Bools, Floats, Ints, Progress
 from loewner._kernels import columns
 from loewner._kernels.tolerances import FACE_WIDTH
-from loewner._matrices import dot, lengths
-from loewner._validate import Bools, Floats, Ints, Progress
 from loewner.bodies.elements import HEIGHT_ROUNDINGS, Elements
 from loewner.bodies.kinds import CURVED, ball
 from loewner.bodies.pack import Packed
 from loewner.bodies.triangulated import of_piece
-from loewner.coverage import CoverReport
-from loewner.polytopes import Polytope
-from loewner.protrusion import Solid, protrusions
-from loewner.triangles import halved
+from loewner.ellipsoids.polytopes import Polytope
+from loewner.meshes.coverage import CoverReport
+from loewner.meshes.protrusion import Solid, protrusions
+from loewner.meshes.triangles import halved
 
 # Cells of the body are halved down to this share of its diagonal.
 RESOLUTION = 1e-4

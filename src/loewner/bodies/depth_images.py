@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from loewner import _validate
-from loewner._guard import guarded
-from loewner._plausible import warn
-from loewner._validate import Floats
+from loewner._base import _validate
+from loewner._base._guard import guarded
+from loewner._base._plausible import warn
+from loewner._base._validate import Floats
 from loewner.errors import InputError
 
 # Focal lengths in pixels, and offsets: beyond them, the matrix is none of a camera.

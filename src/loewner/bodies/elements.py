@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
+from loewner._base._matrices import dot, lengths, product, singular_values
+from loewner._base._validate import Bools, Floats, Ints
 from loewner._kernels import columns
-from loewner._matrices import dot, lengths, product, singular_values
-from loewner._validate import Bools, Floats, Ints
 from loewner.bodies.kinds import KIND_NAMES
 from loewner.bodies.pack import Packed
-from loewner.coverage import distances_from
+from loewner.ellipsoids.polytopes import Polytope
 from loewner.errors import GeometryError, InputError
-from loewner.polytopes import Polytope
+from loewner.meshes.coverage import distances_from
 
 # Roundings in a height, relative to the size of the element (docs/containment.md).
 HEIGHT_ROUNDINGS = 64 * 2.0**-53

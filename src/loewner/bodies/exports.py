@@ -19,17 +19,17 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from loewner import _validate
-from loewner._files import named_by_content, replacing
+from loewner._base import _validate
+from loewner._base._files import named_by_content, replacing
+from loewner._base._matrices import dot, lengths
+from loewner._base._rotations import quaternions_of, to_rpy
+from loewner._base._validate import Floats
 from loewner._kernels import columns
-from loewner._matrices import dot, lengths
-from loewner._rotations import quaternions_of, to_rpy
-from loewner._validate import Floats
 from loewner.bodies.kinds import CURVED, Mesh, ball
 from loewner.bodies.pack import Packed
 from loewner.bodies.triangulated import ellipsoids_of, of_pieces
 from loewner.errors import InputError
-from loewner.mesh_files.stl import FACETS
+from loewner.meshes.files.stl import FACETS
 
 ELLIPSOIDS = ("inner", "outer")
 

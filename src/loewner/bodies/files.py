@@ -1,4 +1,4 @@
-"""Save bodies to ``.npz`` files and load them, by means of `loewner._archives`."""
+"""Save bodies to ``.npz`` files and load them, by means of `loewner._base._archives`."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from typing import Any
 
 import numpy as np
 
-from loewner import _archives
-from loewner._archives import Format
+from loewner._base import _archives
+from loewner._base._archives import Format
 from loewner.bodies.checks import INTEGERS, check_shapes, checked
 from loewner.bodies.layout import ARRAYS, arrays_of
 from loewner.bodies.pack import Packed
-from loewner.coverage import Covering
 from loewner.errors import InputError
+from loewner.meshes.coverage import Covering
 
 BODIES = Format(
     "loewner-bodies",

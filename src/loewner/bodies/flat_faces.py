@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from loewner._validate import Floats, Ints
+from loewner._base._validate import Floats, Ints
 
 # Neighbours at a smaller angle [rad] count as in one plane.
 FLAT = 1e-3

@@ -10,9 +10,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from loewner import _elementary
+from loewner._base import _elementary
+from loewner._base._validate import Floats, Ints
 from loewner._kernels import columns
-from loewner._validate import Floats, Ints
 
 Mesh = tuple[Floats, Ints]
 # An ellipsoid for each of k pieces, in the frames of the pieces: the semi-axes, and the height of the center along the

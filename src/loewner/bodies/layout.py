@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from loewner._base._matrices import dot, image, lengths, product, singular_values
+from loewner._base._read_only import KeepsReadOnly
+from loewner._base._validate import Floats, Ints
 from loewner._kernels import columns, records, tolerances
-from loewner._matrices import dot, image, lengths, product, singular_values
 from loewner._native import entries
-from loewner._read_only import KeepsReadOnly
-from loewner._validate import Floats, Ints
 from loewner.bodies.boxes import least_box_axes
 from loewner.bodies.surface_trees import SurfaceTree, Trees
 from loewner.errors import GeometryError, InputError

@@ -20,8 +20,8 @@ from typing import Any
 
 import numpy as np
 
-from loewner import _validate
-from loewner._files import replacing
+from loewner._base import _validate
+from loewner._base._files import replacing
 from loewner._kernels import columns
 from loewner._kernels._sources import source_hash
 from loewner.bodies.pack import Packed, join, take

@@ -14,9 +14,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from loewner import _validate
-from loewner._files import read_regular, shown
-from loewner._validate import Floats, Ints
+from loewner._base import _validate
+from loewner._base._files import read_regular, shown
+from loewner._base._validate import Floats, Ints
 from loewner.errors import FileError, GeometryError
 
 # Largest file in bytes: ten times the file of a building at a resolution of one centimetre.

@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from loewner import _elementary, _memory, _validate
+from loewner._base import _elementary, _memory, _validate
+from loewner._base._matrices import image, lengths, product, singular_values
+from loewner._base._validate import Floats, Ints
 from loewner._kernels import columns, records
-from loewner._matrices import image, lengths, product, singular_values
-from loewner._validate import Floats, Ints
 from loewner.bodies.layout import (
     ARRAYS,
     SINGULAR_ROUNDINGS,

@@ -7,16 +7,16 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
+from loewner._base._matrices import dot, product
+from loewner._base._validate import Bools, Floats
 from loewner._kernels import columns
-from loewner._matrices import dot, product
 from loewner._native import entries
-from loewner._validate import Bools, Floats
 from loewner.bodies.flat_faces import flat_faces
 from loewner.bodies.layout import PieceArrays, kernel_of_parts
 from loewner.bodies.pack import Packed, Prepared, as_one, some
 from loewner.bodies.surface_trees import SurfaceTree, around_point, around_sums
+from loewner.ellipsoids.polytopes import Polytope
 from loewner.errors import GeometryError
-from loewner.polytopes import Polytope
 
 # Parts of a surface. Where their hulls meet, proofs of motions go on with triangles.
 PARTS = 6

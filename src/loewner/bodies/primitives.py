@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from loewner._base._validate import Floats, Ints
 from loewner._kernels import columns
-from loewner._validate import Floats, Ints
 from loewner.bodies.kinds import CURVED
 from loewner.bodies.layout import PieceArrays
 from loewner.bodies.pack import Packed

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from loewner import _memory
+from loewner._base import _memory
+from loewner._base._validate import Bools, Floats, Ints
 from loewner._kernels import columns
-from loewner._validate import Bools, Floats, Ints
 from loewner.bodies.layout import PieceArrays
 from loewner.bodies.primitives import CLOSED_FORM_ROUNDING
 from loewner.bodies.surfaces import surface_pieces
+from loewner.ellipsoids.polytopes import box_hull
 from loewner.errors import GeometryError, InputError
-from loewner.polytopes import box_hull
 
 # Approximate bytes of a piece in all arrays.
 PIECE_BYTES, BOX_BYTES = 1100, 2200

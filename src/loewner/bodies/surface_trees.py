@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from loewner._base._matrices import cholesky, product
+from loewner._base._validate import Floats, Ints
 from loewner._kernels import columns, records
-from loewner._matrices import cholesky, product
 from loewner._native import entries
-from loewner._validate import Floats, Ints
-from loewner.inscribed import FEWEST_TRIANGLES, inscribed_ellipsoids
+from loewner.meshes.inscribed import FEWEST_TRIANGLES, inscribed_ellipsoids
 
 # Number of ellipsoids kept inside a solid; more would prove little more and take as long again to find.
 MOST_INSIDE = 8

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from loewner import _memory, _validate
+from loewner._base import _memory, _validate
+from loewner._base._matrices import product
+from loewner._base._plausible import warn
+from loewner._base._validate import Floats, Ints
 from loewner._kernels import columns
-from loewner._matrices import product
 from loewner._native import entries
-from loewner._plausible import warn
-from loewner._validate import Floats, Ints
 from loewner.bodies.layout import PieceArrays
 from loewner.bodies.surface_trees import around_point, around_sums
+from loewner.ellipsoids.polytopes import FLATNESS
 from loewner.errors import GeometryError
-from loewner.polytopes import FLATNESS
 
 # Sizes of surfaces, for boxes in single precision square lengths.
 SMALLEST, LARGEST = 1e-12, 1e12

@@ -6,9 +6,9 @@ from collections.abc import Iterable
 
 import numpy as np
 
+from loewner._base._pictures import Shape
+from loewner._base._validate import Floats, Ints
 from loewner._kernels import columns
-from loewner._pictures import Shape
-from loewner._validate import Floats, Ints
 from loewner.bodies.kinds import CURVED, Mesh, ball
 from loewner.bodies.pack import Packed
 

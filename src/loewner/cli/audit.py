@@ -10,15 +10,17 @@ from typing import Any
 import numpy as np
 
 import loewner
-from loewner import Verdict, _validate, planners, plots
-from loewner._nodes import some
-from loewner._validate import Floats
+from loewner import Verdict, planners, plots
+from loewner._base import _validate
+from loewner._base._nodes import some
+from loewner._base._validate import Floats
 from loewner.cli import configurations, inputs, trajectories
 from loewner.cli.output import AMBIGUOUS, COLLIDING, FREE, OVERLAP, new_table, print_table, remove_older_proof
 from loewner.errors import FileError
 from loewner.planners import limit_use
 from loewner.planners.controller_points import START_TOLERANCE
-from loewner.robots import ClosestApproach, approaches, curves
+from loewner.robots import ClosestApproach
+from loewner.robots.proofs import approaches, curves
 
 # Width of the picture along time, in characters.
 COLUMNS = 60

@@ -13,15 +13,15 @@ import numpy as np
 
 import loewner
 from loewner import plots
-from loewner._files import shown
-from loewner._rotations import quaternions_of
-from loewner._validate import Floats, Pair
+from loewner._base._files import shown
+from loewner._base._rotations import quaternions_of
+from loewner._base._validate import Floats, Pair
 from loewner.cli import configurations, inputs
 from loewner.cli.output import AMBIGUOUS, COLLIDING, FREE, model_text, progress_bar, remove_older_proof
 from loewner.cli.pair_tables import print_pairs
 from loewner.errors import FileError, InputError
-from loewner.pose_paths import path_of
-from loewner.robots.pair_verdicts import PairVerdict, ProvenPair, ProvenPairs
+from loewner.queries.pose_paths import path_of
+from loewner.robots.description.pair_verdicts import PairVerdict, ProvenPair, ProvenPairs
 
 DRAWN = (".png", ".svg")
 

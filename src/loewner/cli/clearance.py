@@ -10,9 +10,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 import loewner
-from loewner import _validate
-from loewner._files import replacing
-from loewner._validate import Bools, Floats, Ints
+from loewner._base import _validate
+from loewner._base._files import replacing
+from loewner._base._validate import Bools, Floats, Ints
 from loewner.cli import inputs
 from loewner.cli.output import COLLIDING, FREE, is_surface, new_table, print_table, progress_bar
 from loewner.errors import ConvergenceError, InputError

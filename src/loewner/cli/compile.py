@@ -7,8 +7,8 @@ import sys
 from typing import Any
 
 from loewner._native import library
+from loewner.cli.compilation import PARTS, compile_kernels
 from loewner.cli.output import progress_bar
-from loewner.compilation import PARTS, compile_kernels
 
 
 def add(commands: Any) -> None:

@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 
 import loewner
-from loewner import _archives, _json, _tables, _validate
-from loewner._files import read_regular, replacing
-from loewner._validate import Floats
+from loewner._base import _archives, _json, _tables, _validate
+from loewner._base._files import read_regular, replacing
+from loewner._base._validate import Floats
 from loewner.errors import FileError, InputError, LoewnerError
 
 # Endings of files from which configurations are read, and to which paths are written.

@@ -8,11 +8,11 @@ import time
 from pathlib import Path
 from typing import Any
 
-from loewner._files import shown
+from loewner._base._files import shown
 from loewner.cli import cover_tables, inputs
 from loewner.cli.output import progress_bar
-from loewner.cover_files import FORMATS, OF_SPHERES, format_of
 from loewner.errors import InputError
+from loewner.robots.cover_files import FORMATS, OF_SPHERES, format_of
 from loewner.robots.covers import KINDS, exempt_pairs, new_contacts
 
 EXAMPLES = """examples:

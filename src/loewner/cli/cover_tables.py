@@ -14,8 +14,8 @@ from loewner.bodies import packed_of
 from loewner.bodies.triangulated import of_pieces
 from loewner.cli.inputs import numbers
 from loewner.cli.output import AMBIGUOUS, COLLIDING, FREE, new_table, print_table, progress_bar
-from loewner.coverage import CoverReport
 from loewner.errors import FileError
+from loewner.meshes.coverage import CoverReport
 
 DRAWN = (".png", ".svg")
 STATUS = {"covered": FREE, "undecided": AMBIGUOUS, "uncovered": COLLIDING}

@@ -14,16 +14,16 @@ from pathlib import Path
 from typing import Any
 
 import loewner
-from loewner import _validate
-from loewner._files import replacing, shown
-from loewner._outcomes import TETRAHEDRON, Outcome, outcome_of
-from loewner._plausible import told_to
-from loewner._threads import MOST_THREADS
-from loewner._validate import Progress
+from loewner._base import _validate
+from loewner._base._files import replacing, shown
+from loewner._base._outcomes import TETRAHEDRON, Outcome, outcome_of
+from loewner._base._plausible import told_to
+from loewner._base._threads import MOST_THREADS
+from loewner._base._validate import Progress
 from loewner.cli import inputs, jobs
 from loewner.cli.output import ERROR, model_text, new_table, print_table, progress_bar
+from loewner.ellipsoids.fits import DEFAULT_TOLERANCE
 from loewner.errors import FileError, GeometryError, InputError
-from loewner.fits import DEFAULT_TOLERANCE
 
 EXAMPLES = """examples:
   loewner fit upper_arm.stl forearm.dae -o bodies

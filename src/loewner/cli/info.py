@@ -10,9 +10,9 @@ from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
 import loewner
+from loewner._base._threads import get_num_threads
 from loewner._kernels._sources import cache_folder
 from loewner._native import library
-from loewner._threads import get_num_threads
 from loewner.errors import LoewnerError
 
 # Packages that each extra installs.

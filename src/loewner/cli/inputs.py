@@ -10,14 +10,14 @@ from typing import Any
 import numpy as np
 
 import loewner
-from loewner import _archives, _tables
-from loewner._files import read_regular
-from loewner._rotations import from_quaternion
-from loewner._validate import Floats, Progress
+from loewner._base import _archives, _tables
+from loewner._base._files import read_regular
+from loewner._base._rotations import from_quaternion
+from loewner._base._validate import Floats, Progress
 from loewner.cli.output import progress_bar
+from loewner.ellipsoids.fits import DEFAULT_TOLERANCE
 from loewner.errors import FileError, InputError, PoseError
-from loewner.fits import DEFAULT_TOLERANCE
-from loewner.robots import link_bodies
+from loewner.robots.description import link_bodies
 
 # Largest file with a pose in bytes: a matrix in text takes a few hundred.
 MOST_POSE_BYTES = 2**20

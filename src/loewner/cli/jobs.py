@@ -19,7 +19,7 @@ from queue import Empty, SimpleQueue
 from typing import Any, NamedTuple
 
 import loewner
-from loewner import _json
+from loewner._base import _json
 
 
 class Event(NamedTuple):

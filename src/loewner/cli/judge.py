@@ -7,11 +7,11 @@ import json
 from pathlib import Path
 from typing import Any
 
-from loewner import _validate
+from loewner._base import _validate
 from loewner.cli import cover_tables, inputs, judge_answers, judge_configurations
-from loewner.cover_files import FORMATS
 from loewner.errors import InputError
-from loewner.robots import link_bodies
+from loewner.robots.cover_files import FORMATS
+from loewner.robots.description import link_bodies
 
 EXAMPLES = f"""examples:
   loewner judge --answers said.csv cup.stl spoon.stl              another program's answers about two meshes

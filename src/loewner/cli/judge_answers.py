@@ -16,10 +16,11 @@ import numpy as np
 from scipy.spatial import ConvexHull
 
 import loewner
-from loewner import _json, _tables, judging
-from loewner._files import read_regular, replacing, shown
-from loewner._rotations import from_quaternion
-from loewner._validate import Floats, short
+from loewner import judging
+from loewner._base import _json, _tables
+from loewner._base._files import read_regular, replacing, shown
+from loewner._base._rotations import from_quaternion
+from loewner._base._validate import Floats, short
 from loewner.cli import inputs
 from loewner.cli.output import COLLIDING, FREE, new_table, print_table
 from loewner.errors import FileError, InputError, LoewnerError

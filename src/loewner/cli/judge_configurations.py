@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 import loewner
-from loewner._files import read_regular
-from loewner._validate import Bools, Floats, short
+from loewner._base._files import read_regular
+from loewner._base._validate import Bools, Floats, short
 from loewner.cli import configurations, inputs
 from loewner.cli.judge_answers import SHOWN, TOLERANCE, WORDS
 from loewner.cli.output import COLLIDING, FREE

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 import loewner
-from loewner import _validate
+from loewner._base import _validate
 from loewner.cli import (
     audit,
     check,

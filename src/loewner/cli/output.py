@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING, Any, NoReturn
 import numpy as np
 
 import loewner
-from loewner._files import shown
+from loewner._base._files import shown
 from loewner.errors import FileError
-from loewner.robots.written_proofs import MAGIC
+from loewner.robots.proofs.written_proofs import MAGIC
 
 if TYPE_CHECKING:
     from rich.console import Console

@@ -6,7 +6,7 @@ import numpy as np
 
 import loewner
 from loewner.cli.output import new_table, print_table
-from loewner.robots.pair_verdicts import PairVerdict, ProvenPair, ProvenPairs
+from loewner.robots.description.pair_verdicts import PairVerdict, ProvenPair, ProvenPairs
 
 # Verdicts in the order in which they are printed.
 ORDER = (PairVerdict.SOMETIMES, PairVerdict.CAN, PairVerdict.OPEN, PairVerdict.ALWAYS, PairVerdict.NEVER)

@@ -7,7 +7,7 @@ import textwrap
 from pathlib import Path
 from typing import Any
 
-from loewner._files import shown
+from loewner._base._files import shown
 from loewner.cli import inputs
 from loewner.cli.output import new_table, print_table, progress_bar
 

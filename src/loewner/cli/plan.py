@@ -12,10 +12,11 @@ from typing import Any
 import numpy as np
 
 import loewner
-from loewner import Verdict, _archives, _tables, planners
-from loewner._files import read_regular, shown
-from loewner._rotations import from_quaternion
-from loewner._validate import Floats
+from loewner import Verdict, planners
+from loewner._base import _archives, _tables
+from loewner._base._files import read_regular, shown
+from loewner._base._rotations import from_quaternion
+from loewner._base._validate import Floats
 from loewner.cli import configurations, inputs
 from loewner.cli.output import (
     AMBIGUOUS,

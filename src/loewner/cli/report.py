@@ -22,17 +22,18 @@ from xml.etree import ElementTree
 import numpy as np
 
 import loewner
-from loewner import Verdict, _archives, _json, _validate
-from loewner._files import read_regular, replacing, shown
+from loewner import Verdict
+from loewner._base import _archives, _json, _validate
+from loewner._base._files import read_regular, replacing, shown
 from loewner._native import library
 from loewner.bodies import arrays_of, packed_of
 from loewner.cli import configurations, inputs
 from loewner.cli.info import installed
 from loewner.cli.output import COLLIDING, FREE, new_table, print_table
 from loewner.errors import ConvergenceError, FileError, InputError, LoewnerError, MissingExtraError
-from loewner.robots import link_bodies
-from loewner.robots.urdf import read_urdf
-from loewner.robots.xml_elements import Element, read_xml
+from loewner.robots.description import link_bodies
+from loewner.robots.description.urdf import read_urdf
+from loewner.robots.description.xml_elements import Element, read_xml
 
 EXAMPLES = """examples:
   loewner report check cup.stl spoon.stl --pose-b "0 0 0.02" -o wrong.zip

@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 
 import loewner
-from loewner import _validate
-from loewner._validate import Floats
+from loewner._base import _validate
+from loewner._base._validate import Floats
 from loewner.cli import configurations, inputs
 from loewner.cli.output import COLLIDING, FREE, is_surface, new_table, print_table, progress_bar
 from loewner.cli.pair_tables import print_pairs

@@ -9,11 +9,12 @@ from typing import Any
 import numpy as np
 
 import loewner
-from loewner import meshes, planners
+from loewner import planners
 from loewner.bodies import for_pictures, packed_of
 from loewner.cli import inputs, trajectories
 from loewner.cli.output import FREE, progress_bar
 from loewner.errors import FileError
+from loewner.meshes import decomposition as meshes
 from loewner.robots.swept import united
 
 EXAMPLES = """examples:

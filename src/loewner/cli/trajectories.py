@@ -8,14 +8,15 @@ from pathlib import Path
 import numpy as np
 
 import loewner
-from loewner import _validate, planners
-from loewner._matrices import in_frame, product
-from loewner._validate import Floats
+from loewner import planners
+from loewner._base import _validate
+from loewner._base._matrices import in_frame, product
+from loewner._base._validate import Floats
 from loewner.cli import configurations
 from loewner.errors import InputError, LoewnerError
 from loewner.planners.controller_points import executed
 from loewner.planners.controllers import TIMES
-from loewner.robots import curves
+from loewner.robots.proofs import curves
 
 CONTROLLERS = ("linear", "cubic", "quintic")
 

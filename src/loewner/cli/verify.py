@@ -13,8 +13,9 @@ from typing import Any
 import numpy as np
 
 import loewner
-from loewner import _validate, verify
-from loewner._files import read_regular
+from loewner import verify
+from loewner._base import _validate
+from loewner._base._files import read_regular
 from loewner.cli import configurations, inputs
 from loewner.cli.output import COLLIDING, FREE, OVERLAP
 from loewner.errors import InputError

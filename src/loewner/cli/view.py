@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 import loewner
-from loewner import _tables
+from loewner._base import _tables
 from loewner.cli import inputs, trajectories
 from loewner.errors import InputError
 

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from loewner import _validate
+from loewner._base import _validate
 from loewner.errors import InputError
 from loewner.gpu.driver import Device, Memory
 

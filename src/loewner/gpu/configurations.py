@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from loewner import _validate
-from loewner._guard import guarded
+from loewner._base import _validate
+from loewner._base._guard import guarded
+from loewner._base._validate import Floats, Ints
 from loewner._kernels import codes, columns
-from loewner._validate import Floats, Ints
 from loewner.errors import InputError
 from loewner.gpu import driver, motions
 from loewner.gpu.arrays import DeviceArray, View, is_on_gpu, taken
@@ -22,11 +22,12 @@ from loewner.gpu.pairs import single_rows
 from loewner.gpu.tables import Tables, tables_of
 from loewner.gpu.tiles import Tile, check, most_of, place, tile_of
 from loewner.gpu.work import FALLBACKS, Left, attempted, expect_few, gathered, number_of, scattered
-from loewner.robots import CollisionChecker, edges
+from loewner.robots import CollisionChecker
 from loewner.robots.checker import prepared_of
-from loewner.robots.problem import Problem
-from loewner.robots.proofs import prove_by_rules
-from loewner.robots.verdicts import classified, expect_settled
+from loewner.robots.checking import edges
+from loewner.robots.checking.problem import Problem
+from loewner.robots.checking.verdicts import classified, expect_settled
+from loewner.robots.proofs.proofs import prove_by_rules
 
 KINDS = columns.FIXED, columns.REVOLUTE, columns.PRISMATIC
 

@@ -1,7 +1,7 @@
 """Call NVIDIA's driver with ctypes: open a GPU, allocate its memory, run kernels, and name causes of errors.
 
 The driver is the library that comes with the GPU's software, ``libcuda.so.1`` or ``nvcuda.dll``; no toolkit is needed.
-It compiles the PTX of `loewner._ptx` for its GPU when a `Device` is opened, and keeps the result on disk.
+It compiles the PTX of `loewner.gpu._ptx` for its GPU when a `Device` is opened, and keeps the result on disk.
 
 All work goes to one stream, in order. The context is the GPU's primary one, which PyTorch, JAX and CuPy use as well, so
 their memory can be read here.
@@ -20,8 +20,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from loewner import _ptx
 from loewner.errors import GpuError
+from loewner.gpu import _ptx
 
 LIBRARY = "nvcuda.dll" if sys.platform == "win32" else "libcuda.so.1"
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from loewner._validate import Ints
+from loewner._base._validate import Ints
 from loewner.gpu.driver import Device, Memory
 from loewner.gpu.tables import Tables
 from loewner.gpu.tiles import Tile, check, place, room_for

@@ -8,18 +8,19 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from loewner import _validate, queries
-from loewner._guard import guarded
+from loewner._base import _validate
+from loewner._base._guard import guarded
+from loewner._base._validate import Floats, Ints
 from loewner._kernels import codes
-from loewner._settle import NO_ROWS, settle
-from loewner._validate import Floats, Ints
 from loewner.bodies import Bodies, Body, Packed, packed_of
 from loewner.errors import InputError, PoseError
 from loewner.gpu import driver
 from loewner.gpu.arrays import DeviceArray, View, is_on_gpu, taken
 from loewner.gpu.driver import Device, Memory
 from loewner.gpu.work import FALLBACKS, Left, attempted, expect_few, gathered, number_of, scattered
-from loewner.queries import Plan, Verdict
+from loewner.queries import pairs as queries
+from loewner.queries._settle import NO_ROWS, settle
+from loewner.queries.pairs import Plan, Verdict
 
 # For pairs that are settled one at a time, each listed by the rows of its bodies.
 _ONE_LISTED = np.array([[1], [1], [0], [1], [0]], dtype=np.int64)

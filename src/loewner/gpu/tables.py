@@ -7,12 +7,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from loewner._base._validate import Floats, Ints
 from loewner._kernels import columns, tolerances
-from loewner._validate import Floats, Ints
 from loewner.gpu.driver import Device, Memory
 from loewner.gpu.pairs import single_rows
-from loewner.robots.motion_tables import chains_of
-from loewner.robots.problem import Problem
+from loewner.robots.checking.motion_tables import chains_of
+from loewner.robots.checking.problem import Problem
 
 # A ball that is added to a core keeps its shape only under a pose that is so close to a rotation.
 ROUND = 1e-9

@@ -9,8 +9,8 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from loewner import _validate
-from loewner._validate import Floats, Ints
+from loewner._base import _validate
+from loewner._base._validate import Floats, Ints
 from loewner.errors import GpuError, InputError
 from loewner.gpu import driver
 from loewner.gpu.driver import Device, Memory

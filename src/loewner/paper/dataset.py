@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from loewner import _validate
-from loewner._validate import Floats
+from loewner._base import _validate
+from loewner._base._validate import Floats
 
 POINTS_PER_BODY = 20
 LARGEST_SHIFT = 2.0  # metres

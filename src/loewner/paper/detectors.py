@@ -16,14 +16,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from loewner import _validate
+from loewner._base import _validate
+from loewner._base._validate import Floats, Ints
 from loewner._kernels import columns
 from loewner._kernels.tolerances import PAPER_ANGLE
 from loewner._native import entries
-from loewner._validate import Floats, Ints
 from loewner.bodies import Bodies, packed_of
-from loewner.ellipsoid_pairs import contact_function
-from loewner.ellipsoids import Ellipsoids
+from loewner.ellipsoids.ellipsoid_pairs import contact_function
+from loewner.ellipsoids.ellipsoids import Ellipsoids
 from loewner.errors import InputError, UnknownNameError
 
 Bools = NDArray[np.bool_]

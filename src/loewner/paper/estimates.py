@@ -10,12 +10,12 @@ import math
 
 import numpy as np
 
-from loewner import _validate
-from loewner._guard import guarded
+from loewner._base import _validate
+from loewner._base._guard import guarded
+from loewner._base._validate import Floats
 from loewner._native import entries
-from loewner._validate import Floats
-from loewner.ellipsoid_pairs import NEAR_POINT_METHODS
-from loewner.ellipsoids import Ellipsoids
+from loewner.ellipsoids.ellipsoid_pairs import NEAR_POINT_METHODS
+from loewner.ellipsoids.ellipsoids import Ellipsoids
 from loewner.errors import ConvergenceError, InputError
 
 BYTES_PER_PAIR = 8 * (4 * 12 + 1)  # copies of four centers and factors, and f

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from loewner import _validate
+from loewner._base import _validate
 from loewner.bodies import Bodies
 from loewner.errors import FileError
 from loewner.paper import detectors, report
@@ -17,7 +17,7 @@ from loewner.paper.dataset import sample
 from loewner.paper.detectors import Answers, Confusion, Pairs
 from loewner.paper.fitting import fit_one_by_one
 from loewner.paper.results import Bools, Experiment, Result, write_atomically
-from loewner.queries import collide
+from loewner.queries.pairs import collide
 
 Progress = Callable[[str, int, int], None]
 Path_ = str | os.PathLike[str]

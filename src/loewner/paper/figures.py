@@ -12,11 +12,11 @@ from typing import Any
 
 import numpy as np
 
+from loewner._base._validate import Floats
 from loewner._kernels.tolerances import PAPER_ANGLE
-from loewner._validate import Floats
 from loewner.bodies import Piece
-from loewner.ellipsoid_pairs import near_points
-from loewner.ellipsoids import Ellipsoids
+from loewner.ellipsoids.ellipsoid_pairs import near_points
+from loewner.ellipsoids.ellipsoids import Ellipsoids
 from loewner.errors import MissingExtraError, installing
 from loewner.paper.results import Experiment
 

@@ -9,10 +9,10 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from loewner._validate import Floats
+from loewner._base._validate import Floats
 from loewner.bodies import Bodies
+from loewner.ellipsoids.fits import Fit, mvce, mvie
 from loewner.errors import LoewnerError
-from loewner.fits import Fit, mvce, mvie
 from loewner.paper.lifted_mvie import mvce_by_lifted_mvie
 
 MOST_POLYHEDRA = 2000  # the polyhedra of the paper's 1000 pairs

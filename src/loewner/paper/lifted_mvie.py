@@ -9,13 +9,13 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from loewner import _validate
-from loewner._guard import guarded
+from loewner._base import _validate
+from loewner._base._guard import guarded
+from loewner._base._validate import Floats
 from loewner._kernels import codes
 from loewner._native import entries
-from loewner._validate import Floats
-from loewner.fits import DEFAULT_TOLERANCE, Fit, certified_fit, checked_tolerance
-from loewner.polytopes import FLATNESS, check_enough, flat_error, writeable
+from loewner.ellipsoids.fits import DEFAULT_TOLERANCE, Fit, certified_fit, checked_tolerance
+from loewner.ellipsoids.polytopes import FLATNESS, check_enough, flat_error, writeable
 
 
 @guarded

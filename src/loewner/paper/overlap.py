@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from loewner._guard import guarded
-from loewner._validate import Floats
-from loewner.ellipsoid_pairs import PairArrays
-from loewner.ellipsoids import Ellipsoids
+from loewner._base._guard import guarded
+from loewner._base._validate import Floats
+from loewner.ellipsoids.ellipsoid_pairs import PairArrays
+from loewner.ellipsoids.ellipsoids import Ellipsoids
 from loewner.errors import ConvergenceError
 
 # Largest relative distance of the touching point from E2 at which its eigenvalue is accepted. The eigenproblem squares

@@ -8,7 +8,7 @@ import os
 from pathlib import Path
 from typing import Any
 
-from loewner import _validate
+from loewner._base import _validate
 from loewner.errors import FileError
 from loewner.paper import figures, sheets
 from loewner.paper.dataset import DATA_SETS

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from loewner._files import replacing
+from loewner._base._files import replacing
 from loewner.bodies import Bodies
 from loewner.paper.dataset import DataSet
 from loewner.paper.detectors import Answers, Confusion, Pairs

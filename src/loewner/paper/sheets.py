@@ -10,7 +10,7 @@ import math
 import re
 from dataclasses import dataclass
 
-from loewner.fits import DEFAULT_TOLERANCE
+from loewner.ellipsoids.fits import DEFAULT_TOLERANCE
 from loewner.paper.detectors import Confusion
 from loewner.paper.fitting import MOST_POLYHEDRA
 from loewner.paper.results import Experiment, Result

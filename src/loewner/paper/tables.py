@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import chdtrc
 
-from loewner._proportions import wilson
+from loewner._base._proportions import wilson
 from loewner.errors import InputError
 from loewner.paper.detectors import Confusion
 from loewner.paper.results import Experiment, Result

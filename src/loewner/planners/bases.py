@@ -17,9 +17,9 @@ from typing import Any, Literal, NamedTuple, TypedDict
 import numpy as np
 from numpy.typing import ArrayLike
 
-from loewner import _validate
+from loewner._base import _validate
+from loewner._base._validate import Bools, Floats, Ints
 from loewner._kernels import codes
-from loewner._validate import Bools, Floats, Ints
 from loewner.errors import ConvergenceError, InputError, PlanningError
 from loewner.planners import steering
 from loewner.planners.drives import Drive, arcs_of, base_columns
@@ -28,11 +28,13 @@ from loewner.planners.judge import TOLERANCE, Judge
 from loewner.planners.pose_goals import PoseGoal
 from loewner.planners.space import Space, checked_ends
 from loewner.planners.steering import Ways, driven, moved
-from loewner.queries import Verdict
-from loewner.robots import CollisionChecker, Robot, curves, motions, verdicts
-from loewner.robots.proof_models import model_of
-from loewner.robots.proofs import refuse_starts
-from loewner.robots.robot import unlimited
+from loewner.queries.pairs import Verdict
+from loewner.robots import CollisionChecker, Robot
+from loewner.robots.checking import verdicts
+from loewner.robots.description.robot import unlimited
+from loewner.robots.proofs import curves, motions
+from loewner.robots.proofs.proof_models import model_of
+from loewner.robots.proofs.proofs import refuse_starts
 
 Kind = Literal["differential", "car"]
 

@@ -11,9 +11,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from loewner import _validate
+from loewner._base import _validate
+from loewner._base._validate import Bools, Floats, Ints
 from loewner._native import entries
-from loewner._validate import Bools, Floats, Ints
 from loewner.errors import InputError, PlanningError
 from loewner.planners.joint_limits import JointLimits, per_joint
 

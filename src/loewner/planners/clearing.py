@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from loewner._validate import Bools, Floats, Ints
+from loewner._base._validate import Bools, Floats, Ints
 from loewner.planners.judge import Judge
 from loewner.planners.space import Space
-from loewner.robots import distances
-from loewner.robots.problem import Problem
+from loewner.robots.checking import distances
+from loewner.robots.checking.problem import Problem
 
 # In contact, a motion costs this much more than its length, as a multiple of it.
 RISE = 9.0

@@ -9,17 +9,17 @@ from typing import NamedTuple
 
 import numpy as np
 
+from loewner._base._low_discrepancy import irrationals
+from loewner._base._matrices import lengths
+from loewner._base._validate import Floats, Ints, fits_memory
 from loewner._kernels import codes
 from loewner._kernels.columns import GOALS, ITERATION, MOTIONS, OF_GOAL, OF_START, RANDOM, STARTS, STATE
-from loewner._low_discrepancy import irrationals
-from loewner._matrices import lengths
 from loewner._native import entries
-from loewner._validate import Floats, Ints, fits_memory
 from loewner.errors import PlanningError
 from loewner.planners.judge import TOLERANCE, Judge
 from loewner.planners.space import Space
-from loewner.queries import Verdict
-from loewner.robots.proofs import prove_by_rules
+from loewner.queries.pairs import Verdict
+from loewner.robots.proofs.proofs import prove_by_rules
 
 # The longest motion of a tree, as a share of the diagonal of the limits: 1 rad for a usual arm.
 SHARE = 1 / 12

@@ -12,23 +12,23 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from loewner import _elementary, _tables, _validate
-from loewner._files import read_regular, shown
+from loewner._base import _elementary, _tables, _validate
+from loewner._base._files import read_regular, shown
+from loewner._base._matrices import image, product
+from loewner._base._nodes import Node, read_json, read_yaml, some
+from loewner._base._pictures import POINTS, curves, pictured
+from loewner._base._plausible import warn
+from loewner._base._validate import Floats
 from loewner._kernels import columns
-from loewner._matrices import image, product
-from loewner._nodes import Node, read_json, read_yaml, some
-from loewner._pictures import POINTS, curves, pictured
-from loewner._plausible import warn
-from loewner._validate import Floats
 from loewner.errors import FileError, InputError
 from loewner.planners import messages
 from loewner.planners.controllers import ACCELERATION, BLEND, TIMES, VELOCITY, columns_of, expect_in_table, write
 from loewner.planners.joint_limits import expect_robot
 from loewner.planners.trajectory_files import RATES, SAVED_KEYS, WRITTEN, with_ending
 from loewner.robots import Robot
-from loewner.robots.courses import CURVE_ROUNDINGS
-from loewner.robots.curves import Curve, form_of
-from loewner.robots.robot import joints_above
+from loewner.robots.description.robot import joints_above
+from loewner.robots.proofs.courses import CURVE_ROUNDINGS
+from loewner.robots.proofs.curves import Curve, form_of
 
 # Endings of files with points, and the largest file [bytes].
 ENDINGS = (".csv", ".json", ".yaml", ".yml")

@@ -9,10 +9,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from loewner import _validate
-from loewner._files import read_regular, replacing
-from loewner._nodes import Node, read_yaml, some
-from loewner._plausible import warn
+from loewner._base import _validate
+from loewner._base._files import read_regular, replacing
+from loewner._base._nodes import Node, read_yaml, some
+from loewner._base._plausible import warn
 from loewner.errors import InputError
 
 MOST_BYTES = 2**24

@@ -12,16 +12,16 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from loewner import _validate
-from loewner._guard import guarded
-from loewner._validate import Floats
+from loewner._base import _validate
+from loewner._base._guard import guarded
+from loewner._base._validate import Floats
 from loewner.errors import InputError, PlanningError
 from loewner.planners.judge import TOLERANCE, Judge, checked_checker
-from loewner.queries import Verdict
+from loewner.queries.pairs import Verdict
 from loewner.robots import CollisionChecker
-from loewner.robots.assembly import parts_of
-from loewner.robots.proofs import prove_by_rules
-from loewner.robots.robot import interpolated
+from loewner.robots.description.assembly import parts_of
+from loewner.robots.description.robot import interpolated
+from loewner.robots.proofs.proofs import prove_by_rules
 
 # States of all robots together that may be visited: some minutes of proofs.
 MOST_STATES = 2**20

@@ -6,15 +6,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from loewner._base._validate import Floats
 from loewner._kernels import codes
-from loewner._validate import Floats
 from loewner.errors import PlanningError
 from loewner.planners.judge import TOLERANCE, Judge
 from loewner.planners.space import Space
-from loewner.robots.problem import Problem
-from loewner.robots.proofs import prove_by_rules
-from loewner.robots.verdicts import contacts
-from loewner.scenes import Contact
+from loewner.robots.checking.problem import Problem
+from loewner.robots.checking.verdicts import contacts
+from loewner.robots.proofs.proofs import prove_by_rules
+from loewner.scenes.scene import Contact
 
 # Distances beyond the margin by which to move apart [m]; the first that is proven is used. Joints do not move bodies
 # along lines, and short motions are straighter.

@@ -14,19 +14,19 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from loewner import _validate
-from loewner._elementary import cos, sin
-from loewner._guard import guarded
+from loewner._base import _validate
+from loewner._base._elementary import cos, sin
+from loewner._base._guard import guarded
+from loewner._base._pictures import POINTS, curves, pictured
+from loewner._base._read_only import KeepsReadOnly
+from loewner._base._validate import Floats, Ints
 from loewner._kernels import columns as kernel_columns
 from loewner._kernels import tolerances
-from loewner._pictures import POINTS, curves, pictured
-from loewner._read_only import KeepsReadOnly
-from loewner._validate import Floats, Ints
 from loewner.errors import InputError
 from loewner.planners.joint_limits import expect_robot
 from loewner.planners.steering import driven, moved
 from loewner.robots import Proof, Robot
-from loewner.robots.curves import Curve, form_of
+from loewner.robots.proofs.curves import Curve, form_of
 
 # Largest distance of an arc from the polynomial that stands for it [m], and the largest turn of one piece [rad].
 DEVIATION, LARGEST_TURN = 1e-6, math.pi / 2.0

@@ -10,26 +10,28 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
-from loewner import _validate
-from loewner._elementary import arccos
+from loewner._base import _validate
+from loewner._base._elementary import arccos
+from loewner._base._validate import Bools, Floats, Ints
 from loewner._kernels import codes, tolerances
-from loewner._validate import Bools, Floats, Ints
 from loewner.errors import InputError
 from loewner.planners.brakes import Brakes, brake_limits
 from loewner.planners.joint_limits import JointLimits
 from loewner.planners.judge import TOLERANCE, checked_checker
 from loewner.planners.trajectories import Trajectory, expect_straight
-from loewner.pose_paths import PoseBounds, PosePath
-from loewner.robots import CollisionChecker, in_time, motions, verdicts
+from loewner.queries.pose_paths import PoseBounds, PosePath
+from loewner.robots import CollisionChecker
 from loewner.robots.checker import prepared_of
-from loewner.robots.contacts import OFF
-from loewner.robots.courses import CURVE_ROUNDINGS, configurations, elevated
-from loewner.robots.curves import joint_errors
-from loewner.robots.distances import nearest_columns
-from loewner.robots.motions import Limit
-from loewner.robots.problem import Problem
-from loewner.robots.proof_models import model_of
-from loewner.robots.written_proofs import Proof, proof_of
+from loewner.robots.checking import verdicts
+from loewner.robots.checking.distances import nearest_columns
+from loewner.robots.checking.problem import Problem
+from loewner.robots.proofs import in_time, motions
+from loewner.robots.proofs.contacts import OFF
+from loewner.robots.proofs.courses import CURVE_ROUNDINGS, configurations, elevated
+from loewner.robots.proofs.curves import joint_errors
+from loewner.robots.proofs.motions import Limit
+from loewner.robots.proofs.proof_models import model_of
+from loewner.robots.proofs.written_proofs import Proof, proof_of
 
 # Scales of time that are tried if a chunk is not free at its own: half, a quarter and an eighth of its speed.
 SCALES = (0.5, 0.25, 0.125)

@@ -10,13 +10,13 @@ from typing import TypedDict
 import numpy as np
 from numpy.typing import ArrayLike
 
-from loewner import _validate
+from loewner._base import _validate
+from loewner._base._log import log
+from loewner._base._read_only import KeepsReadOnly
+from loewner._base._validate import Floats, Ints, fits_memory
 from loewner._kernels import codes
 from loewner._kernels.columns import ITERATION, RANDOM, STATE
-from loewner._log import log
 from loewner._native import entries
-from loewner._read_only import KeepsReadOnly
-from loewner._validate import Floats, Ints, fits_memory
 from loewner.errors import InputError, PlanningError
 from loewner.planners import compiled
 from loewner.planners.clearing import Clearing

@@ -15,9 +15,9 @@ from typing import Any, NamedTuple, TypedDict
 import numpy as np
 from numpy.typing import ArrayLike
 
-from loewner import _validate
+from loewner._base import _validate
+from loewner._base._validate import Bools, Floats, Ints
 from loewner._kernels import codes
-from loewner._validate import Bools, Floats, Ints
 from loewner.errors import InputError, PlanningError
 from loewner.planners import compiled
 from loewner.planners.joint_limits import limits_of
@@ -26,12 +26,14 @@ from loewner.planners.pose_goals import PoseGoal
 from loewner.planners.space import Space, checked_ends, touching
 from loewner.planners.straights import BLEND_ROUNDINGS
 from loewner.planners.trajectories import Trajectory
-from loewner.robots import CollisionChecker, Robot, in_time, motions, verdicts
+from loewner.robots import CollisionChecker, Robot
 from loewner.robots.checker import prepared_of, without_motions
-from loewner.robots.courses import straight
-from loewner.robots.curves import joint_errors
-from loewner.robots.problem import Problem
-from loewner.robots.proofs import refuse_starts
+from loewner.robots.checking import verdicts
+from loewner.robots.checking.problem import Problem
+from loewner.robots.proofs import in_time, motions
+from loewner.robots.proofs.courses import straight
+from loewner.robots.proofs.curves import joint_errors
+from loewner.robots.proofs.proofs import refuse_starts
 
 # Share of a velocity that is left to the rounding of times.
 SLACK = 1e-9

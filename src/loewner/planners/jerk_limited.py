@@ -11,9 +11,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from loewner import _elementary
+from loewner._base import _elementary
+from loewner._base._validate import Bools, FloatOrFloats, Floats
 from loewner._kernels import tolerances
-from loewner._validate import Bools, FloatOrFloats, Floats
 from loewner.errors import InputError
 from loewner.planners.profiles import Limits, Phase, phases, ramp, reached, turned
 from loewner.planners.straights import LARGEST_RATIO, Straights, smallest

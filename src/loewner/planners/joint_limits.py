@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from loewner import _validate
-from loewner._files import read_regular, shown
+from loewner._base import _validate
+from loewner._base._files import read_regular, shown
+from loewner._base._nodes import Node, read_yaml, some
+from loewner._base._plausible import doubt_about_limits, doubt_about_velocity, warn
+from loewner._base._read_only import KeepsReadOnly
+from loewner._base._validate import Bools, Floats, Ints
 from loewner._kernels import columns as tree_columns
-from loewner._nodes import Node, read_yaml, some
-from loewner._plausible import doubt_about_limits, doubt_about_velocity, warn
-from loewner._read_only import KeepsReadOnly
-from loewner._validate import Bools, Floats, Ints
 from loewner.errors import InputError, UnknownNameError
 from loewner.robots import Robot
 

@@ -13,20 +13,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from loewner._base._validate import Bools, Floats, Ints, fits_memory
+from loewner._base._workspaces import workspace
 from loewner._kernels import codes
-from loewner._validate import Bools, Floats, Ints, fits_memory
-from loewner._workspaces import workspace
 from loewner.errors import InputError, PlanningError
 from loewner.planners.kept_axes import KeptAxis
-from loewner.queries import Verdict
-from loewner.robots import CollisionChecker, verdicts
+from loewner.queries.pairs import Verdict
+from loewner.robots import CollisionChecker
 from loewner.robots.checker import prepared_of
-from loewner.robots.contacts import deeper_than_ends
-from loewner.robots.courses import straight
-from loewner.robots.curves import joint_errors
-from loewner.robots.edges import MOST_STEPS
-from loewner.robots.problem import Problem
-from loewner.robots.proofs import deviations, prove, prove_by_rules
+from loewner.robots.checking import verdicts
+from loewner.robots.checking.edges import MOST_STEPS
+from loewner.robots.checking.problem import Problem
+from loewner.robots.proofs.contacts import deeper_than_ends
+from loewner.robots.proofs.courses import straight
+from loewner.robots.proofs.curves import joint_errors
+from loewner.robots.proofs.proofs import deviations, prove, prove_by_rules
 
 # Motions that come nearer than this to colliding [m] may count as not free.
 TOLERANCE = 1e-5

@@ -7,14 +7,14 @@ from typing import Any
 
 import numpy as np
 
-from loewner import _elementary, _validate
+from loewner._base import _elementary, _validate
+from loewner._base._validate import Bools, Floats, Ints
 from loewner._kernels.records import KeptAxis as Record
 from loewner._kernels.records import table_of
 from loewner._native import entries
-from loewner._validate import Bools, Floats, Ints
 from loewner.errors import InputError, PlanningError
 from loewner.robots import Robot
-from loewner.robots.reaching import Chain, refuse_unsteady
+from loewner.robots.description.reaching import Chain, refuse_unsteady
 
 # Angles below this [rad] are near the rounding of cosines.
 LEAST_ANGLE = 1e-6

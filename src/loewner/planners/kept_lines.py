@@ -7,16 +7,16 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from loewner import _elementary, _validate
+from loewner._base import _elementary, _validate
+from loewner._base._matrices import dot, lengths, product
+from loewner._base._rotations import quaternions_of
+from loewner._base._validate import Bools, Floats
 from loewner._kernels import columns, tolerances
-from loewner._matrices import dot, lengths, product
-from loewner._rotations import quaternions_of
-from loewner._validate import Bools, Floats
 from loewner.errors import InputError
 from loewner.robots import Robot
-from loewner.robots.motion_tables import STRETCH
-from loewner.robots.reaching import Chain, refuse_far
-from loewner.robots.robot import chain_to
+from loewner.robots.checking.motion_tables import STRETCH
+from loewner.robots.description.reaching import Chain, refuse_far
+from loewner.robots.description.robot import chain_to
 
 # Largest deviations from a line [m, rad], unless others are given.
 POSITION, ROTATION = 1e-4, 1e-3

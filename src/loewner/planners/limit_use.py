@@ -11,11 +11,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.polynomial import Polynomial
 
+from loewner._base._validate import Floats
 from loewner._kernels import columns
-from loewner._validate import Floats
 from loewner.planners.joint_limits import JointLimits
 from loewner.robots import Robot
-from loewner.robots.curves import Curve
+from loewner.robots.proofs.curves import Curve
 
 QUANTITIES = ("position", "velocity", "acceleration", "jerk")
 

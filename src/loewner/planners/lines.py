@@ -8,22 +8,22 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from loewner import _elementary, _validate
-from loewner._guard import guarded
+from loewner._base import _elementary, _validate
+from loewner._base._guard import guarded
+from loewner._base._validate import Floats
 from loewner._kernels import codes, columns
 from loewner._native import entries
-from loewner._validate import Floats
 from loewner.errors import InputError, PlanningError
 from loewner.planners.joint_limits import ON_LIMIT, with_start
 from loewner.planners.judge import TOLERANCE, Judge, checked_checker
 from loewner.planners.kept_axes import KeptAxis
 from loewner.planners.kept_lines import POSITION, ROTATION, checked_tolerance, chord_of
-from loewner.queries import Verdict
+from loewner.queries.pairs import Verdict
 from loewner.robots import CollisionChecker, Robot
-from loewner.robots.contacts import deeper_than_ends
-from loewner.robots.proofs import prove_by_rules
-from loewner.robots.reaching import Chain, refuse_far, refuse_unsteady, targets_of
-from loewner.robots.robot import chain_to
+from loewner.robots.description.reaching import Chain, refuse_far, refuse_unsteady, targets_of
+from loewner.robots.description.robot import chain_to
+from loewner.robots.proofs.contacts import deeper_than_ends
+from loewner.robots.proofs.proofs import prove_by_rules
 
 # Singular values of the Jacobian [m, rad] below this count as singular in messages.
 SINGULAR = 0.02

@@ -13,9 +13,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from loewner import _tables
-from loewner._nodes import JsonNode, Node, some
-from loewner._validate import Floats
+from loewner._base import _tables
+from loewner._base._nodes import JsonNode, Node, some
+from loewner._base._validate import Floats
 from loewner.errors import FileError, InputError
 
 # What becomes of a field that is no message of a type below: read by the code for its type; without an effect on the

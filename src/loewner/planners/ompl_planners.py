@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from loewner import _validate
-from loewner._guard import guarded
-from loewner._validate import Floats
+from loewner._base import _validate
+from loewner._base._guard import guarded
+from loewner._base._validate import Floats
 from loewner.errors import InputError, MissingExtraError, PlanningError, installing
 from loewner.planners.joint_limits import ON_LIMIT
 from loewner.planners.judge import Judge, checked_checker, free_now, refuse_unfree

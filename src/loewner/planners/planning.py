@@ -9,9 +9,9 @@ from typing import Any, Literal, TypedDict, Unpack, overload
 import numpy as np
 from numpy.typing import ArrayLike
 
-from loewner import _validate
-from loewner._guard import guarded
-from loewner._validate import Floats
+from loewner._base import _validate
+from loewner._base._guard import guarded
+from loewner._base._validate import Floats
 from loewner.errors import ConvergenceError, InputError, PlanningError
 from loewner.planners import bases, compiled, improving, ompl_planners
 from loewner.planners.departures import Departures
@@ -23,11 +23,11 @@ from loewner.planners.pose_goals import PoseGoal, joints_of
 from loewner.planners.space import Space, checked_ends
 from loewner.planners.trajectories import Trajectory
 from loewner.robots import CollisionChecker, Robot
-from loewner.robots.courses import straight
-from loewner.robots.edges import checked_path
-from loewner.robots.proof_models import model_of
-from loewner.robots.robot import chain_to
-from loewner.robots.written_proofs import proof_of
+from loewner.robots.checking.edges import checked_path
+from loewner.robots.description.robot import chain_to
+from loewner.robots.proofs.courses import straight
+from loewner.robots.proofs.proof_models import model_of
+from loewner.robots.proofs.written_proofs import proof_of
 
 
 class Common(TypedDict, total=False):

@@ -9,17 +9,17 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from loewner import _validate
-from loewner._guard import guarded
-from loewner._matrices import image
-from loewner._validate import Bools, Floats
+from loewner._base import _validate
+from loewner._base._guard import guarded
+from loewner._base._matrices import image
+from loewner._base._validate import Bools, Floats
 from loewner.errors import InputError, PlanningError
 from loewner.planners.judge import Judge, checked_checker, refuse_unfree
 from loewner.planners.lines import block_of, followed
 from loewner.robots import CollisionChecker, Robot
-from loewner.robots.reaching import MOST_SEEDS, checked_tolerance
-from loewner.robots.robot import chain_to
-from loewner.robots.verdicts import contacts, free
+from loewner.robots.checking.verdicts import contacts, free
+from loewner.robots.description.reaching import MOST_SEEDS, checked_tolerance
+from loewner.robots.description.robot import chain_to
 
 # Configurations that are tried as goals at most: free ones first, then those nearest to the start.
 MOST_GOALS = 16

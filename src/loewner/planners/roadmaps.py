@@ -17,12 +17,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from loewner import _archives, _validate
-from loewner._archives import Format
-from loewner._guard import guarded
-from loewner._read_only import KeepsReadOnly
-from loewner._threads import in_shares
-from loewner._validate import Bools, Floats, Ints
+from loewner._base import _archives, _validate
+from loewner._base._archives import Format
+from loewner._base._guard import guarded
+from loewner._base._read_only import KeepsReadOnly
+from loewner._base._threads import in_shares
+from loewner._base._validate import Bools, Floats, Ints
 from loewner.errors import InputError, PlanningError
 from loewner.planners import compiled
 from loewner.planners.judge import Judge, checked_checker

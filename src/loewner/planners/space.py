@@ -9,17 +9,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from loewner import _validate
-from loewner._validate import Bools, Floats, Ints
+from loewner._base import _validate
+from loewner._base._validate import Bools, Floats, Ints
 from loewner.errors import InputError, PlanningError
 from loewner.planners.joint_limits import ON_LIMIT, with_start
 from loewner.planners.judge import TOLERANCE, Judge, checked_checker
 from loewner.planners.pose_goals import Approaches, PoseGoal, goals_of
-from loewner.robots import CollisionChecker, Robot, distances, tracking, verdicts
+from loewner.robots import CollisionChecker, Robot
 from loewner.robots.checker import prepared_of
-from loewner.robots.proofs import prove_by_rules
-from loewner.robots.robot import named_joints, unlimited
-from loewner.scenes import Contact
+from loewner.robots.checking import distances, verdicts
+from loewner.robots.description.robot import named_joints, unlimited
+from loewner.robots.proofs import tracking
+from loewner.robots.proofs.proofs import prove_by_rules
+from loewner.scenes.scene import Contact
 
 # A smaller deviation, in the units of the joints, is probably due to rounding.
 A_HAIR = 1e-4

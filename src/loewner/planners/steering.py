@@ -17,8 +17,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from loewner._elementary import arccos, arcsin, arctan2, cos, sin
-from loewner._validate import Floats
+from loewner._base._elementary import arccos, arcsin, arctan2, cos, sin
+from loewner._base._validate import Floats
 
 HALF, TURN = math.pi, 2.0 * math.pi
 

@@ -7,8 +7,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from loewner._base._validate import Bools, Floats
 from loewner._kernels import tolerances
-from loewner._validate import Bools, Floats
 from loewner.errors import InputError
 
 # Bound on the error of computed blends, in units of the largest value and of the distance at full speed in the whole

@@ -16,14 +16,14 @@ from typing import Any, Literal, NamedTuple, overload
 import numpy as np
 from numpy.typing import ArrayLike
 
-from loewner import _validate
-from loewner._files import shown
-from loewner._guard import guarded
+from loewner._base import _validate
+from loewner._base._files import shown
+from loewner._base._guard import guarded
+from loewner._base._pictures import POINTS, curves, pictured
+from loewner._base._plausible import warn
+from loewner._base._read_only import KeepsReadOnly
+from loewner._base._validate import Bools, FloatOrFloats, Floats, Ints
 from loewner._kernels import tolerances
-from loewner._pictures import POINTS, curves, pictured
-from loewner._plausible import warn
-from loewner._read_only import KeepsReadOnly
-from loewner._validate import Bools, FloatOrFloats, Floats, Ints
 from loewner.errors import FileError, InputError, MissingExtraError, PlanningError
 from loewner.planners import brakes, messages
 from loewner.planners.controllers import columns_of, write
@@ -34,9 +34,9 @@ from loewner.planners.kept_lines import KeptLine, Line, angle_of, kept_lines
 from loewner.planners.straights import BLEND_ROUNDINGS, SHORTEST, Straights
 from loewner.planners.trajectory_files import ENDINGS, OTHERS, WRITTEN, Rows, read, with_ending, written
 from loewner.robots import CertifiedTrajectory, CollisionChecker, Robot
-from loewner.robots.curves import Curve, form_of
-from loewner.robots.edges import checked_path
-from loewner.robots.robot import exported_rates
+from loewner.robots.checking.edges import checked_path
+from loewner.robots.description.robot import exported_rates
+from loewner.robots.proofs.curves import Curve, form_of
 
 # A blend that is not proven is halved this many times; then the robot stops at the corner.
 HALVINGS = 5

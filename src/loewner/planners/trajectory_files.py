@@ -11,10 +11,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from loewner import _tables, _validate
-from loewner._files import read_regular, shown
-from loewner._nodes import read_json
-from loewner._validate import Bools, Floats
+from loewner._base import _tables, _validate
+from loewner._base._files import read_regular, shown
+from loewner._base._nodes import read_json
+from loewner._base._validate import Bools, Floats
 from loewner.errors import FileError, InputError
 from loewner.planners.controllers import expect_in_table
 

@@ -16,9 +16,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from loewner import _validate
-from loewner._guard import guarded
-from loewner._validate import Bools, Floats, Ints
+from loewner._base import _validate
+from loewner._base._guard import guarded
+from loewner._base._validate import Bools, Floats, Ints
 from loewner.errors import InputError, PlanningError
 from loewner.planners.in_time import TimedJudge, horizon_of
 from loewner.planners.jerk_limited import TO_ROUNDING, JerkLimited
@@ -26,9 +26,10 @@ from loewner.planners.joint_limits import JointLimits, limits_of
 from loewner.planners.judge import Judge, checked_checker, refuse_unfree
 from loewner.planners.straights import Straights
 from loewner.planners.trajectories import Trajectory, checked_blend, checked_rows, corners_of, fastest_along
-from loewner.queries import Verdict
-from loewner.robots import CertifiedTrajectory, CollisionChecker, verdicts
+from loewner.queries.pairs import Verdict
+from loewner.robots import CertifiedTrajectory, CollisionChecker
 from loewner.robots.checker import prepared_of, without_motions
+from loewner.robots.checking import verdicts
 
 # Stations along a trajectory, and shares of its speed at them: their squares are in equal steps, so that from one
 # station to the next the share can change by a step wherever half of the time is needed to accelerate.

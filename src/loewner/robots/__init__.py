@@ -1,29 +1,29 @@
 """Robots: read descriptions into links with bodies, place the links, and check them for collisions.
 
-`robot` defines links connected by joints, which `urdf`, `srdf` and `link_bodies` read; `links` takes them from memory,
-`drake` and `pinocchio` from models of other libraries. Users call `checker`; `checked_pairs` and `problem` prepare its
-queries, and `verdicts`, `proofs` and `distances` answer them. `pair_ranges` proves which pairs can ever collide,
-`sampling` guesses it. `written_proofs` writes proofs that other programs verify.
+`description` has links on joints and the formats of robots, `checking` checks of configurations, and `proofs` proofs of
+motions. `checker` defines `CollisionChecker`, which users call. `sampling` guesses which pairs can never collide,
+`covers` and `cover_files` replace links by few elements, `swept` finds bodies that contain links along curves, and
+`gradients` prepares queries for JAX and PyTorch.
 """
 
 from loewner.robots import covers as _covers  # noqa: F401 - it answers methods of Robot, and so do the next two
-from loewner.robots import pair_ranges as _pair_ranges  # noqa: F401
 from loewner.robots import swept as _swept  # noqa: F401
-from loewner.robots.approaches import ClosestApproach
-from loewner.robots.assembly import Part
 from loewner.robots.checker import CollisionChecker
-from loewner.robots.contact_times import TrajectoryContact
-from loewner.robots.curves import CertifiedTrajectory
-from loewner.robots.distances import PairDistances, StateDistance
-from loewner.robots.links import Joint
-from loewner.robots.motions import CertifiedMotions
-from loewner.robots.pair_proofs import prove
-from loewner.robots.pair_verdicts import PairVerdict, ProvenPair, ProvenPairs
-from loewner.robots.reaching import Reached
-from loewner.robots.robot import Robot
+from loewner.robots.checking.distances import PairDistances, StateDistance
+from loewner.robots.checking.verdicts import Settled
+from loewner.robots.description.assembly import Part
+from loewner.robots.description.links import Joint
+from loewner.robots.description.pair_verdicts import PairVerdict, ProvenPair, ProvenPairs
+from loewner.robots.description.reaching import Reached
+from loewner.robots.description.robot import Robot
+from loewner.robots.proofs import pair_ranges as _pair_ranges  # noqa: F401
+from loewner.robots.proofs.approaches import ClosestApproach
+from loewner.robots.proofs.contact_times import TrajectoryContact
+from loewner.robots.proofs.curves import CertifiedTrajectory
+from loewner.robots.proofs.motions import CertifiedMotions
+from loewner.robots.proofs.pair_proofs import prove
+from loewner.robots.proofs.written_proofs import Proof
 from loewner.robots.sampling import pairs_by_sampling
-from loewner.robots.verdicts import Settled
-from loewner.robots.written_proofs import Proof
 
 __all__ = [
     "CertifiedMotions",

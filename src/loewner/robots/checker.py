@@ -14,42 +14,30 @@ from typing import Any, Literal, overload
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from loewner import _validate
-from loewner._guard import guarded
+from loewner._base import _validate
+from loewner._base._guard import guarded
+from loewner._base._pictures import LINKS, bodies, pictured
+from loewner._base._plausible import warn
+from loewner._base._validate import Bools, Floats, OneOrMany, Pair
 from loewner._kernels import codes
-from loewner._pictures import LINKS, bodies, pictured
-from loewner._plausible import warn
-from loewner._validate import Bools, Floats, OneOrMany, Pair
 from loewner.bodies import packed_of
 from loewner.errors import ConvergenceError, InputError
-from loewner.queries import VERDICTS, Verdict
-from loewner.robots import (
-    approaches,
-    cells,
-    contact_times,
-    curves,
-    distances,
-    edges,
-    in_time,
-    pair_cache,
-    proofs,
-    self_filter,
-    tracking,
-    verdicts,
-)
-from loewner.robots.checked_pairs import prepared
-from loewner.robots.courses import straight
-from loewner.robots.curves import CertifiedTrajectory
-from loewner.robots.distances import PairDistances, StateDistance
-from loewner.robots.motions import CertifiedMotions
-from loewner.robots.problem import Problem
-from loewner.robots.proof_models import model_of
-from loewner.robots.robot import Robot
-from loewner.robots.robot import drawn as drawn_robot
-from loewner.robots.verdicts import Settled, Verdicts
-from loewner.robots.written_proofs import proof_of
-from loewner.scenes import Contact, Scene, poses_since
-from loewner.scenes import drawn as drawn_scene
+from loewner.queries.pairs import VERDICTS, Verdict
+from loewner.robots.checking import cells, distances, edges, pair_cache, self_filter, verdicts
+from loewner.robots.checking.checked_pairs import prepared
+from loewner.robots.checking.distances import PairDistances, StateDistance
+from loewner.robots.checking.problem import Problem
+from loewner.robots.checking.verdicts import Settled, Verdicts
+from loewner.robots.description.robot import Robot
+from loewner.robots.description.robot import drawn as drawn_robot
+from loewner.robots.proofs import approaches, contact_times, curves, in_time, proofs, tracking
+from loewner.robots.proofs.courses import straight
+from loewner.robots.proofs.curves import CertifiedTrajectory
+from loewner.robots.proofs.motions import CertifiedMotions
+from loewner.robots.proofs.proof_models import model_of
+from loewner.robots.proofs.written_proofs import proof_of
+from loewner.scenes.scene import Contact, Scene, poses_since
+from loewner.scenes.scene import drawn as drawn_scene
 
 # Pairs are reordered after this many configurations, and again each time their number has doubled.
 FIRST_LOOK = 32

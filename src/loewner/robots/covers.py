@@ -9,17 +9,17 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from loewner import _validate
-from loewner._plausible import warn
-from loewner._threads import at_most, in_shares
-from loewner._validate import Floats, Named, Pair, Progress
+from loewner._base import _validate
+from loewner._base._plausible import warn
+from loewner._base._threads import at_most, in_shares
+from loewner._base._validate import Floats, Named, Pair, Progress
 from loewner.bodies import Body, packed_of
 from loewner.bodies.layout import arrays_of
-from loewner.coverage import CoverReport
 from loewner.errors import InputError
+from loewner.meshes.coverage import CoverReport
 from loewner.robots.checker import CollisionChecker
-from loewner.robots.pair_ranges import prove_pairs
-from loewner.robots.robot import Robot, answers
+from loewner.robots.description.robot import Robot, answers
+from loewner.robots.proofs.pair_ranges import prove_pairs
 
 Kind = Literal["spheres", "capsules", "boxes", "ellipsoids"]
 KINDS: tuple[Kind, ...] = get_args(Kind)

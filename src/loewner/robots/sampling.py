@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from loewner import _validate
-from loewner._guard import guarded
-from loewner._validate import Pair
+from loewner._base import _validate
+from loewner._base._guard import guarded
+from loewner._base._validate import Pair
 from loewner.errors import InputError
 from loewner.robots.checker import CollisionChecker
-from loewner.robots.robot import Robot
+from loewner.robots.description.robot import Robot
 
 
 @guarded

@@ -16,29 +16,30 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import ArrayLike
 
-from loewner import _validate, meshes
+from loewner._base import _validate
+from loewner._base._matrices import dot, image, lengths, principal_axes, product
+from loewner._base._threads import in_shares
+from loewner._base._validate import Floats, Ints, Progress
 from loewner._kernels import columns
 from loewner._kernels.tolerances import STRETCH
-from loewner._matrices import dot, image, lengths, principal_axes, product
 from loewner._native import entries
-from loewner._threads import in_shares
-from loewner._validate import Floats, Ints, Progress
 from loewner.bodies import CURVED, Body, Packed, body_of_polytopes, packed_of
 from loewner.bodies.kinds import ball
 from loewner.bodies.surface_trees import SurfaceTree
-from loewner.closed_parts import closed_parts
-from loewner.coverage import Covering, distances_from
+from loewner.ellipsoids.polytopes import Polytope
 from loewner.errors import GeometryError, InputError
-from loewner.plane_cuts import WORK, pieces_within
-from loewner.polytopes import Polytope
-from loewner.protrusion import Solid, protrusions
+from loewner.meshes import decomposition as meshes
+from loewner.meshes.closed_parts import closed_parts
+from loewner.meshes.coverage import Covering, distances_from
+from loewner.meshes.plane_cuts import WORK, pieces_within
+from loewner.meshes.protrusion import Solid, protrusions
 from loewner.robots.checker import CollisionChecker
-from loewner.robots.courses import configurations, straight
-from loewner.robots.curves import Curve, expect_carried, joint_errors, started
-from loewner.robots.edges import checked_path
-from loewner.robots.problem import Problem
-from loewner.robots.robot import Robot, answers, link_poses
-from loewner.scenes import Scene
+from loewner.robots.checking.edges import checked_path
+from loewner.robots.checking.problem import Problem
+from loewner.robots.description.robot import Robot, answers, link_poses
+from loewner.robots.proofs.courses import configurations, straight
+from loewner.robots.proofs.curves import Curve, expect_carried, joint_errors, started
+from loewner.scenes.scene import Scene
 
 # Shares of the tolerance: for convex pieces in place of solids and curved shapes, for vertices that are left out, for
 # the distance of points from the chords between knots, and for the turn between two knots.

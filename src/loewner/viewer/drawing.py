@@ -13,15 +13,15 @@ from typing import Any
 
 import numpy as np
 
-from loewner import _pictures
+from loewner._base import _pictures
+from loewner._base._rotations import quaternions_of
+from loewner._base._validate import Floats
 from loewner._kernels import columns
-from loewner._rotations import quaternions_of
-from loewner._validate import Floats
 from loewner.bodies import CURVED, Body, packed_of
 from loewner.bodies.kinds import Mesh, ball
 from loewner.bodies.pack import Packed
 from loewner.bodies.triangulated import MANY_PIECES, ellipsoids_of, joined, of_ellipsoids, of_piece, of_pieces
-from loewner.queries import VERDICTS, Verdict
+from loewner.queries.pairs import VERDICTS, Verdict
 
 Rgb = tuple[int, int, int]
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from loewner._validate import Floats
+from loewner._base._validate import Floats
 from loewner.viewer.drawing import spanned
 
 # The side of the grid in units of the diagonal of the view, its least number of cells, and the cells in a section.

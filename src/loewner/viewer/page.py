@@ -21,11 +21,11 @@ from typing import Any, Self
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from loewner import _validate
-from loewner._rotations import from_quaternion, from_rpy
-from loewner._validate import Floats
+from loewner._base import _validate
+from loewner._base._rotations import from_quaternion, from_rpy
+from loewner._base._validate import Floats
 from loewner.errors import InputError, LoewnerError, MissingExtraError, installing
-from loewner.queries import Verdict
+from loewner.queries.pairs import Verdict
 from loewner.viewer import guard
 from loewner.viewer.drawing import Rgb, light, place
 from loewner.viewer.framing import round_length

@@ -8,11 +8,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from loewner import _validate, meshes
-from loewner._validate import Floats
+from loewner._base import _validate
+from loewner._base._validate import Floats
 from loewner.bodies import Body
 from loewner.errors import InputError
-from loewner.queries import Distance, Verdict, classify, collide, distance
+from loewner.meshes import decomposition as meshes
+from loewner.queries.pairs import Distance, Verdict, classify, collide, distance
 from loewner.viewer.drawing import INK, LABELS, PAIR, VERDICT_COLOURS, Drawing, NearPoints
 from loewner.viewer.framing import add_ground, aim, diagonal, framed
 from loewner.viewer.page import Mover, PoseInputs, Viewer, certified_words

@@ -8,18 +8,19 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from loewner._base._validate import Floats, Ints
 from loewner._kernels import codes
-from loewner._validate import Floats, Ints
 from loewner.errors import InputError
 from loewner.planners import Trajectory
-from loewner.pose_paths import PosePath
-from loewner.queries import Verdict
-from loewner.robots import CertifiedTrajectory, CollisionChecker, Robot, approaches, curves
+from loewner.queries.pairs import Verdict
+from loewner.queries.pose_paths import PosePath
+from loewner.robots import CertifiedTrajectory, CollisionChecker, Robot
 from loewner.robots.checker import prepared_of
-from loewner.robots.courses import configurations
-from loewner.robots.edges import checked_path
-from loewner.robots.in_time import with_bodies
-from loewner.robots.verdicts import classified
+from loewner.robots.checking.edges import checked_path
+from loewner.robots.checking.verdicts import classified
+from loewner.robots.proofs import approaches, curves
+from loewner.robots.proofs.courses import configurations
+from loewner.robots.proofs.in_time import with_bodies
 from loewner.viewer.drawing import VERDICT_COLOURS, Rgb
 from loewner.viewer.page import TEXT
 

@@ -12,17 +12,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from loewner import _validate
-from loewner._rotations import quaternions_of
-from loewner._validate import Floats, Ints
+from loewner._base import _validate
+from loewner._base._rotations import quaternions_of
+from loewner._base._validate import Floats, Ints
 from loewner.bodies import Body
 from loewner.bodies.kinds import Mesh
 from loewner.errors import ConvergenceError, InputError, LoewnerError
 from loewner.planners import Trajectory
-from loewner.queries import Verdict
+from loewner.queries.pairs import Verdict
 from loewner.robots import CollisionChecker, Robot, StateDistance
-from loewner.robots.robot import first_shown
-from loewner.scenes import Contact
+from loewner.robots.description.robot import first_shown
+from loewner.scenes.scene import Contact
 from loewner.viewer.drawing import (
     LABELS,
     VERDICT_COLOURS,

@@ -8,8 +8,8 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
-from loewner import _validate
-from loewner._files import replacing
+from loewner._base import _validate
+from loewner._base._files import replacing
 from loewner.errors import FileError, InputError, MissingExtraError, installing
 from loewner.viewer.page import Viewer
 

@@ -6,10 +6,10 @@ from loewner.bodies.kinds import Mesh
 from loewner.bodies.triangulated import joined
 from loewner.errors import LoewnerError
 from loewner.robots import Robot
-from loewner.robots.assembly import Source
-from loewner.robots.link_bodies import mesh_file, placed_mesh, primitive
-from loewner.robots.robot import sources_of
-from loewner.robots.urdf import Shape, read_visuals
+from loewner.robots.description.assembly import Source
+from loewner.robots.description.link_bodies import mesh_file, placed_mesh, primitive
+from loewner.robots.description.robot import sources_of
+from loewner.robots.description.urdf import Shape, read_visuals
 from loewner.viewer.drawing import pieces
 
 

@@ -1,7 +1,7 @@
 """The exact answer for the few pairs that the fast searches leave open: a robust GJK, then the expanding polytope.
 
 It is separate from `verdicts`, so that it is only compiled when a pair needs it. Triangles of two surfaces that
-rounding leaves unsettled are decided in whole numbers, see `loewner._exact`.
+rounding leaves unsettled are decided in whole numbers, see `loewner.queries._exact`.
 """
 
 import numpy as np

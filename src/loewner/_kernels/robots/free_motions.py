@@ -105,7 +105,7 @@ def random(state):
 
 @inline
 def _coarse_first(parts, fractions):
-    """Write the fractions of samples: 0, 1, the middle, quarters and so on, as `loewner.robots.edges.coarse_first`."""
+    """Write the fractions of samples: 0, 1, the middle, quarters and so on, as `coarse_first` in `edges`."""
     fractions[0], fractions[1] = 0.0, 1.0
     digits, count = 1, 2
     while (parts - 1) >> digits != 0:

@@ -1469,7 +1469,7 @@ def certified(pack, problem_handle, tables_handle, tolerance, error, ends, tally
         course[0, c], course[1, c] = ends[0, c], ends[1, c]
     if motion.strays:
         allowed, off = floats_at(error, (dof,)), _off_of(motion)
-        for c in range(dof):  # rounded as in `loewner.robots.proofs.deviations`
+        for c in range(dof):  # rounded as in `loewner.robots.proofs.proofs.deviations`
             off[c] = allowed[c] + 2.0 * VALUE_ROUNDINGS * max(abs(ends[0, c]), abs(ends[1, c]))
     found = _certify(motion, tally)
     if found.pair >= 0:

@@ -1,0 +1,57 @@
+"""Elementary functions of numbers and arrays, with the same bits on every machine, which C libraries do not promise.
+
+They take the time of the C library's for arrays, and a microsecond for a number. Accuracy: three units in the last
+place (`_kernels.elementary`).
+"""
+
+from typing import Any
+
+import numpy as np
+
+from loewner._base._validate import Floats
+from loewner._kernels import codes
+from loewner._native import entries
+
+
+def sin(angle: Any) -> Any:
+    """Sine of angles [rad]."""
+    return _of_each(codes.SINE_OF, angle)
+
+
+def cos(angle: Any) -> Any:
+    """Cosine of angles [rad]."""
+    return _of_each(codes.COSINE_OF, angle)
+
+
+def arctan2(y: Any, x: Any) -> Any:
+    """Angles of vectors (x, y) to the x-axis [rad]."""
+    return _of_each(codes.ARC_TANGENT, *np.broadcast_arrays(y, x))
+
+
+def arccos(x: Any) -> Any:
+    """Angles whose cosine is x [rad]; NaN beyond ±1."""
+    return _of_each(codes.ARC_COSINE, x)
+
+
+def arcsin(x: Any) -> Any:
+    """Angles whose sine is x [rad]; NaN beyond ±1."""
+    return _of_each(codes.ARC_SINE, x)
+
+
+def log(x: Any) -> Any:
+    """Natural logarithms; minus infinity for zero, NaN for negative numbers."""
+    return _of_each(codes.LOGARITHM, x)
+
+
+def cbrt(x: Any) -> Any:
+    """Cube roots."""
+    return _of_each(codes.CUBE_ROOT, x)
+
+
+def _of_each(function: int, x: Any, y: Any = None) -> Any:
+    """Apply a function of `codes` to each number; the result is a float for a number."""
+    first = np.array(x, dtype=float, order="C")
+    second = first if y is None else np.array(y, dtype=float, order="C")
+    found: Floats = np.empty(first.shape)
+    entries.elementary(function, first.reshape(-1), second.reshape(-1), found.reshape(-1))
+    return found if np.ndim(x) else float(found.item())

@@ -1,0 +1,85 @@
+"""Handle interrupts and exhausted memory, which can occur in any call regardless of its arguments.
+
+A signal's handler may raise (`KeyboardInterrupt` on Ctrl+C) while Numba converts a kernel's arrays to Python's. Numba
+continues with the next array, which Python reports as a SystemError, caused by a SystemError, caused by the
+KeyboardInterrupt. A caller's ``except Exception`` would then swallow the interrupt. If memory runs out in NumPy, in a
+kernel or in Qhull, a raw MemoryError results. Guarded calls raise the interrupt itself, or `MemoryLimitError`.
+"""
+
+from __future__ import annotations
+
+import inspect
+from functools import wraps
+from typing import Any, TypeVar, cast
+
+from loewner._base import _memory
+from loewner.errors import LoewnerError, MemoryLimitError
+
+T = TypeVar("T")
+
+# NumPy's message if an interrupt occurs while Numba determines the type of arrays; the interrupt itself is then lost.
+LOST_INTERRUPT = "subtype is NULL in PyArray_NewFromDescr"
+
+# Exceptions that `meant` inspects; a clause "except GUARDED" costs nothing unless one of them is raised.
+GUARDED = (SystemError, MemoryError)
+
+
+def meant(error: BaseException) -> BaseException:
+    """Return the exception behind `error`, which is one of GUARDED, or `error` itself if there is none."""
+    cause: BaseException | None = error
+    while isinstance(cause, SystemError):
+        cause = cause.__cause__
+    if cause is None:
+        return error
+    if isinstance(cause, ValueError) and str(cause) == LOST_INTERRUPT:
+        return KeyboardInterrupt()
+    if isinstance(cause, MemoryError) and not isinstance(cause, LoewnerError):
+        there, which = _memory.left()
+        return MemoryLimitError(
+            f"expected memory enough for this call, found too little: {str(cause) or 'an allocation failed'} "
+            f"({there / 2**30:.3g} GiB{which}); ask for less at a time"
+        )
+    return cause
+
+
+def guarded(thing: T) -> T:
+    """Guard a function, or the constructor and all public methods that a class defines itself.
+
+    It adds a tenth of a microsecond to a call. Properties, and the fast path of queries of single configurations, are
+    guarded individually where it is worthwhile.
+    """
+    if not isinstance(thing, type):
+        return cast(T, _guarded(thing))
+    for name, member in list(vars(thing).items()):
+        if name.startswith("_") and name not in ("__init__", "__getitem__"):
+            continue
+        if isinstance(member, (classmethod, staticmethod)):
+            setattr(thing, name, type(member)(_guarded(member.__func__)))
+        elif inspect.isfunction(member) and not inspect.isgeneratorfunction(member):
+            setattr(thing, name, _guarded(member))
+    return thing
+
+
+def is_guarded(function: Any) -> bool:
+    """Whether a function or method has been wrapped by `guarded`."""
+    return hasattr(function, "_guarded")
+
+
+def _guarded(function: Any) -> Any:
+    @wraps(function)
+    def call(*args: Any, **kwargs: Any) -> Any:
+        try:
+            return function(*args, **kwargs)
+        except GUARDED as error:
+            cause = meant(error)
+            if cause is error:
+                raise
+        # Outside the clause, and from a name that is deleted: neither the error before nor this frame then refers to
+        # the exception, and all that its traceback holds is freed together with it.
+        try:
+            raise cause
+        finally:
+            del cause
+
+    call._guarded = True  # type: ignore[attr-defined]
+    return call

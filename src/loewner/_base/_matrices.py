@@ -1,0 +1,159 @@
+"""Products and factors of small matrices, and lengths of short vectors, with the same bits on every processor.
+
+BLAS, LAPACK, `np.einsum` and reductions choose the order of a sum, and whether a product is fused with it, to suit the
+processor. NumPy's sums and products of whole arrays round every entry by itself, as IEEE 754 demands. What two machines
+compare, such as the hash of a robot's model, is therefore computed by these functions, in the order in which C would
+compute it. Sines and logarithms are in `_elementary`.
+"""
+
+import math
+from collections.abc import Callable
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from loewner._base._validate import Floats
+
+# Columns count as orthogonal if the cosine of their angle is at most this: rounding alone makes cosines of up to three
+# units of 2^-53, and the lengths of such columns are the singular values up to twice this.
+ORTHOGONAL = 2.0**-51
+
+# Jacobi's method takes three to six sweeps.
+MOST_SWEEPS = 16
+
+# Numbers below it are nothing beside entries of about 1; added, it keeps a quotient from being 0 / 0.
+TINY = 1e-300
+
+# Up to this many matrices, arrays take longer than numbers.
+FEW = 16
+
+# The entries of a column: numbers, or arrays with a number for each matrix.
+Column: TypeAlias = tuple[Any, ...]
+
+
+def product(A: Floats, B: Floats) -> Floats:
+    """Multiply matrices, shapes (..., n, k) and (..., k, m), with a small k; no entry is a negative zero."""
+    total: Floats = 0.0 + A[..., :, 0, None] * B[..., None, 0, :]
+    for k in range(1, A.shape[-1]):
+        total += A[..., :, k, None] * B[..., None, k, :]
+    return total
+
+
+def image(M: Floats, x: Floats) -> Floats:
+    """Multiply a matrix, shape (n, k), with vectors, shape (..., k)."""
+    total: Floats = 0.0 + x[..., 0, None] * M[:, 0]
+    for k in range(1, M.shape[-1]):
+        total += x[..., k, None] * M[:, k]
+    return total
+
+
+def in_frame(T_world_frame: Floats, T_world_body: Floats) -> Floats:
+    """Return the pose of a body in a frame; the shapes are (4, 4)."""
+    inverse = np.eye(4)
+    inverse[:3, :3] = T_world_frame[:3, :3].T
+    inverse[:3, 3] = -image(inverse[:3, :3], T_world_frame[:3, 3])
+    return product(inverse, T_world_body)
+
+
+def dot(a: Floats, b: Floats) -> Floats:
+    """Multiply vectors, shape (..., k), with a small k; the products are added from the first to the last."""
+    total: Floats = 0.0 + a[..., 0] * b[..., 0]
+    for k in range(1, a.shape[-1]):
+        total = total + a[..., k] * b[..., k]
+    return total
+
+
+def lengths(x: Floats) -> Floats:
+    """Compute the lengths of vectors, shape (..., k), with a small k."""
+    return np.asarray(np.sqrt(dot(x, x)))
+
+
+def power(x: Floats, exponent: int) -> Floats:
+    """Raise numbers to a power by repeated products."""
+    raised = np.ones_like(x)
+    for _ in range(exponent):
+        raised = raised * x
+    return raised
+
+
+def singular_values(A: Floats) -> Floats:
+    """Compute the singular values of matrices, shape (N, 3, 3), largest first, by Jacobi's method from one side.
+
+    Numbers or arrays pass through the same operations, so that the values of a matrix are the same alone and among
+    others. For a few matrices, numbers take a tenth of the time of arrays.
+    """
+    exponent = np.frexp(np.abs(A).max(axis=(1, 2), initial=0.0))[1]
+    scaled = np.ldexp(A, -exponent[:, None, None])  # exactly: a diagonal matrix keeps its entries
+    squares = np.empty((len(A), 3))
+    if len(A) > FEW:
+        columns: list[Column] = [tuple(np.ascontiguousarray(scaled[:, :, j].T)) for j in range(3)]
+        for j, column in enumerate(_made_orthogonal(columns, _turn_of_each)):
+            squares[:, j] = _dot(column, column)
+    else:
+        for row, M in zip(squares, scaled, strict=True):
+            row[:] = [_dot(column, column) for column in _made_orthogonal(list(zip(*M.tolist(), strict=True)), _turn)]
+    return np.asarray(np.ldexp(-np.sort(-np.sqrt(squares), axis=1), exponent[:, None]))
+
+
+def principal_axes(points: Floats) -> Floats:
+    """Find the directions in which points, shape (n, 3), extend from their mean: rows, the widest first."""
+    off = points - points.mean(axis=0)
+    x, y, z = np.ascontiguousarray((off / (float(np.abs(off).max()) or 1.0)).T)
+    rows = [[float((a * b).sum()) for b in (x, y, z)] for a in (x, y, z)]
+    columns = _made_orthogonal([(*row, *unit) for row, unit in zip(rows, np.eye(3).tolist(), strict=True)], _turn)
+    columns.sort(key=lambda column: -_dot(column, column))
+    return np.array([column[3:] for column in columns])
+
+
+def cholesky(A: Floats) -> Floats:
+    """Factor positive definite matrices, shape (N, 3, 3), as products of a lower triangular one and its transpose."""
+    L = np.zeros(A.shape)
+    for k in range(3):
+        for i in range(k, 3):
+            rest = A[:, i, k]
+            for j in range(k):
+                rest = rest - L[:, i, j] * L[:, k, j]
+            L[:, i, k] = np.sqrt(rest) if i == k else rest / L[:, k, k]
+    return L
+
+
+def _made_orthogonal(columns: list[Column], turn_of: Callable[[Any, Any, Any], tuple[Any, Any] | None]) -> list[Column]:
+    """Turn three columns until they are orthogonal; further entries are turned with the first three."""
+    for _ in range(MOST_SWEEPS):
+        still = True
+        for i, j in ((0, 1), (0, 2), (1, 2)):
+            a, b = columns[i], columns[j]
+            turn = turn_of(_dot(a, a), _dot(b, b), _dot(a, b))
+            if turn is not None:
+                still, (c, s) = False, turn
+                columns[i] = tuple([c * x - s * y for x, y in zip(a, b, strict=True)])
+                columns[j] = tuple([s * x + c * y for x, y in zip(a, b, strict=True)])
+        if still:
+            break
+    return columns
+
+
+def _dot(a: Column, b: Column) -> Any:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+def _turn(aa: float, bb: float, ab: float) -> tuple[float, float] | None:
+    """Return the cosine and sine of the turn that makes two columns orthogonal; None if they are."""
+    if not abs(ab) > ORTHOGONAL * math.sqrt(aa) * math.sqrt(bb):
+        return None
+    apart, twice = bb - aa, 2.0 * ab
+    tangent = twice / (apart + math.copysign(math.sqrt(apart * apart + twice * twice) + TINY, apart))
+    cosine = 1.0 / math.sqrt(1.0 + tangent * tangent)
+    return cosine, cosine * tangent
+
+
+def _turn_of_each(aa: Floats, bb: Floats, ab: Floats) -> tuple[Floats, Floats] | None:
+    """Do the same for many; the others are multiplied by 1 and 0."""
+    off = np.abs(ab) > ORTHOGONAL * np.sqrt(aa) * np.sqrt(bb)
+    if not off.any():
+        return None
+    apart, twice = bb - aa, 2.0 * ab
+    tangent = twice / (apart + np.copysign(np.sqrt(apart * apart + twice * twice) + TINY, apart))
+    tangent = np.where(off, tangent, 0.0)
+    cosine = 1.0 / np.sqrt(1.0 + tangent * tangent)
+    return cosine, cosine * tangent

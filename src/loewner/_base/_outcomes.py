@@ -1,0 +1,42 @@
+"""The outcome for each of many mesh files: done, or failed with a reason; used by the command line and clusters."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from loewner._base._files import shown
+from loewner._base._plausible import told_to
+from loewner.errors import LoewnerError
+
+# A small body on which options are tried, so that a bad one is reported once and not for each of a thousand files.
+TETRAHEDRON = (
+    np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]),
+    np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]),
+)
+
+
+class Outcome(NamedTuple):
+    """The outcome for a mesh: done, skipped or failed, with the reason of a failure and any warnings."""
+
+    status: str
+    message: str = ""
+    warnings: tuple[str, ...] = ()
+
+
+def outcome_of(mesh: Path, fit: Callable[[], Outcome]) -> Outcome:
+    """The result of `fit` with its warnings; errors become an outcome, and begin with the file's name."""
+    warnings: list[str] = []
+    try:
+        with told_to(warnings):
+            found = fit()
+        return found._replace(warnings=(*found.warnings, *warnings))
+    except LoewnerError as error:
+        text = str(error)
+    except Exception as error:
+        text = f"{type(error).__name__}: {error}"
+    name = f"{shown(mesh)}: "
+    return Outcome("failed", text if text.startswith(name) else name + text)

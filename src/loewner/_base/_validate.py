@@ -1,0 +1,475 @@
+"""Input validation: array-likes in, checked C-order float64 arrays out, and types shared by signatures.
+
+Returned arrays are finite float64 in C order. Poses are not always rigid: `one_pose` and ``poses(check=False)`` leave
+their entries to the kernels, which read them anyway and report a bad one.
+"""
+
+import math
+import operator
+import os
+from collections.abc import Callable, Collection, Iterable, Mapping
+from dataclasses import fields
+from functools import cache
+from pathlib import Path
+from typing import Any, NoReturn, TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from loewner._base import _memory
+from loewner._kernels import codes, tolerances
+from loewner._native import entries
+from loewner.errors import InputError, MemoryLimitError, PoseError, UnknownNameError
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+Bools = NDArray[np.bool_]
+
+# One value or an array, depending on an argument's number of axes, which its type does not show.
+FloatOrFloats = float | Floats
+BoolOrBools = bool | Bools
+
+# Likewise, for results that a type checker should accept as either.
+OneOrMany = Any
+
+# The values of a dict of names.
+Entry = TypeVar("Entry")
+
+# Names of two bodies or links.
+Pair = tuple[str, str]
+
+# A callback progress(done, total).
+Progress = Callable[[int, int], None]
+
+# Largest number of names that the message about an unknown one lists.
+LISTED = 30
+
+# Largest count: no array can hold more.
+LARGEST_INTEGER = 2**63 - 1
+# Bits of a seed of random numbers, as for NumPy's own seeds.
+LARGEST_SEED = 2**128 - 1
+
+# Largest number of characters of a value that a message shows.
+LONGEST = 120
+# Largest array that the repr of a result writes out, in entries.
+FEW = 6
+
+# Nesting of lists that is looked through for quantities; NumPy has no more axes.
+MOST_AXES = 64
+
+IDENTITY: Floats = np.eye(4)  # writable: for Numba a read-only array is another type, which needs another compilation
+
+
+def float_array(x: ArrayLike, name: str) -> Floats:
+    """Return `x` as a C-order float64 array; anything but real numbers is an error.
+
+    Numbers are integers and floats of any size and byte order, and objects that `real` accepts, but not booleans,
+    complex numbers, text, dates or masked entries.
+    """
+    array = plain_array(x, name)
+    if array.dtype == np.float64 and array.flags.c_contiguous and array.flags.aligned:
+        return array
+    if array.dtype == np.object_:
+        return _numbers(array, name)
+    if array.dtype.kind not in "fiu":
+        raise InputError(f"{name}: expected real numbers, found dtype {array.dtype}")
+    with np.errstate(over="ignore"):  # a longdouble may overflow to inf, which is reported as such
+        return array.astype(np.float64, order="C")
+
+
+def integer_array(x: ArrayLike, name: str) -> Ints:
+    """Return `x` as a C-order int64 array; anything but integers of at most 63 bits is an error."""
+    array = plain_array(x, name)
+    if array.dtype == np.object_ and array.size:
+        entries = [whole_number(entry, name, -LARGEST_INTEGER) for entry in array.flat]
+        return np.array(entries, dtype=np.int64).reshape(array.shape)
+    if array.dtype.kind not in "iu" and array.size:
+        raise InputError(f"{name}: expected integers, found dtype {array.dtype}")
+    if array.dtype == np.uint64 and array.size and array.max() > LARGEST_INTEGER:
+        raise InputError(f"{name}: expected integers <= {LARGEST_INTEGER}, found {array.max()}")
+    return array.astype(np.int64, order="C")
+
+
+def plain_array(x: ArrayLike, name: str) -> NDArray[Any]:
+    """An array of the entries of `x`, of any type; masked entries, which mean missing numbers, are refused."""
+    if isinstance(x, (np.ma.MaskedArray, list, tuple)):
+        for part in x if isinstance(x, (list, tuple)) else (x,):
+            if isinstance(part, np.ma.MaskedArray) and np.ma.is_masked(part):
+                raise InputError(f"{name}: expected numbers only, found masked entries")
+    if type(x) is not np.ndarray:
+        _refuse_quantity(x, name)
+    if isinstance(x, (str, bytes, bytearray)):  # NumPy would convert the last one to an array of its bytes
+        raise InputError(f"{name}: expected an array of numbers, found {short(x)}")
+    try:
+        return np.asarray(x)
+    except MemoryError:
+        raise
+    except Exception as error:  # ragged, or the caller's object fails to convert itself to an array
+        what = "a ragged sequence" if isinstance(x, (list, tuple)) else type(x).__name__
+        raise InputError(
+            f"{name}: expected an array of numbers, found {what} ({type(error).__name__}: {error})"
+        ) from None
+
+
+def _refuse_quantity(x: Any, name: str) -> None:
+    """Refuse numbers with a unit, as astropy, pint and xarray have them; the first entry of a list decides."""
+    for _ in range(MOST_AXES):
+        if not (isinstance(x, (list, tuple)) and x):
+            break
+        x = x[0]
+    if type(x) in (np.ndarray, list, tuple, float, int, str):
+        return
+    try:
+        # A table may have a column of that name, which is no unit.
+        units = (getattr(x, key, None) for key in ("unit", "units"))
+        stated = [
+            str(unit) for unit in units if isinstance(unit, str) or not (callable(unit) or hasattr(unit, "__len__"))
+        ]
+        unit = next((unit for unit in stated if unit not in ("None", "", "dimensionless")), "")
+    except Exception:  # the caller's object may raise any error
+        return
+    if unit:
+        raise InputError(f"{name}: expected plain numbers in metres or radians, found a quantity in {short(unit)}")
+
+
+def _numbers(objects: NDArray[np.object_], name: str) -> Floats:
+    """Convert entries that are not NumPy numbers, such as fractions or integers beyond 64 bits, one by one."""
+    array = np.empty(objects.shape)
+    for index, entry in np.ndenumerate(objects):
+        try:
+            array[index] = real(entry, name)
+        except InputError as error:
+            raise InputError(f"{error}{_at(index)}") from None
+    return array
+
+
+def _at(index: tuple[int, ...]) -> str:
+    """Write the index of an entry for messages; nothing for a scalar."""
+    return f" at index {index}" if index else ""
+
+
+def shape_text(shape: Iterable[int | None | str]) -> str:
+    """Write a shape for messages, with letters or dots for arbitrary lengths."""
+    parts = ["n" if s is None else str(s) for s in shape]
+    return "(" + ", ".join(parts) + ("," if len(parts) == 1 else "") + ")"
+
+
+def finite_array(x: ArrayLike, name: str, shape: tuple[int | None | str, ...]) -> Floats:
+    """Check shape and finiteness.
+
+    Parameters
+    ----------
+    x : array_like
+    name : str
+        The caller's name for it, for the message.
+    shape : tuple
+        Expected shape; ``None`` or a letter matches any length, a leading ``"..."`` any batch shape.
+
+    Raises
+    ------
+    InputError
+        The message gives the expected and the found shape, or the first entry that is not finite.
+    """
+    array = float_array(x, name)
+    tail = shape[1:] if shape and shape[0] == "..." else shape
+    fits = array.ndim >= len(tail) if len(tail) < len(shape) else array.ndim == len(tail)
+    if fits and tail:
+        fits = all(
+            not isinstance(want, int) or want == have
+            for want, have in zip(tail, array.shape[-len(tail) :], strict=True)
+        )
+    if not fits:
+        raise InputError(f"{name}: expected shape {shape_text(shape)}, found {shape_text(array.shape)}")
+    if array.size and not np.isfinite(array).all():
+        where = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
+        raise InputError(f"{name}: expected finite numbers, found {array[where]}{_at(where)}")
+    return array
+
+
+def real(x: Any, name: str, *, least: str = "") -> float:
+    """Check one finite number.
+
+    Parameters
+    ----------
+    x : number
+        An int or a float, of Python or NumPy; an array without axes; or an object that converts itself to a float, such
+        as a Fraction, a Decimal or a tensor. Booleans and numbers in text are refused.
+    name : str
+        The caller's name for it, for the message.
+    least : str
+        Continuation of the message about the expected number; the caller checks this condition.
+
+    Raises
+    ------
+    InputError
+        If `x` is not a number, or is not finite, or exceeds the range of a float.
+    """
+    _refuse_quantity(x, name)
+    if isinstance(x, (bool, np.bool_, str, bytes, bytearray)) or not _maybe_a_number(x):
+        raise InputError(f"{name}: expected a number, found {short(x)}")
+    try:
+        value = float(x)
+    except OverflowError:
+        value = math.inf
+    except Exception:
+        raise InputError(f"{name}: expected a number, found {short(x)}") from None
+    if not math.isfinite(value):
+        raise InputError(f"{name}: expected a finite number{least}, found {short(x)}")
+    return value
+
+
+def _maybe_a_number(x: Any) -> bool:
+    """Whether `float` may be tried; false for arrays with axes or a mask, and for NumPy's scalars of other kinds."""
+    if isinstance(x, (np.ndarray, np.generic)):
+        return x.ndim == 0 and x.dtype.kind in "fiuO" and not np.ma.is_masked(x)
+    return True
+
+
+def positive_scalar(x: Any, name: str, *, zero: bool = False) -> float:
+    """Check a finite number above zero (or not below it, with `zero`); see `real` for the accepted types."""
+    if type(x) is float and (0.0 < x < math.inf or (zero and x == 0.0)):  # a fast path for the usual case
+        return x
+    least = " >= 0" if zero else " > 0"
+    value = real(x, name, least=least)
+    if value < 0 or (value == 0 and not zero):
+        raise InputError(f"{name}: expected a finite number{least}, found {short(x)}")
+    return value
+
+
+def whole_number(x: Any, name: str, least: int, most: int = LARGEST_INTEGER) -> int:
+    """Check an integer from `least` to `most`; a boolean is refused."""
+    try:
+        value = least - 1 if isinstance(x, bool) or np.ma.is_masked(x) else operator.index(x)
+    except Exception:  # a TypeError, or an error from the caller's object
+        value = least - 1
+    if value < least:
+        raise InputError(f"{name}: expected an integer >= {least}, found {short(x)}")
+    if value > most:
+        raise InputError(f"{name}: expected an integer <= {most}, found {short(x)}")
+    return value
+
+
+def flag(x: Any, name: str) -> bool:
+    """Check a choice between True and False; other values, such as the text 'no', are refused."""
+    if x is True or x is False:
+        return bool(x)
+    if isinstance(x, np.bool_):
+        return bool(x)
+    raise InputError(f"{name}: expected True or False, found {short(x)}")
+
+
+def choice(x: Any, name: str, known: Collection[str]) -> str:
+    """Check that `x` is one of the `known` names."""
+    if isinstance(x, str) and x in known:  # first, since arrays compare by entries, and lists have no hash
+        return x
+    raise UnknownNameError(f"{name}: expected one of {', '.join(known)}, found {short(x)}")
+
+
+def listed(x: Any, name: str, *, wanted: str = "a list") -> list[Any]:
+    """Check an iterable and iterate over it once; text is not accepted as a list of its letters."""
+    if isinstance(x, (str, bytes, bytearray)):
+        raise InputError(f"{name}: expected {wanted}, found one text, {short(x)}")
+    try:
+        return list(x)
+    except MemoryError:
+        raise
+    except Exception:  # not iterable, or an error from the caller's object
+        raise InputError(f"{name}: expected {wanted}, found {short(x)}") from None
+
+
+def callback(x: Any, name: str) -> Any:
+    """Check a callable, or None."""
+    if x is not None and not callable(x):
+        raise InputError(f"{name}: expected a function or None, found {short(x)}")
+    return x
+
+
+def broadcast(shapes: dict[str, tuple[int, ...]]) -> tuple[int, ...]:
+    """Shape to which batch shapes broadcast; the error names shapes that do not broadcast."""
+    try:
+        return np.broadcast_shapes(*shapes.values())
+    except ValueError:
+        found = ", ".join(f"{name}: {shape_text(shape)}" for name, shape in shapes.items())
+        raise InputError(f"expected batch shapes that broadcast, found {found}") from None
+
+
+def positive_array(x: ArrayLike, name: str, shape: tuple[int | None | str, ...]) -> Floats:
+    """Check shape, and that all numbers are finite and above zero."""
+    array = finite_array(x, name, shape)
+    if not (array > 0).all():
+        where = tuple(int(i) for i in np.argwhere(~(array > 0))[0])
+        raise InputError(f"{name}: expected numbers > 0, found {array[where]}{_at(where)}")
+    return array
+
+
+def positive_lengths(x: ArrayLike, name: str, shape: tuple[int, ...]) -> Floats:
+    """Check numbers above zero whose shape broadcasts to `shape` from its last axes."""
+    array = float_array(x, name)
+    if array.ndim > len(shape) or array.shape != shape[len(shape) - array.ndim :]:
+        raise InputError(
+            f"{name}: expected a number or an array of shape {' or '.join(str(shape[k:]) for k in range(len(shape)))}, "
+            f"found shape {array.shape}"
+        )
+    return positive_array(array, name, array.shape)
+
+
+def positive_vector(x: ArrayLike, name: str, length: int | None) -> Floats:
+    """Check a vector of finite numbers above zero."""
+    return positive_array(x, name, (length,))
+
+
+def poses(T: ArrayLike | None, name: str, *, check: bool = True) -> Floats:
+    """Check rigid motions.
+
+    Parameters
+    ----------
+    T : array_like, shape (..., 4, 4), or None
+        Homogeneous matrices; ``None`` is the identity.
+    check : bool
+        False leaves the check of the entries to the kernels, which read them anyway.
+
+    Raises
+    ------
+    PoseError
+        If the shape is wrong, an entry is not finite, the last row is not (0, 0, 0, 1), or the
+        rotation part is not orthonormal to `tolerances.ROTATION_TOLERANCE` with determinant +1.
+    """
+    if T is None:
+        return IDENTITY
+    try:
+        array = float_array(T, name)
+    except InputError as error:
+        raise PoseError(str(error)) from None
+    if array.shape[-2:] != (4, 4):
+        cure = "; T = np.eye(4), T[:3, :3] = rotation, T[:3, 3] = translation makes one"
+        raise PoseError(f"{name}: expected shape (..., 4, 4), found {shape_text(array.shape)}{cure}")
+    if not array.flags.carray:  # read-only arrays are another type to Numba, see above
+        array = array.copy()
+    if check:
+        rigid_motions(array, name)
+    return array
+
+
+def pose(T: ArrayLike | None, name: str) -> Floats:
+    """Check one rigid motion, shape (4, 4), and return a new array; ``None`` is the identity."""
+    checked = poses(T, name)
+    if checked.shape != (4, 4):
+        raise PoseError(f"{name}: expected shape (4, 4), found {shape_text(checked.shape)}")
+    return checked.copy()
+
+
+def rigid_motions(T: Floats, name: str) -> None:
+    """Check poses of shape (..., 4, 4) one by one."""
+    batch = T.reshape(-1, 4, 4)
+    at, kind, size = entries.first_fault(batch)
+    if at < len(batch):
+        where = f"{name}[{at}]" if len(batch) > 1 else name
+        tolerance = tolerances.ROTATION_TOLERANCE
+        raise PoseError(f"{where}: {_POSE_FAULTS[kind].format(size=size, tolerance=tolerance, T=batch[at])}")
+
+
+_POSE_FAULTS = {
+    codes.NOT_FINITE: "expected finite numbers, found NaN or inf",
+    codes.LAST_ROW: "expected last row [0. 0. 0. 1.], found {T[3]}",
+    codes.NOT_ORTHONORMAL: "expected a rotation (RᵀR = 1 within {tolerance:g}), found a departure of {size:.3g}",
+    codes.REFLECTION: "expected a rotation with determinant +1, found a reflection (determinant {size:.3g})",
+}
+
+
+def path(x: Any, name: str, *, wanted: str = "the path of a file") -> Path:
+    """Check the name of a file or folder, which need not exist.
+
+    Parameters
+    ----------
+    x : str or os.PathLike of str
+    name : str
+        The caller's name for it, for the message.
+    wanted : str
+        Description of the expected file, for the message.
+
+    Raises
+    ------
+    InputError
+        If `x` is not text, is empty, or contains a NUL or characters that the file system cannot encode (lone
+        surrogates, except for the ones with which Python itself represents names that are not UTF-8).
+    """
+    try:
+        text = os.fspath(x)
+    except Exception as error:  # the caller's path-like object may raise any error
+        found = "" if isinstance(error, TypeError) else f" ({type(error).__name__}: {error})"
+        raise InputError(f"{name}: expected {wanted}, found {short(x)}{found}") from None
+    if not isinstance(text, str) or not text:
+        raise InputError(f"{name}: expected {wanted}, found {short(text)}")
+    try:
+        os.fsencode(text)
+    except UnicodeEncodeError as error:
+        raise InputError(f"{name}: expected {wanted}, found {short(text)} ({error.reason})") from None
+    if "\0" in text:
+        raise InputError(f"{name}: expected {wanted}, found {short(text)}, which holds a NUL")
+    return Path(text)
+
+
+def short(x: Any) -> str:
+    """A value as shown in messages: its `repr`, cut if it is long, or its type if it has none."""
+    try:
+        text = repr(x)
+    except Exception:  # the caller's object, or an integer with more digits than Python writes
+        text = f"{type(x).__name__}, which cannot be shown"
+    return text if len(text) <= LONGEST else f"{text[: LONGEST - 20]} ... ({type(x).__name__})"
+
+
+def unknown_name(what: str, name: Any, known: Iterable[str]) -> UnknownNameError:
+    """Make the error about a name that is not among the `known` ones, which it lists, nearest first."""
+    import difflib  # for this message only
+
+    listed = list(known)
+    nearest = difflib.get_close_matches(name, listed, n=1) if isinstance(name, str) else []
+    hint = f" (did you mean {nearest[0]!r}?)" if nearest else ""
+    more = f", and {len(listed) - LISTED} more" if len(listed) > LISTED else ""
+    return UnknownNameError(
+        f"{what}: expected one of {', '.join(listed[:LISTED]) or '(there are none)'}{more}; found {short(name)}{hint}"
+    )
+
+
+class Named(dict[str, Entry]):
+    """A dict of names for users: the error for an unknown name lists the known ones."""
+
+    def __init__(self, what: str, entries: Mapping[str, Entry]) -> None:
+        super().__init__(entries)
+        self._what = what
+
+    def __missing__(self, name: object) -> NoReturn:
+        raise unknown_name(self._what, name, self)
+
+
+def brief(record: Any) -> str:
+    """Write a result in a readable form: numbers in full, long arrays by their shapes, in a few lines."""
+    parts = []
+    for entry in fields(record):
+        value = getattr(record, entry.name)
+        if isinstance(value, np.ndarray) and (value.size > FEW or value.ndim > 1):
+            parts.append(f"{entry.name}=<{shape_text(value.shape)} {value.dtype}>")
+        elif isinstance(value, np.ndarray):
+            parts.append(f"{entry.name}={np.array2string(value, precision=6, separator=', ')}")
+        elif value is not None:
+            parts.append(f"{entry.name}={value!r}")
+    return f"{type(record).__name__}({', '.join(parts)})"
+
+
+def fits_memory(needed: int, what: str) -> None:
+    """Refuse results of `needed` bytes that exceed the machine's memory or a limit on this process."""
+    there, which = physical_memory(), ""
+    if needed >= _memory.LOOK:
+        there, which = min((there, which), _memory.left())
+    if needed > there:
+        raise MemoryLimitError(
+            f"expected a batch whose results fit into memory ({there / 2**30:.3g} GiB{which}), found {what}, "
+            f"which need {needed / 2**30:.3g} GiB; query them in parts"
+        )
+
+
+@cache
+def physical_memory() -> int:
+    """Memory of the machine, in bytes."""
+    return _memory.physical()

@@ -1,0 +1,260 @@
+"""XML as a tree of elements that record which parts were requested, so that a reader can list the unread parts."""
+
+from __future__ import annotations
+
+import codecs
+import re
+from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Set as AbstractSet
+from typing import Any, NoReturn, Self, TypeVar
+from xml.parsers import expat
+
+from loewner._base._memory import uncollected
+
+E = TypeVar("E", bound="Element")
+
+# Python's expat decodes no encoding that has characters of several bytes, except Unicode's. These are names of Python's
+# codecs; other codecs can do more than decode, and stay with expat.
+_MULTIBYTE = frozenset(
+    ["gb2312", "gbk", "gb18030", "big5", "cp950", "shift_jis", "cp932", "euc_jp", "iso2022_jp", "euc_kr", "cp949"]
+)
+_DECLARED = re.compile(rb"""<\?xml\s[^>]*?\sencoding\s*=\s*["']([A-Za-z][A-Za-z0-9._-]*)["']""")
+
+
+class XmlError(ValueError):
+    """A file is no XML, or has something that its reader excludes; the message has the expected and found content.
+
+    Attributes
+    ----------
+    line : int
+        The line in which it was found.
+    """
+
+    def __init__(self, expected: str, found: str, line: int) -> None:
+        super().__init__(f"expected {expected}, found {found}")
+        self.line = line
+
+
+class Element:
+    """An element; its methods record which children and attributes were requested.
+
+    Attributes
+    ----------
+    tag : str
+        Name, with its prefix, or without its namespace if the parser takes the namespaces off.
+    namespace : str
+        Address to which the prefix is bound at this place, or the default one; empty if there is none.
+    attributes : dict of str to str
+    children : list of Element
+    texts : list of str
+        Text outside the children, in pieces; empty unless the parser keeps texts.
+    line : int
+        Line of the file in which the element begins.
+    """
+
+    __slots__ = ("_asked", "attributes", "children", "line", "namespace", "tag", "texts")
+
+    def __init__(self, tag: str, attributes: dict[str, str], line: int, namespace: str = "") -> None:
+        self.tag, self.attributes, self.line, self.namespace = tag, attributes, line, namespace
+        self.children: list[Self] = []
+        self.texts: list[str] = []
+        self._asked: set[str] | None = None  # tags, and names of attributes after "@"; made when it is first needed
+
+    def all(self, tag: str) -> list[Self]:
+        """Return the children with this tag."""
+        if self._asked is None:
+            self._asked = set()
+        self._asked.add(tag)
+        return [child for child in self.children if child.tag == tag]
+
+    def one(self, tag: str) -> Self | None:
+        """Return the child with this tag, or None; two are an error."""
+        found = self.all(tag)
+        if len(found) > 1:
+            found[1].fault(f"one <{tag}> in <{self.tag}>", f"another one in line {found[0].line}")
+        return found[0] if found else None
+
+    def the(self, tag: str) -> Self:
+        """Return the child with this tag; none, and two, are an error."""
+        found = self.one(tag)
+        if found is None:
+            self.fault(f"a <{tag}> in <{self.tag}>", "none")
+        return found
+
+    def get(self, name: str) -> str | None:
+        """Return an attribute, or None."""
+        if self._asked is None:
+            self._asked = set()
+        self._asked.add("@" + name)
+        return self.attributes.get(name)
+
+    def fault(self, expected: str, found: str) -> NoReturn:
+        """Raise an error about this element; readers replace it by one that raises their own."""
+        raise XmlError(expected, found, self.line)
+
+    def disown(self, *names: str) -> None:
+        """Mark parts as unread again: tags, and names of attributes after "@"."""
+        if self._asked is not None:
+            self._asked.difference_update(names)
+
+    def unread(
+        self, harmless: Mapping[str, AbstractSet[str]], telling: AbstractSet[str] = frozenset()
+    ) -> Iterator[tuple[Self, str]]:
+        """Yield the elements, attributes and texts in this one that were never requested, in the order of the file.
+
+        Parameters
+        ----------
+        harmless : mapping of str to set of str
+            By the tag of an element: tags of children, and names of attributes after "@", that may be passed over.
+            Nothing inside such children is reported. A tag may end in "*": inside of such a child, elements that are
+            `telling` and have children are reported.
+        telling : set of str, optional
+            Tags.
+
+        Yields
+        ------
+        element : Element
+            The element, or the one that has the attribute; its line is the place.
+        name : str
+            For messages, as "<colision> in <link>", or "<limit min>" for an attribute.
+        """
+        asked: AbstractSet[str] = self._asked or frozenset()
+        passed_over = harmless.get(self.tag, frozenset())
+        for name in self.attributes:
+            known = f"@{name}" in asked or f"@{name}" in passed_over
+            if not known and not name.startswith(("xmlns", "xml:")):
+                yield self, f"<{self.tag} {name}>"
+        if "".join(self.texts).strip():
+            yield self, f"text in <{self.tag}>"
+        for child in self.children:
+            if f"{child.tag}*" in passed_over:
+                yield from child._inside(child.tag, telling)
+            elif child.tag in passed_over:
+                continue
+            elif child.tag in asked:
+                yield from child.unread(harmless, telling)
+            else:
+                yield child, f"<{child.tag}> in <{self.tag}>"
+
+    def _inside(self, tag: str, telling: AbstractSet[str]) -> Iterator[tuple[Self, str]]:
+        for child in self.children:
+            if child.tag in telling and child.children:
+                yield child, f"<{child.tag}> in <{tag}>"
+            else:
+                yield from child._inside(tag, telling)
+
+
+def parse(
+    data: bytes | str,
+    what: str,
+    make: Callable[[str, dict[str, str], int, str], E],
+    *,
+    deepest: int,
+    most: int,
+    texts: bool = False,
+    doctype: bool = True,
+    strip: bool = False,
+) -> E:
+    """Parse a file, and return its root element.
+
+    Parameters
+    ----------
+    data : bytes or str
+        A string has already been decoded; the encoding that its first line declares has no effect.
+    what : str
+        The expected kind of file, for messages, with its article.
+    make : callable
+        Makes an element from its tag, attributes, line and namespace.
+    deepest, most : int
+        Limits on the nesting and on the number of elements. The caller limits the bytes.
+    texts : bool, optional
+        Whether to keep the text between tags.
+    doctype : bool, optional
+        Whether a document type is allowed. The declaration of an entity never is: entities can expand to more text
+        than memory holds, or to other files.
+    strip : bool, optional
+        Whether to take the namespaces off the tags; prefixes must then be declared.
+
+    Raises
+    ------
+    XmlError
+        If the data is no XML or exceeds a limit.
+    """
+    parser = expat.ParserCreate(namespace_separator="}" if strip else None)
+    parser.buffer_text, parser.buffer_size = True, 1 << 20
+    path = [make("", {}, 0, "")]
+    scopes: list[dict[str, str]] = [{}]  # namespaces by prefix, of the document and the open elements
+    names: dict[str, tuple[str, str]] = {}  # tag and namespace of names that are stripped
+    total = 0
+
+    def refuse(found: str) -> NoReturn:
+        raise XmlError(what, found, parser.CurrentLineNumber)
+
+    def start(name: str, attributes: dict[str, str]) -> None:
+        nonlocal total
+        total += 1
+        if len(path) > deepest:
+            refuse(f"more than {deepest} elements inside each other")
+        if total > most:
+            refuse(f"more than {most} elements")
+        if strip:
+            if name not in names:
+                namespace, _, tag = name.rpartition("}")
+                names[name] = tag, namespace
+            tag, namespace = names[name]
+        else:
+            scope = scopes[-1]
+            for attribute in attributes:
+                if attribute.startswith("xmlns"):
+                    scope = _with_declared(scope, attributes)
+                    break
+            scopes.append(scope)
+            tag, namespace = name, scope.get(name.rpartition(":")[0], "") if scope else ""
+        element = make(tag, attributes, parser.CurrentLineNumber, namespace)
+        path[-1].children.append(element)
+        path.append(element)
+
+    def end(_: str) -> None:
+        path.pop()
+        if not strip:
+            scopes.pop()
+
+    def text(words: str) -> None:
+        path[-1].texts.append(words)
+
+    def entity(name: str, *_: Any) -> None:
+        refuse(f"the declaration of an entity, {name[:40]!r}")
+
+    def document_type(*_: Any) -> None:
+        refuse("a document type, which may declare entities")
+
+    parser.StartElementHandler, parser.EndElementHandler, parser.EntityDeclHandler = start, end, entity
+    if texts:
+        parser.CharacterDataHandler = text
+    if not doctype:
+        parser.StartDoctypeDeclHandler = document_type
+    try:
+        with uncollected():
+            parser.Parse(_decoded(data), True)
+    except XmlError:
+        raise
+    except expat.ExpatError as error:
+        raise XmlError(what, f"broken XML ({expat.ErrorString(error.code) or error})", error.lineno) from None
+    except (ValueError, LookupError, MemoryError) as error:  # an encoding that is unknown, large, or not kept to
+        raise XmlError(what, f"broken XML ({error})", 1) from None
+    return path[0].children[0]
+
+
+def _decoded(data: bytes | str) -> bytes | str:
+    """Decode bytes if their declared encoding is one that expat lacks."""
+    declared = _DECLARED.match(data) if isinstance(data, bytes) else None
+    if declared is None:
+        return data
+    codec = codecs.lookup(declared[1].decode()).name
+    return data.decode(codec) if codec in _MULTIBYTE and isinstance(data, bytes) else data
+
+
+def _with_declared(namespaces: dict[str, str], attributes: dict[str, str]) -> dict[str, str]:
+    """Add the namespaces that an element declares to a dict by prefix; the default namespace has the prefix ""."""
+    declared = {name[6:]: value for name, value in attributes.items() if name == "xmlns" or name.startswith("xmlns:")}
+    return namespaces | declared

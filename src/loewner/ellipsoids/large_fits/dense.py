@@ -1,0 +1,84 @@
+"""Code shared by outer and inner fits: triangular matrices, step lengths, progress."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from loewner._base._validate import Floats, Progress
+
+ROUNDING = 2.0**-53  # unit roundoff of float64
+# Numbers in a block of rows: few enough for the cache, and enough to make the overhead of NumPy negligible.
+BLOCK = 2**16
+# Largest number of unknowns of an interior point whose matrix has a row for each: the matrix then takes 390 MB.
+LARGEST_SYSTEM = 7000
+STEP_CAP, CENTRING_FLOOR = 0.9999, 1e-15  # as in `_kernels.fits.mvce`
+
+
+def blocks(rows: Floats) -> Iterator[tuple[int, Floats]]:
+    """Yield many rows block by block, each with the number of its first row."""
+    size = max(1, BLOCK // rows.shape[1])
+    for first in range(0, len(rows), size):
+        yield first, rows[first : first + size]
+
+
+def lower_root(rows: Floats) -> Floats:
+    """Lower triangular L, diagonal positive, with L Lᵀ = rowsᵀ rows."""
+    triangle = np.asarray(np.linalg.qr(rows, mode="r"))
+    return np.ascontiguousarray((triangle * np.where(np.diagonal(triangle) < 0, -1.0, 1.0)[:, None]).T)
+
+
+def inverse_of(lower: Any) -> Floats:
+    """Inverse of a lower triangular matrix."""
+    from scipy.linalg.lapack import dtrtri
+
+    return np.ascontiguousarray(np.tril(dtrtri(lower, lower=1)[0]))
+
+
+def root_of_inverse(matrix: Floats) -> Floats | None:
+    """Lower triangular H with Hᵀ H the inverse of `matrix`; None if that is singular to rounding."""
+    try:
+        return inverse_of(np.linalg.cholesky(matrix))
+    except np.linalg.LinAlgError:
+        return None
+
+
+def room(x: Floats, dx: Floats) -> float:
+    """Largest step of x along dx that keeps x positive."""
+    down = dx < 0
+    return float((x[down] / -dx[down]).min(initial=np.inf))
+
+
+@dataclass
+class Reporter:
+    """Reports the share of the requested digits that is reached, in percent, never decreasing.
+
+    Within a round the number does not change, and is reported again so that the callback may interrupt.
+    """
+
+    progress: Progress | None
+    tol: float
+    first: float = np.inf
+    told: int = 0
+
+    def reached(self, gap: float) -> None:
+        """Report a gap that holds for all points or half-spaces."""
+        if 0 < gap < np.inf:
+            if not self.first < np.inf:
+                self.first = max(gap, 2 * self.tol)
+            share = np.log(self.first / max(gap, self.tol)) / np.log(self.first / self.tol)
+            self.told = max(self.told, min(99, int(100 * share)))
+        self.working()
+
+    def working(self) -> None:
+        """Report that another step is done."""
+        if self.progress is not None:
+            self.progress(self.told, 100)
+
+    def done(self) -> None:
+        """Report that all digits are reached."""
+        self.told = 100
+        self.working()

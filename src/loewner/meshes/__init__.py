@@ -1,0 +1,10 @@
+"""From mesh files to convex pieces, and how well they stand for the mesh.
+
+`files` reads the formats; `decomposition` divides a mesh into convex pieces, `plane_cuts` within a tolerance, and
+`closed_parts` finds its closed parts. `coverage` and `protrusion` measure what pieces miss and how far they stick out,
+`inscribed` fits ellipsoids inside a mesh, and `triangles` prepares arrays.
+"""
+
+from loewner.meshes.decomposition import convex_pieces, load
+
+__all__ = ["convex_pieces", "load"]

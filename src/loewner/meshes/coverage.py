@@ -1,0 +1,228 @@
+"""Find the parts of a mesh's surface that convex pieces leave uncovered, bound their distance, and cover them.
+
+A decomposition cuts off corners of the mesh, and the missing corners would be free. Its pieces are therefore grown
+until they contain the whole surface.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from loewner._base import _validate
+from loewner._base._validate import Floats, Ints
+from loewner.ellipsoids.polytopes import Polytope
+from loewner.meshes.triangles import halved, longest_edges, squared_distances
+
+# Parts that stick out of the nearest piece by more than GROWTH are cut into cells, down to CELL_SIZE; both are relative
+# to the diagonal of the mesh's box. A piece thus grows by 0.1 % of the diagonal over a face and by 0.25 % over an edge
+# that it shares with another piece.
+GROWTH = 0.001
+CELL_SIZE = 0.0025
+
+# A sample this far outside a piece, relative to the same diagonal, is inside except for rounding:
+# far above Qhull's errors (about 1e-15), far below the accuracy of any mesh.
+COVER_TOLERANCE = 1e-10
+
+
+@dataclass(frozen=True)
+class Covering:
+    """How far the verdicts of a mesh's convex pieces apply to the mesh itself.
+
+    Attributes
+    ----------
+    kind : str
+        ``"cover"``: the pieces were fitted by `Body.cover`, to any body, and the attributes refer to that body.
+        ``"convex"``: the mesh is a union of closed convex parts and the pieces are their hulls.
+        ``"hull"``: one piece, the convex hull. ``"decomposition"``: pieces that approximate the mesh. ``"solid"``: the
+        mesh is not closed, and triangles that close its holes were added. ``"swept"``: the pieces contain links of a
+        robot wherever they are on a curve (`Robot.swept`), and all numbers refer to their swept volume.
+    exact : bool
+        Whether the union of the pieces contains the whole surface of the mesh, up to rounding, which `max_uncovered`
+        then bounds. If so, FREE also applies to the mesh.
+    max_uncovered : float
+        Proven upper bound on the distance from any point of the mesh's surface to the union of the pieces, in metres.
+        If ``margin`` is at least the sum of both bodies' bounds, FREE applies to both surfaces, even if `exact` is
+        false.
+    excess_volume : float
+        Sum of the pieces' volumes divided by the mesh's volume, minus 1. It measures how much the pieces stick out;
+        overlaps count twice, including overlaps of the mesh's closed parts. NaN if the mesh is not closed and therefore
+        has no volume.
+    samples : int
+        Number of surface points that were tested, including all vertices of the mesh.
+    max_protrusion : float
+        Proven upper bound, up to rounding, on the distance from any point of the pieces to the mesh, in metres. For a
+        closed mesh this is the distance to the enclosed solid (all points with a nonzero winding number), for any other
+        mesh the distance to the surface. The bound is within 1 % of the true value, or within 1e-4 of the diagonal of
+        the mesh's bounding box, unless the mesh is so large that the search was stopped. NaN if the body was loaded
+        from a file written before this value existed, or made for a link from a mesh without an inside.
+
+    Examples
+    --------
+    >>> import trimesh
+    >>> from loewner import Body
+    >>> Body.from_mesh(trimesh.creation.box((1, 1, 1))).covering.exact
+    True
+    """
+
+    kind: str
+    exact: bool
+    max_uncovered: float
+    excess_volume: float
+    samples: int
+    max_protrusion: float = float("nan")
+
+
+@dataclass(frozen=True, eq=False)
+class CoverReport:
+    """Whether the elements of a model hold a body, and how far they stick out of it; see `Body.covered_by`.
+
+    Attributes
+    ----------
+    outcome : {"covered", "uncovered", "undecided"}
+        "covered": each point of the body, inside included, is proven to be in the model. "uncovered": `witness` is not.
+        "undecided": neither is proven; some cells of the size of the tolerance are in no single element.
+    uncovered_share : tuple of float
+        Bounds on the share of the area of the body's surface that is outside the model. The surfaces of all pieces
+        count, also where they are inside other pieces. For a curved piece, the area of a polytope inside it is
+        measured, with corners on its surface; points without triangles, as of a cloud, have no area: then (0, 1).
+    depth : tuple of float
+        Bounds on the largest distance of a point of the body from the model, in metres.
+    witness : ndarray, shape (3,), or None
+        The point of the body, among the points tried, that is deepest outside of every element.
+    excess : tuple of float
+        Bounds on the largest distance of a point of the model from the body, in metres.
+
+    Examples
+    --------
+    >>> from loewner import Body
+    >>> Body.box([1, 1, 1]).covered_by(Body.sphere(1.0)).outcome
+    'covered'
+    """
+
+    outcome: str
+    uncovered_share: tuple[float, float]
+    depth: tuple[float, float]
+    witness: Floats | None
+    excess: tuple[float, float]
+
+    __repr__ = _validate.brief
+
+
+def covered(triangles: Floats, hulls: list[Polytope], size: float, *, grow: bool) -> tuple[list[Polytope], Covering]:
+    """Measure the uncovered part of a surface, after growing the convex pieces on request.
+
+    Parameters
+    ----------
+    triangles : ndarray, shape (t, 3, 3)
+        Corners of the surface's triangles.
+    hulls : list of Polytope
+    size : float
+        Diagonal of the mesh's bounding box.
+    grow : bool
+        Add each part of the surface that lies in no piece to the piece closest to it.
+
+    Returns
+    -------
+    hulls : list of Polytope
+    covering : Covering
+        The covering, still without the excess volume and `max_protrusion`.
+    """
+    cells, owner, samples = _outside(triangles, hulls, GROWTH * size, CELL_SIZE * size)
+    if grow and len(cells):
+        hulls = list(hulls)
+        for j in np.unique(owner):
+            corners = cells[owner == j].reshape(-1, 3)
+            hulls[j] = Polytope.from_points(np.concatenate([hulls[j].vertices, corners]))
+    rounding = COVER_TOLERANCE * size
+    gap = _largest_gap(cells, hulls, rounding)
+    return hulls, Covering("decomposition", bool(gap <= rounding), gap, float("nan"), samples)
+
+
+def _outside(triangles: Floats, hulls: list[Polytope], growth: float, cell_size: float) -> tuple[Floats, Ints, int]:
+    """Find the cells of the surface that lie in no single piece.
+
+    A triangle lies in a convex piece if its corners do. A triangle that lies in no piece is halved across its longest
+    edge until each part lies in a piece, sticks out of one by no more than `growth`, or has no edge longer than
+    `cell_size`.
+
+    Returns
+    -------
+    cells : ndarray, shape (k, 3, 3)
+        Corners of the remaining cells.
+    owner : ndarray of int, shape (k,)
+        Index of the piece to which each cell is closest.
+    samples : int
+        Number of points tested.
+    """
+    rest, owners, samples = [np.empty((0, 3, 3))], [np.empty(0, dtype=np.int64)], 0
+    while len(triangles):
+        points, index = np.unique(triangles.reshape(-1, 3), axis=0, return_inverse=True)
+        samples += len(points)
+        worst, owner = _coverage(points, index.reshape(-1, 3), hulls)
+        triangles, worst, owner = triangles[worst > 0], worst[worst > 0], owner[worst > 0]
+        length, edge = longest_edges(triangles)
+        split = (worst > growth) & (length > cell_size)
+        rest.append(triangles[~split])
+        owners.append(owner[~split])
+        triangles = halved(triangles[split], edge[split])
+    return np.concatenate(rest), np.concatenate(owners), samples
+
+
+def _coverage(points: Floats, cells: Ints, hulls: list[Polytope]) -> tuple[Floats, Ints]:
+    """Find the piece closest to each cell, and a lower bound on how far the cell sticks out (<= 0: it is inside)."""
+    worst, owner = np.full(len(cells), np.inf), np.zeros(len(cells), dtype=np.int64)
+    for j, hull in enumerate(hulls):
+        box = np.maximum(hull.vertices.min(axis=0) - points, points - hull.vertices.max(axis=0)).max(axis=1)
+        ask = (worst > 0) & (box[cells].max(axis=1) < worst)
+        used = np.zeros(len(points), dtype=bool)
+        used[cells[ask]] = True
+        box[used] = _excess(points[used], hull)
+        excess = np.where(ask, box[cells].max(axis=1), np.inf)
+        better = excess < worst
+        worst[better], owner[better] = excess[better], j
+    return worst, owner
+
+
+def _excess(points: Floats, hull: Polytope) -> Floats:
+    """Compute the largest n·x - b over the faces, which is a lower bound on the distance, and negative inside."""
+    chunk = max(1, 2_000_000 // len(hull.normals))
+    parts = [(points[k : k + chunk] @ hull.normals.T - hull.offsets).max(axis=1) for k in range(0, len(points), chunk)]
+    return np.concatenate([np.empty(0), *parts])
+
+
+def _largest_gap(cells: Floats, hulls: list[Polytope], slack: float) -> float:
+    """Bound the distance of the cells from the pieces: each cell by its farthest corner from its nearest piece."""
+    points, index = np.unique(cells.reshape(-1, 3), axis=0, return_inverse=True)
+    corner = index.reshape(-1, 3)
+    corner = corner[_coverage(points, corner, hulls)[0] > 0]
+    if len(corner) == 0:
+        return 0.0
+    least = np.full(len(corner), np.inf)
+    for hull in hulls:
+        # A piece whose lower bound exceeds another piece's distance is not needed.
+        near = _excess(points, hull)[corner].max(axis=1) < least
+        used = np.unique(corner[near])
+        distance = np.full(len(points), np.inf)
+        distance[used] = distances_from(points[used], hull, slack)
+        least = np.minimum(least, distance[corner].max(axis=1))
+    return float(least.max())
+
+
+def distances_from(points: Floats, hull: Polytope, slack: float) -> Floats:
+    """Compute the distance of points to a convex piece, 0 inside.
+
+    The nearest point lies on a face that is visible from the point; `slack` keeps rounding from hiding such a face.
+    """
+    distance = np.zeros(len(points))
+    chunk = max(1, 500_000 // len(hull.simplices))
+    for k in range(0, len(points), chunk):
+        x = points[k : k + chunk]
+        height = x @ hull.normals.T - hull.offsets
+        seen = (height > -slack) & (height.max(axis=1) > 0)[:, None]
+        i, j = np.nonzero(seen[:, hull.face_of_simplex])
+        squared = np.full(len(x), np.inf)
+        np.minimum.at(squared, i, squared_distances(x[i], hull.vertices[hull.simplices[j]]))
+        distance[k : k + chunk] = np.where(seen.any(axis=1), np.sqrt(squared), 0.0)
+    return distance

@@ -1,0 +1,598 @@
+"""Load triangle meshes and split them into convex pieces.
+
+A file is read completely or refused: half a mesh would be free where the whole mesh collides.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from functools import wraps
+from os import PathLike
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, Protocol, TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from loewner._base import _validate
+from loewner._base._files import shown
+from loewner._base._log import MANY_TRIANGLES, log, logged
+from loewner._base._plausible import warn
+from loewner._base._validate import Floats, Progress
+from loewner.ellipsoids.polytopes import Polytope
+from loewner.errors import GeometryError, InputError, MissingExtraError, installing
+from loewner.meshes import files as mesh_files
+from loewner.meshes.closed_parts import ClosedPart, closed_parts, volume
+from loewner.meshes.coverage import Covering, covered
+from loewner.meshes.files.parts import Triangles as Triangles
+from loewner.meshes.plane_cuts import WORK, pieces_within
+from loewner.meshes.protrusion import Solid, protrusion_of_hulls, protrusions
+
+__all__ = ["convex_pieces", "load"]
+
+T = TypeVar("T")
+
+
+class Surface(Protocol):
+    """The part of a `trimesh.Trimesh` that this module uses: vertices, and triangles as indices of vertices."""
+
+    @property
+    def vertices(self) -> ArrayLike:
+        """Vertices, shape (v, 3), in metres, or in `units` if they are given."""
+
+    @property
+    def faces(self) -> ArrayLike:
+        """Triangles, shape (t, 3), as indices of vertices."""
+
+
+class Surfaces(Protocol):
+    """The part of a `trimesh.Scene` that this module uses: its meshes can be joined."""
+
+    def to_mesh(self) -> Surface:
+        """Join all meshes of the scene into one."""
+
+
+class Loaded(Protocol):
+    """The declared result type of `trimesh.load`; whether it is a surface shows only when the file is read."""
+
+    @property
+    def bounds(self) -> ArrayLike | None:
+        """Corners of the bounding box."""
+
+
+Source = str | PathLike[str] | Surface | Surfaces | Loaded | tuple[ArrayLike, ArrayLike]
+
+SUFFIXES = mesh_files.SUFFIXES
+
+# A closed mesh this close to its convex hull in volume is replaced by its hull. Collision meshes that are simplified
+# hulls stored in float32 are off by up to 1e-3.
+CONVEX_VOLUME_TOLERANCE = 1e-3
+
+# A mesh smaller or larger than this across [m] causes a warning: hardly any body is, unless it is in another unit.
+# Landscapes are an exception, for which the warning can be filtered; a part of 0.5 m read as 500 m is not noticed.
+USUAL_SIZES = (1e-4, 1e3)
+
+# Default tolerance for a mesh with holes, as a share of the diagonal of its box.
+OPEN_TOLERANCE = 0.02
+
+# CoACD takes numbers of pieces and seeds with 31 bits.
+LARGEST_NUMBER = 2**31 - 1
+
+
+def load(source: Source) -> tuple[Floats, Triangles]:
+    """Read a mesh as triangles, in metres.
+
+    Parameters
+    ----------
+    source : path, trimesh.Trimesh or trimesh.Scene, or a pair of arrays
+        A file in STL, OBJ, PLY, OFF, GLB, glTF or Collada (DAE) format. The meshes of a scene are placed by their
+        transforms and joined. A file that states its unit of length is converted to metres; all other files are assumed
+        to be in metres. Or a pair of arrays: vertices, shape (v, 3), and triangles, shape (t, 3).
+
+    Returns
+    -------
+    vertices : ndarray, shape (v, 3)
+        In metres, as stored; equal vertices are not merged. Vertices that are not finite, and of no triangle, are left
+        out.
+    triangles : ndarray of int, shape (t, 3)
+
+    Raises
+    ------
+    FileError
+        If the file is missing, empty, cut short, larger than 2 GiB, not a regular file or not a mesh, or if its
+        contents do not match its declarations; the message names the line or element. (An OBJ file does not declare its
+        length, so a file that was cut off between two lines cannot be distinguished from a whole file.)
+    GeometryError
+        If a vertex of a triangle is not finite, or there is no triangle.
+
+    Examples
+    --------
+    >>> import trimesh
+    >>> from loewner.meshes import decomposition as meshes
+    >>> _ = trimesh.creation.box((0.1, 0.2, 0.3)).export("box.obj")
+    >>> vertices, triangles = meshes.load("box.obj")
+    >>> vertices.max(axis=0), triangles.shape
+    (array([0.05, 0.1 , 0.15]), (12, 3))
+    """
+    if isinstance(source, str | PathLike):
+        path = _path(source)
+        name = shown(path)
+        vertices, triangles = mesh_files.read(path)
+        if len(triangles) >= MANY_TRIANGLES:
+            log.info("%s: read, %d triangles", name, len(triangles))
+    else:
+        name = "mesh"
+        vertices, triangles = _in_memory(source)
+    if len(triangles) == 0:
+        raise GeometryError(f"{name}: expected a mesh, found {len(vertices)} vertices and no triangle")
+    if triangles.min() < 0 or triangles.max() >= len(vertices):
+        raise GeometryError(
+            f"{name}: expected triangles of vertices 0..{len(vertices) - 1}, "
+            f"found indices {triangles.min()}..{triangles.max()}"
+        )
+    return _used_and_finite(vertices, triangles, name)
+
+
+def _used_and_finite(vertices: Floats, triangles: Triangles, name: str) -> tuple[Floats, Triangles]:
+    """Leave out vertices without triangles that are not finite, as scanners write them where they saw nothing."""
+    if np.isfinite(vertices).all():
+        return vertices, triangles
+    finite = np.logical_and.reduce(np.isfinite(vertices), axis=1)
+    if not finite[triangles].all():
+        bad = int(triangles[~finite[triangles]].min())
+        raise GeometryError(f"{name}: expected finite vertices, found {vertices[bad].tolist()} at vertex {bad}")
+    return vertices[finite], (np.cumsum(finite) - 1)[triangles]
+
+
+def _in_memory(source: Any) -> tuple[Floats, Triangles]:
+    """Return the vertices in metres and the triangles of a trimesh.Trimesh, a trimesh.Scene or a pair of arrays."""
+    if isinstance(source, tuple) and len(source) == 2:
+        source = SimpleNamespace(vertices=source[0], faces=source[1])
+    try:
+        if hasattr(source, "to_mesh"):
+            _expect_one_unit(source)
+        mesh = source.to_mesh() if hasattr(source, "to_mesh") else source
+    except InputError:
+        raise
+    except Exception as error:  # from a scene made by the caller; trimesh has no errors of its own
+        raise GeometryError(
+            f"mesh: expected a scene that can be joined, found {type(error).__name__}: {error}"
+        ) from None
+    if not (hasattr(mesh, "vertices") and hasattr(mesh, "faces")):
+        raise InputError(
+            f"mesh: expected a path, a trimesh.Trimesh, a trimesh.Scene, or vertices and triangles, "
+            f"found {type(source).__name__}"
+        )
+    vertices = _validate.float_array(mesh.vertices, "mesh.vertices")
+    triangles = _validate.plain_array(mesh.faces, "mesh.faces")
+    for array, what in ((vertices, "vertices"), (triangles, "faces")):
+        if array.ndim != 2 or array.shape[1] != 3:
+            raise GeometryError(f"mesh.{what}: expected shape (n, 3), found {_validate.shape_text(array.shape)}")
+    if len(triangles) and triangles.dtype.kind not in "iu":
+        raise GeometryError(f"mesh.faces: expected whole numbers, found dtype {triangles.dtype}")
+    return vertices * _metres(mesh), np.array(triangles, dtype=np.int64)
+
+
+def _expect_one_unit(scene: Any) -> None:
+    """Refuse a scene of meshes with different units: trimesh joins them without converting any."""
+    shapes = [mesh for mesh in getattr(scene, "geometry", {}).values() if hasattr(mesh, "faces")]
+    units = {_metres(mesh): str(getattr(mesh, "units", None)) for mesh in shapes}
+    if len(units) > 1:
+        raise GeometryError(
+            f"mesh: expected a scene with one unit of length, found {', '.join(units.values())}; convert its meshes "
+            "first (mesh.convert_units)"
+        )
+
+
+def _ask_about_units(vertices: Floats, name: str) -> None:
+    """Warn of a size that suggests a unit of length other than metres; `vertices` are already scaled."""
+    size = float(np.ptp(vertices, axis=0).max())
+    if not USUAL_SIZES[0] <= size <= USUAL_SIZES[1] and size > 0:
+        unit, factor = ("in millimetres", 0.001) if size > 1 else ("scaled to metres twice", 1000)
+        warn(
+            f"{name}: {size:.3g} m across, all lengths being metres. Is it {unit}? Then give scale={factor} "
+            f"(--scale {factor})"
+        )
+
+
+def convex_pieces(
+    source: Source,
+    *,
+    scale: ArrayLike = 1.0,
+    decompose: bool = True,
+    cover: bool = True,
+    tolerance: float | None = None,
+    threshold: float = 0.05,
+    max_pieces: int | None = None,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> tuple[list[Floats], Covering]:
+    """Split a mesh into convex pieces.
+
+    Parameters
+    ----------
+    source : path, trimesh.Trimesh or trimesh.Scene
+        See `load`.
+    scale : float, or array_like of shape (3,)
+        Factor for all lengths, or one for each axis of the mesh; a negative one mirrors.
+    decompose : bool
+        False: make the convex hull of the whole mesh, which contains it, the only piece.
+    cover : bool
+        Grow the pieces of a decomposition until they contain the mesh's whole surface.
+    tolerance : float, optional
+        The largest distance by which the pieces may stick out of the mesh, in metres. If it is given, the mesh is cut
+        along planes instead of by CoACD, until no piece sticks out farther or `max_pieces` is reached. If a piece still
+        sticks out farther, a warning states by how much. A mesh with holes is always cut along planes; its default
+        tolerance is 2 % of the diagonal of its bounding box, or more if a limited amount of work does not suffice.
+    threshold : float
+        CoACD's bound on concavity, from 0.01 to 1. A smaller bound gives more pieces and a closer fit. It applies only
+        to meshes without holes.
+    max_pieces : int, optional
+        Limit on the number of pieces of a decomposition.
+    seed : int
+        Seed of CoACD's search.
+    progress : callable, optional
+        Called as ``progress(done, total)`` after each step; the ratio done / total never decreases. If the mesh is cut
+        along planes, each step is a hundredth of its surface.
+
+    Returns
+    -------
+    pieces : list of ndarray, each of shape (v_i, 3)
+        Vertices of each piece's hull, in metres.
+    covering : Covering
+
+    Raises
+    ------
+    FileError, GeometryError, MissingExtraError
+        As for `load`; GeometryError also for a flat mesh.
+
+    Warns
+    -----
+    UserWarning
+        If a mesh to be decomposed has holes, since its inside is then not solid; if the scaled mesh is more than 1000 m
+        or less than 0.1 mm across, since it may not be in metres; or if the pieces stick out by more than `tolerance`.
+
+    Notes
+    -----
+    The closed parts of a mesh are decomposed one by one, even where they overlap, or share edges or corners. A part
+    counts as convex if its volume equals the volume of its hull, to 1e-3; it then has one piece, its hull. A part of
+    negative volume is a cavity of the part in which it lies.
+
+    Covering is proven, not sampled. A triangle lies in a convex piece if its corners do; a triangle that lies in no
+    piece is halved until its parts lie in a piece, nearly lie in one, or are smaller than 0.25 % of the mesh's
+    diagonal. With `cover`, the remaining parts are added to the nearest piece. Without it, their distance from the
+    pieces is measured at their corners, where it is greatest, since the distance to a convex piece is a convex
+    function.
+
+    References
+    ----------
+    Wei, Liu, Ling and Su (2022), "Approximate convex decomposition for 3D meshes with
+    collision-aware concavity and tree search", ACM Trans. Graph. 41(4), doi:10.1145/3528223.3530103.
+
+    Examples
+    --------
+    >>> import trimesh
+    >>> from loewner.meshes import decomposition as meshes
+    >>> pieces, covering = meshes.convex_pieces(trimesh.creation.box((0.1, 0.2, 0.3)))
+    >>> len(pieces), pieces[0].shape, covering.exact
+    (1, (8, 3), True)
+    """
+    polytopes, covering = convex_polytopes(
+        source,
+        scale=scale,
+        decompose=decompose,
+        cover=cover,
+        tolerance=tolerance,
+        threshold=threshold,
+        max_pieces=max_pieces,
+        seed=seed,
+        progress=progress,
+    )
+    return [np.array(piece.vertices) for piece in polytopes], covering
+
+
+def scaled_mesh(source: Source, scale: ArrayLike) -> tuple[Floats, Triangles]:
+    """Read a mesh as `load` does, and scale it by a factor to metres; warn about doubtful sizes."""
+    factors = _validate.float_array(scale, "scale")
+    factors = _validate.finite_array(factors, "scale", (3,) if factors.ndim else ())
+    if not factors.all():
+        raise InputError(f"scale: expected factors other than 0, found {_validate.short(scale)}")
+    vertices, triangles = load(source)
+    name = name_of(source)
+    with np.errstate(over="ignore"):
+        vertices = vertices * factors
+    vertices, triangles = _used_and_finite(vertices, triangles, name)
+    _ask_about_units(vertices[triangles].reshape(-1, 3), name)
+    return vertices, triangles
+
+
+def name_of(source: Source) -> str:
+    """Return the name of a mesh for messages."""
+    return shown(_path(source)) if isinstance(source, str | PathLike) else "mesh"
+
+
+def _path(source: str | PathLike[str]) -> Path:
+    """Return the path of a source; an invalid name is reported when the file is read."""
+    return Path(source) if isinstance(source, str | Path) else _validate.path(source, "source")
+
+
+def _naming(fit: Callable[..., T]) -> Callable[..., T]:
+    """Prefix every error about a shape with the name of the mesh."""
+
+    @wraps(fit)
+    def call(source: Source, **options: Any) -> T:
+        try:
+            return fit(source, **options)
+        except GeometryError as error:
+            name, text = name_of(source), str(error)
+            raise GeometryError(text if text.startswith(name) else f"{name}: {text}") from None
+
+    return call
+
+
+@_naming
+def convex_polytopes(
+    source: Source,
+    *,
+    scale: ArrayLike,
+    decompose: bool,
+    cover: bool,
+    tolerance: float | None,
+    threshold: float,
+    max_pieces: int | None,
+    seed: int,
+    progress: Progress | None,
+) -> tuple[list[Polytope], Covering]:
+    """Split a mesh as `convex_pieces` does, and keep the faces of the hulls."""
+    threshold = _validate.positive_scalar(threshold, "threshold")
+    if not 0.01 <= threshold <= 1:
+        raise InputError(f"threshold: expected 0.01 to 1, found {threshold:g}")
+    within = None if tolerance is None else _validate.positive_scalar(tolerance, "tolerance")
+    most = None if max_pieces is None else _validate.whole_number(max_pieces, "max_pieces", 1, LARGEST_NUMBER)
+    seed = _validate.whole_number(seed, "seed", 0, LARGEST_NUMBER)
+    decompose, cover = _validate.flag(decompose, "decompose"), _validate.flag(cover, "cover")
+    _validate.callback(progress, "progress")
+    name = name_of(source)
+    vertices, triangles = scaled_mesh(source, scale)
+    vertices, triangles = welded(vertices, triangles)
+    parts = closed_parts(vertices, triangles) or []  # empty for a mesh that is not closed
+    if parts:
+        triangles = np.concatenate([part.triangles for part in parts])  # with outward orientation
+    mesh_volume = sum(part.volume for part in parts) if parts else np.nan
+    solid = Solid(vertices[triangles], closed=bool(parts))
+    hull = Polytope.from_points(vertices)
+    hulls = _hulls_of_parts(vertices, parts, hull)
+    convex = bool(hulls) and all(map(_is_hull_of, parts, hulls))
+
+    if not decompose or convex:
+        pieces = hulls if decompose else [hull]
+        kind = "convex" if convex and len(pieces) == len(hulls) else "hull"
+        corners = [vertices[part.triangles] for part in parts]
+        reached = protrusion_of_hulls(corners, pieces) if kind == "convex" else _protrusion(pieces, solid)
+        if within is None or reached <= within or not decompose:
+            excess = _excess_volume(pieces, mesh_volume)
+            return _told(name, pieces, Covering(kind, True, 0.0, excess, len(vertices), reached), within)
+
+    chosen = within
+    if _has_holes(triangles):
+        warn(
+            f"{name}: has holes, so that its inside is not known to be solid and what is in there may be FREE; close "
+            "them, take its triangles as they are, exact and in milliseconds (Body.from_surface, --model surface), or "
+            "take its convex hull (decompose=False, --hull)"
+        )
+        if within is None:  # CoACD would first make it solid: slow, and farther off
+            within = OPEN_TOLERANCE * _size(vertices)
+    if within is None:
+        with logged("%s: decomposing %d triangles", name, len(triangles)):
+            pieces = _coacd_by_parts(vertices, triangles, parts, hulls, threshold, most, seed, progress)
+        pieces, covering = covered(vertices[triangles], pieces, _size(vertices), grow=cover)
+        reached = _protrusion(pieces, solid)
+    else:
+        surfaces = [vertices[part.triangles] for part in parts] if hulls else [vertices[triangles]]
+        with logged("%s: cutting %d triangles", name, len(triangles)):
+            cells = pieces_within(surfaces, solid, within, most, progress, np.inf if solid.closed else WORK)
+        pieces = [cell.hull for cell in cells]
+        # Each cell already lies in its hull; nothing has to grow.
+        surface = np.concatenate([cell.triangles for cell in cells])
+        _, covering = covered(surface, pieces, _size(vertices), grow=False)
+        reached = min(_protrusion(pieces, solid), max(cell.bound for cell in cells))
+    excess = _excess_volume(pieces, mesh_volume)
+    return _told(name, pieces, replace(covering, excess_volume=excess, max_protrusion=reached), chosen)
+
+
+def _told(
+    name: str, pieces: list[Polytope], covering: Covering, tolerance: float | None
+) -> tuple[list[Polytope], Covering]:
+    """Return pieces and covering, with a warning if the pieces stick out by more than a tolerance."""
+    if covering.kind == "decomposition":
+        log.info("%s: %d pieces that stick out by up to %.3g m", name, len(pieces), covering.max_protrusion)
+    if tolerance is not None and covering.max_protrusion > tolerance:
+        warn(
+            f"{name}: expected pieces that stick out by at most tolerance={tolerance:.4g} m, found {len(pieces)} that "
+            f"stick out by up to {covering.max_protrusion:.4g} m; more pieces (max_pieces), a closed mesh, or "
+            "decompose=True may do it"
+        )
+    return pieces, covering
+
+
+def _protrusion(pieces: list[Polytope], solid: Solid) -> float:
+    """Return a proven bound on how far pieces stick out."""
+    return float(protrusions(pieces, solid, together=True).bounds.max())
+
+
+def _excess_volume(hulls: list[Polytope], whole: float) -> float:
+    """Compute the excess of the pieces' volume as a share of the mesh's volume; NaN if the mesh has no volume."""
+    return float(sum(_hull_volume(h) for h in hulls) / whole - 1) if whole > 0 else float("nan")
+
+
+def trimesh_scene(meshes: Mapping[str, tuple[Floats, Triangles]]) -> Any:
+    """Make a `trimesh.Scene` from vertices and triangles, keyed by name."""
+    trimesh = _import("trimesh", "making a scene of trimesh")
+    scene = trimesh.Scene()
+    for name, (vertices, triangles) in meshes.items():
+        scene.add_geometry(trimesh.Trimesh(vertices, triangles, process=False), node_name=name, geom_name=name)
+    return scene
+
+
+# -- files --------------------------------------------------------------------------------------
+
+
+def _import(package: str, purpose: str = "") -> Any:
+    try:
+        return __import__(package)
+    except ImportError:
+        raise MissingExtraError(_install_hint(package, purpose)) from None
+
+
+def _install_hint(package: str, purpose: str = "") -> str:
+    usual = {"coacd": "decomposing meshes", "trimesh": "converting a mesh's unit of length"}[package]
+    return f"{purpose or usual} needs {package}: {installing('meshes')}"
+
+
+def _metres(mesh: Any) -> float:
+    """Return the metres per unit of length of a mesh that states its unit, as Collada does."""
+    units = getattr(mesh, "units", None)
+    if units is None or units == "meters":
+        return 1.0
+    convert = _import("trimesh").units.unit_conversion
+    try:
+        return float(convert(units, "meters"))
+    except (KeyError, ValueError):
+        raise GeometryError(f"mesh: expected a known unit of length, found {units!r}") from None
+
+
+# -- shape of a mesh ----------------------------------------------------------------------------
+
+
+def _size(vertices: Floats) -> float:
+    return float(np.linalg.norm(np.ptp(vertices, axis=0)))
+
+
+def welded(vertices: Floats, triangles: Triangles) -> tuple[Floats, Triangles]:
+    """Merge equal vertices; drop unused vertices, and triangles that have thereby lost a corner."""
+    vertices, index = np.unique(vertices + 0.0, axis=0, return_inverse=True)
+    triangles = index.reshape(-1)[triangles]
+    a, b, c = triangles.T
+    triangles = triangles[(a != b) & (b != c) & (c != a)]
+    if len(triangles) == 0:
+        raise GeometryError(
+            f"mesh: expected triangles, found only triangles with equal corners, {len(vertices)} points"
+        )
+    used, triangles = np.unique(triangles, return_inverse=True)
+    return vertices[used], triangles.reshape(-1, 3)
+
+
+def _has_holes(triangles: Triangles) -> bool:
+    """Return whether a surface has a border; closed parts may share edges, and triangles may be reversed."""
+    edges = np.sort(np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]), axis=1)
+    _, counts = np.unique(edges, axis=0, return_counts=True)
+    return bool((counts % 2).any())
+
+
+def _hull_volume(hull: Polytope) -> float:
+    return abs(volume(hull.vertices, hull.simplices))
+
+
+def _is_hull_of(part: ClosedPart, hull: Polytope) -> bool:
+    return bool(part.volume >= (1 - CONVEX_VOLUME_TOLERANCE) * _hull_volume(hull))
+
+
+def _hulls_of_parts(vertices: Floats, parts: list[ClosedPart], hull: Polytope) -> list[Polytope]:
+    """Compute the hull of each closed part (`hull` if there is only one part); return none if a part is flat."""
+    if len(parts) == 1:
+        return [hull]
+    try:
+        return [Polytope.from_points(vertices[np.unique(part.triangles)]) for part in parts]
+    except GeometryError:
+        return []
+
+
+def _interruptible(work: Callable[[], T]) -> T:
+    """Run foreign code that may take minutes, but let an interrupt take effect at once.
+
+    The code itself cannot be stopped: after an interrupt it runs to its end on a thread of its own, and its result is
+    discarded.
+    """
+    done: list[T] = []
+    errors: list[BaseException] = []
+
+    def run() -> None:
+        try:
+            done.append(work())
+        except BaseException as error:
+            errors.append(error)
+
+    thread = threading.Thread(target=run, name="loewner decomposition", daemon=True)
+    thread.start()
+    while not done and not errors:
+        thread.join(0.05)
+    if errors:
+        raise errors.pop()  # the list would refer to the error, and the error's traceback to the list
+    return done[0]
+
+
+def _coacd_by_parts(
+    vertices: Floats,
+    triangles: Triangles,
+    parts: list[ClosedPart],
+    hulls: list[Polytope],
+    threshold: float,
+    most: int | None,
+    seed: int,
+    progress: Progress | None,
+) -> list[Polytope]:
+    """Decompose each nonconvex closed part, or the whole mesh if its parts are unknown or too many."""
+    if not hulls or (most is not None and len(parts) > most):
+        return _at_most(most, _coacd(vertices, triangles, threshold, most, seed))
+    curved = [not _is_hull_of(part, hull) for part, hull in zip(parts, hulls, strict=True)]
+    pieces = [hull for hull, left in zip(hulls, curved, strict=True) if not left]
+    size = _size(vertices)
+    for k, part in enumerate(part for part, left in zip(parts, curved, strict=True) if left):
+        # An even share of the remaining pieces; a threshold is relative to the whole mesh.
+        share = None if most is None else (most - len(pieces)) // (sum(curved) - k)
+        corners, own = np.unique(part.triangles, return_inverse=True)
+        relative = min(1.0, threshold * size / _size(vertices[corners]))
+        pieces += _coacd(vertices[corners], own.reshape(-1, 3), relative, share, seed)
+        if progress is not None:
+            progress(k + 1, sum(curved))
+    return _at_most(most, pieces)
+
+
+def _at_most(most: int | None, pieces: list[Polytope]) -> list[Polytope]:
+    """Join pairs of pieces, beginning with the smallest common box, until the number of pieces is within a limit.
+
+    CoACD keeps unconnected parts separate regardless of the limit.
+    """
+    pieces = list(pieces)
+    while most is not None and len(pieces) > most:
+        lower, upper = (np.array([f(piece.vertices, axis=0) for piece in pieces]) for f in (np.min, np.max))
+        box = np.maximum(upper[:, None], upper) - np.minimum(lower[:, None], lower)
+        size = np.linalg.norm(box, axis=2) + np.diag(np.full(len(pieces), np.inf))
+        a, b = np.unravel_index(size.argmin(), size.shape)
+        joined = Polytope.from_points(np.concatenate([pieces[a].vertices, pieces[b].vertices]))
+        pieces = [piece for k, piece in enumerate(pieces) if k not in (a, b)] + [joined]
+    return pieces
+
+
+def _coacd(vertices: Floats, triangles: Triangles, threshold: float, most: int | None, seed: int) -> list[Polytope]:
+    coacd = _import("coacd")
+    coacd.set_log_level("error")
+    middle, size = vertices.mean(axis=0), _size(vertices)  # its tolerances suit meshes of size 1 at the origin
+    mesh = coacd.Mesh((vertices - middle) / size, triangles)
+    found = _interruptible(
+        lambda: coacd.run_coacd(mesh, threshold=threshold, max_convex_hull=-1 if most is None else most, seed=seed)
+    )
+    hulls = []
+    for points, _ in found:
+        try:
+            hulls.append(Polytope.from_points(np.asarray(points) * size + middle))
+        except GeometryError:
+            continue  # a flat sliver; covering assigns its part of the surface to a neighbour, and measures it
+    if not hulls:
+        raise GeometryError(
+            "mesh: the convex decomposition found no solid piece; decompose=False takes the convex hull"
+        )
+    return hulls

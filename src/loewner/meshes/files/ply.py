@@ -1,0 +1,346 @@
+"""Read the Polygon File Format: a header that declares elements, and the elements' content, text or binary."""
+
+from contextlib import suppress
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from loewner._base._validate import Floats, Ints
+from loewner.meshes.files.parts import (
+    Refusal,
+    Tell,
+    Triangles,
+    check_range,
+    cut,
+    data_lines,
+    expect,
+    floats,
+    in_line,
+    integers,
+    quoted,
+    tell_unit,
+)
+
+_TYPES = {
+    "char": "i1",
+    "uchar": "u1",
+    "short": "i2",
+    "ushort": "u2",
+    "int": "i4",
+    "uint": "u4",
+    "int8": "i1",
+    "uint8": "u1",
+    "int16": "i2",
+    "uint16": "u2",
+    "int32": "i4",
+    "uint32": "u4",
+    "float": "f4",
+    "double": "f8",
+    "float32": "f4",
+    "float64": "f8",
+}
+_FORMATS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
+_COMMENTS = (b"comment", b"obj_info")
+_CORNERS = ("vertex_indices", "vertex_index")
+
+# Elements other than vertex and face whose lists are no polygons; the lists of all others, such as tristrips, may be.
+_HARMLESS = ("multi_texture_face",)  # corners in a texture
+
+# Limits on the length of a header's line [bytes] and on the properties of an element. Scanners write about twenty.
+HEADER_LINE, MOST_PROPERTIES = 1 << 16, 1000
+
+
+@dataclass
+class _Property:
+    name: str
+    type: str
+    length: str | None = None  # type of a list's length
+
+
+@dataclass
+class _Element:
+    name: str
+    count: int
+    line: int
+    properties: list[_Property] = field(default_factory=list)
+
+    def has(self, *names: str) -> bool:
+        return set(names) <= {p.name for p in self.properties if p.length is None}
+
+
+@dataclass
+class _Content:
+    """The content of an element: its scalars, and its lists of corners in concatenated form."""
+
+    scalars: dict[str, Any]
+    corners: Ints
+    sizes: Ints
+
+
+def read(data: bytes, tell: Tell) -> tuple[Floats, Triangles]:
+    """Read vertices as stored, and polygons as triangles."""
+    order, elements, start = _header(data)
+    tell_unit(b"\n".join(line for line in data[:start].split(b"\n") if line.startswith(_COMMENTS)), tell)
+    vertex = [e for e in elements if e.name == "vertex"]
+    face = [e for e in elements if e.name == "face"]
+    expect(len(vertex) == 1 and vertex[0].has("x", "y", "z"), "expected one element vertex with x, y and z")
+    expect(len(face) <= 1, f"expected one element face, found {len(face)}")
+    for other in elements:
+        lists = any(p.length is not None for p in other.properties)
+        polygons = lists and other.count and other.name not in ("vertex", "face", *_HARMLESS)
+        expect(not polygons, f"expected faces, found lists in {quoted(other.name)}, which are not read", other.line)
+    contents = _text(data, start, elements) if not order else _binary(data, start, elements, order)
+    xyz = contents[elements.index(vertex[0])].scalars
+    points = np.stack([np.asarray(xyz[k], dtype=np.float64) for k in "xyz"], axis=1)
+    if not face:
+        return points, np.empty((0, 3), dtype=np.int64)
+    corners, sizes = (lambda c: (c.corners, c.sizes))(contents[elements.index(face[0])])
+    if len(sizes) and sizes.min() < 3:
+        k = int(np.flatnonzero(sizes < 3)[0])
+        raise Refusal(f"face {k}: expected at least 3 corners, found {sizes[k]}")
+    check_range(corners, vertex[0].count, "a face")
+    return points, cut(points, corners, sizes, tell, lambda k: f"face {k}")
+
+
+def _header(data: bytes) -> tuple[str, list[_Element], int]:
+    """Read the header: byte order ("" for text), elements, and the position at which the header ends."""
+    order: str | None = None
+    elements: list[_Element] = []
+    position, number = 0, 0
+    while True:
+        end = data.find(b"\n", position, position + HEADER_LINE)
+        expect(end >= 0, "expected the header of a PLY file with its end_header, found none", number + 1)
+        words = data[position:end].decode("latin-1").split()
+        position, number = end + 1, number + 1
+        if number == 1:
+            expect(words == ["ply"], f"expected ply, found {quoted(' '.join(words))}", 1)
+        elif not words or words[0].encode() in _COMMENTS:
+            continue
+        elif words[0] == "format" and order is None and len(words) == 3:
+            expect(
+                words[1] in _FORMATS and words[2] == "1.0", f"expected a format of PLY 1.0, found {words[1:]}", number
+            )
+            order = _FORMATS[words[1]]
+        elif words[0] == "element" and len(words) == 3:
+            expect(words[2].isascii() and words[2].isdigit() and len(words[2]) < 16, "expected a count", number)
+            elements.append(_Element(words[1], int(words[2]), number))
+        elif words[0] == "property" and elements:
+            _add_property(elements[-1], words[1:], number)
+        elif words == ["end_header"]:
+            break
+        else:
+            raise Refusal(f"expected a line of a PLY header, found {quoted(' '.join(words))}", number)
+    if order is None:
+        raise Refusal("expected a line with the format in the header, found none")
+    for element in elements:
+        lists = [p for p in element.properties if p.name in _CORNERS and p.length is not None]
+        right = len(lists) == 1 and lists[0].type[0] in "iu"
+        expect(
+            element.name != "face" or right,
+            "expected a face with one list of whole numbers, vertex_indices",
+            element.line,
+        )
+    return order, elements, position
+
+
+def _add_property(element: _Element, words: list[str], number: int) -> None:
+    if (
+        len(words) == 4
+        and words[0] == "list"
+        and words[1] in _TYPES
+        and words[2] in _TYPES
+        and _TYPES[words[1]][0] != "f"
+    ):
+        added = _Property(words[3], _TYPES[words[2]], _TYPES[words[1]])
+    else:
+        expect(len(words) == 2 and words[0] in _TYPES, f"expected a property, found {quoted(' '.join(words))}", number)
+        added = _Property(words[1], _TYPES[words[0]])
+    expect(
+        len(element.properties) < MOST_PROPERTIES, f"expected at most {MOST_PROPERTIES} properties, found more", number
+    )
+    expect(
+        added.name not in {p.name for p in element.properties},
+        f"expected {quoted(added.name)} once, found it twice",
+        number,
+    )
+    element.properties.append(added)
+
+
+def _end(have: int, want: int, what: str) -> None:
+    expect(have == want, f"expected {want} {what} as its header says, found {have}")
+
+
+# -- text ---------------------------------------------------------------------------------------
+
+
+def _text(data: bytes, start: int, elements: list[_Element]) -> list[_Content]:
+    lines, numbers = data_lines(data[start:])
+    before = data.count(b"\n", 0, start)
+    numbers = [n + before for n in numbers]
+    # The lines of an element without properties are empty, and not included here.
+    wanted = [e.count if e.properties else 0 for e in elements]
+    _end(len(lines), sum(wanted), "lines")
+    contents, first = [], 0
+    for element, count in zip(elements, wanted, strict=True):
+        contents.append(_text_element(element, lines[first : first + count], numbers[first : first + count]))
+        first += count
+    return contents
+
+
+def _text_element(element: _Element, lines: list[list[bytes]], numbers: list[int]) -> _Content:
+    """Read an element in text; lines are split one by one only if the element has lists."""
+    properties = element.properties
+    scalars: dict[str, Any] = {p.name: np.empty(0) for p in properties if p.length is None}
+    if not any(p.length for p in properties):
+        if set(map(len, lines)) - {len(properties)}:
+            k = next(k for k, line in enumerate(lines) if len(line) != len(properties))
+            found = f"expected {len(properties)} numbers for a {element.name}, found {len(lines[k])}"
+            raise Refusal(found, numbers[k])
+        try:
+            for k, p in enumerate(properties):
+                scalars[p.name] = floats([line[k] for line in lines])
+        except Refusal:
+            for line, number in zip(lines, numbers, strict=True):
+                in_line(number, floats, line)
+            raise
+        return _Content(scalars, _no_integers(), _no_integers())
+    if len(properties) == 1 and lines and len(set(map(len, lines))) == 1 and properties[0].name in _CORNERS:
+        with suppress(Refusal):  # which is reported below, with its line
+            lengths = integers([line[0] for line in lines])
+            if (lengths == len(lines[0]) - 1).all():
+                return _Content({}, integers([word for line in lines for word in line[1:]]), lengths)
+    corners: list[bytes] = []
+    sizes: list[int] = []
+    columns: dict[str, list[bytes]] = {name: [] for name in scalars}
+    for line, number in zip(lines, numbers, strict=True):
+        k = 0
+        for p in properties:
+            found = f"expected more numbers for a {element.name}, found {len(line)}"
+            expect(k < len(line), found, number)
+            if p.length is None:
+                columns[p.name].append(line[k])
+                k += 1
+                continue
+            size = int(in_line(number, integers, line[k : k + 1])[0])
+            expect(
+                0 <= size <= len(line) - k - 1, f"expected a list of {size} numbers, found {len(line) - k - 1}", number
+            )
+            values = line[k + 1 : k + 1 + size]
+            if p.name in _CORNERS:
+                corners.extend(values)
+                sizes.append(size)
+            else:
+                in_line(number, floats, values)
+            k += 1 + size
+        expect(k == len(line), f"expected {k} numbers for this {element.name}, found {len(line)}", number)
+    try:
+        for name, column in columns.items():
+            scalars[name] = floats(column)
+        return _Content(scalars, integers(corners), np.array(sizes, dtype=np.int64))
+    except Refusal as refusal:
+        for line, number in zip(lines, numbers, strict=True):
+            in_line(number, floats, line)
+        raise Refusal(f"{element.name}: {refusal}") from None
+
+
+def _no_integers() -> Ints:
+    return np.empty(0, dtype=np.int64)
+
+
+# -- binary -------------------------------------------------------------------------------------
+
+
+def _binary(data: bytes, start: int, elements: list[_Element], order: str) -> list[_Content]:
+    contents = []
+    for element in elements:
+        content, start = _binary_element(element, data, start, order)
+        contents.append(content)
+    _end(len(data), start, "bytes")
+    return contents
+
+
+def _binary_element(element: _Element, data: bytes, start: int, order: str) -> tuple[_Content, int]:
+    """Read an element in binary, and its end; lists are assumed to be as long as in the first row until one is not."""
+    row = _layout(element, data, start, order) if element.count else []
+    if row is None:
+        raise Refusal(
+            f"element {element.name}: expected {element.count} of them as its header says, found the file's end"
+        )
+    size = sum(np.dtype(kind).itemsize * (1 if length is None else length) for _, kind, length in row)
+    room = size * element.count <= len(data) - start
+    lists = any(p.length for p in element.properties)
+    if not lists:
+        expect(room, f"element {element.name}: expected {element.count} of {size} bytes each, found the file's end")
+    if room and element.count and size:
+        dtype = np.dtype([(f"{k}", kind, () if n is None else (n,)) for k, (_, kind, n) in enumerate(row)])
+        table = np.frombuffer(data, dtype, count=element.count, offset=start)
+        lengths = [(k, row[k + 1][2]) for k, (name, _, _) in enumerate(row) if name is None]
+        if all((table[f"{k}"] == length).all() for k, length in lengths):
+            scalars = {name: table[f"{k}"] for k, (name, _, n) in enumerate(row) if name is not None and n is None}
+            corners, sizes = _no_integers(), _no_integers()
+            for k, (name, _, n) in enumerate(row):
+                if n is not None and name in _CORNERS:
+                    corners = table[f"{k}"].astype(np.int64).reshape(-1)
+                    sizes = np.full(element.count, n, dtype=np.int64)
+            return _Content(scalars, corners, sizes), start + size * element.count
+    if not element.count or not size:
+        scalars = {p.name: np.empty(0) for p in element.properties if p.length is None}
+        return _Content(scalars, _no_integers(), _no_integers()), start
+    return _binary_rows(element, data, start, order)
+
+
+def _layout(element: _Element, data: bytes, start: int, order: str) -> list[tuple[str | None, str, int | None]] | None:
+    """Return name, type and length of the first row's fields, in order; the length field of a list has no name."""
+    row: list[tuple[str | None, str, int | None]] = []
+    for p in element.properties:
+        kind = order + p.type
+        if p.length is not None:
+            length = order + p.length
+            if start + np.dtype(length).itemsize > len(data):
+                return None
+            size = int(np.frombuffer(data, length, count=1, offset=start)[0])
+            if not 0 <= size <= len(data):
+                return None
+            row += [(None, length, None), (p.name, kind, size)]
+            start += np.dtype(length).itemsize + size * np.dtype(kind).itemsize
+        else:
+            row.append((p.name, kind, None))
+            start += np.dtype(kind).itemsize
+    return row if start <= len(data) else None
+
+
+def _binary_rows(element: _Element, data: bytes, start: int, order: str) -> tuple[_Content, int]:
+    """Read rows one by one, since their lists differ in length."""
+    little = "little" if order == "<" else "big"
+    parts = [
+        (p.name, order + p.type, int(p.type[1]), p.length and (int(p.length[1]), p.length[0] == "i"))
+        for p in element.properties
+    ]
+    least = sum(length[0] if length else size for _, _, size, length in parts)
+    expect(
+        least * element.count <= len(data) - start, f"expected {element.count} of {element.name}, found the file's end"
+    )
+    scalars: dict[str, Any] = {name: [] for name, _, _, length in parts if not length}
+    corners: list[Any] = []
+    sizes: list[int] = []
+    for k in range(element.count):
+        for name, kind, size, length in parts:
+            if not length:
+                if name in "xyz":
+                    expect(start + size <= len(data), f"{element.name} {k}: expected more bytes, found the file's end")
+                    scalars[name].append(np.frombuffer(data, kind, count=1, offset=start)[0])
+                start += size
+                continue
+            n = int.from_bytes(data[start : start + length[0]], little, signed=length[1])  # type: ignore[arg-type]
+            start += length[0]
+            fits = n >= 0 and start + n * size <= len(data)
+            expect(fits, f"{element.name} {k}: expected a list of {n} numbers, found the file's end")
+            if name in _CORNERS:
+                corners.append(data[start : start + n * size])
+                sizes.append(n)
+                corner_kind = kind
+            start += n * size
+    expect(start <= len(data), f"expected {element.count} of {element.name}, found the file's end")
+    found = np.frombuffer(b"".join(corners), corner_kind).astype(np.int64) if corners else _no_integers()
+    return _Content(scalars, found, np.array(sizes, dtype=np.int64)), start

@@ -1,0 +1,75 @@
+"""Find ellipsoids that are proven to lie inside the solid bounded by a closed triangle mesh."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from loewner._base import _validate
+from loewner._base._guard import guarded
+from loewner._base._validate import Floats
+from loewner._native import entries
+from loewner.ellipsoids.polytopes import writeable
+from loewner.errors import InputError
+
+# The smallest closed surface is a tetrahedron.
+FEWEST_TRIANGLES = 4
+
+
+@guarded
+def inscribed_ellipsoids(vertices: ArrayLike, triangles: ArrayLike, count: int) -> tuple[Floats, Floats]:
+    """Find a few ellipsoids that lie inside a closed mesh and together cover much of its volume.
+
+    Parameters
+    ----------
+    vertices : array_like, shape (v, 3)
+        In metres.
+    triangles : array_like of int, shape (t, 3)
+        Vertices of each of at least four triangles. The mesh is assumed to be closed, with triangles consistently
+        oriented at common edges; this is not checked. It may intersect itself, have several parts, cavities and
+        triangles without area, and be inside out as a whole.
+    count : int
+        The largest number of ellipsoids.
+
+    Returns
+    -------
+    centers : ndarray, shape (k, 3)
+    factors : ndarray, shape (k, 3, 3)
+        Lower triangular factors F of the ellipsoids {c + F z : |z| <= 1}, the largest ellipsoid first. ``k <= count``,
+        and k is 0 if no ellipsoid of a sensible size was found.
+
+    Raises
+    ------
+    InputError
+        If shapes are wrong, entries are not finite, indices do not belong to a vertex, or the count is wrong.
+
+    Notes
+    -----
+    A point is inside if the surface winds around it, in either direction. In spite of rounding, no triangle meets a
+    stored ellipsoid, and one point of the ellipsoid is inside the solid, so the whole ellipsoid is inside. The
+    ellipsoids are not proven to be the largest possible; in a convex solid the first is close to the largest.
+
+    References
+    ----------
+    Deits and Tedrake (2015), doi:10.1007/978-3-319-16595-0_7.
+
+    Examples
+    --------
+    >>> vertices = [[0, 0, 0], [3, 0, 0], [0, 3, 0], [0, 0, 3]]
+    >>> centers, factors = inscribed_ellipsoids(vertices, [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]], 1)
+    >>> centers.round(2)
+    array([[0.75, 0.75, 0.75]])
+    """
+    x = writeable(_validate.finite_array(vertices, "vertices", ("v", 3)))
+    corners = writeable(_validate.integer_array(triangles, "triangles"))
+    if corners.ndim != 2 or corners.shape[1] != 3 or len(corners) < FEWEST_TRIANGLES:
+        raise InputError(
+            f"triangles: expected shape (t, 3) with t >= {FEWEST_TRIANGLES}, "
+            f"found {_validate.shape_text(corners.shape)}"
+        )
+    if corners.min() < 0 or corners.max() >= len(x):
+        raise InputError(f"triangles: expected indices of {len(x)} vertices, found {corners.min()} to {corners.max()}")
+    most = _validate.whole_number(count, "count", 1)
+    centers, factors = np.zeros((most, 3)), np.zeros((most, 3, 3))
+    found = entries.inscribed_ellipsoids(x, corners, centers, factors)
+    return centers[:found].copy(), factors[:found].copy()

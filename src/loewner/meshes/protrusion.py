@@ -1,0 +1,395 @@
+"""Prove bounds on how far convex pieces stick out of a mesh, by branch and bound over the pieces' surfaces."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from loewner._base import _elementary
+from loewner._base._kept import kept
+from loewner._base._matrices import dot, lengths, product
+from loewner._base._validate import Bools, Floats, Ints
+from loewner._base._workspaces import workspace
+from loewner._kernels import records
+from loewner._kernels.codes import UNCOUNTED
+from loewner._native import entries
+from loewner.ellipsoids.polytopes import Polytope
+from loewner.meshes.triangles import cut, halved, longest_edges, squared_distances, unit_normals
+
+# The search ends when the bound is this near to a value that was found: a share of the value, or of the diagonal of the
+# mesh's box.
+RELATIVE, ABSOLUTE = 0.01, 1e-4
+
+# Rounding errors of distances and heights are below these shares of the diagonal and of the largest coordinate.
+ROUNDING = 1e-12  # derived 9e-15, certified.md B44
+COORDINATES = 1e-14
+
+# Limits on the number of cells: in all, after which the current bound is returned; in one step; and, if nothing was
+# found to stick out, until this is known down to rounding.
+WORK, AT_ONCE, WORK_ON_NOTHING = 400_000, 8192, 100_000
+
+# A cell is cut along the edges of the triangle in which it lies, unless its own edges are this many times as long.
+COARSE = 4.0
+
+# `heights_above` takes a multiple of this many planes.
+PLANES = 8
+
+# The triangles within reach of a cube are tested if the cube is no larger than this share of the diagonal.
+LARGEST_LOOKED_INTO = 0.1
+
+# Triangles face one half-space if the products of their normals with some direction are at least this; the search for
+# this direction takes this many steps.
+FACING, FACING_STEPS = 1e-6, 6
+
+# Points at which triangles are tested from both sides, and the distance of the tests as a share of the diagonal.
+SEEN_AT = np.array([[1, 1, 1], [2.4, 0.3, 0.3], [0.3, 2.4, 0.3], [0.3, 0.3, 2.4]]) / 3
+LOOKED_ASIDE = 1e-7
+
+# Points in one call of a kernel; interrupts are noticed between calls.
+CHUNK = 16_384
+
+
+class Solid:
+    """A triangle mesh from which distances of points are measured: from the solid if it is closed, else the surface.
+
+    Parameters
+    ----------
+    triangles : ndarray, shape (t, 3, 3)
+        Corners of the triangles; in a closed mesh, counter-clockwise when seen from outside.
+    closed : bool
+        Whether the mesh has an inside, which consists of all points with a nonzero winding number.
+    size : float, optional
+        Reference length in metres; by default the diagonal of the mesh's bounding box.
+
+    Notes
+    -----
+    `rounding` bounds the errors of distances. Kernels receive the mesh relative to its center and scaled by a power of
+    two to a size near 1. Rounding is then relative to the size of the mesh, and single precision suffices for the boxes
+    of its tree.
+    """
+
+    def __init__(self, triangles: Floats, closed: bool, size: float | None = None) -> None:
+        self.triangles, self.closed = triangles, closed
+        self.normals = unit_normals(triangles)
+        corners = triangles.reshape(-1, 3)
+        low, high = corners.min(axis=0), corners.max(axis=0)
+        self.size = float(lengths(high - low)) if size is None else size
+        self.rounding = ROUNDING * self.size + COORDINATES * float(np.abs(corners).max())
+        self._middle = low / 2 + high / 2
+        self._scale = 2.0 ** min(1000, -int(np.frexp((high - low).max())[1]))
+        framed = self._framed(corners)
+        boxes, children, blocks, diagonals, _, self._numbers = entries.triangle_tree(
+            framed, np.arange(len(corners)).reshape(-1, 3)
+        )
+        self._arrays = boxes.astype(np.float32), children, blocks, framed[0].copy(), diagonals.astype(np.float32)
+        self._tree = records.table_of(self._arrays)
+        self._normals = self.normals[self._numbers]
+
+    def _framed(self, points: Floats) -> Floats:
+        """Convert points to the coordinates of the kernels."""
+        framed: Floats = (points - self._middle) * self._scale
+        return np.ascontiguousarray(framed)
+
+    def _asked(self, framed: Floats) -> tuple[int, float]:
+        """Return the tree, and a sum of lengths that bounds all coordinates."""
+        return self._tree.ctypes.data, 3.0 * (1.0 + float(np.abs(framed).max(initial=0.0)))
+
+    def signed_distances(self, points: Floats) -> tuple[Floats, Ints]:
+        """Compute the distances of points to the surface, negative inside, and the triangle nearest to each point."""
+        distances, places = np.empty(len(points)), np.empty(len(points), dtype=np.int64)
+        memory = workspace(entries.points_memory())
+        for k in range(0, len(points), CHUNK):
+            framed = self._framed(points[k : k + CHUNK])
+            some = distances[k : k + CHUNK]
+            entries.nearest_triangles(*self._asked(framed), framed, some, places[k : k + CHUNK], memory)
+        distances /= self._scale
+        if self.closed:
+            clear = np.flatnonzero(distances > self.rounding)  # on the surface, either sign is valid
+            distances[clear[self.winding_numbers(points[clear]) != 0]] *= -1
+        return distances, self._numbers[places]
+
+    def face_one_way(self, points: Floats, reach: Floats, outside: Bools) -> Bools:
+        """Return whether all triangles within reach of a point face one half-space.
+
+        A surface that is not closed has two outer sides. If the point and its surroundings are known to be `outside`,
+        only the side of the point counts.
+        """
+        answers = np.zeros(len(points), dtype=bool)
+        if len(points) == 0 or self.closed and not self._turned_alike:
+            return answers
+        asked = np.arange(len(points)) if self.closed else np.flatnonzero(outside)
+        memory, near = workspace(entries.points_memory()), np.empty((len(self.triangles), 3))
+        for k in range(0, len(asked), CHUNK):
+            some = asked[k : k + CHUNK]
+            framed, found = self._framed(points[some]), np.empty(len(some), dtype=bool)
+            far = (reach[some] + self.rounding) * self._scale
+            entries.facing_one_way(
+                *self._asked(framed), framed, far, self._normals, not self.closed, FACING, FACING_STEPS, found, near,
+                memory,
+            )  # fmt: skip
+            answers[some] = found
+        return answers
+
+    @kept
+    def _turned_alike(self) -> bool:
+        """Return whether each triangle has the solid on its inner side, judged by four of its points.
+
+        Where a cavity extends beyond its part, a triangle may have the solid on its outer side.
+        """
+        seen = self.normals.any(axis=1)
+        points = product(SEEN_AT, self.triangles[seen])
+        step = np.repeat(self.normals[seen], len(SEEN_AT), axis=0) * max(LOOKED_ASIDE * self.size, 16 * self.rounding)
+        outer, inner = (self.winding_numbers(points.reshape(-1, 3) + side * step) for side in (1, -1))
+        return bool(((outer >= 0) & (inner >= 1)).all())
+
+    def winding_numbers(self, points: Floats) -> Ints:
+        """Compute the winding number of a closed mesh around each point."""
+        numbers = np.empty(len(points), dtype=np.int64)
+        memory = workspace(entries.points_memory())
+        for k in range(0, len(points), CHUNK):
+            framed = self._framed(points[k : k + CHUNK])
+            entries.winding_numbers(*self._asked(framed), framed, numbers[k : k + CHUNK], memory)
+        for untold in np.flatnonzero(numbers == UNCOUNTED):
+            numbers[untold] = self._turns(points[untold])
+        return numbers
+
+    def _turns(self, point: Floats) -> int:
+        """Compute winding numbers as the sum of the triangles' solid angles."""
+        arms = self.triangles - point
+        length = lengths(arms)
+        a, b, c = arms.transpose(1, 0, 2)
+        la, lb, lc = length.T
+        volume = dot(a, np.cross(b, c))
+        dots = [dot(*pair) for pair in ((a, b), (b, c), (c, a))]
+        angles = 2 * _elementary.arctan2(volume, la * lb * lc + dots[0] * lc + dots[1] * la + dots[2] * lb)
+        return round(float(angles.sum()) / (4 * np.pi))
+
+
+@dataclass(frozen=True)
+class Protrusions:
+    """How far convex pieces stick out of a solid.
+
+    Attributes
+    ----------
+    bounds : ndarray, shape (k,)
+        Proven upper bound for each piece, in metres.
+    found : ndarray, shape (k,)
+        The distance of the farthest point that was found, which is a lower bound.
+    points : ndarray, shape (k, 3)
+        The farthest point that was found; NaN if nothing sticks out.
+    """
+
+    bounds: Floats
+    found: Floats
+    points: Floats
+
+
+def protrusions(
+    hulls: list[Polytope], solid: Solid, *, floor: float = 0.0, relative: float = RELATIVE, together: bool = False
+) -> Protrusions:
+    """Bound how far convex pieces stick out of a solid.
+
+    Parameters
+    ----------
+    hulls : list of Polytope
+    solid : Solid
+    floor : float
+        A piece is not examined further once its bound is below this length.
+    relative : float
+        How near the bound has to be to the distance found, as a ratio.
+    together : bool
+        Whether only the piece that sticks out most matters, so that the search may end earlier.
+
+    Notes
+    -----
+    The distances of two points to the solid differ by at most the distance between the points. One bound for a triangle
+    of a piece's boundary is therefore the distance of its center, negative inside, plus its radius about the center.
+    The distance to a single triangle of the mesh is a convex function, so its value at the farthest corner is a second
+    bound; the smaller bound counts. A triangle whose bound is above the required one is halved, or cut along the edges
+    of the mesh's triangle in which it nearly lies, which settles that part.
+
+    Inside a piece, in a cavity or a groove that it fills, the distance may have a greater local maximum. At such a
+    maximum, the directions from the nearest points of the surface surround the point, and each direction is a
+    combination of outward normals of triangles at its nearest point. A cube therefore has no local maximum if all
+    triangles within reach face one half-space. Any other cube has the first bound above, or is divided. This applies to
+    all cubes if some triangles of the mesh have the solid on their outer side, for instance where a cavity extends
+    beyond its part.
+    """
+    cells = np.concatenate([hull.vertices[hull.simplices] for hull in hulls])
+    owner = np.repeat(np.arange(len(hulls)), [len(hull.simplices) for hull in hulls])
+    bounds, found = np.zeros(len(hulls)), np.zeros(len(hulls))
+    points = np.full((len(hulls), 3), np.nan)
+    rounding = solid.rounding
+
+    def targets(work: int) -> Floats:
+        best = np.full(len(hulls), found.max()) if together else found
+        nothing = best.max() <= rounding and floor == 0 and work < WORK_ON_NOTHING
+        accuracy = 2 * rounding if nothing else ABSOLUTE * solid.size
+        if floor > 0:
+            accuracy = max(2 * rounding, min(accuracy, RELATIVE * floor))
+        # It must be decided whether a piece is below the floor, however near it comes, but not by how much it is above.
+        near = np.where(best > floor, best * (1 + relative), best)
+        return np.maximum(floor, np.maximum(near, best + accuracy))
+
+    search = _Search(hulls, solid, found, points, bounds, targets)
+    search.go(cells, owner, np.full(len(cells), np.inf), search.boundary)
+    cubes = np.array([[*(box := hull.vertices).min(axis=0), *np.ptp(box, axis=0)] for hull in hulls])
+    middles, half = cubes[:, :3] + cubes[:, 3:] / 2, cubes[:, 3:].max(axis=1, keepdims=True) / 2
+    search.go(np.hstack([middles, half]), np.arange(len(hulls)), np.full(len(hulls), np.inf), search.inside)
+    return Protrusions(np.where(bounds <= 4 * rounding, 0.0, bounds), found, points)
+
+
+def protrusion_of_hulls(parts: list[Floats], hulls: list[Polytope]) -> float:
+    """Bound how far the hulls of closed parts stick out, each measured against its own part.
+
+    Parts that touch or contain one another would interfere, so each part is placed far from the others.
+    """
+    size = max(float(lengths(np.ptp(hull.vertices, axis=0))) for hull in hulls)
+    edge = next(count for count in itertools.count(1) if count**3 >= len(parts))
+    places = 3 * size * np.stack(np.unravel_index(np.arange(len(parts)), (edge, edge, edge)), axis=1)
+    shifts = places - [hull.vertices.mean(axis=0) for hull in hulls]
+    solid = Solid(np.concatenate([part + shift for part, shift in zip(parts, shifts, strict=True)]), True, size)
+    moved = [
+        replace(hull, vertices=hull.vertices + shift, offsets=hull.offsets + dot(hull.normals, shift))
+        for hull, shift in zip(hulls, shifts, strict=True)
+    ]
+    return float(protrusions(moved, solid, together=True).bounds.max())
+
+
+@dataclass
+class _Search:
+    """Branch and bound over the pieces' cells, of two kinds, with the values found and the bounds proven."""
+
+    hulls: list[Polytope]
+    solid: Solid
+    found: Floats
+    points: Floats
+    bounds: Floats
+    targets: Callable[[int], Floats]
+    planes: dict[int, Floats] = field(default_factory=dict)
+
+    def go(self, cells: Floats, owner: Ints, limit: Floats, look: Callable[..., tuple[Floats, Ints, Floats]]) -> None:
+        """Examine cells, beginning with the greatest bounds, and then the parts of unsettled cells.
+
+        `limit` is the known bound of each cell. `look` takes cells, owners, limits and the work so far, and returns the
+        parts of unsettled cells, the index of each part's cell, and the bounds of all cells.
+        """
+        work = 0
+        while len(cells) and work < WORK:
+            now, later = np.arange(len(cells)), np.empty(0, dtype=np.int64)
+            if len(cells) > AT_ONCE:
+                order = np.argsort(-limit, kind="stable")
+                now, later = order[:AT_ONCE], order[AT_ONCE:]
+            work += len(now)
+            parts, origin, bound = look(cells[now], owner[now], limit[now], work)
+            # Values found meanwhile may have settled waiting cells.
+            over = limit[later] <= self.targets(work)[owner[later]]
+            np.maximum.at(self.bounds, owner[later[over]], limit[later[over]])
+            later = later[~over]
+            cells = np.concatenate([parts, cells[later]])
+            limit = np.concatenate([bound[origin], limit[later]])
+            owner = np.concatenate([owner[now][origin], owner[later]])
+        np.maximum.at(self.bounds, owner, limit)
+
+    def _planes(self, k: int) -> Floats:
+        """Return a piece's planes for `heights_above`, some of them twice, so that there is a multiple of eight."""
+        if k not in self.planes:
+            hull = self.hulls[k]
+            rows = np.column_stack([hull.normals, hull.offsets])
+            self.planes[k] = np.resize(rows, (-(-len(rows) // PLANES) * PLANES, 4)).T.ravel()
+        return self.planes[k]
+
+    def _note(self, points: Floats, signed: Floats, owner: Ints) -> None:
+        """Keep the farthest point of each piece."""
+        for k in np.unique(owner[signed > self.found[owner]]):
+            mine = np.flatnonzero(owner == k)
+            at = mine[signed[mine].argmax()]
+            self.found[k], self.points[k] = signed[at], points[at]
+
+    def boundary(self, cells: Floats, owner: Ints, limit: Floats, work: int) -> tuple[Floats, Ints, Floats]:
+        """Examine the triangles of the pieces' boundaries."""
+        solid = self.solid
+        centers = cells.mean(axis=1)
+        signed, nearest = solid.signed_distances(centers)
+        self._note(centers, signed, owner)
+        radius = lengths(cells - centers[:, None]).max(axis=1)
+        far = squared_distances(cells.reshape(-1, 3), solid.triangles[np.repeat(nearest, 3)]).reshape(-1, 3)
+        bound = np.minimum(np.maximum(signed + radius, 0.0), np.sqrt(far.max(axis=1))) + solid.rounding
+        bound = np.minimum(bound, limit)
+        target = self.targets(work)[owner]
+        rest = np.flatnonzero(bound > target)
+        np.maximum.at(self.bounds, owner, np.where(bound > target, 0.0, bound))
+        parts, origin, height = _smaller(cells[rest], nearest[rest], target[rest], solid)
+        np.maximum.at(self.bounds, owner[rest], height)
+        return parts, rest[origin], bound
+
+    def inside(self, cells: Floats, owner: Ints, limit: Floats, work: int) -> tuple[Floats, Ints, Floats]:
+        """Examine cubes, given by centers and half edges, that may contain local maxima of distance inside pieces."""
+        middles, half = cells[:, :3], cells[:, 3]
+        radius = np.sqrt(3.0) * half
+        height = np.empty(len(cells))
+        for k in np.unique(owner):
+            mine = np.flatnonzero(owner == k)
+            found = np.empty(len(mine))
+            entries.heights_above(self._planes(k), middles[mine], radius[mine], found)
+            height[mine] = found
+        signed = np.full(len(cells), -np.inf)
+        met = np.flatnonzero(height < radius)
+        signed[met] = self.solid.signed_distances(middles[met])[0]
+        self._note(middles[height <= 0], signed[height <= 0], owner[height <= 0])
+        bound = np.minimum(np.maximum(signed + radius, 0.0) + self.solid.rounding, limit)
+        target = self.targets(work)[owner]
+        low = (bound <= target) & (height < radius)
+        np.maximum.at(self.bounds, owner[low], bound[low])
+        rest = np.flatnonzero((bound > target) & (height < radius))
+        small = rest[radius[rest] <= self.solid.size * LARGEST_LOOKED_INTO]
+        settled = small[
+            self.solid.face_one_way(middles[small], signed[small] + 2 * radius[small], signed[small] > radius[small])
+        ]
+        rest = np.setdiff1d(rest, settled)
+        steps = np.array([[x, y, z, 0] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) / 2
+        parts = np.hstack([middles, half[:, None] / 2])[rest, None] + steps * half[rest, None, None]
+        return parts.reshape(-1, 4), np.repeat(rest, 8), bound
+
+
+def _smaller(cells: Floats, nearest: Ints, target: Floats, solid: Solid) -> tuple[Floats, Ints, Floats]:
+    """Return parts of cells, the cell from which each part comes, and a bound for the settled part of each cell."""
+    length, edge = longest_edges(cells)
+    mesh, normals = solid.triangles[nearest], solid.normals[nearest]
+    height = np.abs(dot(cells - mesh[:, :1], normals[:, None])).max(axis=1) + solid.rounding
+    flat = normals.any(axis=1) & (height <= target) & (length <= COARSE * longest_edges(mesh)[0])
+    flat &= _over(cells.mean(axis=1), mesh, normals)
+    parts, origins = [], []
+    inside, of = cells[flat], np.flatnonzero(flat)
+    for k in range(3):
+        a, b = mesh[of, k], mesh[of, (k + 1) % 3]
+        outward = np.cross(b - a, normals[of])
+        outward /= lengths(outward)[:, None]
+        inside, within, outside, beyond = cut(inside, outward, dot(outward, a), solid.rounding)
+        parts.append(outside)
+        origins.append(of[beyond])
+        of = of[within]
+    # A cell perpendicular to an edge of the triangle may lie in the plane that cuts along it: nothing is inside then.
+    cut_up = np.zeros(len(cells), dtype=bool)
+    cut_up[of] = True
+    keep = [cut_up[origin] for origin in origins]
+    whole = np.flatnonzero(~cut_up)
+    parts = [part[k] for part, k in zip(parts, keep, strict=True)] + [halved(cells[whole], edge[whole])]
+    origins = [origin[k] for origin, k in zip(origins, keep, strict=True)] + [whole, whole]
+    # The distance to one triangle is convex: it is greatest at a corner of the part inside.
+    far = squared_distances(inside.reshape(-1, 3), solid.triangles[np.repeat(nearest[of], 3)])
+    bound = np.zeros(len(cells))
+    np.maximum.at(bound, of, np.sqrt(far.reshape(-1, 3).max(axis=1)) + solid.rounding)
+    return np.concatenate(parts), np.concatenate(origins), bound
+
+
+def _over(points: Floats, triangles: Floats, normals: Floats) -> Bools:
+    """Return whether points lie above the interiors of triangles."""
+    above = np.ones(len(points), dtype=bool)
+    for k in range(3):
+        edge = triangles[:, (k + 1) % 3] - triangles[:, k]
+        above &= dot(np.cross(normals, edge), points - triangles[:, k]) > 0
+    return above

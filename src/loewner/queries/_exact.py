@@ -1,0 +1,258 @@
+"""Settle pairs of surfaces in whole numbers where rounding keeps the kernels from deciding.
+
+Poses and corners are floats, so all placed corners are whole multiples of one small unit, and so are all determinants,
+whose signs are therefore certain. With Python's integers this takes a millisecond instead of a kernel's microsecond,
+but hardly any pair needs it.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterator
+from fractions import Fraction
+from typing import TypeAlias
+
+import numpy as np
+
+from loewner._base._validate import Floats, Ints
+from loewner._kernels import codes, columns
+from loewner._native import entries
+
+# Plan, rows, handle and poses of a, handle and poses of b, arrays in C order: see `_kernels/pipeline/verdicts.py`.
+Operands: TypeAlias = tuple[Ints, Ints, int, Floats, int, Floats]
+
+Vector: TypeAlias = tuple[int, int, int]
+
+# Limit on the open pairs of triangles examined; with more, the pair stays AMBIGUOUS unless one of these meets.
+ROOM = 20_000
+
+# Directions of rays, all well apart; a ray that meets an edge gives no answer.
+RAYS = (
+    (1, 2, 3),
+    (-3, 1, 2),
+    (2, -3, 1),
+    (-1, -5, 7),
+    (7, -1, -5),
+    (-5, 7, 1),
+    (11, 3, -2),
+    (-2, 11, -3),
+    (3, -2, -11),
+)
+
+# Allowance, relative to all lengths, for rounding in the selection of triangles that a ray could meet.
+_GENEROUS = 1e-9
+
+
+def verdict(margin: float, k: int, operands: Operands) -> int:
+    """Settle pair k, which the fallback called INEXACT."""
+    plan, rows, pack_a, poses_a, pack_b, poses_b = operands
+    listed = np.empty((ROOM, 6), dtype=np.int64)
+    count = entries.open_triangles(margin, k, plan, rows, pack_a, poses_a, pack_b, poses_b, listed)
+    parts: dict[tuple[int, int], Part] = {}
+    for piece_a, piece_b, row_a, row_b, triangle_a, triangle_b in listed[:count].tolist():
+        for key in ((pack_a, piece_a), (pack_b, piece_b)):
+            if key not in parts:
+                parts[key] = Part(*key)
+        a, b = parts[pack_a, piece_a], parts[pack_b, piece_b]
+        T, S = poses_a.reshape(-1, 4, 4)[row_a], poses_b.reshape(-1, 4, 4)[row_b]
+        if triangle_a < 0:
+            if a.holds_part_of(b, T, S) or b.holds_part_of(a, S, T):
+                return codes.COLLIDING
+        else:
+            reach = Fraction(margin) + Fraction(a.radius) + Fraction(b.radius)
+            corners = [(T, p) for p in a.corners(triangle_a)] + [(S, p) for p in b.corners(triangle_b)]
+            points, unit = placed(corners)
+            if within(points[:3], points[3:], reach / unit):
+                return codes.COLLIDING
+    return codes.FREE if count <= ROOM else codes.AMBIGUOUS
+
+
+class Part:
+    """A piece: triangles of a surface, and a point of each connected part."""
+
+    def __init__(self, pack: int, piece: int) -> None:
+        self.kind, self.radius, self.triangles, self.points = entries.exact_parts(pack, piece)
+
+    def corners(self, triangle: int) -> Floats:
+        """Corners of a triangle, shape (3, 3)."""
+        return np.asarray(self.triangles[triangle].reshape(3, 3))
+
+    def holds_part_of(self, other: Part, T: Floats, S: Floats) -> bool:
+        """Whether a connected part of another piece has its first vertex within this solid, or on its surface."""
+        return self.kind == columns.SOLID and any(self._holds(point, T, S) for point in other.points)
+
+    def _holds(self, point: Floats, T: Floats, S: Floats) -> bool:
+        """Whether the solid at pose T contains a point of another body at pose S."""
+        corners = self.triangles[np.isfinite(self.triangles[:, 0])].reshape(-1, 3, 3)
+        near = corners @ T[:3, :3].T + (T[:3, 3] - S[:3, 3]) - S[:3, :3] @ point
+        middle = near.mean(axis=1)
+        reach = np.linalg.norm(near - middle[:, None], axis=2).max(axis=1)
+        reach += _GENEROUS * (np.abs(near).max() + np.abs(T[:3, 3]).max() + np.abs(corners).max())
+        for ray in RAYS:
+            way = np.array(ray) / math.hypot(*ray)
+            along = middle @ way
+            aside = np.linalg.norm(middle - along[:, None] * way, axis=1)
+            crossed = np.flatnonzero((aside <= reach) & (along >= -reach))
+            found = _windings(ray, (T, corners[crossed]), (S, point))
+            if found is not None:
+                return found
+        raise AssertionError("a point of which no ray tells whether it is inside")
+
+
+def placed(points: list[tuple[Floats, Floats]]) -> tuple[list[Vector], Fraction]:
+    """Points at poses as whole multiples of a unit, and the unit in metres."""
+    turn = _digits([T[:3, :3] for T, _ in points])
+    place = _digits([p for _, p in points])
+    all_digits = max(turn + place, _digits([T[:3, 3] for T, _ in points]))
+    made = []
+    for T, p in points:
+        x, y, z = (_whole(float(c), place) for c in p)
+        rows = [[_whole(float(entry), turn) for entry in row[:3]] for row in T[:3]]
+        turned = [(a * x + b * y + c * z) << (all_digits - turn - place) for a, b, c in rows]
+        made.append(tuple(u + _whole(float(t), all_digits) for u, t in zip(turned, T[:3, 3], strict=True)))
+    return made, Fraction(1, 1 << all_digits)  # type: ignore[return-value]
+
+
+def _digits(arrays: list[Floats]) -> int:
+    """Largest number of binary digits after the point in some floats."""
+    numbers = np.concatenate([np.ravel(a) for a in arrays])
+    numbers = numbers[numbers != 0]
+    return max(0, 53 - int(np.frexp(numbers)[1].min())) if len(numbers) else 0
+
+
+def _whole(x: float, digits: int) -> int:
+    """x times 2 to the power of `digits`, a whole number."""
+    top, bottom = x.as_integer_ratio()
+    return (top << digits) // bottom
+
+
+def minus(a: Vector, b: Vector) -> Vector:
+    """a - b."""
+    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
+
+
+def dot(a: Vector, b: Vector) -> int:
+    """a · b."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+def cross(a: Vector, b: Vector) -> Vector:
+    """a × b."""
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
+
+def meet(a: list[Vector], b: list[Vector]) -> bool:
+    """Whether two triangles, segments or points have a point in common.
+
+    They have none if and only if an axis separates them strictly: a normal of the set of their differences, or of its
+    plane or line if this set is flat.
+    """
+    return not any(
+        max(dot(n, p) for p in a) < min(dot(n, p) for p in b) or max(dot(n, p) for p in b) < min(dot(n, p) for p in a)
+        for n in _axes(a, b)
+    )
+
+
+def _axes(a: list[Vector], b: list[Vector]) -> Iterator[Vector]:
+    edges = [minus(t[(k + 1) % 3], t[k]) for t in (a, b) for k in range(3)]
+    edges = [e for e in edges if any(e)]
+    between = minus(b[0], a[0])
+    normals = [n for n in (cross(e, f) for e, f in itertools.combinations(edges, 2)) if any(n)]
+    yield from normals
+    if normals:
+        yield from (cross(normals[0], e) for e in edges)
+    elif edges:
+        yield edges[0]
+        yield cross(edges[0], cross(edges[0], between))
+    else:
+        yield between
+
+
+def within(a: list[Vector], b: list[Vector], reach: Fraction) -> bool:
+    """Whether two triangles come within a distance of each other."""
+    if meet(a, b):
+        return True
+    if reach == 0:
+        return False
+    squared = reach * reach
+    for one, other in ((a, b), (b, a)):
+        for p in one:
+            if any(_to_segment(p, other[k], other[(k + 1) % 3]) <= squared for k in range(3)):
+                return True
+            height = _to_face(p, other)
+            if height is not None and height <= squared:
+                return True
+    for i in range(3):
+        for j in range(3):
+            apart = _between_lines(a[i], a[(i + 1) % 3], b[j], b[(j + 1) % 3])
+            if apart is not None and apart <= squared:
+                return True
+    return False
+
+
+def _to_segment(p: Vector, a: Vector, b: Vector) -> Fraction:
+    """Squared distance of a point from a segment."""
+    e, w = minus(b, a), minus(p, a)
+    length, along = dot(e, e), dot(w, e)
+    if along <= 0 or length == 0:
+        return Fraction(dot(w, w))
+    if along >= length:
+        return Fraction(dot(minus(p, b), minus(p, b)))
+    return dot(w, w) - Fraction(along * along, length)
+
+
+def _to_face(p: Vector, t: list[Vector]) -> Fraction | None:
+    """Squared distance of a point from the plane of a triangle; None if the foot lies outside."""
+    n = cross(minus(t[1], t[0]), minus(t[2], t[0]))
+    if not any(n) or any(dot(cross(minus(t[(k + 1) % 3], t[k]), minus(p, t[k])), n) < 0 for k in range(3)):
+        return None
+    return Fraction(dot(n, minus(p, t[0])) ** 2, dot(n, n))
+
+
+def _between_lines(a: Vector, b: Vector, c: Vector, d: Vector) -> Fraction | None:
+    """Squared distance of two lines; None if they are parallel, or a foot lies outside the segments."""
+    u, v, r = minus(b, a), minus(d, c), minus(c, a)
+    n = cross(u, v)
+    squared = dot(n, n)
+    if squared == 0:
+        return None
+    if not (0 <= dot(cross(r, v), n) <= squared and 0 <= dot(cross(r, u), n) <= squared):
+        return None
+    return Fraction(dot(r, n) ** 2, squared)
+
+
+def _windings(ray: Vector, surface: tuple[Floats, Floats], place: tuple[Floats, Floats]) -> bool | None:
+    """Whether triangles wind around a point, from the ones that a ray crosses; None if the ray meets an edge."""
+    T, triangles = surface
+    (x, *corners), _ = placed([place, *((T, p) for p in triangles.reshape(-1, 3))])
+    count = 0
+    for n in range(0, len(corners), 3):
+        a, b, c = (minus(p, x) for p in corners[n : n + 3])
+        signs = [_sign(dot(ray, cross(p, q))) for p, q in ((a, b), (b, c), (c, a))]
+        if min(signs) < 0 < max(signs):
+            continue
+        volume = dot(a, cross(b, c))
+        if 0 in signs:
+            # This includes a triangle seen edge-on, which the ray may miss, and a triangle that contains the point.
+            if volume == 0 and meet([(0, 0, 0)] * 3, [a, b, c]):
+                return True
+            if _may_cross(ray, a, b, c):
+                return None
+            continue
+        if volume == 0:
+            return True
+        if (volume > 0) == (signs[0] > 0):
+            count += signs[0]
+    return count != 0
+
+
+def _may_cross(ray: Vector, a: Vector, b: Vector, c: Vector) -> bool:
+    """Whether a ray from the origin meets a triangle."""
+    far = 1 + max(abs(x) for p in (a, b, c) for x in p) * 2
+    end = (ray[0] * far, ray[1] * far, ray[2] * far)
+    return meet([(0, 0, 0), end, end], [a, b, c])
+
+
+def _sign(x: int) -> int:
+    return (x > 0) - (x < 0)

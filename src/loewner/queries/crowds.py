@@ -1,0 +1,282 @@
+"""Find which pairs of many bodies meet, and their depths: a broad phase over boxes, then a verdict for each pair."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, overload
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from loewner._base import _validate
+from loewner._base._guard import guarded
+from loewner._base._threads import get_num_threads, in_shares
+from loewner._base._validate import Floats, Ints
+from loewner._kernels import codes, columns
+from loewner._native import entries
+from loewner.bodies import Bodies, Body, Packed, packed_of
+from loewner.errors import ConvergenceError, InputError, PoseError
+from loewner.queries._measure import EXACT_BYTES, measure
+from loewner.queries._settle import Operands, settle
+
+# The smallest number of bodies that is worth a thread of its own.
+CHUNK = 4096
+
+# Candidate pairs collected before they are settled, in addition to the most that one group of boxes can have.
+CANDIDATES = 65536
+
+# A body takes two corners of its box; its sorted keys and its place in the order; and its share of the groups' boxes.
+BODY_BYTES = 128
+
+# A pair found takes a key, the key's copies when all are concatenated, and the two numbers that are returned.
+PAIR_BYTES = 40
+
+# A measured pair takes its rows once more, and its distance.
+DEPTH_BYTES = 16 + EXACT_BYTES
+
+MODES = {"exact": codes.EXACT, "certified": codes.CERTIFY}
+
+
+@dataclass(frozen=True, eq=False)
+class Overlaps:
+    """The pairs of bodies that meet, and their depths, one entry per pair.
+
+    Distances, witnesses and normals are as computed by `distance` with ``exact=True``.
+
+    Attributes
+    ----------
+    pairs : ndarray of int64, shape (m, 2)
+        Indices i < j of the bodies, in lexicographic order.
+    distance : ndarray, shape (m,)
+        In metres; a negative value is a depth. It is positive for separate bodies within the margin, and may round to
+        slightly above zero for bodies that just touch. For bodies of several pieces, it is the depth of the deepest two
+        pieces, see `Distance`.
+    witness_a, witness_b : ndarray, shape (m, 3)
+        Points of bodies i and j in world coordinates, with witness_b - witness_a = distance * normal.
+    normal : ndarray, shape (m, 3)
+        Unit vectors from i to j; moving j along its vector separates the two pieces fastest.
+
+    Examples
+    --------
+    >>> from loewner import Bodies, overlapping_pairs
+    >>> T = np.tile(np.eye(4), (3, 1, 1))
+    >>> T[:, 0, 3] = [0.0, 1.0, 5.0]
+    >>> found = overlapping_pairs(Bodies.spheres([1.0, 0.5, 3.0]), T, depth=True)
+    >>> len(found), found.pairs, found.distance, found.normal
+    (1, array([[0, 1]]), array([-0.5]), array([[1., 0., 0.]]))
+    """
+
+    pairs: Ints
+    distance: Floats
+    witness_a: Floats
+    witness_b: Floats
+    normal: Floats
+
+    def __len__(self) -> int:
+        return len(self.pairs)
+
+    def __repr__(self) -> str:
+        return _validate.brief(self)
+
+
+# fmt: off
+@overload
+def overlapping_pairs(
+    bodies: Body | Bodies, T_world: ArrayLike | None = ..., *,
+    margin: float = ..., method: str = ..., depth: Literal[False] = ...,
+) -> Ints: ...
+@overload
+def overlapping_pairs(
+    bodies: Body | Bodies, T_world: ArrayLike | None = ..., *,
+    margin: float = ..., method: str = ..., depth: Literal[True],
+) -> Overlaps: ...
+@overload
+def overlapping_pairs(
+    bodies: Body | Bodies, T_world: ArrayLike | None = ..., *,
+    margin: float = ..., method: str = ..., depth: bool,
+) -> Ints | Overlaps: ...
+# fmt: on
+@guarded
+def overlapping_pairs(
+    bodies: Body | Bodies,
+    T_world: ArrayLike | None = None,
+    *,
+    margin: float = 0.0,
+    method: str = "exact",
+    depth: bool = False,
+) -> Ints | Overlaps:
+    """Find all pairs of bodies that touch, overlap, or come within `margin` of each other.
+
+    Time and memory grow with the number of bodies and the number of pairs found, not with the number of all pairs.
+
+    Parameters
+    ----------
+    bodies : Bodies, or Body
+        n bodies, or one body that is placed at each of n poses.
+    T_world : array_like, shape (n, 4, 4), or None
+        Poses of the bodies; translation in metres. None is the identity for all.
+    margin : float
+        In metres; bodies at this distance or less count as colliding.
+    method : {"exact", "certified"}
+        "exact": the pairs for which `collide` is true. "certified": the pairs that neither boxes nor ellipsoids prove
+        free, that is, all colliding pairs and some ambiguous ones, which `classify` distinguishes.
+    depth : bool
+        Also compute the distance or depth, normal and witnesses of each pair.
+
+    Returns
+    -------
+    ndarray of int64, shape (m, 2), or Overlaps
+        Indices i < j of the bodies, each pair once, in lexicographic order. Pairs that are not listed are proven free.
+        With ``depth=True``, an `Overlaps` whose `pairs` are this array.
+
+    Raises
+    ------
+    PoseError
+        If the numbers of poses and bodies differ, or a pose is not a rigid motion.
+    InputError
+        If `bodies` has entries that are not bodies, the margin is negative or not finite, or ``depth`` is neither True
+        nor False.
+    UnknownNameError
+        If `method` is not one of the names above.
+    ConvergenceError
+        If the exact search could not settle a pair. It never returns "free" instead. With ``depth=True`` also if a
+        distance could not be computed, as in `distance`; the error's `indices` are then rows of the list of pairs, and
+        its `partial` has all other results.
+
+    Examples
+    --------
+    >>> from loewner import Bodies, overlapping_pairs
+    >>> T = np.tile(np.eye(4), (3, 1, 1))
+    >>> T[:, 0, 3] = [0.0, 1.0, 5.0]
+    >>> overlapping_pairs(Bodies.spheres([1.0, 0.5, 3.0]), T)
+    array([[0, 1]])
+    """
+    mode = MODES[_validate.choice(method, "method", MODES)]
+    keep = _validate.positive_scalar(margin, "margin", zero=True)
+    measured = _validate.flag(depth, "depth")
+    n, steps, operands = _prepare(bodies, T_world)
+    pairs = _met(mode, keep, n, steps, operands)
+    return _measured(pairs, steps, operands) if measured else pairs
+
+
+def _met(mode: int, margin: float, n: int, steps: tuple[int, int], operands: tuple[Packed, Floats]) -> Ints:
+    """Find the pairs of n bodies that are not proven free, in lexicographic order."""
+    if n < 2:
+        return np.empty((0, 2), dtype=np.int64)
+    threads = min(get_num_threads(), -(-n // CHUNK))
+    _validate.fits_memory(
+        BODY_BYTES * n + threads * 16 * (columns.WIDE * n + CANDIDATES), f"candidate pairs of {n} bodies"
+    )
+    tree = _tree(n, steps, operands)
+    counts: list[int] = []  # of the pairs found so far
+
+    def settled(first: int, last: int) -> Ints:
+        return _settled(mode, margin, first, last, tree, steps, operands, counts)
+
+    leaves = -(-n // columns.WIDE)
+    keys = np.concatenate(in_shares(settled, leaves, CHUNK // columns.WIDE))
+    keys.sort()
+    return np.stack(np.divmod(keys, n), axis=1)
+
+
+def _measured(pairs: Ints, steps: tuple[int, int], operands: tuple[Packed, Floats]) -> Overlaps:
+    """Measure the distances of pairs whose poses have been checked to be rigid motions."""
+    count = len(pairs)
+    _validate.fits_memory(DEPTH_BYTES * count, f"distances of {count} pairs")
+    found = measure(True, count, _asked(count, np.ascontiguousarray(pairs.T), steps, operands))
+    overlaps = Overlaps(pairs, found.distance, found.witness_a, found.witness_b, found.normal)
+    indices = np.flatnonzero(found.unsettled)
+    if len(indices):
+        raise ConvergenceError(
+            f"overlapping_pairs: the distances of {len(indices)} of {count} pairs could not be settled, the first of "
+            f"them {tuple(pairs[indices[0]].tolist())} (the error's `indices` name the rows, its `partial` has the "
+            "distances of all others)",
+            indices,
+            overlaps,
+        )
+    return overlaps
+
+
+def _asked(count: int, rows: Ints, steps: tuple[int, int], operands: tuple[Packed, Floats]) -> Operands:
+    """Make the operands of a query about listed pairs: the same bodies twice, with one row per body or one for all."""
+    plan = np.array([[count], [steps[0]], [steps[1]], [steps[0]], [steps[1]]], dtype=np.int64)
+    packed, T = operands
+    return plan, rows, packed.handle, T, packed.handle, T
+
+
+def _prepare(bodies: Body | Bodies, T_world: ArrayLike | None) -> tuple[int, tuple[int, int], tuple[Packed, Floats]]:
+    """Return the number of bodies, flags 1 if each has its own pieces and its own pose, the pieces and the poses."""
+    if not isinstance(bodies, (Body, Bodies)):
+        raise InputError(f"bodies: expected loewner.Bodies or loewner.Body, found {type(bodies).__name__}")
+    T = _validate.poses(T_world, "T_world")
+    if T_world is not None and T.ndim != 3:
+        raise PoseError(f"T_world: expected shape (n, 4, 4), found {_validate.shape_text(T.shape)}")
+    if isinstance(bodies, Body):
+        n = 1 if T_world is None else len(T)
+    else:
+        n = len(bodies)
+        if T_world is not None and len(T) != n:
+            raise PoseError(f"T_world: expected one pose for each of {n} bodies, found {len(T)}")
+    steps = int(isinstance(bodies, Bodies)), int(T_world is not None)
+    return n, steps, (packed_of(bodies), T.reshape(-1, 4, 4))
+
+
+def _tree(n: int, steps: tuple[int, int], operands: tuple[Packed, Floats]) -> tuple[Floats, Ints, Ints]:
+    """Group boxes in a tree: the groups, the start of each level, and the order of the bodies in the lowest level."""
+    lower, upper = np.empty((n, 3)), np.empty((n, 3))
+
+    def box(first: int, last: int) -> None:
+        entries.body_boxes(first, last, *steps, operands[0].handle, operands[1], lower, upper)
+
+    in_shares(box, n, CHUNK)
+    order = entries.curve_order(lower, upper)
+    return (*entries.box_tree(lower, upper, order), order)
+
+
+def _settled(
+    mode: int,
+    margin: float,
+    first: int,
+    last: int,
+    tree: tuple[Floats, Ints, Ints],
+    steps: tuple[int, int],
+    operands: tuple[Packed, Floats],
+    counts: list[int],
+) -> Ints:
+    """Find pairs i, j not proven free, encoded as i n + j, with the earlier body in the leaf groups first to last.
+
+    The number of pairs found is added to `counts`, which all threads share.
+    """
+    n = len(tree[2])
+    rows = np.empty((2, columns.WIDE * n + CANDIDATES), dtype=np.int64)
+    found: list[Ints] = []
+    leaf = first
+    while leaf < last:
+        leaf, count = entries.meeting_boxes(leaf, last, margin, *tree, rows[0], rows[1])
+        if count == 0:
+            continue
+        listed = rows[:, :count].copy()
+        a, b = listed
+        out = np.empty(count, dtype=np.int8)
+        if settle(mode, margin, 0, count, _asked(count, listed, steps, operands), out) is None:
+            _validate.rigid_motions(operands[1], "T_world")
+            raise PoseError("T_world: expected rigid motions, found poses that changed during the call")
+        if mode == codes.EXACT:
+            _refuse_unsettled(out, a, b)
+        kept = out != codes.FREE
+        found.append(a[kept] * n + b[kept])
+        counts.append(len(found[-1]))
+        total = sum(counts)
+        _validate.fits_memory(PAIR_BYTES * total, f"more than {total} pairs of {n} bodies")
+    return np.concatenate([np.empty(0, dtype=np.int64), *found])
+
+
+def _refuse_unsettled(out: NDArray[np.int8], a: Ints, b: Ints) -> None:
+    """Raise an exception for answers that arithmetic could not settle, instead of returning a guess."""
+    unsettled = np.flatnonzero(out == codes.AMBIGUOUS)
+    if len(unsettled):
+        pair = int(a[unsettled[0]]), int(b[unsettled[0]])
+        raise ConvergenceError(
+            f"overlapping_pairs: {len(unsettled)} pairs could not be settled, the first of them {pair}; treat them as "
+            'colliding, or ask for method="certified"'
+        )

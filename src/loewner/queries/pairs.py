@@ -1,0 +1,722 @@
+"""Compute verdicts, collisions and distances of bodies, for one pair or millions of pairs."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import IntEnum
+from functools import reduce
+from typing import TYPE_CHECKING, Any, Generic, Literal, NamedTuple, NoReturn, overload
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from loewner._base import _validate
+from loewner._base._guard import guarded
+from loewner._base._rotations import rotations_of
+from loewner._base._threads import in_shares
+from loewner._base._validate import BoolOrBools, Bools, FloatOrFloats, Floats, Ints, OneOrMany
+from loewner._kernels import codes
+from loewner._native import entries, singles
+from loewner.bodies import Bodies, Body, Packed, packed_of
+from loewner.errors import ConvergenceError, InputError, PoseError
+from loewner.queries._measure import BOUND_BYTES, CHUNK, EXACT_BYTES, measure
+from loewner.queries._settle import NO_ROWS, ONE_PAIR, Operands, settle
+
+if TYPE_CHECKING:  # defaults of type variables need Python 3.13 at runtime
+    from typing_extensions import TypeVar
+
+    Number = TypeVar("Number", default=FloatOrFloats, covariant=True)
+    Exact = TypeVar("Exact", default=OneOrMany, covariant=True)
+    Vector = TypeVar("Vector", default=OneOrMany, covariant=True)
+else:
+    from typing import TypeVar
+
+    Number, Exact, Vector = TypeVar("Number"), TypeVar("Exact"), TypeVar("Vector")
+
+# Value of a result's fields that were not requested: None, typed so that it fits their type variables.
+NOTHING: Any = None
+
+# Bytes per pair in `collide`: a verdict and two flags. In a list of pairs: two numbers.
+COLLIDE_BYTES, LIST_BYTES = 3, 16
+
+# Poses of a body or several, as users give them.
+Poses = ArrayLike | None
+
+Verdicts = NDArray[np.int8]
+
+METHODS = ("exact", "estimate")
+
+
+class Verdict(IntEnum):
+    """The certified answer to a query, such as whether two bodies collide.
+
+    Examples
+    --------
+    >>> verdict = Verdict(2)
+    >>> verdict, str(verdict), verdict == 2
+    (<Verdict.AMBIGUOUS: 2>, 'AMBIGUOUS', True)
+    """
+
+    FREE = 0
+    """The outer ellipsoids are apart, by more than the margin: proven."""
+    COLLIDING = 1
+    """The inner ellipsoids touch or overlap, or come within the margin: proven."""
+    AMBIGUOUS = 2
+    """Neither is proven; `collide` gives an estimate or the exact answer."""
+
+    def __str__(self) -> str:
+        return self.name
+
+
+VERDICTS = tuple(Verdict)
+
+VerdictOrVerdicts = Verdict | Verdicts
+
+
+@dataclass(frozen=True, eq=False)
+class Distance(Generic[Number, Exact, Vector]):
+    """Signed distances of bodies, in metres, each of the batch's shape; negative values are penetration depths.
+
+    All values refer to the nearest two pieces or, if the bodies overlap, to the deepest two. For bodies of several
+    pieces a negative distance is therefore the depth of that pair alone: the bodies penetrate each other at least that
+    deep, but separating them can take a longer translation, since another pair of pieces may then be in the way. For a
+    surface the depth is a strict lower bound; for two convex pieces it is as accurate as an exact distance. If the
+    inner ellipsoids of a solid surface prove a greater depth than its triangles, `distance` is the greater depth, while
+    the witnesses and the normal belong to the triangles.
+
+    Attributes
+    ----------
+    lower, upper : float or ndarray
+        Certified bounds from the ellipsoids: lower <= distance <= upper.
+    estimate : float or ndarray
+        A guess, computed in O(1) from the product of the two contact functions and clamped to the bounds.
+    distance : float or ndarray, or None
+        With ``exact=True``: the distance of the bodies, or minus the depth of the deepest two pieces. This depth is the
+        length of the shortest translation that separates the two pieces.
+    witness_a, witness_b : ndarray, shape (..., 3), or None
+        Points of a and of b, in world coordinates, with witness_b - witness_a = distance * normal.
+    normal : ndarray, shape (..., 3), or None
+        Unit vector from a to b; moving b along it separates the two pieces fastest.
+
+    Examples
+    --------
+    >>> from loewner import Body, distance
+    >>> T = np.eye(4)
+    >>> T[0, 3] = 3.0
+    >>> found = distance(Body.sphere(1.0), None, Body.sphere(0.5), T, exact=True)
+    >>> found.witness_a.round(9) + 0.0, found.normal.round(9) + 0.0
+    (array([1., 0., 0.]), array([1., 0., 0.]))
+    """
+
+    lower: Number
+    upper: Number
+    estimate: Number
+    distance: Exact = NOTHING
+    witness_a: Vector = NOTHING
+    witness_b: Vector = NOTHING
+    normal: Vector = NOTHING
+
+    @property
+    def wrench(self) -> Vector:
+        """Derivative of the distance with respect to b's motion, shape (..., 6), or None without ``exact=True``.
+
+        It consists of a unit force along the normal at the witness, and the moment of that force about the world's
+        origin [m]. Let a twist be the velocity of a body's point at the world's origin, and the body's angular
+        velocity. If b moves by a twist, the distance changes by the product of twist and wrench; if a moves, by minus
+        that product. Where the witnesses are not unique (parallel faces or edges), the distance has a kink, and the
+        wrench is the derivative for one choice of witnesses.
+
+        Examples
+        --------
+        >>> from loewner import Body, distance
+        >>> T = np.eye(4)
+        >>> T[:3, 3] = 3.0, 0.0, 1.0
+        >>> found = distance(Body.box([1, 1, 4]), None, Body.sphere(0.5), T, exact=True)
+        >>> found.wrench.round(9) + 0.0
+        array([1., 0., 0., 0., 1., 0.])
+        """
+        normal: Any = self.normal
+        witness: Any = self.witness_b
+        found: Any = None if normal is None else np.concatenate([normal, np.cross(witness, normal)], axis=-1)
+        return found  # type: ignore[no-any-return]
+
+    def __repr__(self) -> str:
+        return _validate.brief(self)
+
+
+# Without and with ``exact=True``.
+Bounds = Distance[Number, None, None]
+Measured = Distance[Number, Number, Floats]
+
+
+class _Pairs(NamedTuple):
+    """The broadcast operands of a query, in the form that the kernels take."""
+
+    shape: tuple[int, ...]
+    total: int
+    plan: Ints
+    packs: tuple[Packed, Packed]
+    poses: tuple[Floats, Floats]
+    rows: Ints = NO_ROWS
+
+    @property
+    def operands(self) -> Operands:
+        """Return the plan, the rows, and the packs and poses of a and of b, in the order that the kernels take."""
+        (a, b), (Ta, Tb) = self.packs, self.poses
+        return self.plan, self.rows, a.handle, Ta, b.handle, Tb
+
+
+def _of_mesh(source: Any) -> str:
+    """Make the advice, for a message, about a mesh given in place of a body."""
+    return "; Body.from_surface or Body.from_mesh makes one of it" if hasattr(source, "faces") else ""
+
+
+def _prepare(
+    a: Body | Bodies,
+    T_world_a: ArrayLike | None,
+    b: Body | Bodies,
+    T_world_b: ArrayLike | None,
+    *,
+    check: bool,
+    each: int = 1,
+    chosen: ArrayLike | None = None,
+) -> _Pairs:
+    """Check the operands and work out how they broadcast; unless `check` is true, the kernel checks the poses.
+
+    `each` is the number of bytes of results per pair, by which a call that does not fit into memory is refused.
+    `chosen` lists rows of pairs, instead of broadcasting.
+    """
+    expect_bodies(a, b)
+    Ta = _validate.poses(T_world_a, "T_world_a", check=check)
+    Tb = _validate.poses(T_world_b, "T_world_b", check=check)
+    packs = packed_of(a), packed_of(b)
+    if chosen is None and Ta.ndim == 2 and Tb.ndim == 2 and isinstance(a, Body) and isinstance(b, Body):
+        return _Pairs((), 1, ONE_PAIR, packs, (Ta.reshape(1, 4, 4), Tb.reshape(1, 4, 4)))
+    plan = plan_of(a, Ta.shape, b, Tb.shape, each=each, chosen=chosen)
+    return _Pairs(plan.shape, plan.total, plan.steps, packs, (Ta.reshape(-1, 4, 4), Tb.reshape(-1, 4, 4)), plan.rows)
+
+
+def expect_bodies(a: Any, b: Any) -> None:
+    """Refuse operands that are not bodies."""
+    if not isinstance(a, (Body, Bodies)):
+        raise InputError(f"a: expected loewner.Body or loewner.Bodies, found {type(a).__name__}{_of_mesh(a)}")
+    if not isinstance(b, (Body, Bodies)):
+        raise InputError(f"b: expected loewner.Body or loewner.Bodies, found {type(b).__name__}{_of_mesh(b)}")
+
+
+class Plan(NamedTuple):
+    """Which bodies and poses make up the pairs of a batch.
+
+    Attributes
+    ----------
+    shape : tuple of int
+    total : int
+    steps : ndarray of int64, shape (5, d)
+        See `settle_range` of the kernels: the merged shape of the batch, and strides of a, Ta, b and Tb in rows.
+    rows : ndarray of int64, shape (2, total) or (2, 0)
+        Rows of a and of b if the pairs are listed by row number; otherwise empty.
+    """
+
+    shape: tuple[int, ...]
+    total: int
+    steps: Ints
+    rows: Ints = NO_ROWS
+
+
+def plan_of(
+    a: Body | Bodies,
+    of_poses_a: tuple[int, ...],
+    b: Body | Bodies,
+    of_poses_b: tuple[int, ...],
+    *,
+    each: int = 1,
+    chosen: ArrayLike | None = None,
+) -> Plan:
+    """Work out from shapes how bodies and poses broadcast, or the shape of listed pairs; see `_prepare`."""
+    if chosen is not None:
+        return _listed(chosen, a, of_poses_a, b, of_poses_b, each)
+    of_a = (len(a),) if isinstance(a, Bodies) else ()
+    of_b = (len(b),) if isinstance(b, Bodies) else ()
+    parts = (of_a, of_poses_a[:-2], of_b, of_poses_b[:-2])
+    try:
+        shape = np.broadcast_shapes(*parts)
+    except ValueError:
+        texts = [_validate.shape_text(p) for p in parts]
+        raise PoseError(
+            "expected bodies and poses whose batch shapes broadcast, found "
+            f"a: {texts[0]}, T_world_a: {texts[1]}, b: {texts[2]}, T_world_b: {texts[3]}"
+        ) from None
+    _validate.fits_memory(each * math.prod(shape), f"{_validate.shape_text(shape)} pairs")
+    return Plan(shape, math.prod(shape), _collapse(shape, [_row_strides(p, len(shape)) for p in parts]))
+
+
+def _listed(
+    chosen: ArrayLike,
+    a: Body | Bodies,
+    of_poses_a: tuple[int, ...],
+    b: Body | Bodies,
+    of_poses_b: tuple[int, ...],
+    each: int,
+) -> Plan:
+    """Check pairs that are given by row numbers."""
+    rows = _validate.integer_array(chosen, "pairs")
+    if rows.ndim == 0 or rows.shape[-1] != 2:
+        found = _validate.shape_text(rows.shape)
+        raise InputError(f"pairs: expected row numbers of a and b, shape (..., 2) of integers, found {found}")
+    count = rows.size // 2
+    _validate.fits_memory(count * (LIST_BYTES + each), f"{count} pairs")
+    flat = np.ascontiguousarray(rows.reshape(-1, 2).T)
+    plan = [[flat.shape[1]]]
+    for side, (name, bodies, of_T) in enumerate((("a", a, of_poses_a), ("b", b, of_poses_b))):
+        if len(of_T) > 3:
+            raise PoseError(f"T_world_{name}: expected shape (4, 4) or (n, 4, 4) with pairs, found {of_T}")
+        lengths = [len(bodies) if isinstance(bodies, Bodies) else 1, of_T[0] if len(of_T) == 3 else 1]
+        n = max(lengths)
+        if n != 1 and any(length not in (1, n) for length in lengths):
+            raise PoseError(f"{name}: expected as many bodies as poses, or one, found {lengths[0]} and {lengths[1]}")
+        wrong = (flat[side] < 0) | (flat[side] >= n) if n > 1 or isinstance(bodies, Bodies) else flat[side] != 0
+        if wrong.any():
+            raise InputError(
+                f"pairs: expected rows of {name} from 0 to {n - 1}, found {flat[side][wrong][0]} in pair "
+                f"{int(np.flatnonzero(wrong)[0])}"
+            )
+        plan += [[int(length > 1)] for length in lengths]
+    return Plan(rows.shape[:-1], flat.shape[1], np.array(plan, dtype=np.int64), flat)
+
+
+def _row_strides(part: tuple[int, ...], ndim: int) -> list[int]:
+    """Compute an operand's step in rows along each axis of the batch; 0 along axes where it repeats."""
+    strides = [0] * ndim
+    step = 1
+    for axis in range(1, len(part) + 1):
+        length = part[-axis]
+        strides[-axis] = step if length != 1 else 0
+        step *= length
+    return strides
+
+
+def _collapse(shape: tuple[int, ...], strides: list[list[int]]) -> Ints:
+    """Merge neighbouring axes over which the stride of every operand is constant; usually one axis remains.
+
+    Return the plan: the merged shape in the first row, then the strides of each operand in a row of its own.
+    """
+    axes: list[list[int]] = []
+    for d, length in enumerate(shape):
+        steps = [s[d] for s in strides]
+        if axes and all(outer == step * length for outer, step in zip(axes[-1][1:], steps, strict=True)):
+            axes[-1] = [axes[-1][0] * length, *steps]
+        else:
+            axes.append([length, *steps])
+    axes = [axis for axis in axes if axis[0] != 1] or [[1, *([0] * len(strides))]]
+    return np.ascontiguousarray(np.array(axes, dtype=np.int64).T)
+
+
+def _settle(mode: int, margin: float, pairs: _Pairs, estimate: bool = False) -> tuple[NDArray[np.int8], Ints]:
+    """Compute the verdict of every pair, and the number of pairs of pieces that each tier settled.
+
+    With `estimate`, the product of the contact functions decides pairs that would otherwise be AMBIGUOUS.
+    """
+    out = np.empty(pairs.total, dtype=np.int8)
+
+    def run(first: int, last: int) -> Ints:
+        tally = settle(mode, margin, first, last, pairs.operands, out)
+        if tally is not None:
+            if estimate:
+                entries.estimate_range(margin, first, last, *pairs.operands, out)
+            return tally
+        for T, name in zip(pairs.poses, ("T_world_a", "T_world_b"), strict=True):
+            _validate.rigid_motions(T, name)
+        raise PoseError("expected rigid motions, found poses that changed during the call")
+
+    return out, reduce(np.add, in_shares(run, pairs.total, CHUNK))
+
+
+# fmt: off
+@overload
+def classify(
+    a: Bodies, T_world_a: Poses, b: Body | Bodies, T_world_b: Poses, *,
+    margin: float = ..., pairs: ArrayLike | None = ...,
+) -> Verdicts: ...
+@overload
+def classify(
+    a: Body, T_world_a: Poses, b: Bodies, T_world_b: Poses, *, margin: float = ..., pairs: ArrayLike | None = ...,
+) -> Verdicts: ...
+@overload
+def classify(
+    a: Body, T_world_a: None, b: Body, T_world_b: None, *, margin: float = ..., pairs: None = ...,
+) -> Verdict: ...
+@overload
+def classify(
+    a: Body | Bodies, T_world_a: Poses, b: Body | Bodies, T_world_b: Poses, *, margin: float = ..., pairs: ArrayLike,
+) -> Verdicts: ...
+@overload
+def classify(
+    a: Body, T_world_a: Poses, b: Body, T_world_b: Poses, *, margin: float = ..., pairs: ArrayLike | None = ...,
+) -> VerdictOrVerdicts: ...
+# fmt: on
+def classify(
+    a: Body | Bodies,
+    T_world_a: Poses,
+    b: Body | Bodies,
+    T_world_b: Poses,
+    *,
+    margin: float = 0.0,
+    pairs: ArrayLike | None = None,
+) -> VerdictOrVerdicts:
+    """Compute the certified verdict of two bodies from their ellipsoids alone.
+
+    Parameters
+    ----------
+    a, b : Body or Bodies
+        A `Bodies` of n broadcasts with the last batch axis of the poses.
+    T_world_a, T_world_b : array_like, shape (..., 4, 4), or None
+        Poses, broadcast together; translation in metres. None is the identity.
+    margin : float
+        Distance in metres that the bodies have to keep: FREE then means that they are farther apart than `margin`, and
+        COLLIDING that they are not.
+    pairs : array_like of int, shape (..., 2), optional
+        Rows of a and of b to compare, instead of broadcasting: row i of a is body i at pose i, where a single body or
+        pose serves all rows. Nothing is copied. To compare each of n bodies with each of m, pass ``np.indices((n,
+        m)).T``; the result has shape (m, n).
+
+    Returns
+    -------
+    Verdict, or ndarray of int8, shape (...)
+        FREE and COLLIDING are proven, including all rounding (docs/certified.md). Two unions of pieces are FREE only if
+        every pair of pieces is FREE, and COLLIDING if any pair is COLLIDING.
+
+    Raises
+    ------
+    PoseError
+        If a pose does not end in (4, 4), is not a rigid motion, or batches do not broadcast.
+    InputError
+        If an operand is not a body, or the margin is negative or not finite.
+
+    References
+    ----------
+    The paper, section 4; Perram and Wertheim (1985), doi:10.1016/0021-9991(85)90171-8.
+
+    Examples
+    --------
+    >>> from loewner import Body, classify
+    >>> T = np.eye(4)
+    >>> T[0, 3] = 3.0
+    >>> classify(Body.sphere(1.0), None, Body.box([1, 1, 1]), T)
+    <Verdict.FREE: 0>
+    """
+    found: int | None = singles.classify(Body, a, T_world_a, b, T_world_b, margin, pairs)
+    if found is not None:
+        return VERDICTS[found]
+    keep = _validate.positive_scalar(margin, "margin", zero=True)
+    return _classified(keep, a, T_world_a, b, T_world_b, pairs)
+
+
+@guarded
+def _classified(margin: float, a: Any, T_world_a: Any, b: Any, T_world_b: Any, chosen: Any) -> VerdictOrVerdicts:
+    asked = _prepare(a, T_world_a, b, T_world_b, check=False, chosen=chosen)
+    out, _ = _settle(codes.CERTIFY, margin, asked)
+    return Verdict(int(out[0])) if asked.shape == () else out.reshape(asked.shape)
+
+
+# fmt: off
+@overload
+def collide(
+    a: Bodies, T_world_a: Poses, b: Body | Bodies, T_world_b: Poses, *,
+    method: str = ..., margin: float = ..., pairs: ArrayLike | None = ...,
+) -> Bools: ...
+@overload
+def collide(
+    a: Body, T_world_a: Poses, b: Bodies, T_world_b: Poses, *,
+    method: str = ..., margin: float = ..., pairs: ArrayLike | None = ...,
+) -> Bools: ...
+@overload
+def collide(
+    a: Body, T_world_a: None, b: Body, T_world_b: None, *, method: str = ..., margin: float = ..., pairs: None = ...,
+) -> bool: ...
+@overload
+def collide(
+    a: Body | Bodies, T_world_a: Poses, b: Body | Bodies, T_world_b: Poses, *,
+    method: str = ..., margin: float = ..., pairs: ArrayLike,
+) -> Bools: ...
+@overload
+def collide(
+    a: Body, T_world_a: Poses, b: Body, T_world_b: Poses, *,
+    method: str = ..., margin: float = ..., pairs: ArrayLike | None = ...,
+) -> BoolOrBools: ...
+# fmt: on
+def collide(
+    a: Body | Bodies,
+    T_world_a: Poses,
+    b: Body | Bodies,
+    T_world_b: Poses,
+    *,
+    method: str = "exact",
+    margin: float = 0.0,
+    pairs: ArrayLike | None = None,
+) -> BoolOrBools:
+    """Decide whether two bodies touch, overlap, or come within `margin` of each other.
+
+    Parameters
+    ----------
+    a, b : Body or Bodies
+        A `Bodies` of n broadcasts with the last batch axis of the poses.
+    T_world_a, T_world_b : array_like, shape (..., 4, 4), or None
+        Poses, broadcast together; translation in metres. None is the identity.
+    method : {"exact", "estimate"}
+        "exact": the certificate, then, for ambiguous pairs, a search on the pieces themselves. "estimate": the
+        certificate, then, for ambiguous pairs, a guess in O(1) from the product of two contact functions, of the inner
+        and of the outer ellipsoids. The guess is wrong for some pairs (docs/theory/estimate.md).
+    margin : float
+        In metres; pairs at this distance or less count as colliding.
+    pairs : array_like of int, shape (..., 2), optional
+        As for `classify`.
+
+    Returns
+    -------
+    bool, or ndarray of bool, shape (...)
+        Touching counts as colliding. False from "exact" is proven; True is proven up to rounding: bodies that are apart
+        by less than about 1e-12 of the lengths involved may count as touching, and whether they do may depend on their
+        order (docs/certified.md).
+
+    Raises
+    ------
+    PoseError, InputError
+        As for `classify`.
+    UnknownNameError
+        If `method` is not one of the names above.
+    ConvergenceError
+        If the exact search could not settle a pair. It never returns "free" instead.
+
+    References
+    ----------
+    The paper, section 4; Gilbert, Johnson and Keerthi (1988), doi:10.1109/56.2083.
+
+    Examples
+    --------
+    >>> from loewner import Body, collide
+    >>> collide(Body.box([1, 1, 1]), None, Body.box([1, 1, 1]), None)
+    True
+    """
+    found: bool | None = singles.collide(Body, a, T_world_a, b, T_world_b, method, margin, pairs)
+    if found is not None:
+        return found
+    exact = _validate.choice(method, "method", METHODS) == "exact"
+    keep = _validate.positive_scalar(margin, "margin", zero=True)
+    return _collided(exact, keep, a, T_world_a, b, T_world_b, pairs)
+
+
+@guarded
+def _collided(exact: bool, margin: float, a: Any, T_world_a: Any, b: Any, T_world_b: Any, chosen: Any) -> BoolOrBools:
+    """Decide whether bodies collide, exactly or by the estimate."""
+    found, unsettled = decided(exact, margin, a, T_world_a, b, T_world_b, chosen)
+    return _refused(unsettled, "collide", found) if unsettled.any() else found
+
+
+def decided(
+    exact: bool, margin: float, a: Any, T_world_a: Any, b: Any, T_world_b: Any, chosen: Any = None
+) -> tuple[BoolOrBools, Bools]:
+    """Decide whether bodies collide; unsettled pairs are marked in a flat array, and count as colliding."""
+    asked = _prepare(a, T_world_a, b, T_world_b, check=False, each=COLLIDE_BYTES, chosen=chosen)
+    out, _ = _settle(codes.EXACT if exact else codes.CERTIFY, margin, asked, estimate=not exact)
+    # With the numbers: NumPy would call Python code of `Verdict`, and drop an interrupt that occurs there.
+    unsettled = out == codes.AMBIGUOUS
+    colliding = (out == codes.COLLIDING) | unsettled
+    return bool(colliding[0]) if asked.shape == () else colliding.reshape(asked.shape), unsettled
+
+
+# fmt: off
+@overload
+def distance(
+    a: Bodies, T_world_a: Poses, b: Body | Bodies, T_world_b: Poses, *,
+    exact: Literal[False] = ..., pairs: ArrayLike | None = ...,
+) -> Bounds[Floats]: ...
+@overload
+def distance(
+    a: Bodies, T_world_a: Poses, b: Body | Bodies, T_world_b: Poses, *,
+    exact: Literal[True], pairs: ArrayLike | None = ...,
+) -> Measured[Floats]: ...
+@overload
+def distance(
+    a: Body, T_world_a: Poses, b: Bodies, T_world_b: Poses, *,
+    exact: Literal[False] = ..., pairs: ArrayLike | None = ...,
+) -> Bounds[Floats]: ...
+@overload
+def distance(
+    a: Body, T_world_a: Poses, b: Bodies, T_world_b: Poses, *,
+    exact: Literal[True], pairs: ArrayLike | None = ...,
+) -> Measured[Floats]: ...
+@overload
+def distance(
+    a: Body, T_world_a: None, b: Body, T_world_b: None, *, exact: Literal[False] = ..., pairs: None = ...,
+) -> Bounds[float]: ...
+@overload
+def distance(
+    a: Body, T_world_a: None, b: Body, T_world_b: None, *, exact: Literal[True], pairs: None = ...,
+) -> Measured[float]: ...
+@overload
+def distance(
+    a: Body | Bodies, T_world_a: Poses, b: Body | Bodies, T_world_b: Poses, *,
+    exact: Literal[False] = ..., pairs: ArrayLike,
+) -> Bounds[Floats]: ...
+@overload
+def distance(
+    a: Body | Bodies, T_world_a: Poses, b: Body | Bodies, T_world_b: Poses, *,
+    exact: Literal[True], pairs: ArrayLike,
+) -> Measured[Floats]: ...
+@overload
+def distance(
+    a: Body, T_world_a: Poses, b: Body, T_world_b: Poses, *,
+    exact: Literal[False] = ..., pairs: ArrayLike | None = ...,
+) -> Bounds[FloatOrFloats]: ...
+@overload
+def distance(
+    a: Body, T_world_a: Poses, b: Body, T_world_b: Poses, *,
+    exact: Literal[True], pairs: ArrayLike | None = ...,
+) -> Measured[FloatOrFloats]: ...
+@overload
+def distance(
+    a: Body | Bodies, T_world_a: Poses, b: Body | Bodies, T_world_b: Poses, *,
+    exact: bool, pairs: ArrayLike | None = ...,
+) -> Distance: ...
+# fmt: on
+def distance(
+    a: Body | Bodies,
+    T_world_a: Poses,
+    b: Body | Bodies,
+    T_world_b: Poses,
+    *,
+    exact: bool = False,
+    pairs: ArrayLike | None = None,
+) -> Distance:
+    """Bound the signed distance of two bodies with proof and, on request, compute it exactly.
+
+    Parameters
+    ----------
+    a, b : Body or Bodies
+    T_world_a, T_world_b : array_like, shape (..., 4, 4), or None
+        Poses, broadcast together; translation in metres. None is the identity.
+    exact : bool
+        Also compute the distance or penetration depth, witnesses and normal.
+    pairs : array_like of int, shape (..., 2), optional
+        As for `classify`.
+
+    Returns
+    -------
+    Distance
+        Distances are positive for separate bodies, negative for penetration, and zero for touching bodies. The signed
+        distance of two bodies is the least over their pairs of pieces; `Distance` explains the meaning of depths.
+
+    Raises
+    ------
+    PoseError, InputError
+        As for `classify`, and if `exact` is neither True nor False.
+    ConvergenceError
+        If an exact distance could not be computed to 1e-9 of the lengths involved. (The penetration depth computed for
+        cylinders, cones and capsules is never less than the true depth; if many directions tie, it is proven to 1e-3.)
+        For ellipsoids flatter than about 1 : 5e7, it fails for one pair in twenty.
+
+    Examples
+    --------
+    >>> from loewner import Body, distance
+    >>> T = np.eye(4)
+    >>> T[0, 3] = 3.0
+    >>> round(distance(Body.sphere(1.0), None, Body.sphere(0.5), T, exact=True).distance, 12)
+    1.5
+    """
+    found: Distance | None = singles.distance(Body, Distance, a, T_world_a, b, T_world_b, exact, pairs)
+    return _measured(a, T_world_a, b, T_world_b, exact, pairs) if found is None else found
+
+
+@guarded
+def push(T_world_body: Poses, wrench: ArrayLike, *, radius: float) -> Floats:
+    """Move bodies along wrenches: a step of gradient ascent for distances, or for penalties made of them.
+
+    Each body moves by the force, and turns about its own origin by a rotation vector: the moment about this origin,
+    divided by the square of the radius. To first order, a distance with this wrench grows by the square of the force,
+    plus the square of this moment over the radius.
+
+    Parameters
+    ----------
+    T_world_body : array_like, shape (..., 4, 4), or None
+        Poses; translation in metres. None is the identity.
+    wrench : array_like, shape (..., 6)
+        Multiples and sums of `Distance.wrench`: a force, whose unit is here the metre, and its moment about the world's
+        origin [m²]. For the first body of a distance, use the negative wrench.
+    radius : float
+        Distance of typical points of a body from its origin, in metres: the lever arm at which turns count as much as
+        translations.
+
+    Returns
+    -------
+    ndarray, shape (..., 4, 4)
+        The new poses.
+
+    Raises
+    ------
+    PoseError
+        If a pose is not a rigid motion.
+    InputError
+        If a wrench is not finite, the shapes do not broadcast, or a step leads out of the range of numbers.
+
+    Examples
+    --------
+    >>> from loewner import Body, distance, push
+    >>> floor, brick, T = Body.box([4, 4, 1]), Body.box([1, 0.5, 0.25]), np.eye(4)
+    >>> for _ in range(60):
+    ...     found = distance(floor, None, brick, T, exact=True)
+    ...     T = push(T, 0.3 * max(0.01 - found.distance, 0.0) * found.wrench, radius=0.5)
+    >>> round(distance(floor, None, brick, T, exact=True).distance, 3)
+    0.01
+    """
+    T = _validate.poses(T_world_body, "T_world_body")
+    w, length = _validate.finite_array(wrench, "wrench", ("...", 6)), _validate.positive_scalar(radius, "radius")
+    try:
+        shape = np.broadcast_shapes(T.shape[:-2], w.shape[:-1])
+    except ValueError:
+        found = f"{_validate.shape_text(T.shape)} and {_validate.shape_text(w.shape)}"
+        raise InputError(f"wrench: expected shapes of poses and wrenches that broadcast, found {found}") from None
+    moved = np.array(np.broadcast_to(T, (*shape, 4, 4)))
+    with np.errstate(over="ignore", invalid="ignore"):
+        half = (w[..., 3:] - np.cross(T[..., :3, 3], w[..., :3])) / length / length / 2
+        angle = np.linalg.norm(half, axis=-1, keepdims=True)
+        share = np.divide(np.sin(angle), angle, out=np.ones_like(angle), where=angle > 0)
+        turn = np.concatenate([np.cos(angle), share * half], axis=-1)
+        moved[..., :3, 3] += w[..., :3]
+        moved[..., :3, :3] = rotations_of(turn) @ moved[..., :3, :3]
+    if not np.isfinite(moved).all():
+        raise InputError("wrench: expected forces and moments that lead to finite poses, found an overflow")
+    return moved
+
+
+@guarded
+def _measured(a: Any, T_world_a: Any, b: Any, T_world_b: Any, exact: Any, chosen: Any) -> Distance:
+    """Compute bounds on distances, and the distances themselves."""
+    found, unsettled = measured(a, T_world_a, b, T_world_b, _validate.flag(exact, "exact"), chosen)
+    return _refused(unsettled, "distance", found) if unsettled.any() else found
+
+
+def measured(a: Any, T_world_a: Any, b: Any, T_world_b: Any, exact: bool, chosen: Any = None) -> tuple[Distance, Bools]:
+    """Compute bounds on distances and the distances; unsettled pairs are NaN, and marked in a flat array."""
+    asked = _prepare(a, T_world_a, b, T_world_b, check=True, each=EXACT_BYTES if exact else BOUND_BYTES, chosen=chosen)
+    shape = asked.shape
+    *answers, unsettled = measure(exact, asked.total, asked.operands)
+
+    def shaped(x: Floats) -> Any:
+        if shape == ():
+            return float(x[0]) if x.ndim == 1 else x[0]
+        return x.reshape(shape + x.shape[1:])
+
+    return Distance(*map(shaped, answers if exact else answers[:3])), unsettled
+
+
+def _refused(unsettled: NDArray[np.bool_], query: str, partial: Any) -> NoReturn:
+    """Raise an exception for answers that arithmetic could not settle, never a guess."""
+    indices = np.flatnonzero(unsettled)
+    raise ConvergenceError(
+        f"{query}: {len(indices)} of {unsettled.size} pairs could not be settled, the first at flat index "
+        f"{indices[0]}; treat them as colliding, or change their poses by a hair (the error's `indices` name them, its "
+        "`partial` has the answers to all others)",
+        indices,
+        partial,
+    )

@@ -1,0 +1,128 @@
+"""Sample motions between given ends: first the ends, then the middle, then successively finer.
+
+Collisions tend to be found early in this order.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from functools import lru_cache
+from typing import overload
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from loewner._base import _validate
+from loewner._base._validate import Floats, Ints
+from loewner.errors import InputError
+from loewner.robots.description.robot import Robot
+
+# Smallest number of configurations of edges that is worth a call.
+AT_LEAST = 64
+
+# Configurations of edges that are made at a time, unless there are more edges: for ten joints, they take 80 MB.
+MOST_AT_ONCE = 2**20
+
+# A quotient of a length and a step this near to a whole number may be rounded to either side of it.
+NEARLY_WHOLE = 1e-9
+
+# Results of a motion: a verdict, a fraction, a pair, and the work that was done, in bytes.
+BYTES_OF_A_MOTION = 40
+
+# What a motion may be divided into; more is a slip in a unit.
+MOST_STEPS = 2**24
+
+
+@overload
+def steps(lengths: float, step: float) -> int: ...
+@overload
+def steps(lengths: Floats, step: float) -> Ints: ...
+def steps(lengths: float | Floats, step: float) -> int | Ints:
+    """Count the steps, no longer than `step`, into which edges of these lengths are divided.
+
+    Raises
+    ------
+    InputError
+        If there are more than `MOST_STEPS`.
+    """
+    longest = float(np.max(lengths, initial=0.0)) if isinstance(lengths, np.ndarray) else lengths
+    if not longest / step <= MOST_STEPS:
+        raise InputError(
+            f"resolution: expected at most {MOST_STEPS} steps on the longest motion ({longest:g}), found {step:g}"
+        )
+    if isinstance(lengths, np.ndarray):
+        return np.maximum(np.ceil(lengths / step), 1).astype(np.int64)
+    return max(math.ceil(lengths / step), 1)
+
+
+def nearly_whole(quotients: Floats) -> Ints:
+    """Find quotients that overflowed, or that rounding may have moved across a whole number."""
+    with np.errstate(invalid="ignore"):
+        far = np.abs(quotients - np.rint(quotients)) > NEARLY_WHOLE * (1.0 + quotients)
+    return np.flatnonzero(~far)
+
+
+def rounds(parts: Ints, valid: NDArray[np.bool_]) -> Iterator[tuple[Ints, Floats]]:
+    """Yield edges and the fractions at which to check them, coarsest first; edges that are not `valid` are skipped.
+
+    Parameters
+    ----------
+    parts : ndarray of int64
+        Number of steps into which each edge is divided.
+    valid : ndarray of bool
+        Whether each edge is still to be checked; the caller may change it between two rounds.
+    """
+    done, more = 0, max(2, AT_LEAST // max(1, len(parts)))
+    while True:
+        going = np.flatnonzero(valid & (parts >= done))
+        if len(going) == 0:
+            return
+        edges, fractions = [], []
+        for count in np.unique(parts[going]):
+            at = coarse_first(int(count))[done : done + more]
+            those = going[parts[going] == count]
+            edges.append(np.repeat(those, len(at)))
+            fractions.append(np.tile(at, len(those)))
+        yield np.concatenate(edges), np.concatenate(fractions)
+        done, more = done + more, max(more, min(done + more, MOST_AT_ONCE // len(going)))
+
+
+@lru_cache(maxsize=256)
+def coarse_first(parts: int) -> Floats:
+    """Return 0, 1, and then the multiples of 1 / parts between them: the middle, the quarters, and so on."""
+    digits = max(1, (parts - 1).bit_length())
+    numbers = np.arange(1, 2**digits)
+    reversed_bits = np.zeros_like(numbers)
+    for k in range(digits):
+        reversed_bits |= (numbers >> k & 1) << (digits - 1 - k)
+    return np.concatenate([[0.0, 1.0], reversed_bits[reversed_bits < parts] / parts])
+
+
+def ends(robot: Robot, Q0: ArrayLike, Q1: ArrayLike) -> tuple[Floats, Floats, tuple[int, ...]]:
+    """Check and broadcast the ends of motions; return each as rows of configurations, and the shape of the motions."""
+    a, b = robot.checked(Q0, "Q0"), robot.checked(Q1, "Q1")
+    if a.ndim == b.ndim == 1:
+        return a[None], b[None], ()
+    if a.shape != b.shape:
+        try:
+            a, b = np.broadcast_arrays(a, b)
+        except ValueError:
+            raise InputError(f"expected Q0 and Q1 whose shapes broadcast, found {a.shape} and {b.shape}") from None
+    shape = a.shape[:-1]
+    count = math.prod(shape)
+    _validate.fits_memory(count * (BYTES_OF_A_MOTION + 16 * robot.dof), f"{shape} motions")
+    return np.ascontiguousarray(flat(a)), np.ascontiguousarray(flat(b)), shape
+
+
+def checked_path(robot: Robot, path: ArrayLike) -> Floats:
+    """Check a user's path, shape (k, dof), with at least two rows."""
+    rows = robot.checked(path, "path")
+    if rows.ndim != 2 or len(rows) < 2:
+        raise InputError(f"path: expected shape (k, {robot.dof}) with k >= 2, found {_validate.shape_text(rows.shape)}")
+    return rows
+
+
+def flat(Q: Floats) -> Floats:
+    """Flatten configurations to rows, also for a robot without joints, for which NumPy cannot infer -1."""
+    return Q.reshape(math.prod(Q.shape[:-1]), Q.shape[-1])

@@ -1,0 +1,521 @@
+"""Prepare the pairs of bodies to check, at one state of the scene, as arrays for the kernels.
+
+Work that is the same for every query is done once, here: balls about moving bodies, bounds and ellipsoids of static
+bodies in world coordinates, and the additional data for proofs of motions.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loewner._base import _archives
+from loewner._base._kept import kept
+from loewner._base._validate import Bools, Floats, Ints
+from loewner._kernels import columns, records
+from loewner._kernels.records import MotionTables
+from loewner._native import entries, singles
+from loewner.bodies import Bodies, Body, Packed, bodies_of
+from loewner.bodies.layout import arrays_of
+from loewner.bodies.pack import join
+from loewner.bodies.parts import in_open_parts, in_parts, in_small_parts
+from loewner.queries.pose_paths import OFF_ROUNDINGS, PackedPaths, PoseBounds, PosePath
+from loewner.robots.checking.motion_tables import LANES, chains_of, pairs_in_groups
+from loewner.robots.description.robot import Robot, link_poses
+
+# Configurations a thread takes at a time, at least: about half a millisecond of work.
+LEAST_SHARE = 512
+
+# Configurations whose poses are made at a time: of a hundred bodies, they take 13 MB.
+IN_TURN = 1024
+
+# Poses of bodies at most, of all those configurations together: 100 MB.
+POSES_AT_ONCE = 2**20 * 3 // 4
+
+# The row of the order of the pairs in the table of arrays, and how many numbers the table has: whole cache lines.
+_ORDER, _TABLE = 10, 72
+
+
+# Types and shapes of arrays that follow each other in memory.
+Shapes = list[tuple[type, tuple[int, ...]]]
+
+
+class PreparedMotions(NamedTuple):
+    """The additional input of the kernel that proves motions."""
+
+    tables: MotionTables
+    block: Floats  # where these arrays are
+    handle: int  # where their table is; valid as long as this object lives
+    memory: int  # scratch bytes
+
+
+class OfMargin(NamedTuple):
+    """Pairs with the same margin, in the form that `loewner.queries._settle.settle` takes."""
+
+    margin: float
+    at: Ints  # their places among all
+    plan: Ints
+    rows: Ints
+
+
+class Standing(NamedTuple):
+    """What kernels write about bodies for their present poses.
+
+    Attributes
+    ----------
+    reach, exact_rows, sizes, groups : ndarray
+        `reach`, `standing_rows`, `sizes` and `groups` of `records.MotionTables`.
+    bounds, rows, poses : ndarray
+        `standing`, `standing_rows` and `standing_poses` of `records.Problem`.
+    """
+
+    reach: Floats
+    exact_rows: Floats
+    sizes: Floats
+    groups: Floats
+    bounds: NDArray[np.float32]
+    rows: NDArray[np.float32]
+    poses: Floats
+
+    @classmethod
+    def shapes(cls, packed: Packed, moving: int, links: int, groups: int) -> Shapes:
+        """Types and shapes of the arrays."""
+        bodies, pieces = len(packed.piece_start) - 1, int(packed.piece_start[-1] - packed.piece_start[moving])
+        static, f = bodies - moving, np.float32
+        return [
+            (float, (bodies, links)), (float, (pieces, columns.HOT)), (float, (static,)), (float, (groups,)),
+            (f, (static, columns.BOUNDS)), (f, (pieces, columns.HOT)), (float, (static, 16)),
+        ]  # fmt: skip
+
+    @classmethod
+    def at(cls, memory: Floats, shapes: Shapes) -> Standing:
+        """View them one after the other in memory."""
+        views: list[Any] = []
+        begin = 0
+        for kind, shape in shapes:
+            end = begin + _words(kind, shape)
+            views.append(memory[begin:end].view(kind).reshape(shape))
+            begin = end
+        return cls(*views)
+
+
+def _words(kind: type, shape: tuple[int, ...]) -> int:
+    return math.prod(shape) * np.dtype(kind).itemsize // 8
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """The pairs to check, at one state of the scene, as arrays for the kernels; other data is derived when needed.
+
+    Attributes
+    ----------
+    robot : Robot
+        Behind its own joints, a floating one for each body that follows a motion.
+    version, structure_version : int
+        Versions of the scene's state.
+    names : tuple of str
+        Names of all bodies: first the bodies that move with links, then the static ones.
+    packs : tuple of Packed
+        The bodies in the same order; moving bodies in the frame of their link.
+    moving, packed : Packed
+        The moving bodies together, and all bodies together.
+    link, balls, pairs, margins, order
+        See `records.Problem`.
+    leaving, reaching : ndarray of bool, shape (pairs,)
+        Whether a pair may be in contact at the start, or at the end, of a motion: see `Scene.leave` and `Scene.reach`.
+    hits : ndarray of int64, shape (pairs,)
+        Number of collisions found for each pair; no other array changes. Threads may lose each other's counts, but
+        these affect only the order of the pairs.
+    motion_order, group_start, group_pairs, chain : ndarray
+        `order`, `group_start`, `group_pairs` and `chain` of `records.MotionTables`.
+    block : ndarray
+        The table of addresses of the arrays of `records.Problem`, and then of `records.MotionTables`; behind it the
+        arrays of `standing`. Another state of the scene has a block of its own (`place_static`).
+    handle : int
+        Address of the table; valid as long as this object lives.
+    paths : PackedPaths or None
+        The motions that bodies follow; None if none does.
+    given : ndarray, shape (pairs,), or None
+        The margins without the errors of static bodies' poses, which `margins` include; None if there are no errors.
+    off : ndarray or None
+        These errors, as `motions.settle` takes them; None if there are none.
+    """
+
+    robot: Robot
+    version: int
+    structure_version: int
+    names: tuple[str, ...]
+    packs: tuple[Packed, ...]
+    moving: Packed
+    packed: Packed
+    link: Ints
+    balls: Floats
+    pairs: Ints
+    margins: Floats
+    leaving: Bools
+    reaching: Bools
+    order: Ints
+    hits: Ints
+    motion_order: Ints
+    group_start: Ints
+    group_pairs: Ints
+    chain: Floats
+    block: Floats
+    handle: int
+    paths: PackedPaths | None = None
+    given: Floats | None = None
+    off: Floats | None = None
+
+    @classmethod
+    def of(
+        cls,
+        robot: Robot,
+        versions: tuple[int, int],
+        names: tuple[str, ...],
+        packs: Sequence[Packed],
+        link: Ints,
+        pairs: Ints,
+        margins: Floats,
+        leaving: Bools,
+        reaching: Bools,
+        moving: Packed | None = None,
+        packed: Packed | None = None,
+    ) -> Problem:
+        """Prepare pairs of bodies for a version and structure version of the scene; `with_poses` sets static poses.
+
+        Bodies that are joined already can be given so.
+        """
+        moving = join(packs[: len(link)]) if moving is None else moving
+        packed = join([moving, *packs[len(link) :]]) if packed is None else packed
+        chains, balls = chains_of(robot), np.empty((len(link), 5))
+        group_start, group_pairs = pairs_in_groups(len(link), pairs)
+        shapes = Standing.shapes(packed, len(link), len(robot.tree.parent), LANES * len(group_pairs))
+        size = _TABLE + sum(_words(*shape) for shape in shapes)
+        block = records.aligned(size + columns.CACHE_LINE // 8)  # with room to begin at a cache line elsewhere
+        block[:] = 0.0
+        standing = Standing.at(block[_TABLE:], shapes)
+        standing.poses[:] = np.nan  # which differs from all poses
+        order, chain = np.arange(len(pairs)), chains.chain(packed, link)
+        # Bodies far out on the robot move most, and collide most often.
+        motion_order = np.argsort(-chains.depth(link)[pairs[:, 0]], kind="stable")
+        arrays = (
+            *robot.tree, link, balls, pairs, margins, order, standing.bounds, standing.rows, standing.poses,
+            chains.path_start, chains.path_link, standing.reach, standing.exact_rows, standing.sizes, motion_order,
+            group_start, group_pairs, standing.groups, chain,
+        )  # fmt: skip
+        block[:_TABLE].view(np.int64).reshape(-1, records.ENTRIES)[:] = records.table_of(arrays)
+        made = cls(
+            robot, *versions, names, tuple(packs), moving, packed, link, balls, pairs, margins, leaving, reaching,
+            order, np.zeros(len(pairs), dtype=np.int64), motion_order, group_start, group_pairs, chain, block,
+            block.ctypes.data,
+        )  # fmt: skip
+        entries.measure_moving(packed.handle, made.handle, made.handle_of_motions)
+        return made
+
+    # -- other problems with the same bodies --------------------------------------------------
+
+    def only(self, pairs: Ints) -> Problem:
+        """Select pairs by index."""
+        chosen = Problem.of(
+            self.robot, (self.version, self.structure_version), self.names, self.packs, self.link, self.pairs[pairs],
+            self.margins[pairs], self.leaving[pairs], self.reaching[pairs], self.moving, self.packed,
+        )._placed(
+            self.standing.poses, version=self.version, paths=self.paths,
+            given=None if self.given is None else self.given[pairs], off=self.off,
+        )  # fmt: skip
+        for value in (Problem.cut, Problem.open_cut):
+            value.hand_on(self, chosen, lambda cut: cut and cut.only(pairs))
+        return chosen
+
+    def with_order(self, order: Ints) -> Problem:
+        """Set the order in which configurations test the pairs; proofs of motions have an order of their own."""
+        ordered = self._placed(self.standing.poses, order=order)
+        ordered._from_handle[records.ENTRIES * _ORDER : _TABLE].view(np.int64)[0] = order.ctypes.data
+        for value in (Problem.cut, Problem.open_cut, Problem.motions):
+            value.hand_on(self, ordered)
+        return ordered
+
+    def with_paths(self, paths: tuple[PosePath, ...], bounds: dict[str, PoseBounds]) -> Problem:
+        """Set the motions that bodies follow, and bounds on bodies in time; all other data stays valid."""
+        place = {name: k for k, name in enumerate(self.names) if name in bounds}
+        numbers = np.array([place.get(name, -1) for name in bounds], dtype=np.int64)
+        return self._changed(paths=PackedPaths.of(paths, tuple(bounds.values()), numbers))
+
+    def with_errors(self, given: Floats, errors: Floats) -> Problem:
+        """Set the margins without errors of poses, and these errors of all bodies [m]."""
+        at, raised = np.flatnonzero(errors), errors[errors > 0.0] * (1.0 + OFF_ROUNDINGS)
+        return self._changed(given=given, off=np.stack([at, raised, raised], axis=1).ravel())
+
+    def _changed(self, **changes: Any) -> Problem:
+        made = object.__new__(Problem)
+        vars(made).update(vars(self), **changes)
+        vars(made).pop("_without_errors", None)
+        return made
+
+    def with_poses(self, poses: Floats, version: int) -> Problem:
+        """Place the static bodies at the poses that they have in a version of the scene, shape (bodies, 4, 4)."""
+        moved = self._placed(poses, version=version)
+        if self.given is not None:
+            Problem._without_errors.hand_on(self, moved, lambda known: known.with_poses(poses, version))
+        for value in (Problem.cut, Problem.open_cut):
+            value.hand_on(self, moved, lambda cut: cut and cut.with_poses(poses, version))
+        return moved
+
+    def _placed(self, poses: Floats, **changes: Any) -> Problem:
+        """Return a copy with the static bodies at other poses and some attributes changed."""
+        # New memory, since another thread may be reading the old one; most of its entries still hold.
+        block = np.empty(len(self.block))
+        handle = entries.place_static(self.packed.handle, self.handle, block, poses.reshape(-1, 16))
+        # `dataclasses.replace` would take a fifth of the time of the whole change.
+        known, made = vars(self), object.__new__(Problem)
+        lasting = {name: known[name] for name in _LASTING if name in known}
+        vars(made).update(lasting, block=block, handle=handle, **changes)
+        return made
+
+    # -- for kernels --------------------------------------------------------------------------
+
+    @kept
+    def bodies(self) -> Bodies:
+        """All bodies, packed."""
+        return bodies_of(self.packed)
+
+    def body(self, k: int) -> Body:
+        """Return one of the bodies."""
+        return Body(self.packs[k])
+
+    @property
+    def arrays(self) -> tuple[Any, ...]:
+        """The arrays of `records.Problem`, in order."""
+        return (
+            *self.robot.tree, self.link, self.balls, self.pairs, self.margins, self.order, self.standing.bounds,
+            self.standing.rows, self.standing.poses,
+        )  # fmt: skip
+
+    @property
+    def handle_of_motions(self) -> int:
+        """Address of the table of `records.MotionTables`, likewise."""
+        return self.handle + records.MOTIONS
+
+    @property
+    def _from_handle(self) -> Floats:
+        """The block from the table on."""
+        return self.block[(self.handle - self.block.ctypes.data) // 8 :]
+
+    @kept
+    def standing(self) -> Standing:
+        """What kernels wrote for the present poses."""
+        counts = len(self.link), len(self.robot.tree.parent), LANES * len(self.group_pairs)
+        return Standing.at(self._from_handle[_TABLE:], Standing.shapes(self.packed, *counts))
+
+    @kept
+    def names_of_pairs(self) -> NDArray[np.str_]:
+        """Names of all pairs, shape (pairs + 1, 2); the last row is empty."""
+        return np.asarray(np.array([*self.names, ""])[np.append(self.pairs, [[-1, -1]], axis=0)])
+
+    @kept
+    def memory(self) -> int:
+        """Scratch memory for verdicts."""
+        return int(entries.memory_size(self.packed.handle, self.handle, self.robot.dof))
+
+    @kept
+    def memory_of_nearest(self) -> int:
+        """Scratch memory for distances."""
+        return int(entries.memory_of_nearest(self.packed.handle, self.handle, self.robot.dof))
+
+    @kept
+    def memory_of_clearances(self) -> int:
+        """Scratch memory for smooth clearances."""
+        return int(entries.memory_of_clearances(self.packed.handle, self.handle, self.robot.dof))
+
+    @kept
+    def memory_of_motions(self) -> int:
+        """Scratch memory for proofs of motions."""
+        return int(entries.motion_memory(self.packed.handle, self.handle, self.robot.dof))
+
+    @kept
+    def piece_pairs(self) -> int:
+        """Number of pairs of pieces to check."""
+        return int(np.diff(self.packed.piece_start)[self.pairs].prod(axis=1).sum())
+
+    @kept
+    def single(self) -> Any:
+        """Fast queries of a single configuration or motion; see `loewner._native.singles`."""
+        plain = self.robot._watch.range if self.robot.runs_straight else None
+        return singles.configurations(
+            self.packed.handle, self.handle, self.memory, self.piece_pairs, plain, self.hits,
+            (self.robot, self.link, self.balls, self.pairs, self.margins, self.order, self.block, self.packed),
+        )  # fmt: skip
+
+    @kept
+    def motions(self) -> PreparedMotions:
+        """The additional data for certifying motions."""
+        chains, standing = chains_of(self.robot), self.standing
+        tables = MotionTables(
+            chains.path_start, chains.path_link, standing.reach, standing.exact_rows, standing.sizes, self.motion_order,
+            self.group_start, self.group_pairs, standing.groups, self.chain,
+        )  # fmt: skip
+        return PreparedMotions(tables, self.block, self.handle_of_motions, self.memory_of_motions)
+
+    # -- parts and subsets --------------------------------------------------------------------
+
+    @kept
+    def cut(self) -> Problem | None:
+        """The problem with its surfaces cut into parts; None if there are no surfaces that can be cut."""
+        return self._of_parts(in_parts(self.packs))
+
+    @property
+    def in_parts(self) -> Problem:
+        """The problem for proofs of motions, with any surfaces cut into parts.
+
+        Parts of a solid cover only its surface. A motion on which no parts meet is free if its start is free, since one
+        body can only enter another one through their surfaces. `starts_matter` is true if there are solids.
+        """
+        return self.cut or self
+
+    @kept
+    def open_cut(self) -> Problem | None:
+        """The problem with surfaces of static bodies without solids in small parts, if there are any."""
+        return self._of_parts(in_open_parts(self.packs, self._stand))
+
+    @property
+    def _stand(self) -> Bools:
+        """Mark the bodies that have the same pose at all configurations."""
+        stand = np.ones(len(self.packs), dtype=bool)
+        rigid = rigid_with(self.robot)
+        stand[: len(self.link)] = rigid[self.link] == rigid[0]
+        return stand
+
+    @property
+    def in_open_parts(self) -> Problem:
+        """The problem for bounds on distances, which are less than 0 inside a solid."""
+        return self.open_cut or self
+
+    @kept
+    def in_small_parts(self) -> Problem:
+        """The problem for proofs by planes between parts alone."""
+        return self._of_parts(in_small_parts(self.packs)) or self
+
+    def _of_parts(self, packs: list[Packed]) -> Problem | None:
+        if all(one is other for one, other in zip(packs, self.packs, strict=True)):
+            return None
+        count = len(self.link)
+        same = all(one is other for one, other in zip(packs[:count], self.packs[:count], strict=True))
+        return Problem.of(
+            self.robot, (self.version, self.structure_version), self.names, packs, self.link, self.pairs, self.margins,
+            self.leaving, self.reaching, self.moving if same else None,
+        ).with_poses(self.standing.poses, self.version)  # fmt: skip
+
+    @kept
+    def starts_matter(self) -> bool:
+        """Whether a motion that the kernel proves is free only if its start is free as well."""
+        return bool((self.packed.layout[:, columns.KIND] == columns.SOLID).any())
+
+    @kept
+    def by_margin(self) -> list[OfMargin]:
+        """All pairs, grouped by margin."""
+        return self.grouped(self.margins)
+
+    def grouped(self, margins: Floats) -> list[OfMargin]:
+        """All pairs, grouped by other margins."""
+        found = []
+        for margin in np.unique(margins).tolist():
+            at = np.flatnonzero(margins == margin)
+            plan = np.array([[len(at)], [1], [1], [1], [1]], dtype=np.int64)
+            found.append(OfMargin(margin, at, plan, np.ascontiguousarray(self.pairs[at].T)))
+        return found
+
+    @kept
+    def ruled(self) -> Ints:
+        """Indices of the pairs that may be in contact at the start or the end of a motion."""
+        return np.flatnonzero(self.leaving | self.reaching)
+
+    @kept
+    def unruled(self) -> Problem:
+        """The problem without these pairs."""
+        return self.only(np.flatnonzero(~(self.leaving | self.reaching)))
+
+    @kept
+    def without_margins(self) -> Problem:
+        """The problem with no margins, for distances."""
+        return self._with_margins(np.zeros(len(self.pairs))) if self.margins.any() else self
+
+    @property
+    def as_given(self) -> Problem:
+        """The problem with all bodies exactly at their given poses."""
+        return self if self.given is None else self._without_errors
+
+    @kept
+    def by_error(self) -> list[tuple[float, Problem]]:
+        """The pairs with each error of static bodies' poses [m], which is rounded up."""
+        if self.given is None:
+            return [(0.0, self)]
+        errors = (self.margins - self.given) * (1.0 + 2.0**-48) + 2.0**-48 * self.margins * (self.margins > self.given)
+        return [(float(error), self.only(np.flatnonzero(errors == error))) for error in np.unique(errors)]
+
+    @kept
+    def _without_errors(self) -> Problem:
+        return self._with_margins(self.margins if self.given is None else self.given)
+
+    def _with_margins(self, margins: Floats) -> Problem:
+        made = Problem.of(
+            self.robot, (self.version, self.structure_version), self.names, self.packs, self.link, self.pairs,
+            margins, self.leaving, self.reaching, self.moving, self.packed,
+        )  # fmt: skip
+        return made._placed(self.standing.poses, version=self.version, paths=self.paths)
+
+    def off_at(self, t: float) -> Floats:
+        """How far points of each pair's bodies that follow motions may be off at a time [m], shape (pairs,)."""
+        if self.paths is None or not self.paths.bounds:
+            return np.zeros(len(self.pairs))
+        at = np.array([t])
+        return self.off_at_start(self.paths.off(at, at)[0])
+
+    def off_at_start(self, off: Floats) -> Floats:
+        """The same where a motion starts, from what `in_time.Pieces.off` has about bodies."""
+        of_bodies = np.zeros(len(self.names) + 1)
+        of_bodies[off[::3].astype(np.int64)] = off[1::3]
+        of_bodies[-1] = 0.0
+        return np.asarray(of_bodies[self.pairs].sum(axis=1))
+
+    # -- poses --------------------------------------------------------------------------------
+
+    def fingerprint(self) -> str:
+        """A checksum of everything on which a verdict depends: the joint tree, bodies, pairs, margins and poses."""
+        arrays = {
+            **self.robot.tree._asdict(), **arrays_of(self.packed), "link": self.link, "pairs": self.pairs,
+            "margins": self.margins, "standing_poses": self.standing.poses,
+        }  # fmt: skip
+        return _archives.digest(arrays)
+
+    def poses(self, Q: Floats) -> Floats:
+        """Compute the world poses of all bodies, shape (N, bodies, 4, 4), at checked configurations."""
+        moving = link_poses(self.robot, Q)[:, self.link]
+        standing = self.standing.poses.reshape(-1, 4, 4)
+        # In C order, which the kernels take for granted; NumPy may choose another.
+        return np.ascontiguousarray(
+            np.concatenate([moving, np.broadcast_to(standing, (len(Q), *standing.shape))], axis=1)
+        )
+
+    def poses_in_turn(self, Q: Floats) -> Iterator[tuple[int, Floats]]:
+        """Yield the poses of all bodies for one block of configurations after another, and each block's first index."""
+        each = max(1, min(IN_TURN, POSES_AT_ONCE // max(1, len(self.names))))
+        for first in range(0, len(Q), each):
+            yield first, self.poses(Q[first : first + each])
+
+
+def rigid_with(robot: Robot) -> Ints:
+    """Return for each link the first link with which it is rigidly joined."""
+    parent, kind = robot.tree.parent, robot.tree.kind
+    return np.asarray(np.where(kind == columns.FIXED, parent, np.arange(len(parent))))
+
+
+# What depends neither on poses nor on the order of pairs.
+_LASTING = (
+    *Problem.__dataclass_fields__, "bodies", "names_of_pairs", "memory", "memory_of_nearest", "memory_of_clearances",
+    "memory_of_motions", "piece_pairs", "by_margin", "ruled",
+)  # fmt: skip

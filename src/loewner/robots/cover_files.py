@@ -1,0 +1,491 @@
+"""Read and write models of a robot's links made of spheres and other shapes, in the formats of planners.
+
+A model is used as its own program would use it: numbers are rounded to float32 where the program does so, buffers are
+added to radii, and shapes that the program ignores are left out. Anything in a file that could matter and is not read
+is reported in a warning.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+from collections.abc import Collection, Iterable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from loewner._base import _validate
+from loewner._base._files import read_regular, shown
+from loewner._base._nodes import Node, read_json, read_yaml, some
+from loewner._base._plausible import warn
+from loewner._base._validate import Floats, Pair
+from loewner._kernels import columns
+from loewner.bodies import Body, packed_of
+from loewner.bodies.kinds import KIND_NAMES
+from loewner.errors import FileError, InputError
+from loewner.robots import Robot
+from loewner.robots.covers import exempt_pairs, listed_pairs, with_bodies
+from loewner.robots.description.robot import answers
+from loewner.scenes.files import load_scene, save_scene
+from loewner.scenes.scene import Scene
+
+FORMATS = ("curobo", "vamp", "foam", "pyroki", "urdf", "mjcf", "scene")
+
+# Formats of spheres alone. Their programs compute in float32, so numbers are rounded to it, outwards in writing.
+OF_SPHERES = ("curobo", "vamp", "foam", "pyroki")
+
+# The format of a file by its suffix; keys decide between formats of one suffix.
+BY_SUFFIX = {".yml": "curobo", ".yaml": "curobo", ".xrdf": "curobo", ".json": "pyroki", ".urdf": "urdf"}
+BY_SUFFIX |= {".xml": "mjcf", ".mjcf": "mjcf"}
+
+# The largest file [bytes]: ten thousand spheres take one megabyte.
+MOST_BYTES = 2**25
+
+# By how much shapes other than spheres are enlarged on each side when they are written [m]: far more than the rounding
+# of angles and sizes of robots, whose parts are smaller than a kilometre.
+WIDENED = 1e-9
+
+# Keys of cuRobo's files, of Lula's robot descriptions and of XRDF without shapes or rules on pairs.
+OF_CUROBO = frozenset((
+    "acceleration_limits", "add_object_link", "api_version", "asset_root_path", "base_link", "composite_task_spaces",
+    "cspace", "cspace_to_urdf_rules", "debug", "default_joint_positions", "default_q", "dynamics", "ee_link",
+    "external_asset_path", "external_robot_configs_path", "format", "format_version", "grasp_contact_link_names",
+    "isaac_usd_path", "jerk_limits", "link_names", "load_dynamics", "load_link_names_with_mesh", "load_meshes",
+    "load_tool_frames_with_mesh", "lock_joints", "mesh_link_names", "robot", "root_link", "tool_frames", "urdf_path",
+    "usd_flip_joint_limits", "usd_flip_joints", "usd_path", "usd_robot_root", "use_external_assets", "use_global_cumul",
+    "use_robot_segmentation", "use_usd_kinematics",
+))  # fmt: skip
+OF_FOAM = ("mean", "best", "worst", "spheres")
+
+
+class _Balls(NamedTuple):
+    """Spheres of one link: shapes (n, 3) and (n,), in metres."""
+
+    centers: Floats
+    radii: Floats
+
+
+@dataclass
+class Model:
+    """The contents of a file.
+
+    Attributes
+    ----------
+    bodies : dict
+        Link name to body, in the frame of the link.
+    ignored : frozenset of pairs of str, or None
+        The pairs that its program does not check; None if the file has no rules on pairs.
+    notes : list of str
+        Contents of the file that its program, or this reader, does not use.
+    """
+
+    bodies: dict[str, Body] = field(default_factory=dict)
+    ignored: frozenset[Pair] | None = None
+    notes: list[str] = field(default_factory=list)
+
+
+def with_cover(self: Robot, path: str | os.PathLike[str], format: str | None = None) -> Robot:
+    """Answer `Robot.with_cover`."""
+    file = _validate.path(path, "path")
+    try:
+        model = read_model(file, format)
+    except InputError as error:  # about a number that the file has, and that no sphere can have
+        raise FileError(f"{shown(file)}: {error}") from error
+    alien = [link for link in model.bodies if link not in self.link_names]
+    if alien:
+        raise _validate.unknown_name(f"{shown(file)}: link", alien[0], self.link_names)
+    lost = [link for link in self.bodies if link not in model.bodies]
+    if lost:
+        model.notes.append(f"links of the robot that have no shapes: {some(lost)}")
+    new = [link for link in model.bodies if link not in self.bodies]
+    if new:
+        model.notes.append(f"shapes of links that have none in the robot: {some(new)}")
+    unknown = sorted({link for pair in model.ignored or () for link in pair} - set(self.link_names))
+    if unknown:
+        model.notes.append(f"ignored pairs of links that the robot does not have: {some(unknown)}")
+    if not model.bodies:
+        raise FileError(f"{shown(file)}: expected shapes of links, found none{_told(model.notes)}")
+    if model.notes:
+        warn(f"{shown(file)}: found{_told(model.notes)}")
+    ordered = {link: model.bodies[link] for link in self.link_names if link in model.bodies}
+    if model.ignored is None:
+        return with_bodies(self, ordered)
+    known = frozenset(pair for pair in model.ignored if not {*pair} & {*unknown})
+    return with_bodies(self, ordered, known)
+
+
+def _told(notes: list[str]) -> str:
+    return (": " if notes else "") + "; ".join(notes)
+
+
+def save_cover(self: Robot, path: str | os.PathLike[str], format: str | None = None) -> None:
+    """Answer `Robot.save_cover`."""
+    from loewner.bodies.exports import save_text
+    from loewner.robots.description.exports import mjcf_text, save_urdf
+
+    file = _validate.path(path, "path")
+    chosen = format_of(file, format)
+    if not self.bodies:
+        raise InputError("expected a robot with bodies, found one without")
+    if chosen in OF_SPHERES:
+        balls = {link: _rounded(_spheres_of(body, link, chosen)) for link, body in self.bodies.items()}
+    if chosen == "curobo":
+        save_text(_curobo_text(self, balls), file)
+    elif chosen == "pyroki":
+        spheres = {link: {"centers": c.tolist(), "radii": r.tolist()} for link, (c, r) in balls.items()}
+        save_text(json.dumps(_ignored(self), indent=1) + "\n", _pairs_file(file))
+        save_text(json.dumps(spheres, indent=1) + "\n", file)
+    elif chosen in ("vamp", "foam"):
+        with_bodies(self, {link: Body.spheres(*found) for link, found in balls.items()}).to_urdf(file)
+    elif chosen == "scene":
+        save_scene(_as_scene(self), file)
+    elif chosen == "urdf":
+        save_urdf(self, file, "", WIDENED)
+    else:
+        save_text(mjcf_text(self, WIDENED), file)
+
+
+answers |= {"with_cover": with_cover, "save_cover": save_cover}
+
+
+def read_model(file: Path, format: str | None = None) -> Model:
+    """Read the file of a model.
+
+    Parameters
+    ----------
+    file : Path
+    format : str, optional
+        One of `FORMATS`. Default: by the suffix of the file and its keys.
+
+    Raises
+    ------
+    FileError
+        If the file is missing or malformed, or a key occurs twice. The message gives the place.
+    InputError
+        If the format cannot be known from the name.
+    MissingExtraError
+        If PyYAML or MuJoCo is needed and not installed.
+    """
+    chosen = format_of(file, format)
+    if chosen in ("curobo", "pyroki") or (chosen == "foam" and file.suffix.lower() == ".json"):
+        data = read_regular(file, "a model of spheres", MOST_BYTES)
+        top: Node = (
+            read_yaml(data, file, "a model of spheres")
+            if chosen == "curobo"
+            else read_json(data, file, "a model of spheres")
+        )
+        keys = top.mapping(None)
+        if format is None and "bodies" in keys:
+            chosen = "scene"
+        elif format is None and chosen == "pyroki" and any(map(_of_foam, keys.values())):
+            chosen = "foam"
+        if chosen != "scene":
+            return {"curobo": _read_curobo, "pyroki": _read_pyroki, "foam": _read_foam}[chosen](keys, file)
+    if chosen == "scene":
+        scene = load_scene(file)
+        bodies = {name: _moved(scene[name], scene.pose(name)) for name in scene.static_names}
+        others = [name for name in scene.names if name not in bodies]
+        return Model(bodies, scene.allowed, [f"bodies that move, which are not read: {some(others)}"] if others else [])
+    if chosen == "mjcf":
+        robot = Robot.from_mjcf(file)
+        return Model(dict(robot.bodies), robot.disabled_pairs)
+    semantics = file.with_suffix(".srdf")
+    robot = Robot.from_urdf(file, srdf=semantics if semantics.is_file() else None)
+    model = Model(dict(robot.bodies), listed_pairs(robot))
+    if chosen in OF_SPHERES:
+        for link, body in model.bodies.items():
+            model.bodies[link] = _body(*_spheres_of(body, link, chosen), link)
+    return model
+
+
+def format_of(file: Path, format: str | None) -> str:
+    """Return the format of a file, by its suffix unless it is given; see `read_model`."""
+    if format is not None:
+        return _validate.choice(format, "format", FORMATS)
+    if file.suffix.lower() not in BY_SUFFIX:
+        raise InputError(
+            f"format: expected one of {', '.join(FORMATS)} for a file with the suffix {file.suffix!r}, found none"
+        )
+    return BY_SUFFIX[file.suffix.lower()]
+
+
+def _of_foam(node: Node) -> bool:
+    return node.kind == "sequence" or (node.kind == "mapping" and not {"centers", "radii"} & {*_keys(node)})
+
+
+def _keys(node: Node) -> Iterable[str]:
+    return node.mapping(None) if node.kind == "mapping" else ()
+
+
+def _moved(body: Body, T: Floats) -> Body:
+    return body if np.array_equal(T, np.eye(4)) else body.transformed(T)
+
+
+# -- spheres --------------------------------------------------------------------------------------
+
+
+def _body(centers: Floats, radii: Floats, link: str) -> Body:
+    """Make the body of spheres as a program in float32 has them."""
+    with np.errstate(over="ignore", under="ignore"):
+        single = [np.float32(values).astype(float) for values in (centers, radii)]
+    if not (np.isfinite(single[0]).all() and np.isfinite(single[1]).all() and (single[1] > 0.0).all()):
+        raise InputError(f"link {link!r}: expected spheres that float32 can express, found others")
+    return Body.spheres(*single)
+
+
+def _rounded(balls: _Balls) -> _Balls:
+    """Round spheres to float32, so that each contains the given one; spheres in float32 stay as they are."""
+    with np.errstate(over="ignore"):
+        centers = np.float32(balls.centers).astype(float)
+        moved = np.linalg.norm(centers - balls.centers, axis=1)
+        # The sum and the norm err by a few roundings, the norm relative to itself.
+        needed = np.where(moved > 0, np.nextafter(balls.radii + moved * (1 + 1e-12), np.inf), balls.radii)
+        single = needed.astype(np.float32)
+        radii = np.where(single < needed, np.nextafter(single, np.float32(np.inf)), single).astype(float)
+    if not np.isfinite(radii).all():  # nor are the others, if a center is not
+        raise InputError(f"expected spheres that float32 can express, found a radius of {balls.radii.max():g} m")
+    return _Balls(centers, radii)
+
+
+def _spheres_of(body: Body, link: str, format: str) -> _Balls:
+    """Return the spheres of a body; other pieces are refused."""
+    packed = packed_of(body)
+    kinds = packed.layout[:, columns.KIND]
+    for kind in kinds[kinds != columns.POINT][:1].tolist():
+        raise InputError(
+            f"link {link!r}: expected spheres only, which is all that {format} has, found a piece of kind "
+            f"{KIND_NAMES[kind]!r}"
+        )
+    return _Balls(packed.frames[:, 1:4], packed.frames[:, 0])
+
+
+def _balls(entries: Iterable[Node], link: str, grow: float, model: Model) -> Body | None:
+    """Read spheres, whose radii grow by a buffer; one with a radius of 0 or less then is how cuRobo disables it."""
+    centers, radii, disabled = [], [], 0
+    for entry in entries:
+        keys = entry.mapping(("center", "radius"), required=("center", "radius"))
+        center, radius = keys["center"].numbers(3), keys["radius"].number() + grow
+        if radius > 0:
+            centers.append(center)
+            radii.append(radius)
+        else:
+            disabled += 1
+    if disabled:
+        model.notes.append(f"{disabled} disabled spheres (radius of 0 or less) of {link!r}")
+    return _body(np.array(centers), np.array(radii), link) if centers else None
+
+
+def _pairs(ignored: Mapping[str, Node]) -> frozenset[Pair]:
+    """Read pairs that are listed by their first link."""
+    return frozenset(
+        (min(a, b), max(a, b))
+        for a, others in ignored.items()
+        for b in (item.text() for item in others.items())
+        if a != b
+    )
+
+
+# -- cuRobo ---------------------------------------------------------------------------------------
+
+
+def _read_curobo(keys: dict[str, Any], file: Path) -> Model:
+    """Read a configuration of cuRobo or the spheres of one, a robot description of Lula, or an XRDF."""
+    model, unread = Model(), []
+    for outer in ("robot_cfg", "kinematics"):
+        if outer in keys:
+            unread += [key for key in keys if key != outer]
+            keys = keys[outer].mapping(None)
+    if "geometry" in keys and "collision_spheres" not in keys:
+        keys = _of_xrdf(keys, model)
+    if keys.get("collision_spheres") is None:
+        raise FileError(f"{shown(file)}: expected the key collision_spheres, found {some(keys) or 'none'}")
+    spheres, buffer = keys.pop("collision_spheres"), keys.pop("collision_sphere_buffer", None)
+    if spheres.kind == "scalar":  # the name of a file beside, or in cuRobo's folder of configurations
+        named = file.parent / spheres.text()
+        inner = read_yaml(read_regular(named, "a file of spheres", MOST_BYTES), named, "a file of spheres").mapping(
+            None
+        )
+        spheres = inner.pop("collision_spheres", None)
+        if spheres is None:
+            raise FileError(f"{shown(named)}: expected the key collision_spheres, found {some(inner) or 'none'}")
+        unread += list(inner)
+    if spheres.kind == "sequence":  # Lula lists mappings of one link each
+        links = [entry for item in spheres.items() for entry in item.mapping(None).items()]
+    else:
+        links = list(spheres.mapping(None).items())
+    each = dict(buffer.mapping(None)) if buffer is not None and buffer.kind == "mapping" else {}
+    grow = 0.0 if buffer is None or each or buffer.empty else buffer.number()
+    listed = keys.pop("collision_link_names", None)
+    used = None if listed is None or listed.empty else [item.text() for item in listed.items()]
+    replaced = _names(keys.pop("extra_collision_spheres", None))
+    extra = _names(keys.pop("extra_links", None))
+    unused = sorted(each.keys() - {link for link, _ in links})
+    if unused:
+        model.notes.append(f"buffers of links without spheres: {some(unused)}")
+    for link, entries in links:
+        if link in model.bodies:
+            raise entries.error(f"expected each link once, found {link!r} again")
+        body = _balls(entries.items(), link, each[link].number() if link in each else grow, model)
+        if body is None:
+            continue
+        if used is not None and link not in used:
+            model.notes.append(f"spheres of {link!r}, which is not among collision_link_names")
+        elif link in replaced:
+            model.notes.append(f"spheres of {link!r} that extra_collision_spheres replaces by disabled ones")
+        elif link in extra:
+            model.notes.append(f"spheres of {link!r}, which is an extra link")
+        else:
+            model.bodies[link] = body
+    ignored = keys.pop("self_collision_ignore", None)
+    if ignored is not None:  # an empty list is a rule, too: all pairs are checked
+        model.ignored = frozenset() if ignored.empty else _pairs(ignored.mapping(None))
+    margins = keys.pop("self_collision_buffer", None)
+    if margins is not None and not margins.empty and any(each.number() for each in margins.mapping(None).values()):
+        model.notes.append("self_collision_buffer, which enlarges spheres only where links are checked with each other")
+    if "load_collision_spheres" in keys and not keys.pop("load_collision_spheres").flag():
+        model.notes.append("load_collision_spheres: false, with which no spheres are used")
+    unread = [key for key in (*unread, *keys) if key not in OF_CUROBO]
+    if unread:
+        model.notes.append(f"keys that are not read: {some(unread)}")
+    return model
+
+
+def _of_xrdf(keys: dict[str, Any], model: Model) -> dict[str, Any]:
+    """Return the keys that cuRobo's own files have, of an XRDF: the geometry of checks with the world."""
+    keys = dict(keys)
+    geometry, world = keys.pop("geometry").mapping(None), keys.pop("collision", None)
+    selves = keys.pop("self_collision", None)
+    if world is None:
+        return keys
+    chosen = world.mapping(("geometry", "buffer_distance"), required=("geometry",))
+    name = chosen["geometry"].text()
+    if name not in geometry:
+        raise chosen["geometry"].error(f"expected one of {some(geometry)}, found {name!r}")
+    if len(geometry) > 1:
+        model.notes.append(f"geometries that are not used: {some(key for key in geometry if key != name)}")
+    shapes = geometry[name].mapping(("spheres", "clone"), required=("spheres",))
+    if "clone" in shapes:
+        model.notes.append("key that is not read: clone")
+    keys["collision_spheres"] = shapes["spheres"]
+    if "buffer_distance" in chosen:
+        keys["collision_sphere_buffer"] = chosen["buffer_distance"]
+    if selves is not None:
+        found = selves.mapping(("geometry", "buffer_distance", "ignore"))
+        if "geometry" in found and found["geometry"].text() != name:
+            model.notes.append("another geometry for checks of links with each other")
+        for key, own in (("ignore", "self_collision_ignore"), ("buffer_distance", "self_collision_buffer")):
+            if key in found:
+                keys[own] = found[key]
+    return {key: node for key, node in keys.items() if key != "modifiers"}
+
+
+def _names(node: Any) -> Collection[str]:
+    return () if node is None or node.empty else node.mapping(None).keys()
+
+
+def _curobo_text(robot: Robot, balls: Mapping[str, _Balls]) -> str:
+    """Write the keys of a configuration that describe spheres and pairs; cuRobo reads the spheres from such a file."""
+    quoted = {link: json.dumps(link, ensure_ascii=False) for link in robot.link_names}
+    lines = ["collision_link_names:", *(f"- {quoted[link]}" for link in balls), "collision_sphere_buffer: 0.0"]
+    lines.append("collision_spheres:")
+    for link, found in balls.items():
+        lines.append(f"  {quoted[link]}:")
+        for center, radius in zip(found.centers, found.radii, strict=True):
+            lines += [f"  - center: [{', '.join(map(_decimal, center))}]", f"    radius: {_decimal(radius)}"]
+    lines += ["self_collision_buffer:", *(f"  {quoted[link]}: 0.0" for link in balls)]
+    after: dict[str, list[str]] = {}
+    for a, b in _ignored(robot):
+        after.setdefault(a, []).append(quoted[b])
+    lines.append("self_collision_ignore:" if after else "self_collision_ignore: {}")
+    lines += [f"  {quoted[a]}: [{', '.join(others)}]" for a, others in after.items()]
+    return "\n".join(lines) + "\n"
+
+
+def _decimal(x: Any) -> str:
+    """Write a number without an exponent, which YAML 1.1 reads as text unless it has a decimal point."""
+    return np.format_float_positional(x + 0.0, trim="0")
+
+
+# -- pyroki and foam ------------------------------------------------------------------------------
+
+
+def _read_pyroki(keys: dict[str, Any], file: Path) -> Model:
+    """Read the spheres that pyroki's `RobotCollision.from_sphere_decomposition` takes."""
+    model = Model()
+    for link, entry in keys.items():
+        shapes = entry.mapping(("centers", "radii"), required=("centers", "radii"))
+        centers, radii = shapes["centers"].rows(3), shapes["radii"].numbers()
+        if len(centers) != len(radii):
+            raise entry.error(f"expected as many radii as centers, found {len(radii)} and {len(centers)}")
+        solid = [k for k, radius in enumerate(radii) if radius > 0]
+        if len(solid) < len(radii):
+            model.notes.append(f"{len(radii) - len(solid)} spheres with a radius of 0 or less of {link!r}")
+        if solid:
+            model.bodies[link] = _body(np.array(centers)[solid], np.array(radii)[solid], link)
+    beside = _pairs_file(file)
+    if beside.is_file():
+        listed = read_json(read_regular(beside, "pairs of links", MOST_BYTES), beside, "pairs of links")
+        named = [[name.text() for name in pair.items(2)] for pair in listed.items()]
+        model.ignored = frozenset((min(a, b), max(a, b)) for a, b in named)
+    return model
+
+
+def _pairs_file(file: Path) -> Path:
+    """Return the file of pairs beside a file of pyroki's spheres, which has no place for them."""
+    return file.with_name(f"{file.stem}.ignored.json")
+
+
+def _read_foam(keys: dict[str, Any], file: Path) -> Model:
+    """Read foam's database: for each ``LINK::MESH`` the spheres of each branching factor and depth, finest last."""
+    found: dict[str, list[Body]] = {}
+    model = Model()
+    if set(keys) == set(OF_FOAM):
+        raise FileError(f"{shown(file)}: expected spheres by the names of links, found those of one mesh")
+    for name, entry in keys.items():
+        link, node = name.partition("::")[0], entry
+        while "spheres" not in set(_keys(node)):
+            levels = node.mapping(None) if node.kind == "mapping" else dict(enumerate(node.items()))
+            if not levels:
+                raise node.error("expected spheres, found none")
+            last = max(levels, key=lambda key: _level(key, node))
+            if len(levels) > 1:
+                model.notes.append(f"{len(levels) - 1} coarser levels of {name!r}")
+            node = levels[last]
+        spheres = node.mapping(OF_FOAM, required=("spheres",))["spheres"]
+        each = [item.mapping(("origin", "radius"), required=("origin", "radius")) for item in spheres.items()]
+        balls = [(keys["origin"].numbers(3), keys["radius"].number()) for keys in each]
+        solid = [(center, radius) for center, radius in balls if radius > 0]
+        if len(solid) < len(balls):
+            model.notes.append(f"{len(balls) - len(solid)} spheres with a radius of 0 or less of {name!r}")
+        if solid:
+            body = _body(np.array([center for center, _ in solid]), np.array([radius for _, radius in solid]), name)
+            found.setdefault(link, []).append(body)
+    model.bodies |= {link: bodies[0] if len(bodies) == 1 else Body.union(bodies) for link, bodies in found.items()}
+    return model
+
+
+def _level(key: Any, node: Node) -> int:
+    if not re.fullmatch(r"\d+", str(key), re.ASCII):
+        raise node.error(f"expected numbers of branches and levels as keys, or spheres, found {key!r}")
+    return int(key)
+
+
+# -- what files share -----------------------------------------------------------------------------
+
+
+def _ignored(robot: Robot) -> list[Pair]:
+    """Return the pairs of links with bodies that a checker of this robot does not check, sorted."""
+    return sorted(pair for pair in exempt_pairs(robot) if all(link in robot.bodies for link in pair))
+
+
+def _as_scene(robot: Robot) -> Scene:
+    """Make a scene of the bodies in the frames of their links; pairs that need no check may touch."""
+    scene = Scene()
+    for link, body in robot.bodies.items():
+        scene.add(link, body)
+    for pair in _ignored(robot):
+        scene.allow(*pair)
+    return scene

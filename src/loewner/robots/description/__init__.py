@@ -1,0 +1,7 @@
+"""Links on joints, and the files, models and bodies that they come from.
+
+`robot` defines `Robot`, `assembly` joins several, `links` and `tree` describe joints, and `reaching` solves inverse
+kinematics. `urdf`, `srdf`, `xacro_files`, `mjcf`, `drake` and `pinocchio` read; `exports` writes. `link_bodies`,
+`link_meshes` and `coal_shapes` make bodies of links, `pair_verdicts` holds the pairs of links that are proven, `watch`
+reports odd values, `other_models` has the orders of values in other libraries, and `xml_elements` the lines of XML.
+"""

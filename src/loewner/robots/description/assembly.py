@@ -1,0 +1,603 @@
+"""Assemble robots: several beside each other, one on a base that moves, or one with another body on a joint."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Generic, Literal, NamedTuple, TypeVar, cast
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from loewner._base import _validate
+from loewner._base._matrices import dot, lengths
+from loewner._base._validate import Floats, Named
+from loewner._kernels import columns
+from loewner._kernels.records import Tree
+from loewner.bodies import Body
+from loewner.errors import GeometryError, InputError, UnknownNameError
+from loewner.meshes.files import parts
+from loewner.robots.description.links import checked_mimic, unit_axis
+from loewner.robots.description.srdf import Semantics
+from loewner.robots.description.tree import constant_pose, placed_tree
+from loewner.robots.description.urdf import VALUES, Description, Joint
+from loewner.robots.description.watch import Watch
+
+# Corners of a footprint, whose sides are compared with all others.
+MOST_CORNERS = 5_000
+
+# Areas of a footprint are equal, or nothing, to this share.
+FLAT = 1e-9
+
+# A robot; its class is above this module.
+R = TypeVar("R")
+
+# Attributes of robots with one number for each value of a configuration.
+LIMITS = ("lower", "upper", "hard_lower", "hard_upper", "velocity", "acceleration", "jerk")
+
+# Kinds of joints that need limits.
+LIMITED = ("revolute", "prismatic")
+
+
+class Source(NamedTuple):
+    """Where the description of a robot came from, or of a part of one.
+
+    Attributes
+    ----------
+    prefix : str
+        Prefix of its names.
+    format : str
+        "URDF" or "MJCF".
+    path : Path
+        The file, or a placeholder.
+    text : str or None
+        The contents, if they were not in a file.
+    package_dirs : tuple of Path
+    """
+
+    prefix: str
+    format: str
+    path: Path
+    text: str | None
+    package_dirs: tuple[Path, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Part(Generic[R]):
+    """One robot of several that were joined; see `Robot.join`.
+
+    Attributes
+    ----------
+    robot : Robot
+        The robot that was joined, at its pose in the world; on a base that moves, at its pose in the frame of the base.
+    columns : slice
+        Its values in a configuration of the joined robot: ``Q[..., part.columns]`` are configurations of `robot`, and
+        assigning to them moves this robot alone.
+    joint_names, link_names : tuple of str
+        Its joints and links, by their names in the joined robot.
+
+    Examples
+    --------
+    >>> from loewner import Robot
+    >>> arm = Robot.from_urdf("arm.urdf")
+    >>> part = Robot.join({"left": arm, "right": arm}).part("right")
+    >>> part.columns, part.joint_names
+    (slice(2, 4, None), ('right/rail', 'right/elbow'))
+    """
+
+    robot: R
+    columns: slice
+    joint_names: tuple[str, ...]
+    link_names: tuple[str, ...]
+    # The tree that the pose of the joined robot moves; None on a base that moves.
+    _tree: Tree | None = field(default=None, repr=False)
+
+
+def joined(kind: type[R], parts: Mapping[str, R], poses: Mapping[str, ArrayLike | None] | None) -> R:
+    """Make one robot of several; see `Robot.join`."""
+    if not isinstance(parts, Mapping) or not parts:
+        raise InputError(f"parts: expected a mapping from names to robots, found {_validate.short(parts)}")
+    for name, robot in parts.items():
+        if not isinstance(name, str) or not name:
+            raise InputError(f"parts: expected names, found {_validate.short(name)}")
+        if not isinstance(robot, kind):
+            raise InputError(f"parts: expected loewner.Robot for {name!r}, found {type(robot).__name__}")
+        for other in parts:
+            if isinstance(other, str) and other.startswith(f"{name}/"):
+                raise InputError(
+                    f"parts: expected names that do not begin with another one and a slash, found {name!r}, {other!r}"
+                )
+    if poses is not None and not isinstance(poses, Mapping):
+        raise InputError(f"poses: expected a mapping from names to poses, found {_validate.short(poses)}")
+    for name in poses or ():
+        if name not in parts:
+            raise _validate.unknown_name("part in poses", name, parts)
+    placed: dict[str, Any] = dict(parts)
+    placed |= {name: placed[name].placed(T) for name, T in (poses or {}).items()}
+    made = _combined([_Piece(f"{name}/", robot) for name, robot in placed.items()], " and ".join(parts))
+    if any(robot._lists_pairs for robot in placed.values()):
+        left = [(f"{name}/", robot) for name, robot in placed.items() if not robot._lists_pairs]
+        more = {(prefix + a, prefix + b) for prefix, robot in left for a, b in robot.adjacent_pairs}
+        made = replace(made, disabled_pairs=made.disabled_pairs | more)
+    at, of_parts = 0, dict(made._parts)
+    for name, robot in placed.items():
+        joints, links = _prefixed(f"{name}/", robot.joint_names), _prefixed(f"{name}/", robot.link_names)
+        of_parts[name] = Part(robot, slice(at, at + robot.dof), joints, links, robot.tree)
+        at += robot.dof
+    return cast(R, replace(made, _parts=of_parts))
+
+
+def part(self: R, name: str) -> Part[R]:
+    """Return one of the robots that were joined.
+
+    Parameters
+    ----------
+    name : str
+        Its name in `Robot.join`; for a robot that was joined twice, "outer/inner".
+
+    Returns
+    -------
+    Part
+
+    Raises
+    ------
+    UnknownNameError
+        If there is no such part, or the robot was not made by `Robot.join`.
+
+    Examples
+    --------
+    >>> from loewner import Robot
+    >>> arm = Robot.from_urdf("arm.urdf")
+    >>> both = Robot.join({"left": arm, "right": arm})
+    >>> q = both.configuration()
+    >>> q[both.part("right").columns] = 0.5, 1.0
+    >>> q
+    array([0. , 0. , 0.5, 1. ])
+    """
+    parts: dict[str, Part[R]] = cast(Any, self)._parts
+    if not parts and isinstance(name, str):
+        raise UnknownNameError(f"part {name!r}: expected a robot that Robot.join has made, found another one")
+    if not isinstance(name, str) or name not in parts:
+        raise _validate.unknown_name("part", name, parts)
+    return parts[name]
+
+
+def add_base(self: R, kind: Literal["planar", "floating"], bounds: ArrayLike | None = None, *, name: str = "base") -> R:
+    """Return the same robot on a base that moves.
+
+    Parameters
+    ----------
+    kind : {"planar", "floating"}
+        "planar": joints that slide along x and along y and one that turns about z, which planners plan like all others.
+        "floating": one joint with a position and a quaternion.
+    bounds : array_like, shape (2, 2) for a planar base or (3, 2) for a floating one, optional
+        Lowest and highest position along each axis, in metres; without them there are no limits.
+    name : str
+        Prefix of the new joints and links.
+
+    Returns
+    -------
+    Robot
+        Its configurations begin with ``name/x``, ``name/y`` and ``name/theta``, or with the seven values of a floating
+        joint. Its root link is ``name/world``, which does not move.
+
+    Raises
+    ------
+    InputError
+        If the bounds have the wrong shape, or a lower one is above the upper one, or a name is taken; or if `with_body`
+        has added a body in the world, which would move with the base.
+    UnknownNameError
+        If there is no such kind.
+
+    Examples
+    --------
+    >>> from loewner import Robot
+    >>> robot = Robot.from_urdf("arm.urdf").add_base("planar", [[-2, 2], [-1, 1]])
+    >>> robot.configuration_names
+    ('base/x', 'base/y', 'base/theta', 'rail', 'elbow')
+    >>> robot.upper[:3]
+    array([ 2.,  1., inf])
+    """
+    _validate.choice(kind, "kind", ("planar", "floating"))
+    refuse_bodies_in_world(self, "put on a base")
+    axes = 2 if kind == "planar" else 3
+    limits = np.full((axes, 2), [-np.inf, np.inf])
+    if bounds is not None:
+        limits = _validate.finite_array(bounds, "bounds", (axes, 2))
+        if not (limits[:, 0] <= limits[:, 1]).all():
+            raise InputError(f"bounds: expected rows of a lower and an upper position, found {limits.tolist()}")
+    if not isinstance(name, str) or not name:
+        raise InputError(f"name: expected a name, found {_validate.short(name)}")
+    joints = [(name, "floating", [0.0, 0.0, 1.0])]
+    if kind == "planar":
+        joints = [
+            (f"{name}/x", "prismatic", [1.0, 0.0, 0.0]), (f"{name}/y", "prismatic", [0.0, 1.0, 0.0]),
+            (f"{name}/theta", "continuous", [0.0, 0.0, 1.0]),
+        ]  # fmt: skip
+    base = _chain(self, f"{name}/world", joints)
+    lower, upper = base.lower.copy(), base.upper.copy()
+    lower[:axes], upper[:axes] = limits.T
+    base = replace(base, lower=lower, upper=upper, hard_lower=lower, hard_upper=upper)
+    robot: Any = self
+    return cast(R, _combined([_Piece("", base), _Piece("", robot, base.link_names[-1])], robot.name))
+
+
+def footprint_body(polygon: ArrayLike, height: float) -> Body:
+    """Make the body of a footprint: the space above a polygon, in one piece if it is convex, else in prisms.
+
+    Raises
+    ------
+    InputError
+        If the polygon has fewer than three corners, is flat or crosses itself; or the height is not positive.
+    """
+    corners = _validate.finite_array(polygon, "polygon", ("n", 2))
+    top = _validate.positive_scalar(height, "height")
+    if len(corners) > MOST_CORNERS:
+        raise InputError(f"polygon: expected at most {MOST_CORNERS} corners, found {len(corners)}")
+    corners = corners[(corners != np.roll(corners, 1, axis=0)).any(axis=1)]  # each once if it is repeated
+    x, y = corners.T - corners.mean(axis=0)[:, None] if len(corners) else corners.T
+    area = abs(float((x * np.roll(y, -1) - y * np.roll(x, -1)).sum())) / 2.0
+    if len(corners) < 3 or not area > FLAT * float(np.square(np.ptp(corners, axis=0)).sum()):
+        raise InputError(
+            f"polygon: expected at least three corners around an area, found {len(corners)} around {area:g} m²"
+        )
+    if not _is_simple(corners):
+        raise InputError("polygon: expected one that does not cross itself, found one whose sides meet")
+    flat, ring = np.column_stack([corners, np.zeros(len(corners))]), np.arange(len(corners))
+    triangles = parts.cut(flat, ring, np.array([len(ring)]), lambda text, place: None, str)
+    a, b, c = (np.column_stack([x, y])[triangles[:, k]] for k in range(3))
+    areas = np.abs((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]) / 2.0
+    if not abs(float(areas.sum()) - area) <= FLAT * area:
+        raise InputError("polygon: expected one that does not cross itself, found one whose sides meet")
+    sides = np.roll(corners, -1, axis=0) - corners
+    turns = sides[:, 0] * np.roll(sides[:, 1], -1) - sides[:, 1] * np.roll(sides[:, 0], -1)
+    is_convex = (turns >= 0.0).all() or (turns <= 0.0).all()
+    pieces = [ring] if is_convex else list(triangles[areas > 0.0])
+    lifted = np.array([0.0, 0.0, top])
+    try:
+        return Body.from_pieces([np.concatenate([flat[piece], flat[piece] + lifted]) for piece in pieces])
+    except GeometryError as error:
+        raise InputError(f"polygon: expected parts with some width, found one that is too thin ({error})") from error
+
+
+def _is_simple(corners: Floats) -> bool:
+    """Return whether the sides of a polygon meet only at common corners; to come near counts as meeting."""
+    ends, size = np.roll(corners, -1, axis=0), float(np.ptp(corners, axis=0).max())
+    sides, count = ends - corners, len(corners)
+    before = np.roll(sides, 1, axis=0)
+    back = np.abs(sides[:, 0] * before[:, 1] - sides[:, 1] * before[:, 0]) <= FLAT * lengths(sides) * lengths(before)
+    if (back & (dot(sides, before) <= 0.0)).any():
+        return False
+    for k in range(count):
+        others = np.setdiff1d(np.arange(count), [k - 1 if k else count - 1, k, (k + 1) % count])
+        one, way = corners[k], sides[k]
+        to_start, to_end = corners[others] - one, ends[others] - one
+        across = [way[0] * to[:, 1] - way[1] * to[:, 0] for to in (to_start, to_end)]
+        back_to = one - corners[others], ends[k] - corners[others]
+        over = [sides[others, 0] * to[:, 1] - sides[others, 1] * to[:, 0] for to in back_to]
+        near = FLAT * size * np.maximum(float(lengths(way)), lengths(sides[others]))
+        apart = np.minimum(*across) > near
+        apart |= np.maximum(*across) < -near
+        apart |= np.minimum(*over) > near
+        apart |= np.maximum(*over) < -near
+        # Sides in one line are apart if their extents along it are.
+        along = [dot(to, way) for to in (to_start, to_end)]
+        apart |= (np.maximum(*along) < -near) | (np.minimum(*along) > float(dot(way, way)) + near)
+        if not apart.all():
+            return False
+    return True
+
+
+def with_body(
+    self: R,
+    name: str,
+    body: Body,
+    T_parent_joint: ArrayLike | None = None,
+    *,
+    joint: Literal["fixed", "prismatic", "revolute", "continuous", "planar", "floating"] = "floating",
+    parent: str | None = None,
+    axis: ArrayLike = (0.0, 0.0, 1.0),
+    limits: tuple[float, float] | None = None,
+    velocity: float | None = None,
+    mimic: tuple[str, float, float] | None = None,
+) -> R:
+    """Return the same robot with a body as another link, on a joint of its own.
+
+    Thus a door, a drawer or an obstacle that moves becomes a part of the configuration, and its motions are proven
+    together with the robot's. If the parent has a body, the two are an adjacent pair.
+
+    Parameters
+    ----------
+    name : str
+        Name of the new link and of the new joint.
+    body : Body
+        In the frame of the new link.
+    T_parent_joint : array_like, shape (4, 4), optional
+        Pose of the joint in the frame of the parent; translation in metres. Default: the identity.
+    joint : str
+        Kind of the joint.
+    parent : str, optional
+        The link to which the joint belongs. Default: the world; place the robot, or add its base, before.
+    axis : array_like, shape (3,)
+        Axis along which the joint slides or about which it turns.
+    limits : (float, float), optional
+        Least and greatest value, in metres or radians; required for a prismatic or a revolute joint.
+    velocity : float, optional
+        Largest rate of a joint of one value [rad/s or m/s], for trajectories. Default: none known.
+    mimic : (str, float, float), optional
+        Makes a joint of one value follow a joint of the robot: the other's name, a multiplier and an offset. The limits
+        of the other are narrowed to values at which this joint is within its own.
+
+    Returns
+    -------
+    Robot
+        The new values are the last ones of its configurations.
+
+    Raises
+    ------
+    InputError
+        If a name is taken, `body` is not a body, the axis has no direction, or limits are missing or not in order; or
+        if there is a velocity or a mimic of a joint that has not one value, or no values are left to a joint that is to
+        be followed.
+    PoseError
+        If the pose is not a rigid motion.
+    UnknownNameError
+        If there is no such kind of joint, or no such link, or no joint to follow that has one value of its own.
+
+    Examples
+    --------
+    >>> from loewner import Body, Robot
+    >>> door = Body.box([0.8, 0.02, 1.0]).transformed([[1, 0, 0, 0.4], [0, 1, 0, 0], [0, 0, 1, 0.5], [0, 0, 0, 1]])
+    >>> hinge = [[1, 0, 0, 2.5], [0, 1, 0, 1], [0, 0, 1, 0], [0, 0, 0, 1]]
+    >>> robot = Robot.from_urdf("arm.urdf").with_body("door", door, hinge, joint="revolute", limits=(0, 1.5))
+    >>> robot.configuration_names
+    ('rail', 'elbow', 'door')
+    """
+    if not isinstance(name, str) or not name:
+        raise InputError(f"name: expected a name, found {_validate.short(name)}")
+    if not isinstance(body, Body):
+        raise InputError(f"body of {name!r}: expected loewner.Body, found {type(body).__name__}")
+    _validate.choice(joint, "joint", [kind for kind in VALUES if kind != "ball"])
+    robot: Any = self
+    if parent is not None and (not isinstance(parent, str) or parent not in robot.link_names):
+        raise _validate.unknown_name("parent", parent, robot.link_names)
+    T = _validate.pose(T_parent_joint, "T_parent_joint")
+    made = _chain(self, f"{name}/world", [(name, joint, unit_axis(axis, "axis").tolist())])
+    if (limits is None) == (joint in LIMITED):
+        expected = "two numbers for prismatic and revolute joints, and none for others"
+        raise InputError(f"limits: expected {expected}, found {limits} for a {joint} joint")
+    if limits is not None:
+        low, high = _validate.finite_array(limits, "limits", (2,)).tolist()
+        if low > high:
+            raise InputError(f"limits: expected a lower and an upper one, found {limits}")
+        ends = np.array([low]), np.array([high])
+        made = replace(made, lower=ends[0], upper=ends[1], hard_lower=ends[0], hard_upper=ends[1])
+    if velocity is not None:
+        fastest = np.full(made.dof, _validate.positive_scalar(velocity, "velocity"))
+        made = replace(made, velocity=fastest)
+    if mimic is not None:
+        mimic = checked_mimic(mimic, "mimic")
+    for what, given in (("velocity", velocity), ("mimic", mimic)):
+        if given is not None and made.dof != 1:
+            raise InputError(f"{what}: expected None for a {joint} joint, found {given}")
+    made = replace(made, bodies={name: body}).placed(T)
+    adjacent = {(min(name, parent), max(name, parent))} if parent in robot.bodies and parent is not None else set()
+    robot = _combined([_Piece("", robot), _Piece("", made, parent, without_root=True)], robot.name)
+    if mimic is not None:
+        robot = replace(_coupled(robot, *mimic), _layout=cast(Any, self)._layout)
+    in_world = (*robot._in_world, name) if parent is None else robot._in_world
+    return cast(R, replace(robot, adjacent_pairs=robot.adjacent_pairs | adjacent, _in_world=in_world))
+
+
+def _coupled(robot: Any, followed: str, multiplier: float, offset: float) -> Any:
+    """Let the last joint, which has one value, follow another joint of one value."""
+    name = robot.joint_names[-1]
+    one_value = [joint for joint, at in robot._columns.items() if at.stop - at.start == 1 and joint != name]
+    if followed not in one_value:
+        raise _validate.unknown_name("joint of one value of its own in mimic", followed, one_value)
+    at, own = robot._columns[followed].start, robot.dof - 1
+    limits = {key: getattr(robot, key)[:-1].copy() for key in LIMITS}
+    if multiplier:
+        for prefix in ("", "hard_"):
+            lower, upper = limits[f"{prefix}lower"], limits[f"{prefix}upper"]
+            ends = [(float(getattr(robot, prefix + end)[own]) - offset) / multiplier for end in ("lower", "upper")]
+            least, most = max(lower[at], min(ends)), min(upper[at], max(ends))
+            if not prefix and least > most:
+                raise InputError(
+                    f"mimic: expected limits that leave {followed!r} values, found {lower[at]:g} .. {upper[at]:g} "
+                    f"with {min(ends):g} .. {max(ends):g}"
+                )
+            if not prefix:
+                lower[at], upper[at] = least, most
+        for key in ("velocity", "acceleration", "jerk"):
+            limits[key][at] = np.fmin(limits[key][at], getattr(robot, key)[own] / abs(multiplier))
+    for array in limits.values():
+        array.setflags(write=False)
+    tree, last = robot.tree, len(robot.link_names) - 1
+    tree = Tree(*(array.copy() for array in tree))
+    tree.column[last], tree.multiplier[last], tree.offset[last] = at, multiplier, offset
+    names, watch = robot.configuration_names[:-1], robot._watch
+    hard = limits["hard_lower"], limits["hard_upper"]
+    return replace(
+        robot,
+        joint_names=robot.joint_names[:-1],
+        configuration_names=names,
+        **limits,
+        mimics={**robot.mimics, name: (followed, multiplier)},
+        tree=tree,
+        _rooted=tree,
+        _columns={joint: columns for joint, columns in robot._columns.items() if joint != name},
+        _watch=Watch(robot.name, names, *hard, watch.turns[:-1], watch.free[:-1]),
+    )
+
+
+def with_moving_bodies(self: R, names: Sequence[str]) -> R:
+    """Return the same robot with a floating joint and a link without a body for each name, after its own ones."""
+    joints = [f"{name} in the scene" for name in names]
+    chains = [_chain(self, f"{joint}/world", [(joint, "floating", [0.0, 0.0, 1.0])]) for joint in joints]
+    robot: Any = self
+    return cast(
+        R, _combined([_Piece("", robot), *(_Piece("", c, None, without_root=True) for c in chains)], robot.name)
+    )
+
+
+def refuse_bodies_in_world(robot: Any, what: str) -> None:
+    """Refuse to move a robot with bodies that `with_body` has added in the world, which do not move with it."""
+    for name in robot._in_world:
+        raise InputError(
+            f"expected a robot without bodies in the world, to be {what}, found {name!r}; call with_body afterwards"
+        )
+
+
+def parts_of(robot: Any) -> Mapping[str, Part[Any]]:
+    """Return the robots that were joined, by their names; empty for other robots."""
+    parts: Mapping[str, Part[Any]] = robot._parts
+    return parts
+
+
+def placed_parts(parts: Mapping[str, Part[Any]], T: Floats) -> dict[str, Part[Any]]:
+    """Place the parts of a joined robot that is placed as a whole."""
+    return {
+        name: part if part._tree is None else replace(part, robot=replace(part.robot, tree=placed_tree(part._tree, T)))
+        for name, part in parts.items()
+    }
+
+
+# -- assembly ---------------------------------------------------------------------------------
+
+
+class _Piece(NamedTuple):
+    """A robot that is combined with others: the prefix of its names, and the link to which its root is fixed.
+
+    The root is fixed to the world if `on` is None; it is left out with `without_root`.
+    """
+
+    prefix: str
+    robot: Any
+    on: str | None = None
+    without_root: bool = False
+
+
+def _prefixed(prefix: str, names: Sequence[str]) -> tuple[str, ...]:
+    return tuple(prefix + name for name in names)
+
+
+def _chain(robot: Any, root: str, joints: list[tuple[str, str, list[float]]]) -> Any:
+    """Make a robot of links without bodies from joints given by name, kind and axis; a link has the joint's name."""
+    made, above = {}, root
+    for name, kind, axis in joints:
+        made[name] = Joint(
+            name, kind, above, name, np.eye(4), np.array(axis), -np.inf, np.inf, np.nan, mimic=None, line=0
+        )  # fmt: skip
+        above = name
+    shapes: dict[str, tuple[Any, ...]] = {root: (), **dict.fromkeys(made, ())}
+    description = Description(root, Path(root), shapes, made, {joint.child: joint for joint in made.values()}, ())
+    made_robot = type(robot)._of(description, {}, Semantics(), frozenset(), (), "none", None)
+    return replace(made_robot, _sources=())
+
+
+def _combined(pieces: Sequence[_Piece], name: str) -> Any:
+    """Make one robot of several."""
+    robots = [piece.robot for piece in pieces]
+    links = [n for p in pieces for n in _prefixed(p.prefix, p.robot.link_names[p.without_root :])]
+    joints = [n for p in pieces for n in _prefixed(p.prefix, (*p.robot.joint_names, *p.robot.mimics))]
+    for names in (links, joints):
+        taken = next((own for k, own in enumerate(names) if own in names[:k]), None)
+        if taken is not None:
+            raise InputError(f"expected names of links and joints that differ, found {taken!r} twice")
+    first = np.cumsum([0, *(robot.dof for robot in robots)]).tolist()
+    limits = {key: np.concatenate([getattr(robot, key) for robot in robots]) for key in LIMITS}
+    for array in limits.values():
+        array.setflags(write=False)
+    configuration_names = tuple(n for piece in pieces for n in _prefixed(piece.prefix, piece.robot.configuration_names))
+    turns = [turns for robot in robots for turns in robot._watch.turns]
+    free = [free for robot in robots for free in robot._watch.free]
+    tree = _tree(pieces, first)
+
+    def named(what: str, of: Any) -> Any:
+        return Named(what, {p.prefix + key: value for p in pieces for key, value in of(p).items()})
+
+    def pairs(key: str) -> frozenset[tuple[str, str]]:
+        return frozenset((p.prefix + a, p.prefix + b) for p in pieces for a, b in getattr(p.robot, key))
+
+    return replace(
+        next(robot for robot in robots if robot._sources),
+        name=name,
+        link_names=tuple(links),
+        joint_names=tuple(n for p in pieces for n in _prefixed(p.prefix, p.robot.joint_names)),
+        configuration_names=configuration_names,
+        **limits,
+        bodies=named("link with a body", lambda p: p.robot.bodies),
+        shapes=named("link with shapes of a URDF", lambda p: p.robot.shapes),
+        groups=named("group", lambda p: {g: _prefixed(p.prefix, joints) for g, joints in p.robot.groups.items()}),
+        states=named("state", _states),
+        disabled_pairs=pairs("disabled_pairs"),
+        adjacent_pairs=pairs("adjacent_pairs"),
+        mimics={
+            p.prefix + joint: (p.prefix + other, by) for p in pieces for joint, (other, by) in p.robot.mimics.items()
+        },
+        tree=tree,
+        _rooted=tree,
+        _columns={
+            p.prefix + joint: slice(at.start + shift, at.stop + shift)
+            for p, shift in zip(pieces, first, strict=False) for joint, at in p.robot._columns.items()
+        },
+        _above={link: above for piece in pieces for link, above in _above(piece).items()},
+        _ruled=any(robot._ruled for robot in robots),
+        _only_visual=tuple(n for p in pieces for n in _prefixed(p.prefix, p.robot._only_visual)),
+        _watch=Watch(name, configuration_names, limits["hard_lower"], limits["hard_upper"], turns, free),
+        _sources=tuple(source._replace(prefix=p.prefix + source.prefix) for p in pieces for source in p.robot._sources),
+        _layout=robots[0]._layout if len(configuration_names) == robots[0].dof else None,
+        _in_world=tuple(n for p in pieces for n in _prefixed(p.prefix, p.robot._in_world)),
+        _parts={
+            p.prefix + key: _shifted(p, part, shift)
+            for p, shift in zip(pieces, first, strict=False) for key, part in p.robot._parts.items()
+        },
+    )  # fmt: skip
+
+
+def _above(piece: _Piece) -> dict[str, tuple[str, str | None]]:
+    """Return the joints above the links of a piece, and their parents, by their names in the combined robot."""
+    left_out = piece.robot.link_names[0] if piece.without_root else None
+    above = {}
+    for link in piece.robot.link_names[piece.without_root :]:
+        joint, parent = piece.robot._above.get(link, ("", None))
+        on = piece.on if parent in (None, left_out) else piece.prefix + parent
+        above[piece.prefix + link] = joint and piece.prefix + joint, on
+    return above
+
+
+def _states(piece: _Piece) -> dict[str, Any]:
+    return {
+        name: (group and piece.prefix + group, {piece.prefix + joint: value for joint, value in values.items()})
+        for name, (group, values) in piece.robot.states.items()
+    }
+
+
+def _shifted(piece: _Piece, part: Part[Any], by: int) -> Part[Any]:
+    at = slice(part.columns.start + by, part.columns.stop + by)
+    joints, links = _prefixed(piece.prefix, part.joint_names), _prefixed(piece.prefix, part.link_names)
+    on_base = piece.on is not None or part._tree is None
+    return Part(part.robot, at, joints, links, None if on_base else part.robot.tree)
+
+
+def _tree(pieces: Sequence[_Piece], first_column: Sequence[int]) -> Tree:
+    """Put the trees of robots side by side, each on the link that carries it."""
+    trees: list[Tree] = []
+    numbers: dict[str, int] = {}
+    for piece, column in zip(pieces, first_column, strict=False):
+        tree, above, count = piece.robot.tree, -1, len(numbers)
+        if piece.on is not None:
+            # A link that is fixed is a frame of the first link of its rigid group.
+            above = numbers[piece.on]
+            before = Tree(*(np.concatenate(arrays) for arrays in zip(*trees, strict=True)))
+            if before.kind[above] == columns.FIXED:
+                tree, above = placed_tree(tree, constant_pose(before.constants[above])), int(before.parent[above])
+        skip = int(piece.without_root)
+        parent = np.where(tree.parent < skip, above, tree.parent + count - skip)
+        tree = tree._replace(parent=parent, column=np.where(tree.kind == columns.FIXED, 0, tree.column + column))
+        trees.append(Tree(*(array[skip:] for array in tree)))
+        for name in piece.robot.link_names[skip:]:
+            numbers[piece.prefix + name] = len(numbers)
+    return Tree(*(np.ascontiguousarray(np.concatenate(arrays)) for arrays in zip(*trees, strict=True)))

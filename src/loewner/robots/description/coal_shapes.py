@@ -1,0 +1,69 @@
+"""Make bodies of Coal's shapes, through the objects that are given: Coal is not imported."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from loewner.bodies import Body
+from loewner.errors import InputError
+from loewner.robots.description.link_meshes import mesh_body
+
+# Terrain of Coal may have no thickness at its lowest points; here it has this one [m].
+LEAST_DEPTH = 1e-6
+
+
+def coal_body(shape: Any, meshes: str, tol: float) -> Body:
+    """Make the body of a shape; Coal has half lengths.
+
+    Parameters
+    ----------
+    shape : coal.CollisionGeometry
+    meshes : str
+        Representation of meshes, one of `link_bodies.MODELS`.
+    tol : float
+        As for `Body.from_mesh`.
+    """
+    kind = type(shape).__name__
+    swept = float(shape.getSweptSphereRadius()) if hasattr(shape, "getSweptSphereRadius") else 0.0
+    if swept and kind not in ("Sphere", "Capsule"):
+        raise InputError(f"expected a {kind} without a swept sphere, found one of radius {swept:g}")
+    if kind == "Box":
+        return Body.box(2 * shape.halfSide)
+    if kind == "Sphere":
+        return Body.sphere(shape.radius + swept)
+    if kind == "Capsule":
+        return Body.capsule(shape.radius + swept, 2 * shape.halfLength)
+    if kind == "Cylinder":
+        return Body.cylinder(shape.radius, 2 * shape.halfLength)
+    if kind == "Cone":
+        return Body.cone(shape.radius, 2 * shape.halfLength)
+    if kind == "Ellipsoid":
+        return Body.ellipsoid(shape.radii)
+    if kind == "Halfspace":
+        return Body.half_space(shape.n, shape.d)
+    if kind.startswith("Convex"):
+        return Body.from_points(shape.points(), tol=tol)
+    if kind.startswith("BVHModel"):
+        corners = [[shape.tri_indices(k)[i] for i in range(3)] for k in range(shape.num_tris)]
+        mesh = np.array(shape.vertices()), np.array(corners, dtype=np.int64).reshape(-1, 3)
+        return mesh_body(mesh, meshes, tol)
+    if kind.startswith("HeightField"):
+        return _terrain(shape)
+    if kind == "OcTree":
+        boxes = np.array(shape.toBoxes())
+        return Body.boxes(boxes[:, :3], np.repeat(boxes[:, 3:4], 3, axis=1))
+    raise InputError(
+        "expected a box, sphere, capsule, cylinder, cone, ellipsoid, half-space, convex, mesh, height field or octree, "
+        f"found a {kind}"
+    )
+
+
+def _terrain(shape: Any) -> Body:
+    """Make a height field: in Coal, rows are along -y, columns along x."""
+    x, y, heights = shape.getXGrid(), shape.getYGrid(), np.array(shape.getHeights())
+    corner = np.eye(4)
+    corner[:2, 3] = x[0], y[-1]
+    base = min(float(shape.getMinHeight()), float(heights.min()) - LEAST_DEPTH)
+    return Body.height_field(heights.T[:, ::-1], [x[1] - x[0], y[0] - y[1]], base=base).transformed(corner)

@@ -1,0 +1,331 @@
+"""Write robots for other programs, as URDF with SRDF and as MJCF."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+from xml.etree import ElementTree
+
+import numpy as np
+
+from loewner._base import _elementary, _validate
+from loewner._base._files import replacing
+from loewner._base._matrices import image, in_frame, product
+from loewner._base._plausible import FARTHEST_LIMIT, told_to
+from loewner._base._rotations import quaternions_of
+from loewner._base._validate import Floats
+from loewner._kernels import columns
+from loewner.bodies import packed_of
+from loewner.bodies.exports import add_collisions, add_geoms, add_origin, enlarged, numbers, save_texts, text_of
+from loewner.bodies.kinds import Mesh
+from loewner.errors import InputError, LoewnerError
+from loewner.robots.description.link_meshes import hull_or_solid
+from loewner.robots.description.srdf import read_srdf
+from loewner.robots.description.tree import KINDS, adjacent_pairs, constant_pose
+from loewner.robots.description.urdf import LEAST_CUT, VALUES, read_urdf
+from loewner.robots.description.xacro_files import SUFFIX
+
+# Kinds of joints by the kernels' numbers; joints that turn are "continuous" if they have no limits.
+NAMES = {number: name for name, number in KINDS.items() if name not in ("continuous", "ball")}
+ONE_VALUE = (columns.REVOLUTE, columns.PRISMATIC)
+
+
+class _Joint(NamedTuple):
+    """A joint as URDF has it. `mimic` is the joint that it follows, the multiplier and the offset."""
+
+    name: str
+    kind: str
+    parent: str
+    child: str
+    pose: Floats
+    axis: Floats
+    limits: dict[str, float]
+    soft: tuple[float, float] | None
+    mimic: tuple[str, float, float] | None
+
+
+def save_urdf(robot: Any, path: Path, mesh_prefix: str, wider: float = 0.0) -> None:
+    """Write the meshes of a robot beside a URDF, then the URDF, and an SRDF of the same stem.
+
+    Shapes other than spheres and meshes are enlarged by `wider` [m] on each side.
+    """
+    semantics = path.with_suffix(".srdf")
+    if path.suffix.lower() in (".srdf", SUFFIX):
+        raise InputError(f"path: expected the path of a URDF, found {path}, which is read as another format")
+    _expect_plain_names(path.name, robot)
+    listed = robot.disabled_pairs if robot._lists_pairs else robot.adjacent_pairs
+    bare = [link for link in robot.link_names if link not in robot.bodies]
+    top = _top(robot, needed=len(robot.bodies) > 1 and not listed and not bare)
+    urdf, meshes = _description(robot, top, path, mesh_prefix, wider)
+    try:
+        with told_to([]):
+            described = read_urdf(path, urdf)
+            alike = not robot._lists_pairs and adjacent_pairs(described) == robot.adjacent_pairs
+            if alike and (robot.groups or robot.states):  # an SRDF that names nothing would cause a warning
+                srdf = _semantics(robot, (), "")
+            else:
+                # Without any rule, adjacent links would be exempt. A rule on a link without a body, or on the only
+                # link, exempts no pair that could collide.
+                srdf = _semantics(robot, listed, "" if listed else top or (*bare, *robot.link_names)[0])
+            read_srdf(semantics, described, srdf)
+    except LoewnerError as error:
+        raise InputError(
+            f"expected a robot that URDF and SRDF can express, found one that is refused: {error}"
+        ) from None
+    with replacing(path) as new_urdf, replacing(semantics) as new_srdf:
+        save_texts(meshes)
+        new_srdf.write_text(srdf, encoding="utf-8")
+        new_urdf.write_text(urdf, encoding="utf-8")
+
+
+def _expect_plain_names(stem: str, robot: Any) -> None:
+    """Refuse names that readers would change: they strip spaces, and xacro evaluates expressions."""
+    of_robot = (*robot.link_names, *robot.joint_names, *robot.mimics, *robot.groups, *robot.states)
+    for name in (stem, robot.name, *of_robot):
+        if not name.isprintable() or name != name.strip() or "$" in name:
+            raise InputError(
+                "expected names that can be printed, without '$' and without spaces at their ends, found "
+                f"{_validate.short(name)}"
+            )
+
+
+def _description(
+    robot: Any, top: str | None, path: Path, mesh_prefix: str, wider: float
+) -> tuple[str, dict[Path, str]]:
+    """Return the text of the URDF, with the root link `top` if it is not None, and the contents of its mesh files."""
+    root = ElementTree.Element("robot", name=robot.name)
+    meshes: dict[Path, str] = {}
+    if top is not None:
+        ElementTree.SubElement(root, "link", name=top)
+    for name in robot.link_names:
+        link = ElementTree.SubElement(root, "link", name=name)
+        if name in robot.bodies:
+            meshes |= _shapes(link, robot, path, mesh_prefix, wider)
+    joints = list(_joints(robot, top))
+    places = {name: k for k, name in enumerate(robot.joint_names)}
+    for joint in sorted(joints, key=lambda joint: places.get(joint.name, len(places))):
+        _add_joint(root, joint)
+    if any({"acceleration", "jerk"} & joint.limits.keys() for joint in joints):
+        root.set("version", "1.2")
+    return text_of(root), meshes
+
+
+def _top(robot: Any, *, needed: bool) -> str | None:
+    """Return the name of a new root link, which is the world; None if the robot's own root link can be the root."""
+    roots = [link for link in robot.link_names if robot._above.get(link, ("", None))[1] is None]
+    if not needed and len(roots) == 1 and np.array_equal(constant_pose(robot.tree.constants[0]), np.eye(4)):
+        return None
+    return _unused("world", robot.link_names)
+
+
+def _unused(name: str, taken: Any) -> str:
+    while name in taken:
+        name += "_"
+    return name
+
+
+def _shapes(link: ElementTree.Element, robot: Any, path: Path, mesh_prefix: str, wider: float) -> dict[Path, str]:
+    """Add the shapes of a link; return the contents of mesh files."""
+    name = link.attrib["name"]
+    packed = packed_of(robot.bodies[name])
+    kind = enlarged(packed)
+    if kind is not None:
+        raise InputError(
+            f"link {name!r}: expected shapes that URDF has, found a piece of kind {kind!r}; Body.to_urdf writes "
+            "polytopes around such pieces"
+        )
+    try:
+        return add_collisions(link, packed, path, None, mesh_prefix, _stays_solid, wider)
+    except InputError as error:
+        raise InputError(f"link {name!r}: {error}") from None
+
+
+def _stays_solid(mesh: Mesh) -> bool:
+    """Whether `from_urdf` makes a solid of a mesh again, and not its hull."""
+    return hull_or_solid(*mesh)[0] == "solid"
+
+
+# -- joints ---------------------------------------------------------------------------------------
+
+
+def _joints(robot: Any, top: str | None) -> Iterator[_Joint]:
+    """List the joints, in the order of the links below them."""
+    tree, number = robot.tree, {name: k for k, name in enumerate(robot.link_names)}
+    driven = {at.start: name for name, at in robot._columns.items()}
+    taken = {*robot.joint_names, *robot.mimics}
+    for child, k in number.items():
+        name, parent = robot._above.get(child, ("", None))
+        if parent is None and top is None:
+            continue
+        kind = int(tree.kind[k])
+        if kind == columns.FIXED:  # a robot has no names for such joints
+            name = _unused(name or child, taken)
+            taken.add(name)
+        if kind not in NAMES:
+            raise InputError(f"expected joints that URDF has, found the ball joint {name!r}")
+        offset, mimic = float(tree.offset[k]), None
+        if name in robot.mimics:
+            mimic = driven[int(tree.column[k])], float(tree.multiplier[k]), offset
+        pose, axis = _pose_and_axis(tree.constants[k], kind, 0.0 if mimic else offset)
+        if parent is not None and tree.kind[number[parent]] == columns.FIXED:  # it is a frame of its rigid group
+            pose = in_frame(constant_pose(tree.constants[number[parent]]), pose)
+        limits: dict[str, float] = {}
+        soft = None
+        if kind in ONE_VALUE:
+            limits, soft = _limits(robot, int(tree.column[k]), mimic)
+        elif kind != columns.FIXED:
+            _refuse_bounds(robot, name)
+        endless = limits.get("lower") == -math.inf and limits.get("upper") == math.inf and soft is None
+        name_of_kind = "continuous" if endless and kind == columns.REVOLUTE else NAMES[kind]
+        yield _Joint(name, name_of_kind, parent or top or "", child, pose, axis, limits, soft, mimic)
+
+
+def _pose_and_axis(constants: Floats, kind: int, offset: float) -> tuple[Floats, Floats]:
+    """Return the pose of a joint, and its axis in its own frame; see `tree.tree_of`.
+
+    The child of a joint from MJCF is at the origin of the joint at another value than 0, by `offset`.
+    """
+    pose, axis = constant_pose(constants), np.array([1.0, 0.0, 0.0])
+    if kind == columns.PRISMATIC:
+        across = constants[columns.ACROSS : columns.ACROSS + 3]
+        axis = image(pose[:3, :3].T, across)
+        pose[:3, 3] += offset * across
+    if kind in (columns.REVOLUTE, columns.PLANAR):
+        sine, cosine = (constants[at : at + 9].reshape(3, 3) for at in (columns.SINE, columns.COSINE))
+        at_zero = pose[:3, :3] + cosine
+        cross = product(at_zero.T, sine)
+        axis = np.array([cross[2, 1], cross[0, 2], cross[1, 0]])
+        pose[:3, :3] += _elementary.sin(offset) * sine + _elementary.cos(offset) * cosine
+    return pose, axis
+
+
+def _limits(
+    robot: Any, column: int, mimic: tuple[str, float, float] | None
+) -> tuple[dict[str, float], tuple[float, float] | None]:
+    """Return limits and rates of a joint of one value, and the limits for planning if they are narrower."""
+    hard = float(robot.hard_lower[column]), float(robot.hard_upper[column])
+    if mimic is not None:
+        _, multiplier, offset = mimic
+        lower, upper = sorted(multiplier * end + offset for end in hard) if multiplier else (offset, offset)
+        # No limits, if these values, which the joint has within the other one's limits, would narrow that one's.
+        back = sorted((end - offset) / multiplier for end in (lower, upper)) if multiplier else hard
+        rounded = abs(back[0] - hard[0]) > LEAST_CUT / 2 or abs(back[1] - hard[1]) > LEAST_CUT / 2
+        if rounded or max(-lower, upper) > FARTHEST_LIMIT:
+            lower, upper = -math.inf, math.inf
+        return {"lower": lower, "upper": upper}, None
+    soft = float(robot.lower[column]), float(robot.upper[column])
+    rates = {name: float(getattr(robot, name)[column]) for name in ("velocity", "acceleration", "jerk")}
+    known = {name: rate for name, rate in rates.items() if math.isfinite(rate)}
+    return {"lower": hard[0], "upper": hard[1], **known}, None if soft == hard else soft
+
+
+def _refuse_bounds(robot: Any, name: str) -> None:
+    """Refuse limits of a planar or floating joint, which URDF does not have."""
+    values = robot._columns[name]
+    first = slice(values.start, values.start + 3)  # the quaternion of a floating joint follows
+    if np.isfinite([robot.lower[first], robot.upper[first]]).any():
+        raise InputError(f"expected limits that URDF has, found bounds of {name!r}, which has several values")
+
+
+def _add_joint(root: ElementTree.Element, joint: _Joint) -> None:
+    element = ElementTree.SubElement(root, "joint", name=joint.name, type=joint.kind)
+    ElementTree.SubElement(element, "parent", link=joint.parent)
+    ElementTree.SubElement(element, "child", link=joint.child)
+    add_origin(element, joint.pose[:3, :3], joint.pose[:3, 3])
+    if joint.kind not in ("fixed", "floating"):
+        ElementTree.SubElement(element, "axis", xyz=numbers(joint.axis))
+    if joint.limits:
+        # Readers expect an effort and a velocity; 0 is how programs write that there is none.
+        limits = {"effort": 0.0, "velocity": 0.0, **joint.limits}
+        ends = ("lower", "upper") if joint.kind == "continuous" else ()
+        written = {name: numbers([value]) for name, value in limits.items() if name not in ends}
+        ElementTree.SubElement(element, "limit", written)
+    if joint.soft is not None:
+        lower, upper = (numbers([end]) for end in joint.soft)
+        ElementTree.SubElement(
+            element, "safety_controller", soft_lower_limit=lower, soft_upper_limit=upper, k_velocity="0"
+        )
+    if joint.mimic is not None:
+        other, multiplier, offset = joint.mimic
+        ElementTree.SubElement(
+            element, "mimic", joint=other, multiplier=numbers([multiplier]), offset=numbers([offset])
+        )
+
+
+# -- MJCF -----------------------------------------------------------------------------------------
+
+
+def mjcf_text(robot: Any, wider: float) -> str:
+    """Write a robot as MJCF: its shapes, its joints of one value, and the pairs that need no check as excluded.
+
+    Shapes other than spheres and meshes are enlarged by `wider` [m] on each side.
+    """
+    root = ElementTree.Element("mujoco", model=robot.name)
+    # Links without shapes need some mass, since MuJoCo refuses to move bodies without any.
+    ElementTree.SubElement(root, "compiler", angle="radian", boundmass="1e-3", boundinertia="1e-6")
+    # Parents and children are checked as well, unless they are among the excluded pairs.
+    ElementTree.SubElement(ElementTree.SubElement(root, "option"), "flag", filterparent="disable")
+    asset, world = ElementTree.SubElement(root, "asset"), ElementTree.SubElement(root, "worldbody")
+    contact, equality = (ElementTree.SubElement(root, name) for name in ("contact", "equality"))
+    above = {joint.child: joint for joint in _joints(robot, None)}
+    made: dict[str, ElementTree.Element] = {}
+    for name in robot.link_names:
+        joint = above.get(name)
+        if name == "world":  # MuJoCo's own name for it, which no other body may have
+            if joint is not None or name in robot.bodies:
+                found = f"below the joint {joint.name!r}" if joint is not None else "with shapes"
+                raise InputError(f"expected a link 'world' only as a root without shapes, found one {found}")
+            made[name] = world
+            continue
+        body = made[name] = ElementTree.SubElement(made[joint.parent] if joint else world, "body", name=name)
+        T = joint.pose if joint else constant_pose(robot.tree.constants[robot.link_names.index(name)])
+        body.set("pos", numbers(T[:3, 3]))
+        body.set("quat", numbers(quaternions_of(T[None, :3, :3])[0]))
+        if joint is not None and joint.kind != "fixed":
+            _add_mjcf_joint(body, equality, joint)
+        if name in robot.bodies:
+            add_geoms(body, asset, packed_of(robot.bodies[name]), wider=wider)
+    for a, b in sorted(robot._usually_skipped):
+        ElementTree.SubElement(contact, "exclude", body1=a, body2=b)
+    return text_of(root)
+
+
+def _add_mjcf_joint(body: ElementTree.Element, equality: ElementTree.Element, joint: _Joint) -> None:
+    if joint.kind in ("planar", "floating"):
+        raise InputError(f"expected joints of one value, found the {joint.kind} joint {joint.name!r}")
+    kind = "slide" if joint.kind == "prismatic" else "hinge"
+    made = ElementTree.SubElement(body, "joint", name=joint.name, type=kind, axis=numbers(joint.axis))
+    ends = joint.limits["lower"], joint.limits["upper"]
+    if all(map(math.isfinite, ends)):
+        made.set("range", numbers(ends))
+        made.set("limited", "true")
+    if joint.mimic is not None:
+        other, multiplier, offset = joint.mimic
+        follows = numbers([offset, multiplier, 0.0, 0.0, 0.0])
+        ElementTree.SubElement(equality, "joint", joint1=joint.name, joint2=other, polycoef=follows)
+
+
+# -- SRDF -----------------------------------------------------------------------------------------
+
+
+def _semantics(robot: Any, exempt: Any, alone: str) -> str:
+    """Write the groups, the states, the exempt pairs, and the link that has no pairs, unless its name is empty."""
+    root = ElementTree.Element("robot", name=robot.name)
+    for name, joints in robot.groups.items():
+        group = ElementTree.SubElement(root, "group", name=name)
+        for joint in joints:
+            ElementTree.SubElement(group, "joint", name=joint)
+    for name, (of, values) in robot.states.items():
+        state = ElementTree.SubElement(root, "group_state", {"name": name} | ({"group": of} if of else {}))
+        for joint, value in values.items():
+            entries = np.atleast_1d(value)
+            if len(entries) == len(VALUES["floating"]):  # SRDF has the real part of a quaternion last
+                entries = np.concatenate([entries[:3], entries[4:], entries[3:4]])
+            ElementTree.SubElement(state, "joint", name=joint, value=numbers(entries))
+    for a, b in sorted(exempt):
+        ElementTree.SubElement(root, "disable_collisions", link1=a, link2=b)
+    if alone:
+        ElementTree.SubElement(root, "disable_default_collisions", link=alone)
+    return text_of(root)

@@ -1,0 +1,331 @@
+"""Make bodies, in the frames of their links, from collision shapes of a URDF; fits of meshes are kept on disk."""
+
+from __future__ import annotations
+
+import filecmp
+import os
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import cache
+from itertools import islice
+from pathlib import Path, PurePosixPath
+from typing import Final, Literal, get_args
+
+import numpy as np
+
+from loewner._base._files import read_regular
+from loewner._base._log import log
+from loewner._base._matrices import image
+from loewner._base._plausible import doubt_about_size, warn
+from loewner._base._validate import Floats, Progress
+from loewner._kernels import _sources
+from loewner._kernels.columns import OUTER_CENTER, OUTER_RADIUS
+from loewner.bodies import Body, packed_of
+from loewner.errors import ConvergenceError, FileError, InputError
+from loewner.meshes import decomposition as meshes
+from loewner.meshes import files as mesh_files
+from loewner.meshes.coverage import Covering
+from loewner.robots.description.link_meshes import described, mesh_body, warn_of_open_meshes
+from loewner.robots.description.urdf import Description, Shape
+
+# glTF files may keep their points in other files, so their own bytes do not determine their content.
+NOT_CACHED = (".gltf", ".glb")
+
+# Representations of a link's mesh: its convex hull, convex pieces, the triangles themselves, or its hull or the solid
+# that it encloses, as `link_meshes.hull_or_solid` chooses; and the default.
+MeshModel = Literal["hull", "pieces", "surface", "auto"]
+MODELS: tuple[MeshModel, ...] = get_args(MeshModel)
+USUAL_MODEL: Final = "auto"
+
+# Modules that make a body from a mesh file, apart from the kernels.
+_MAKERS = (
+    "meshes/files",
+    "meshes/decomposition.py",
+    "meshes/closed_parts.py",
+    "meshes/plane_cuts.py",
+    "meshes/coverage.py",
+    "meshes/protrusion.py",
+    "meshes/triangles.py",
+    "ellipsoids/polytopes.py",
+    "ellipsoids/fits.py",
+    "bodies",
+    "robots/description/link_bodies.py",
+    "robots/description/link_meshes.py",
+)
+
+PRIMITIVES: dict[str, Callable[..., Body]] = {
+    "box": lambda *size: Body.box(size),
+    "sphere": Body.sphere,
+    "cylinder": Body.cylinder,
+    "capsule": Body.capsule,
+}
+
+
+@dataclass(frozen=True, eq=False)
+class _Mesh:
+    """Those parts of a mesh that `Body.from_mesh` needs."""
+
+    vertices: Floats
+    faces: meshes.Triangles
+
+
+def link_bodies(
+    robot: Description,
+    package_dirs: Iterable[str | os.PathLike[str]],
+    *,
+    model: str,
+    tol: float,
+    cache: bool,
+    progress: Progress | None,
+) -> tuple[dict[str, Body], dict[str, tuple[str, ...]]]:
+    """Make one body for each link that has collision shapes, in the frame of the link.
+
+    Parameters
+    ----------
+    robot : Description
+    package_dirs : iterable of path
+        Folders of packages, or packages themselves.
+    model : str
+        Representation of meshes, one of `MODELS`.
+    tol : float
+        As for `Body.from_mesh`.
+    cache : bool
+        Whether to keep the fits of meshes on disk and reuse them.
+    progress : callable, optional
+        Called as ``progress(done, total)`` after each shape.
+
+    Returns
+    -------
+    bodies : dict
+        The body of each link.
+    shapes : dict
+        Descriptions of the bodies of each link's collision shapes.
+
+    Raises
+    ------
+    FileError
+        If a mesh cannot be found or read, in which case the message names the link and the places searched; or if one
+        of `package_dirs` is not a folder.
+    GeometryError
+        If a mesh is flat or empty.
+
+    Warns
+    -----
+    UserWarning
+        If a body is probably not in metres; given once. With "auto", if meshes are not closed; one warning names all.
+    """
+    folders = list(package_dirs)
+    for folder in folders:
+        if not os.path.isdir(folder):
+            raise FileError(f"{folder}: expected a folder of packages, found no such folder")
+    total, done, made, told = sum(len(shapes) for shapes in robot.shapes.values()), 0, {}, {}
+    for link, shapes in robot.shapes.items():
+        parts = []
+        for shape in shapes:
+            parts.append(_body(shape, link, robot.path, folders, model=model, tol=tol, cache=cache))
+            done += 1
+            if progress is not None:
+                progress(done, total)
+        if parts:
+            made[link] = parts[0] if len(parts) == 1 else _union(parts)
+            told[link] = tuple(
+                described(part) if shape.kind == "mesh" else shape.kind
+                for shape, part in zip(shapes, parts, strict=True)
+            )
+            if model == "auto":
+                log.info("%s, link %r: %s", robot.path, link, "; ".join(told[link]))
+    if model == "auto":
+        warn_of_open_meshes(
+            robot.path,
+            [
+                (f"{PurePosixPath(shape.file_name).name} of {link!r}", word)
+                for link, words in told.items() for shape, word in zip(robot.shapes[link], words, strict=True)
+            ],
+            "meshes='surface' (--model surface)",
+        )  # fmt: skip
+    doubts = (f"{robot.path}, link {name!r}: expected {doubt}" for name, doubt in _doubts(made) if doubt)
+    for first in islice(doubts, 1):
+        warn(first)
+    return made, told
+
+
+def _doubts(made: dict[str, Body]) -> Iterator[tuple[str, str]]:
+    """Collect reasons to doubt that bodies are in metres, keyed by body."""
+    for name, body in made.items():
+        rows = packed_of(body).kernel.table
+        if len(rows):
+            away = float(np.abs(rows[:, OUTER_CENTER : OUTER_CENTER + 3]).max())
+            yield name, doubt_about_size(float(rows[:, OUTER_RADIUS].max()), away)
+
+
+def _body(
+    shape: Shape,
+    link: str,
+    urdf: Path,
+    folders: list[str | os.PathLike[str]],
+    *,
+    model: str,
+    tol: float,
+    cache: bool,
+) -> Body:
+    if shape.kind != "mesh":
+        try:
+            return primitive(shape)
+        except (InputError, ConvergenceError) as error:
+            raise type(error)(f"{urdf}, line {shape.line}, link {link!r}: {error}") from None
+    file = mesh_file(shape, link, urdf, folders)
+    try:
+        if not cache or file.suffix.lower() in NOT_CACHED or not _sources.source_hash():
+            return _mesh_body(file, shape, model, tol)
+        key = _key(file, shape, model, tol)
+        kept = _sources.cache_folder() / "bodies" / f"{key}.npz"
+        with suppress(FileError):  # missing or damaged
+            return Body.load(kept)
+        body = _mesh_body(file, shape, model, tol)
+        if _key(file, shape, model, tol) != key:  # the file changed in between, and the body may be of either content
+            return body
+        with suppress(OSError):  # a cache that cannot be written is no error
+            kept.parent.mkdir(parents=True, exist_ok=True)
+            body.save(kept)
+        return body
+    except (FileError, InputError, ConvergenceError) as error:
+        text = str(error) if str(file) in str(error) else f"{file}: {error}"
+        raise type(error)(f"{urdf}, line {shape.line}, link {link!r}: {text}") from None
+
+
+def primitive(shape: Shape) -> Body:
+    """Make the body of a shape other than a mesh, at its pose in the link."""
+    body = PRIMITIVES[shape.kind](*shape.sizes)
+    return body if np.array_equal(shape.origin, np.eye(4)) else body.transformed(shape.origin)
+
+
+def placed_mesh(file: Path, shape: Shape) -> tuple[Floats, meshes.Triangles]:
+    """Return the vertices and triangles of a mesh, at its pose in the link."""
+    vertices, triangles = meshes.load(file)
+    if shape.scale.prod() < 0:  # a mirrored mesh would otherwise be inside out
+        triangles = triangles[:, ::-1]
+    return image(shape.origin[:3, :3], vertices * shape.scale) + shape.origin[:3, 3], triangles
+
+
+def _mesh_body(file: Path, shape: Shape, model: str, tol: float) -> Body:
+    return mesh_body(_Mesh(*placed_mesh(file, shape)), model, tol)
+
+
+@cache
+def _code() -> str:
+    """Hash the code that makes bodies, so that bodies made by a different, perhaps faulty, version are not reused."""
+    import hashlib  # it loads OpenSSL, which only robots with meshes need
+
+    digest = hashlib.sha256(_sources.source_hash().encode())
+    home = Path(meshes.__file__).parents[1]
+    for maker in _MAKERS:
+        for path in sorted((home / maker).rglob("*.py")) or [home / maker]:
+            digest.update(path.read_bytes())
+    return digest.hexdigest()
+
+
+def _key(file: Path, shape: Shape, model: str, tol: float) -> str:
+    """Hash everything that determines a fit: the contents of the file, pose, options of the fit, and code."""
+    import hashlib
+
+    digest = hashlib.sha256(repr((_code(), file.suffix.lower(), model, tol)).encode())
+    digest.update(np.concatenate([shape.scale, shape.origin.ravel()]).tobytes())
+    digest.update(read_regular(file, "a mesh file", mesh_files.LIMIT))
+    return digest.hexdigest()[:32]
+
+
+def _union(parts: list[Body]) -> Body:
+    """Make one body from all shapes of a link, with the covering of their meshes."""
+    body = Body.union(parts)
+    known = [part.covering for part in parts if part.covering is not None]
+    if not known:
+        return body
+    return Body(
+        packed_of(body),
+        Covering(
+            kind=known[0].kind if len({c.kind for c in known}) == 1 else "decomposition",
+            exact=all(c.exact for c in known),
+            max_uncovered=max(c.max_uncovered for c in known),
+            excess_volume=float("nan"),
+            samples=sum(c.samples for c in known),
+            # A piece that sticks out of its own mesh may lie inside another mesh; the bound is still valid.
+            max_protrusion=float(np.max([c.max_protrusion for c in known])),  # NaN if one is unknown
+        ),
+    )
+
+
+# -- files --------------------------------------------------------------------------------------
+
+
+def mesh_file(shape: Shape, link: str, urdf: Path, folders: Sequence[str | os.PathLike[str]]) -> Path:
+    """Find a file that a URDF names."""
+    homes = _homes(urdf)
+    looked = list(dict.fromkeys(_candidates(shape.file_name, homes, folders)))
+    for path in looked:
+        if os.path.isfile(path):  # Path.is_file raises if a name is too long or invalid
+            _expect_one(shape, link, urdf, [_candidates(shape.file_name, [home], folders) for home in homes])
+            return path
+    irregular = next((path for path in looked if os.path.exists(path)), None)
+    if irregular is not None:
+        raise FileError(
+            f"{urdf}, line {shape.line}: expected the mesh {shape.file_name!r} of link {link!r}, found {irregular}, "
+            "which is no regular file"
+        )
+    raise FileError(
+        f"{urdf}, line {shape.line}: expected the mesh {shape.file_name!r} of link {link!r}, but there is no such "
+        f"file; looked at {', '.join(map(str, looked)) or 'no place'}. Other folders of packages can be given "
+        "(package_dirs, --package-dir)"
+    )
+
+
+def package_folder(package: str, urdf: Path, folders: Sequence[str | os.PathLike[str]]) -> Path:
+    """Find the folder of a package that a robot's description names."""
+    looked = list(dict.fromkeys(_candidates(f"package://{package}/", _homes(urdf), folders)))
+    for path in looked:
+        if os.path.isdir(path):
+            return path
+    raise FileError(
+        f"{urdf}: expected the package {package!r}, but there is no such folder; looked at "
+        f"{', '.join(map(str, looked))}. Other folders of packages can be given (package_dirs, --package-dir)"
+    )
+
+
+def _homes(urdf: Path) -> list[Path]:
+    """Return the folder of a URDF; if the file is a symbolic link, the folders of the link and of its target."""
+    target = Path(os.path.realpath(urdf)).parent
+    return [urdf.absolute().parent, target] if os.path.islink(urdf) else [target]
+
+
+def _expect_one(shape: Shape, link: str, urdf: Path, places: Iterable[Iterable[Path]]) -> None:
+    """Refuse a name that means one file beside a symbolic link to a URDF, and another one beside the target."""
+    paths = [path for path in (next(filter(os.path.isfile, listed), None) for listed in places) if path is not None]
+    if len(paths) == 2 and not filecmp.cmp(paths[0], paths[1], shallow=False):
+        raise FileError(
+            f"{urdf}, line {shape.line}: expected one mesh {shape.file_name!r} of link {link!r}, found two that "
+            f"differ: {paths[0]} beside the symbolic link, and {paths[1]} beside its target"
+        )
+
+
+def _candidates(name: str, homes: Sequence[Path], folders: Sequence[str | os.PathLike[str]]) -> Iterator[Path]:
+    """List the places where a mesh may be: the given packages, ROS's packages, then the URDF's parent folders."""
+    scheme, separator, rest = name.rpartition("://")
+    given = [Path(folder) for folder in folders]
+    if separator and scheme in ("package", "model"):
+        package, _, inside = rest.partition("/")
+        above = (folder for home in homes for folder in (home, *home.parents))
+        for folder in (*given, *_ros_folders(), *above):
+            yield folder / package / inside
+            if folder.name == package:
+                yield folder / inside
+    elif not separator or scheme == "file":
+        for folder in (*homes, *given):
+            yield folder / rest  # an absolute path is kept
+
+
+def _ros_folders() -> Iterator[Path]:
+    """List the package folders of a sourced ROS workspace."""
+    for variable, below in (("ROS_PACKAGE_PATH", ""), ("AMENT_PREFIX_PATH", "share")):
+        for entry in os.environ.get(variable, "").split(os.pathsep):
+            if entry:
+                yield Path(entry) / below

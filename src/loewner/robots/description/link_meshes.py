@@ -1,0 +1,165 @@
+"""Choose the body of a link's mesh: its hull, or the solid that it encloses."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any, Literal
+
+import numpy as np
+
+from loewner._base._matrices import lengths
+from loewner._base._plausible import warn
+from loewner._base._validate import Floats, Ints
+from loewner.bodies import Body, packed_of
+from loewner.bodies.surfaces import nearly_closed
+from loewner.ellipsoids.polytopes import Polytope
+from loewner.errors import GeometryError
+from loewner.meshes import decomposition as meshes
+from loewner.meshes.closed_parts import ClosedPart, closed_parts
+from loewner.meshes.coverage import Covering
+from loewner.meshes.protrusion import Solid, protrusions
+
+# A hull is near its mesh if it sticks out by at most this length [m], or this share of the mesh's diameter.
+NEAR, NEAR_SHARE = 1e-3, 0.01
+
+# A part that encloses less than this share of the cube of the mesh's diameter has no inside: far above rounding.
+NO_INSIDE = 1e-12
+
+# Bodies of meshes that are not closed, as `described` and the warning name them.
+OPEN_HULL, CAPPED = "hull of an open mesh", "solid of a nearly closed mesh"
+OPENED = {CAPPED: "nearly closed, whose holes were closed", OPEN_HULL: "open, whose hulls were taken"}
+
+Choice = Literal["hull", "solid", "open"]
+
+
+def mesh_body(mesh: Any, model: str, tol: float) -> Body:
+    """Make the body of a mesh, as `Body.from_mesh` takes it, in one of the representations `link_bodies.MODELS`."""
+    if model == "surface":
+        return Body.from_surface(mesh)
+    if model != "auto":
+        return Body.from_mesh(mesh, decompose=model == "pieces", tol=tol)
+    choice, closed, edges = hull_or_solid(*meshes.load(mesh))
+    if choice == "hull":
+        return Body.from_mesh(closed, decompose=False, tol=tol)
+    body = Body.from_surface(closed, solid=True) if choice == "solid" else Body.from_points(closed[0], tol=tol)
+    if choice == "solid" and edges == 0:
+        return body
+    # The distance by which a body sticks out of a surface without an inside is of little use, and slow to compute.
+    kind = "solid" if choice == "solid" else "hull"
+    return Body(packed_of(body), Covering(kind, True, 0.0, excess_volume=np.nan, samples=len(closed[0])))
+
+
+def described(body: Body) -> str:
+    """Describe in a few words the body that a mesh has become; the words before the first comma are its kind."""
+    first, covering = body.pieces[0], body.covering
+    if first.triangles is not None and first.kind in ("surface", "solid"):
+        kind = "surface without an inside" if first.kind == "surface" else "solid" if covering is None else CAPPED
+        return f"{kind}, {len(first.triangles):,} triangles"
+    if covering is None:
+        return first.kind
+    reach = f"out by up to {1e3 * covering.max_protrusion:.3g} mm"
+    if covering.kind == "decomposition" or len(body.pieces) > 1:
+        return f"pieces, {len(body.pieces)} that stick {reach}"
+    return OPEN_HULL if np.isnan(covering.excess_volume) else f"hull, sticks {reach}"
+
+
+def warn_of_open_meshes(title: object, named: Iterable[tuple[str, str]], instead: str) -> None:
+    """Name all meshes that have no inside as they are, in one warning.
+
+    Parameters
+    ----------
+    title : object
+        The file or the model, for the message.
+    named : iterable of (str, str)
+        Names of meshes, and the results of `described`.
+    instead : str
+        The option that takes triangles as they are.
+    """
+    found: dict[str, list[str]] = {kind: [] for kind in OPENED}
+    for name, words in named:
+        found.get(words.partition(",")[0], []).append(name)
+    groups = [f"{len(names)} {OPENED[kind]} ({', '.join(names)})" for kind, names in found.items() if names]
+    if groups:
+        warn(
+            f"{title}: expected closed meshes, found {' and '.join(groups)}; bodies wholly within them collide, "
+            f"which they would not with the triangles alone, that is, with {instead}; look at these meshes"
+        )
+
+
+def hull_or_solid(vertices: Floats, triangles: Ints) -> tuple[Choice, tuple[Floats, Ints], int]:
+    """Choose the body of a mesh: a hull can be much larger, and a surface that is not closed has no inside.
+
+    Parameters
+    ----------
+    vertices, triangles : ndarray
+        A mesh as returned by `meshes.load`.
+
+    Returns
+    -------
+    choice : {"hull", "solid", "open"}
+        "hull": the mesh is closed, and it is proven that its hull sticks out by at most `NEAR`, or by at most
+        `NEAR_SHARE`. "solid": the mesh is closed, and this is not proven. "open": it has no inside.
+    mesh : tuple of ndarray
+        Vertices and triangles, closed if it was nearly closed, and with each closed part turned outward, unless all
+        points of it that were tried lie in a larger part: then it is a cavity of that part.
+    edges : int
+        The number of edges at which the mesh was open.
+    """
+    vertices, triangles = meshes.welded(vertices, triangles)
+    start, end = _boundary(triangles)
+    edges = len(np.unique(np.column_stack([start, end]), axis=0))
+    if edges and nearly_closed(vertices, triangles, edges):
+        vertices, triangles = _capped(vertices, triangles, start, end)
+    parts = closed_parts(vertices, triangles)
+    if parts is None:
+        return "open", (vertices, triangles), edges
+    hull = Polytope.from_points(vertices)
+    far = hull.vertices[lengths(hull.vertices - hull.vertices[0]).argmax()]
+    diameter = float(lengths(hull.vertices - far).max())  # or somewhat less, which is on the safe side
+    if not all(_has_inside(vertices, part, NO_INSIDE * diameter**3) for part in parts):
+        return "open", (vertices, triangles), edges
+    triangles = np.concatenate([part.triangles for part in parts])
+    limit, at_once = max(NEAR, NEAR_SHARE * diameter), np.finfo(float).max
+    reached = protrusions([hull], Solid(vertices[triangles], closed=True), floor=limit, relative=at_once)
+    return "hull" if reached.bounds.max() <= limit else "solid", (vertices, triangles), edges
+
+
+def _boundary(triangles: Ints) -> tuple[Ints, Ints]:
+    """Find the edges that triangles traverse more often from `start` to `end` than back, as often as they do so."""
+    start, end = triangles.ravel(), np.roll(triangles, -1, axis=1).ravel()
+    count = int(triangles.max()) + 1
+    edge, of = np.unique(np.minimum(start, end) * count + np.maximum(start, end), return_inverse=True)
+    more = np.bincount(of, np.where(start < end, 1.0, -1.0)).astype(np.int64)  # the sums are small integers
+    low, high = np.repeat(edge, np.abs(more)) // count, np.repeat(edge, np.abs(more)) % count
+    forth = np.repeat(more, np.abs(more)) > 0
+    return np.where(forth, low, high), np.where(forth, high, low)
+
+
+def _capped(vertices: Floats, triangles: Ints, start: Ints, end: Ints) -> tuple[Floats, Ints]:
+    """Close a mesh by triangles from each connected part of its boundary to the middle of that part.
+
+    As often as the boundary enters a vertex, it leaves it, so the new triangles are closed among themselves. They lie
+    in the hull of the mesh. The mesh's own triangles remain.
+    """
+    # Imported late: SciPy's graph routines are needed for meshes only.
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    used, ends = np.unique(np.concatenate([start, end]), return_inverse=True)
+    ends = ends.reshape(2, -1)
+    _, part = connected_components(coo_array((np.ones(len(start)), ends), shape=(len(used),) * 2), directed=False)
+    sums = [np.bincount(part, vertices[used, axis]) for axis in range(3)]
+    middles = np.column_stack(sums) / np.bincount(part)[:, None]
+    caps = np.column_stack([end, start, len(vertices) + part[ends[0]]])
+    return np.concatenate([vertices, middles]), np.concatenate([triangles, caps])
+
+
+def _has_inside(vertices: Floats, part: ClosedPart, least: float) -> bool:
+    """Return whether a closed part has a volume, or is flat and needs none; a sheet with two sides does not."""
+    if part.volume > least:
+        return True
+    try:
+        Polytope.from_points(vertices[np.unique(part.triangles)])
+    except GeometryError:
+        return True
+    return False

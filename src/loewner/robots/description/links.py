@@ -1,0 +1,281 @@
+"""Describe robots that are in memory: links and joints as plain data, checked to form a tree."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Container, Iterable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Literal, NoReturn
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from loewner._base import _validate
+from loewner._base._matrices import lengths, product
+from loewner._base._validate import Floats
+from loewner.bodies import Body
+from loewner.errors import InputError
+from loewner.robots.description import urdf
+from loewner.robots.description.urdf import SHORTEST_AXIS, VALUES, Description, Mimic
+from loewner.robots.description.xml_elements import LARGEST
+
+JointKind = Literal["fixed", "revolute", "continuous", "prismatic", "planar", "floating", "ball"]
+
+# Numbers of values with limits, where it is not one: positions and angle, and positions without the quaternion.
+LIMITED_VALUES = {"planar": 3, "floating": 3}
+
+RATES = ("velocity", "acceleration", "jerk")
+
+
+@dataclass(frozen=True, eq=False)
+class Joint:
+    """A joint between two links, for `Robot.from_links`.
+
+    The pose of the child in the frame of the parent is ``T_parent_joint @ motion @ T_joint_child``, where the motion is
+    a turn about the axis, a shift along it, and so on.
+
+    Attributes
+    ----------
+    name : str
+    kind : {"fixed", "revolute", "continuous", "prismatic", "planar", "floating", "ball"}
+        "planar": x, y and an angle about the axis, which is the z axis unless another one is given. "floating": a
+        position and a quaternion (wxyz). "ball": a quaternion.
+    parent, child : str
+        Names of links.
+    T_parent_joint : array_like, shape (4, 4), optional
+        Pose of the joint in the frame of the parent; translation in metres. Default: the identity.
+    T_joint_child : array_like, shape (4, 4), optional
+        Pose of the child in the frame that the joint moves. If it is given for a joint that moves, a link without a
+        body, CHILD/NAME, is that frame. Default: the identity.
+    axis : array_like, shape (3,)
+        In the frame of the joint, of any length.
+    lower, upper : float or array_like, shape (3,)
+        Limits [rad or m]; for planar joints of x, y and the angle, for floating joints of the position.
+        "revolute" without limits is "continuous".
+    velocity, acceleration, jerk : float, optional
+        Largest rates of a joint of one value [rad or m per s, s² and s³], above 0. Default: none known.
+    mimic : (str, float, float), optional
+        Makes a joint of one value follow another: its name, a multiplier and an offset.
+    reference : float
+        The value [rad or m] at which the motion of a revolute or prismatic joint is the identity.
+
+    Examples
+    --------
+    >>> from loewner import Body, Joint, Robot
+    >>> out = [[1, 0, 0, 0.5], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]
+    >>> robot = Robot.from_links(
+    ...     {"base": None, "arm": [(Body.capsule(0.05, 0.4), out)], "hand": Body.sphere(0.1)},
+    ...     [
+    ...         Joint("shoulder", "revolute", "base", "arm", axis=[0, 1, 0], lower=-2, upper=2, velocity=3),
+    ...         Joint("wrist", "continuous", "arm", "hand", T_parent_joint=out, mimic=("shoulder", -1.0, 0.0)),
+    ...     ],
+    ... )
+    >>> robot
+    Robot('robot', 3 links, 2 with bodies, 1 joints, dof 1)
+    """
+
+    name: str
+    kind: JointKind
+    parent: str
+    child: str
+    T_parent_joint: ArrayLike | None = None
+    T_joint_child: ArrayLike | None = None
+    axis: ArrayLike = (0.0, 0.0, 1.0)
+    lower: ArrayLike = -math.inf
+    upper: ArrayLike = math.inf
+    velocity: float | None = None
+    acceleration: float | None = None
+    jerk: float | None = None
+    mimic: tuple[str, float, float] | None = None
+    reference: float = 0.0
+
+
+def described(
+    links: Mapping[str, Body | None | Iterable[tuple[Body, ArrayLike | None]]], joints: Iterable[Joint], name: str
+) -> tuple[Description, dict[str, Body], dict[str, tuple[Floats, Floats]]]:
+    """Check links and joints in memory; see `Robot.from_links`.
+
+    Returns
+    -------
+    description : Description
+    bodies : dict
+        Link name to body.
+    bounds : dict
+        The lower and upper limits of joints of several values that have any, by their names.
+    """
+    if not isinstance(name, str) or not name:
+        raise InputError(f"name: expected a name, found {_validate.short(name)}")
+    if not isinstance(links, Mapping) or not links:
+        raise InputError(f"links: expected a mapping from names to bodies, found {_validate.short(links)}")
+    bodies = {link: body for link, shapes in links.items() if (body := _body(link, shapes)) is not None}
+    listed = _validate.listed(joints, "joints", wanted="a list of loewner.Joint")
+    names = dict.fromkeys(links)  # in order; frames of joints follow
+    made: dict[str, urdf.Joint] = {}
+    bounds: dict[str, tuple[Floats, Floats]] = {}
+    above: dict[str, urdf.Joint] = {}
+    for joint in listed:
+        if not isinstance(joint, Joint):
+            raise InputError(f"joints: expected loewner.Joint, found {type(joint).__name__}")
+        if _expect_name(joint.name, "a joint") in made:
+            raise InputError(f"joints: expected names that differ, found {joint.name!r} twice")
+        for end in (joint.parent, joint.child):
+            if not isinstance(end, str) or end not in links:
+                raise _validate.unknown_name(f"link of joint {joint.name!r}", end, links)
+        if joint.child in above:
+            raise InputError(
+                f"joints: expected a tree, found link {joint.child!r} below two joints, {above[joint.child].name!r} "
+                f"and {joint.name!r}"
+            )
+        checked, limits, behind = _joint(joint)
+        if behind is not None:
+            frame = unused(f"{joint.child}/{joint.name}", names)
+            names[frame] = None
+            checked = replace(checked, child=frame)
+            above[joint.child] = _fixed(frame, joint.child, behind)
+        above[checked.child] = made[joint.name] = checked
+        if limits is not None:
+            bounds[joint.name] = limits
+    path = Path(name)
+    for checked in made.values():
+        if checked.mimic is not None and checked.mimic.joint not in made:
+            raise _validate.unknown_name(f"joint that {checked.name!r} mimics", checked.mimic.joint, made)
+    made = urdf.narrowed(urdf.without_chains(made, path), path)
+    above |= {joint.child: joint for joint in made.values()}
+    order = urdf.parents_first(_fault, list(names), above)
+    return Description(name, path, dict.fromkeys(order, ()), made, above, ()), bodies, bounds
+
+
+def _fault(expected: str, found: str) -> NoReturn:
+    raise InputError(f"joints: expected {expected}, found {found}")
+
+
+def _expect_name(name: Any, what: str) -> str:
+    if not isinstance(name, str) or not name:
+        raise InputError(f"expected a name of {what}, found {_validate.short(name)}")
+    return name
+
+
+def unused(name: str, taken: Container[str]) -> str:
+    """Return a name that is not taken."""
+    while name in taken:
+        name += "_"
+    return name
+
+
+def _body(link: Any, shapes: Any) -> Body | None:
+    """Make the body of a link of one body, or of several at their poses."""
+    _expect_name(link, "a link")
+    if shapes is None or isinstance(shapes, Body):
+        return shapes
+    wanted = "a body, None, or a list of pairs [(body, pose), ...]"
+    parts = []
+    for entry in _validate.listed(shapes, f"link {link!r}", wanted=wanted):
+        if not isinstance(entry, (tuple, list)) or len(entry) != 2 or not isinstance(entry[0], Body):
+            raise InputError(f"link {link!r}: expected {wanted}, found {_validate.short(entry)}")
+        body, T = entry
+        parts.append(body if T is None else body.transformed(_validate.pose(T, f"a pose in link {link!r}")))
+    return None if not parts else parts[0] if len(parts) == 1 else Body.union(parts)
+
+
+def _joint(joint: Joint) -> tuple[urdf.Joint, tuple[Floats, Floats] | None, Floats | None]:
+    """Check one joint; return also its limits if it has several values, and the pose of its child on it."""
+    what = f"joint {joint.name!r}"
+    kind = _validate.choice(joint.kind, f"kind of {what}", VALUES)
+    origin = _pose(joint.T_parent_joint, f"T_parent_joint of {what}")
+    behind = _pose(joint.T_joint_child, f"T_joint_child of {what}")
+    if kind == "fixed":
+        origin, behind = product(origin, behind), np.eye(4)
+    single = len(VALUES[kind]) == 1
+    lower, upper = _limits(joint, kind, what)
+    velocity, acceleration, jerk = (_rate(getattr(joint, rate), kind, f"{rate} of {what}") for rate in RATES)
+    reference = _validate.real(joint.reference, f"reference of {what}")
+    if reference and not single:
+        raise InputError(f"reference of {what}: expected 0 for a {kind} joint, found {reference:g}")
+    made = urdf.Joint(
+        name=joint.name,
+        kind="continuous" if kind == "revolute" and math.inf == float(upper[0]) == -float(lower[0]) else kind,
+        parent=joint.parent,
+        child=joint.child,
+        origin=origin,
+        axis=unit_axis(joint.axis, f"axis of {what}"),
+        lower=float(lower[0]) if single else -math.inf,
+        upper=float(upper[0]) if single else math.inf,
+        mimic=None if joint.mimic is None else _mimic(joint.mimic, kind, f"mimic of {what}"),
+        line=0,
+        reference=reference,
+        velocity=velocity,
+        acceleration=acceleration,
+        jerk=jerk,
+    )
+    several = not single and bool(np.isfinite([lower, upper]).any())
+    return made, (lower, upper) if several else None, None if np.array_equal(behind, np.eye(4)) else behind
+
+
+def _pose(T: ArrayLike | None, name: str) -> Floats:
+    """Check a pose that is multiplied with others: its numbers must not overflow."""
+    pose = _validate.pose(T, name)
+    if np.abs(pose).max() > LARGEST:
+        raise InputError(f"{name}: expected numbers within ±{LARGEST:g}, found {np.abs(pose).max():g}")
+    return pose
+
+
+def _rate(given: float | None, kind: str, name: str) -> float:
+    """Check the largest rate of a joint of one value; NaN for none."""
+    if given is None:
+        return math.nan
+    if len(VALUES[kind]) != 1:
+        raise InputError(f"{name}: expected None for a {kind} joint, found {given}")
+    return _validate.positive_scalar(given, name)
+
+
+def _limits(joint: Joint, kind: str, what: str) -> tuple[Floats, Floats]:
+    """Check the limits of a joint; return one number for each value that may have limits."""
+    count = 1 if len(VALUES[kind]) == 1 else LIMITED_VALUES.get(kind, 0)
+    ends = []
+    for name in ("lower", "upper"):
+        given = _validate.float_array(getattr(joint, name), f"{name} of {what}")
+        if given.ndim and given.shape != (count,):
+            expected = f"shape {_validate.shape_text((count,))}" if count else "a number"
+            raise InputError(f"{name} of {what}: expected {expected}, found {_validate.shape_text(given.shape)}")
+        ends.append(np.broadcast_to(given, (max(count, 1),)))
+    lower, upper = ends
+    if not (lower <= upper).all() or (lower == math.inf).any() or (upper == -math.inf).any():
+        raise InputError(f"limits of {what}: expected lower ones up to upper ones, found {lower} and {upper}")
+    if (kind == "continuous" or not count) and np.isfinite([lower, upper]).any():
+        raise InputError(f"limits of {what}: expected none for a {kind} joint, found {lower[0]:g} .. {upper[0]:g}")
+    return lower, upper
+
+
+def unit_axis(axis: ArrayLike, name: str) -> Floats:
+    """Check a direction of any length, and return it with length 1."""
+    direction = _validate.finite_array(axis, name, (3,))
+    longest = float(np.abs(direction).max())
+    if longest < SHORTEST_AXIS:
+        raise InputError(f"{name}: expected a direction, found {direction.tolist()}")
+    direction = direction / longest  # its squares do not overflow
+    return np.asarray(direction / lengths(direction))
+
+
+def _mimic(mimic: Any, kind: str, what: str) -> Mimic:
+    joint, multiplier, offset = checked_mimic(mimic, what)
+    if len(VALUES[kind]) != 1:
+        raise InputError(f"{what}: expected None for a {kind} joint, found {_validate.short(mimic)}")
+    return Mimic(joint, multiplier, offset)
+
+
+def checked_mimic(mimic: Any, what: str) -> tuple[str, float, float]:
+    """Check the rule of a joint that follows another: the other's name, a multiplier and an offset."""
+    if not isinstance(mimic, (tuple, list)) or len(mimic) != 3 or not isinstance(mimic[0], str):
+        raise InputError(
+            f"{what}: expected the name of a joint, a multiplier and an offset, found {_validate.short(mimic)}"
+        )
+    multiplier, offset = (_validate.real(number, what) for number in mimic[1:])
+    if max(abs(multiplier), abs(offset)) > LARGEST:
+        raise InputError(f"{what}: expected numbers within ±{LARGEST:g}, found {multiplier:g} and {offset:g}")
+    return mimic[0], multiplier, offset
+
+
+def _fixed(parent: str, child: str, origin: Floats) -> urdf.Joint:
+    none = np.array([1.0, 0.0, 0.0])
+    return urdf.Joint(child, "fixed", parent, child, origin, none, -math.inf, math.inf, math.nan, None, 0)

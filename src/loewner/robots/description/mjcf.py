@@ -1,0 +1,143 @@
+"""Convert MuJoCo models to trees of links and joints."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from loewner._base._matrices import product
+from loewner._base._plausible import warn
+from loewner._base._validate import Floats
+from loewner.bodies import Body
+from loewner.robots.description.srdf import Semantics, State
+from loewner.robots.description.urdf import VALUES, Description, Joint, Mimic, narrowed, without_chains
+from loewner.robots.description.xml_elements import some
+from loewner.scenes.mjcf_models import MjcfBody, MjcfJoint, MjcfModel
+
+# Values of keyframes may deviate by this much from where couplings put a joint [rad or m].
+UNCOUPLED = 1e-6
+
+KINDS = {"slide": "prismatic", "ball": "ball", "free": "floating"}
+
+
+def description_of(model: MjcfModel) -> tuple[Description, dict[str, Body]]:
+    """Read the links and joints of a model, and the bodies of the links.
+
+    Each body of the model is a link in its own frame. If several joints move it, or its joint's anchor is not its
+    origin, a chain of links without bodies is inserted above it. Each additional part of a body is a link fixed to it.
+    """
+    above: dict[str, Joint] = {}
+    joints: dict[str, Joint] = {}
+    links = {body.name for body in model.bodies} | {part.name for body in model.bodies for part in body.parts}
+    order: list[str] = []
+    for number, body in enumerate(model.bodies):
+        for joint in _joints_of(body, model.bodies[body.parent].name, links) if number else ():
+            above[joint.child] = joint
+            order.append(joint.child)
+            if joint.kind != "fixed":
+                joints[joint.name] = joint
+        order += [] if number else [body.name]
+        for part in body.parts:
+            if part.name != body.name:
+                above[part.name] = _fixed(body.name, part.name, np.eye(4))
+                order.append(part.name)
+    joints = narrowed(without_chains(joints, model.path), model.path)
+    above |= {joint.child: joint for joint in joints.values()}
+    bodies = {part.name: part.body for body in model.bodies for part in body.parts}
+    description = Description(
+        name=model.name,
+        path=model.path,
+        shapes=dict.fromkeys(order, ()),
+        joints=joints,
+        joint_above=above,
+        only_visual=(),
+    )
+    return description, bodies
+
+
+def semantics_of(model: MjcfModel, robot: Description) -> Semantics:
+    """Return keyframes as states, and the pairs of links that MuJoCo skips as disabled pairs."""
+    states, theirs = {}, qpos_columns(robot)
+    uncoupled = []
+    for name, qpos in model.keyframes.items():
+        state: State = ("", {})
+        for joint, columns in theirs.items():
+            values = tuple(qpos[list(columns)].tolist())
+            rule = robot.joints[joint].mimic
+            if rule is None:
+                state[1][joint] = values[0] if len(values) == 1 else values
+            elif abs(rule.multiplier * qpos[theirs[rule.joint][0]] + rule.offset - values[0]) > UNCOUPLED:
+                uncoupled.append(f"{joint!r} in {name!r}")
+        states[name] = state
+    if uncoupled:
+        warn(f"{model.path}: keyframes have values of joints that follow others, which are not used: {some(uncoupled)}")
+    return Semantics(states=states, disabled_pairs=model.related_pairs | model.excluded_pairs, ruled=True)
+
+
+def qpos_columns(robot: Description) -> dict[str, tuple[int, ...]]:
+    """Return the columns of each joint in MuJoCo's qpos."""
+    columns, at = {}, 0
+    for name, joint in robot.joints.items():
+        width = len(VALUES[joint.kind])
+        columns[name] = tuple(range(at, at + width))
+        at += width
+    return columns
+
+
+def _joints_of(body: MjcfBody, parent: str, links: set[str]) -> Iterator[Joint]:
+    """List the joints between a body and its parent, starting at the parent.
+
+    Hinges and balls turn about their anchor. The link below such a joint therefore has its origin at the anchor, and
+    the next frame is moved back.
+    """
+    T_above_body = body.T_parent_body  # the body's frame so far, relative to the last link
+    if body.joints and body.joints[0].kind == "free":  # its values are the pose in the world
+        T_above_body = np.eye(4)
+    last = len(body.joints) - 1
+    for number, joint in enumerate(body.joints):
+        turns = joint.kind in ("hinge", "ball")
+        anchor = joint.anchor if turns else np.zeros(3)
+        ends = number == last and not anchor.any()
+        child = body.name if ends else _link_name(f"{body.name}/{joint.name}", links)
+        yield _moving(joint, parent, child, product(T_above_body, _shift(anchor)))
+        parent, T_above_body = child, _shift(-anchor)
+    if parent != body.name:
+        yield _fixed(parent, body.name, T_above_body)
+
+
+def _link_name(name: str, links: set[str]) -> str:
+    while name in links:
+        name += "_"
+    links.add(name)
+    return name
+
+
+def _shift(by: Floats) -> Floats:
+    T = np.eye(4)
+    T[:3, 3] = by
+    return T
+
+
+def _moving(joint: MjcfJoint, parent: str, child: str, origin: Floats) -> Joint:
+    limited = math.isfinite(joint.lower) or math.isfinite(joint.upper)
+    return Joint(
+        name=joint.name,
+        kind=KINDS.get(joint.kind, "revolute" if limited else "continuous"),
+        parent=parent,
+        child=child,
+        origin=origin,
+        axis=joint.axis,
+        lower=joint.lower,
+        upper=joint.upper,
+        velocity=math.nan,
+        mimic=None if joint.mimic is None else Mimic(*joint.mimic),
+        line=0,
+        reference=joint.reference,
+    )
+
+
+def _fixed(parent: str, child: str, origin: Floats) -> Joint:
+    none = np.array([1.0, 0.0, 0.0])
+    return Joint(child, "fixed", parent, child, origin, none, -math.inf, math.inf, math.nan, None, 0)

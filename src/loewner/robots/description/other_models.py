@@ -1,0 +1,256 @@
+"""Make robots of other libraries' models: their shapes as bodies of links, and the order of their configurations."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Container, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+from typing import NamedTuple
+
+import numpy as np
+
+from loewner._base import _elementary, _validate
+from loewner._base._matrices import product
+from loewner._base._plausible import warn
+from loewner._base._read_only import KeepsReadOnly
+from loewner._base._validate import Bools, Floats, Ints, Pair
+from loewner._kernels import columns
+from loewner._kernels.records import Tree
+from loewner.bodies import Body
+from loewner.errors import ConvergenceError, InputError
+from loewner.queries import pairs as queries
+from loewner.robots.description.links import Joint, unused
+from loewner.robots.description.tree import constant_pose
+from loewner.robots.description.xml_elements import some
+
+
+class Shape(NamedTuple):
+    """A collision shape of a model: a body at a pose in a link."""
+
+    link: str
+    name: str
+    body: Body
+    T_link_body: Floats
+
+
+class Model(NamedTuple):
+    """The parts of a robot that another library has modelled.
+
+    Attributes
+    ----------
+    name : str
+    links : tuple of str
+        The first is the world.
+    joints : tuple of Joint
+    shapes : list of Shape
+    checked : ndarray of bool, shape (n, n)
+        Which shapes are checked with each other; symmetric.
+    order : Order
+    """
+
+    name: str
+    links: tuple[str, ...]
+    joints: tuple[Joint, ...]
+    shapes: list[Shape]
+    checked: Bools
+    order: Order
+
+
+class Order(NamedTuple):
+    """Where a model has the values of joints in its configurations.
+
+    Attributes
+    ----------
+    library : str
+    width : int
+        Number of values of a configuration.
+    columns : mapping
+        Joint to the columns of its values, in our order; two columns for one value are its cosine and sine.
+    constants : mapping
+        Column to its value, if it does not change.
+    """
+
+    library: str
+    width: int
+    columns: Mapping[str, tuple[int, ...]]
+    constants: Mapping[int, float]
+
+
+@dataclass(frozen=True, eq=False)
+class Layout(KeepsReadOnly):
+    """Convert configurations of a robot to the order of its model, and back.
+
+    Attributes
+    ----------
+    library : str
+    names : tuple of str
+        For messages: the joint of each column of the model.
+    source, factors, offsets : ndarray, shape (width,)
+        Each column of the model is a multiple of one of our columns, plus a constant; columns beyond ours are zero.
+    own : ndarray, shape (dof,)
+        The column of the model that equals each of ours.
+    turning : ndarray, shape (k, 3)
+        Our columns that the model has as cosine and sine, and the columns of the cosine and the sine.
+    """
+
+    library: str
+    names: tuple[str, ...]
+    source: Ints
+    factors: Floats
+    offsets: Floats
+    own: Ints
+    turning: Ints
+
+    def exported(self, Q: Floats) -> Floats:
+        """Return the model's configurations for ours, shape (..., dof)."""
+        q = self.exported_rates(Q) + self.offsets
+        for column, cosine, sine in self.turning.tolist():
+            q[..., cosine], q[..., sine] = _elementary.cos(Q[..., column]), _elementary.sin(Q[..., column])
+        return q
+
+    def exported_rates(self, rates: Floats) -> Floats:
+        """Return the rates of the model's values for ours; there are no cosines and sines among them."""
+        padded = np.concatenate([rates, np.zeros((*rates.shape[:-1], 1))], axis=-1)
+        return np.asarray(self.factors * padded[..., self.source])
+
+    def imported(self, q: Floats, tolerance: float) -> Floats:
+        """Return our configurations for the model's, shape (..., width), which must keep its couplings."""
+        Q = q[..., self.own]
+        for column, cosine, sine in self.turning.tolist():
+            Q[..., column] = _elementary.arctan2(q[..., sine], q[..., cosine])
+        off = np.abs(self.exported(Q) - q)
+        if off.size and not off.max() <= tolerance:
+            at = np.unravel_index(off.argmax(), off.shape)
+            raise InputError(
+                f"q: expected values within {tolerance:g} of what couplings, locked joints and norms of cosines and "
+                f"sines demand, found {q[at]:.6g} for {self.names[int(at[-1])]!r}, which is {off[at]:.3g} off"
+            )
+        return np.ascontiguousarray(Q)
+
+
+def layout_of(
+    order: Order, own_columns: Mapping[str, slice], above: Sequence[str], tree: Tree, references: Mapping[str, float]
+) -> Layout:
+    """Find how configurations of a robot correspond to its model's.
+
+    Parameters
+    ----------
+    order : Order
+    own_columns : mapping
+        Joint to its columns in our configurations.
+    above : sequence of str
+        The joint above each link of the tree; empty for none.
+    tree : Tree
+    references : mapping
+        Joint to its value where the tree has 0, for joints where it is not 0.
+    """
+    dof = max((at.stop for at in own_columns.values()), default=0)
+    source, factors, offsets = np.full(order.width, dof), np.zeros(order.width), np.zeros(order.width)
+    own, turning, names = np.zeros(dof, dtype=np.int64), [], ["?"] * order.width
+    rows = {joint: k for k, joint in enumerate(above)}
+    for joint, theirs in order.columns.items():
+        at, k = own_columns.get(joint), rows[joint]
+        for column in theirs:
+            names[column] = joint
+        if at is None:  # it mimics another
+            source[theirs[0]], factors[theirs[0]] = tree.column[k], tree.multiplier[k]
+            offsets[theirs[0]] = tree.offset[k] + references.get(joint, 0.0)
+        elif len(theirs) == at.stop - at.start:
+            source[list(theirs)], factors[list(theirs)] = np.arange(at.start, at.stop), 1.0
+            own[at] = theirs
+        else:
+            turning.append((at.start, *theirs))
+            own[at] = theirs[0]
+    for column, value in order.constants.items():
+        offsets[column] = value
+    made = source, factors, offsets, own, np.array(turning, dtype=np.int64).reshape(-1, 3)
+    for array in made:
+        array.setflags(write=False)
+    return Layout(order.library, tuple(names), *made)
+
+
+def chained(
+    moves: Sequence[Joint], parent: str, child: str, T_parent_joint: Floats, T_joint_child: Floats
+) -> Iterator[Joint]:
+    """List the joints, one behind the other, that together are one joint of a model between two links."""
+    for move in moves:
+        last = move is moves[-1]
+        below = child if last else f"{child}/{move.name}"
+        before, own = T_parent_joint if move is moves[0] else np.eye(4), _validate.pose(move.T_parent_joint, "pose")
+        behind = T_joint_child if last else None
+        yield replace(move, parent=parent, child=below, T_parent_joint=product(before, own), T_joint_child=behind)
+        parent = below
+
+
+def made_body(make: Callable[[], Body], what: str) -> Body:
+    """Make the body of a shape; errors name the shape."""
+    try:
+        return make()
+    except (InputError, ConvergenceError) as error:
+        raise type(error)(f"{what}: {error}") from None
+
+
+def with_shapes(
+    links: Sequence[str], joints: Sequence[Joint], shapes: Sequence[Shape], checked: Bools
+) -> tuple[dict[str, list[tuple[Body, Floats]] | None], list[Joint], list[Pair]]:
+    """Give links the shapes of a model, whose rules on pairs are for shapes instead of links.
+
+    Shapes of a link that are checked with the same others form its body; each further class of them becomes a link
+    fixed to it. Each shape of the first link, the world, becomes a link of its own.
+
+    Returns
+    -------
+    links, joints, disabled
+        As `Robot.from_links` takes them.
+    """
+    classes: dict[tuple[str, object], list[int]] = {}
+    for k, shape in enumerate(shapes):
+        classes.setdefault((shape.link, k if shape.link == links[0] else checked[k].tobytes()), []).append(k)
+    made: dict[str, list[tuple[Body, Floats]] | None] = dict.fromkeys(links)
+    all_joints = {joint.name: joint for joint in joints}
+    names, firsts = [], []
+    for (link, _), members in classes.items():
+        first, name = shapes[members[0]], link
+        if link == links[0] or made[link] is not None:
+            name = unused(first.name if link == links[0] else f"{link}/{first.name}", made)
+            joint = unused(name, all_joints)
+            all_joints[joint] = Joint(joint, "fixed", link, name)
+        made[name] = [(shapes[k].body, shapes[k].T_link_body) for k in members]
+        names.append(name)
+        firsts.append(members[0])
+    skipped = np.argwhere(np.tril(~checked[np.ix_(firsts, firsts)], -1)).tolist()
+    return made, list(all_joints.values()), [(names[a], names[b]) for a, b in skipped]
+
+
+def warn_of_fixed_contacts(
+    model: Model, bodies: Mapping[str, Body], names: Sequence[str], tree: Tree, skipped: Container[Pair]
+) -> None:
+    """Warn of bodies that are fixed to each other and collide: no checker checks them, but their library does."""
+    fixed = tree.kind == columns.FIXED
+    groups = np.where(fixed, tree.parent, np.arange(len(names)))
+    poses = {
+        name: (int(groups[k]), constant_pose(tree.constants[k]) if fixed[k] else np.eye(4))
+        for k, name in enumerate(names) if name in bodies
+    }  # fmt: skip
+    found = [
+        f"{a!r} and {b!r}" for a, b in combinations(sorted(poses), 2)
+        if poses[a][0] == poses[b][0] and (a, b) not in skipped
+        and queries.collide(bodies[a], poses[a][1], bodies[b], poses[b][1])
+    ]  # fmt: skip
+    if found:
+        warn(f"{model.name}: not checked, since they are fixed to each other, although they collide: {some(found)}")
+
+
+def unique(names: Sequence[str], scopes: Sequence[str]) -> list[str]:
+    """Return the names, with their scopes where a name occurs twice, and underscores where that is not enough."""
+    found: list[str] = []
+    for name, scope in zip(names, scopes, strict=True):
+        made = name if names.count(name) == 1 else f"{scope}::{name}"
+        found.append(unused(made, found))
+    return found
+
+
+def expect(given: object, kind: str, what: str) -> None:
+    """Refuse an object whose class, or a class above it, is not of this name."""
+    if kind not in (base.__name__ for base in type(given).__mro__):
+        raise InputError(f"{what}: expected a {kind}, found {_validate.short(given)}")

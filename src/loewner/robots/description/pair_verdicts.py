@@ -1,0 +1,246 @@
+"""Hold the answers to whether pairs of bodies can ever collide, and write them as rules of an SRDF."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from enum import StrEnum
+from pathlib import Path
+from typing import Any
+from xml.sax.saxutils import quoteattr
+
+import numpy as np
+
+from loewner._base import _validate
+from loewner._base._files import read_regular, replacing
+from loewner._base._validate import Floats, Pair
+from loewner.errors import FileError, InputError, UnknownNameError
+from loewner.robots.description.xml_elements import MOST_BYTES, read_xml
+
+
+class PairVerdict(StrEnum):
+    """Whether a pair can collide, at any configuration of a range."""
+
+    NEVER = "NEVER"
+    ALWAYS = "ALWAYS"
+    SOMETIMES = "SOMETIMES"
+    CAN = "CAN"
+    OPEN = "OPEN"
+
+
+# Reasons that MoveIt's setup assistant writes, for verdicts that exempt a pair.
+REASONS = {PairVerdict.NEVER: "Never", PairVerdict.ALWAYS: "Always"}
+
+
+@dataclass(frozen=True, eq=False)
+class ProvenPair:
+    """An answer about one pair, over ranges of the joints between its bodies.
+
+    Attributes
+    ----------
+    names : tuple of str
+    verdict : str
+        NEVER: the bodies are proven to be farther apart than the margin at every configuration of the range. ALWAYS:
+        they are proven to be within the margin at every one. SOMETIMES: they are at ``colliding``, and not at ``free``.
+        CAN: they are at ``colliding``, and no configuration without contact was found. OPEN: no contact was found, and
+        not all of the range could be proven; see ``reason``.
+    columns : tuple of str
+        The values on which the pair depends, named as in `Robot.configuration_names`.
+    lower, upper : ndarray, shape (columns,)
+        The ranges of the values, in radians or metres.
+    margin : float
+        Distance in metres that counts as contact.
+    distance : float
+        The least signed distance that was found [m]; a negative value is a depth. NaN if none could be computed.
+    nearest : ndarray, shape (dof,), or None
+        A configuration with this distance; values on which the pair does not depend are as in
+        `Robot.configuration`.
+    colliding, free : ndarray, shape (dof,), or None
+        A configuration at which the bodies are within the margin, as `CollisionChecker.collide` confirms, and one at
+        which they are not.
+    boxes : int
+        The number of boxes of configurations that were examined.
+    share : float
+        The share of the range that is proven.
+    complete : bool
+        Whether the range holds all values between the hard limits of the robot.
+    reason : str
+        Why the pair is OPEN or CAN; empty otherwise.
+    """
+
+    names: Pair
+    verdict: PairVerdict
+    columns: tuple[str, ...]
+    lower: Floats
+    upper: Floats
+    margin: float = 0.0
+    distance: float = np.nan
+    nearest: Floats | None = None
+    colliding: Floats | None = None
+    free: Floats | None = None
+    boxes: int = 0
+    share: float = 0.0
+    complete: bool = True
+    reason: str = ""
+
+    def __repr__(self) -> str:
+        return _validate.brief(self)
+
+    @property
+    def range_text(self) -> str:
+        """The range as text: "elbow 0 .. 1.5, rail 0 .. 2"."""
+        ends = zip(self.columns, self.lower.tolist(), self.upper.tolist(), strict=True)
+        return ", ".join(f"{name} {low:.6g} .. {high:.6g}" for name, low, high in ends)
+
+
+@dataclass(frozen=True, eq=False)
+class ProvenPairs:
+    """Which pairs of bodies can ever collide; a sequence of `ProvenPair`.
+
+    Attributes
+    ----------
+    robot : str
+        Name of the robot.
+    rows : tuple of ProvenPair
+        Sorted by names.
+    rigid : tuple of pairs of str
+        Pairs in question whose bodies are on one rigid part. They are never checked.
+    proof : Proof or None
+        A proof of all rows, which are NEVER, for other programs to verify; None if none was requested.
+
+    Examples
+    --------
+    >>> from loewner import Robot
+    >>> found = Robot.from_urdf("arm.urdf").prove_pairs([("rail", "forearm"), ("rail", "cart")])
+    >>> [(row.names, str(row.verdict)) for row in found]
+    [(('cart', 'rail'), 'NEVER'), (('forearm', 'rail'), 'NEVER')]
+    """
+
+    robot: str
+    rows: tuple[ProvenPair, ...]
+    rigid: tuple[Pair, ...] = ()
+    proof: Any = None
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    def __iter__(self) -> Iterator[ProvenPair]:
+        return iter(self.rows)
+
+    def __getitem__(self, pair: int | Pair) -> ProvenPair:
+        """Return a row by its number, or by the names of its pair in any order."""
+        if isinstance(pair, (int, np.integer)):
+            return self.rows[pair]
+        for row in self.rows:
+            if set(row.names) == set(pair):
+                return row
+        raise UnknownNameError(f"expected a pair among the {len(self.rows)} rows, found {_validate.short(pair)}")
+
+    def __repr__(self) -> str:
+        counts = ", ".join(f"{len(self.with_verdict(kind))} {kind}" for kind in PairVerdict if self.with_verdict(kind))
+        return f"ProvenPairs({self.robot!r}, {len(self.rows)} pairs: {counts or 'none'})"
+
+    def _repr_html_(self) -> str:
+        from html import escape
+
+        head = "".join(f"<th>{title}</th>" for title in ("pair", "verdict", "least distance [mm]", "range", "reason"))
+        lines = []
+        for row in self.rows:
+            found = "" if np.isnan(row.distance) else f"{1e3 * row.distance:.3f}"
+            cells = (" – ".join(row.names), str(row.verdict), found, row.range_text, row.reason)
+            lines.append("<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in cells) + "</tr>")
+        return f"<table><tr>{head}</tr>{''.join(lines)}</table>"
+
+    def with_verdict(self, *verdicts: PairVerdict | str) -> tuple[ProvenPair, ...]:
+        """Return the rows with one of the given verdicts."""
+        wanted = {PairVerdict(verdict) for verdict in verdicts}
+        return tuple(row for row in self.rows if row.verdict in wanted)
+
+    @property
+    def exempt(self) -> frozenset[Pair]:
+        """The pairs that are proven to collide never or always, for `Robot.disabling`."""
+        return frozenset(row.names for row in self.with_verdict(PairVerdict.NEVER, PairVerdict.ALWAYS))
+
+    def to_srdf(self, path: str | os.PathLike[str], *, narrower: bool = False) -> tuple[Pair, ...]:
+        """Add the pairs that are proven to an SRDF, as pairs that need no check.
+
+        A pair that is proven never to collide gets the reason "Never", one that always collides the reason "Always",
+        each with the range of the proof as a comment. All that the file contains already is left as it is.
+
+        Parameters
+        ----------
+        path : path
+            An SRDF of this robot, or a new file.
+        narrower : bool
+            Also write pairs that are proven for a range narrower than the hard limits of the robot.
+
+        Returns
+        -------
+        tuple of pairs of str
+            The pairs that were written. Pairs that the file lists already are not written again.
+
+        Raises
+        ------
+        InputError
+            If a proven range is narrower than the hard limits, unless `narrower` is given; or if the margin is not 0
+            and a pair is ALWAYS within it, which proves no contact.
+        FileError
+            If the file is not an SRDF of this robot, or cannot be read or written.
+        """
+        target = _validate.path(path, "path", wanted="the path of an SRDF")
+        rows = self.with_verdict(*REASONS)
+        for row in rows:
+            if not row.complete and not _validate.flag(narrower, "narrower"):
+                raise InputError(
+                    f"expected proofs over the hard limits of the joints, found {row.verdict} of "
+                    f"{' and '.join(row.names)} over {row.range_text}; narrower=True writes it nevertheless"
+                )
+            if row.verdict is PairVerdict.ALWAYS and row.margin > 0:
+                raise InputError(
+                    f"expected proofs without a margin, found that {' and '.join(row.names)} are always within "
+                    f"{row.margin:g} m, which is no contact"
+                )
+        before, known = _srdf(target, self.robot)
+        new = [row for row in rows if frozenset(row.names) not in known]
+        lines = "".join(
+            f"  <disable_collisions link1={quoteattr(row.names[0])} link2={quoteattr(row.names[1])} "
+            f'reason="{REASONS[row.verdict]}"/>  <!-- proven: {_comment(row.range_text)} -->\n'
+            for row in new
+        )
+        # Not in a comment.
+        at = re.sub(r"<!--.*?-->", lambda comment: " " * len(comment[0]), before, flags=re.DOTALL).rindex("</robot")
+        after = before[:at] + lines.replace("\n", "\r\n" if "\r\n" in before else "\n") + before[at:]
+        if not {frozenset(row.names) for row in new} <= _listed(target, after):
+            raise FileError(f"{target}: expected an SRDF that ends in </robot>, found another end")
+        with replacing(target) as temporary:
+            temporary.write_bytes(after.encode())
+        return tuple(row.names for row in new)
+
+
+def _comment(text: str) -> str:
+    """Text as it may be in a comment of XML."""
+    return text.replace("--", "- -")
+
+
+def _srdf(path: Path, robot: str) -> tuple[str, set[frozenset[str]]]:
+    """Return the text of an SRDF, a new one if there is none, and the pairs that it lists."""
+    if not path.exists():
+        return f'<?xml version="1.0"?>\n<robot name={quoteattr(robot)}>\n</robot>\n', set()
+    root, data = read_xml(path, "an SRDF"), read_regular(path, "an SRDF", MOST_BYTES)
+    name = root.attributes.get("name", "")
+    try:
+        text = data.decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise FileError(f"{path}: expected an SRDF in UTF-8, found another encoding ({error})") from None
+    if name != robot or "</robot" not in text:
+        raise FileError(f"{path}: expected an SRDF of the robot {robot!r} that ends in </robot>, found one of {name!r}")
+    return text, _listed(path, text)
+
+
+def _listed(path: Path, text: str) -> set[frozenset[str]]:
+    """Return the pairs that the text of an SRDF lists, also as pairs to check."""
+    root = read_xml(path, "an SRDF", text.removeprefix("\ufeff"))
+    elements = [*root.all("disable_collisions"), *root.all("enable_collisions")]
+    return {frozenset((one.attributes.get("link1", ""), one.attributes.get("link2", ""))) for one in elements}

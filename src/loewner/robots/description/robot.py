@@ -1,0 +1,2048 @@
+"""Define robots: links connected by joints, their bodies, and the poses of the links at many configurations."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from itertools import combinations
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, cast
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from loewner._base import _elementary, _validate
+from loewner._base._guard import guarded
+from loewner._base._kept import kept
+from loewner._base._matrices import dot, lengths, power
+from loewner._base._pictures import LINKS, Shape, bodies, pictured
+from loewner._base._plausible import FARTHEST_LIMIT
+from loewner._base._read_only import KeepsReadOnly
+from loewner._base._threads import in_shares
+from loewner._base._validate import Bools, Floats, Named, OneOrMany, Pair, Progress
+from loewner._kernels import columns as kernel_columns
+from loewner._kernels.records import Tree
+from loewner._native import entries
+from loewner.bodies import Body, for_pictures, packed_of
+from loewner.ellipsoids.fits import checked_tolerance
+from loewner.errors import InputError, UnknownNameError
+from loewner.robots.description import assembly, reaching
+from loewner.robots.description.assembly import Part, Source
+from loewner.robots.description.drake import drake_model
+from loewner.robots.description.link_bodies import MODELS, PRIMITIVES, USUAL_MODEL, MeshModel, link_bodies
+from loewner.robots.description.links import Joint as LinkJoint
+from loewner.robots.description.links import described
+from loewner.robots.description.mjcf import description_of, qpos_columns, semantics_of
+from loewner.robots.description.other_models import (
+    Layout,
+    Model,
+    Order,
+    expect,
+    layout_of,
+    warn_of_fixed_contacts,
+    with_shapes,
+)
+from loewner.robots.description.pair_verdicts import ProvenPairs
+from loewner.robots.description.pinocchio import pinocchio_model
+from loewner.robots.description.srdf import Semantics, State, read_srdf
+from loewner.robots.description.tree import adjacent_pairs, columns_of, placed_tree, tree_of
+from loewner.robots.description.urdf import VALUES, Description, Joint, doubt_limits, read_urdf
+from loewner.robots.description.watch import LARGEST_VALUE, Watch
+from loewner.robots.description.xacro_files import SUFFIX, expanded, refuse_unused
+from loewner.scenes.mjcf_models import MjcfModel, compiled_model, name_of, read_mjcf
+from loewner.scenes.scene import Scene
+
+if TYPE_CHECKING:
+    from loewner.meshes.coverage import CoverReport
+
+# Allowed deviation from 1 of a quaternion's norm: far above rounding, far below the deviation after interpolation.
+QUATERNION_TOLERANCE = 1e-6
+
+# Kinds of joints whose last four values are a quaternion.
+WITH_QUATERNION = ("floating", "ball")
+
+# In pictures, the balls of robots with more links than this are coarse.
+MANY_LINKS = 30
+
+# Smallest number of configurations that a thread takes at a time: about 0.1 ms of work.
+LEAST_SHARE = 1024
+
+# How `Robot.prove_pairs`, `free_range` and the methods on covers are answered: `pair_ranges`, `covers` and
+# `cover_files`, which are above this module, put their functions here.
+answers: dict[str, Callable[..., object]] = {}
+
+
+def _text_of(
+    path: str | os.PathLike[str] | None,
+    text: str | None,
+    xacro_args: Mapping[str, object] | None,
+    places: list[Path],
+    used: set[str],
+) -> str | None:
+    """Return the text of a URDF that is given as a string or as a xacro file; None for other files.
+
+    Names of arguments that the file declares are added to `used`.
+    """
+    if path is None and text is None:
+        raise InputError("path: expected a path to a URDF, found None, and no text of one (text=) either")
+    if path is not None and text is not None:
+        raise InputError("text: expected a path to a URDF or its text, found both")
+    if text is not None and not isinstance(text, str):
+        raise InputError(f"text: expected the text of a URDF, found {_validate.short(text)}")
+    if xacro_args is not None and not isinstance(xacro_args, Mapping):
+        raise InputError(f"xacro_args: expected a mapping from names to values, found {_validate.short(xacro_args)}")
+    if path is None:
+        if xacro_args is not None:
+            raise InputError("xacro_args: expected a path to a xacro file with them, found text=")
+        return text
+    named = _validate.path(path, "path", wanted="a path to a URDF")
+    if xacro_args is None and not str(named).lower().endswith(SUFFIX):
+        return None
+    return expanded(named, xacro_args or {}, places, used)
+
+
+def _model(meshes: str, decompose: bool) -> str:
+    """Return the representation of meshes that the two arguments `meshes` and `decompose` choose."""
+    _validate.choice(meshes, "meshes", MODELS)
+    if not _validate.flag(decompose, "decompose"):
+        return meshes
+    if meshes == "surface":
+        raise InputError(f"decompose: expected False with meshes={meshes!r}, found True; surfaces are not split")
+    return "pieces"
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Robot(KeepsReadOnly):
+    """A tree of links connected by joints; read one with `from_urdf` or `from_mjcf`, or join several with `join`.
+
+    Attributes
+    ----------
+    name : str
+    link_names : tuple of str
+        Parents before children; the index is the row of `forward_kinematics`.
+    joint_names : tuple of str
+        Joints with values of their own, that is, movable joints that do not mimic another joint, in the order of the
+        URDF.
+    configuration_names : tuple of str
+        Meaning of the entries of a configuration. A joint with one value (rad or m) appears by its name; a planar joint
+        j has "j/x", "j/y" [m] and "j/theta" [rad]; a floating joint has "j/x", "j/y", "j/z" [m] and the unit quaternion
+        "j/qw", "j/qx", "j/qy", "j/qz"; a ball joint, which exists only in MJCF, has only the four quaternion entries.
+    lower, upper : ndarray, shape (dof,)
+        Limits for sampling, planning and `reach`, in radians for joints that turn and metres for joints that slide;
+        infinite for values without limits. They are within the limits of the file, and within its soft limits
+        (``<safety_controller>``); and joints that mimic the joint are within their own limits.
+        All functions accept configurations outside the limits; a configuration far outside causes a single warning (see
+        `checked`).
+    hard_lower, hard_upper : ndarray, shape (dof,)
+        Limits of the joints as in the file. A plan may start between these and the narrower ones.
+    velocity, acceleration, jerk : ndarray, shape (dof,)
+        The largest rates of each value [rad or m per s, s² and s³]: the URDF's limits, or less if a mimic joint would
+        otherwise exceed its own limit. NaN if the URDF gives no positive limit, and for planar and floating joints.
+        Only URDF 1.2 has limits of accelerations and jerk.
+    bodies : dict
+        Link name to `Body`, in the frame of the link, for links with collision geometry. For this and the next three
+        attributes, looking up an unknown name raises an UnknownNameError that lists the known names.
+    shapes : dict
+        Link name to a description of the body of each collision shape of a URDF, in the order of the file: "box",
+        "hull, sticks out by up to 0.4 mm", "pieces, 3 that stick out by up to 2 mm", "solid, 1,234 triangles",
+        "surface without an inside, 96 triangles", "solid of a nearly closed mesh, 804 triangles", "hull of an open
+        mesh".
+    groups : dict
+        Group name to joint names, from the SRDF.
+    states : dict
+        State name to (group, {joint: value}), from the SRDF; for a joint with several values a tuple in the order of
+        `configuration_names`. If several groups have a state of the same name, the second is "group/name".
+    disabled_pairs : frozenset
+        Sorted pairs of links that the SRDF exempts from checking.
+    adjacent_pairs : frozenset
+        Sorted pairs of links with bodies that are connected directly by a joint, or through links without bodies and at
+        most one moving joint.
+    mimics : dict
+        Name of a joint that mimics another to the other joint's name and the factor between their rates.
+    tree : Tree
+        The arrays that kernels take; described in ``loewner/_kernels/robots/kinematics.py``.
+    urdf : Path
+        The file that was read: a URDF or an MJCF. For a description given as a string, or a robot that was made in
+        memory, a placeholder name in the current working directory.
+    package_dirs : tuple of Path
+        Additional folders that were searched for meshes.
+
+    Examples
+    --------
+    A cart on a rail of 2 m that carries an arm (``arm.urdf``):
+
+    >>> robot = Robot.from_urdf("arm.urdf")
+    >>> robot.configuration_names, robot.lower, robot.upper
+    (('rail', 'elbow'), array([  0., -inf]), array([ 2., inf]))
+    >>> robot.forward_kinematics([[0.0, 0.0], [1.5, 0.0]])[:, 1, :3, 3]  # where the cart is
+    array([[0. , 0. , 0. ],
+           [1.5, 0. , 0. ]])
+    """
+
+    name: str
+    link_names: tuple[str, ...]
+    joint_names: tuple[str, ...]
+    configuration_names: tuple[str, ...]
+    lower: Floats
+    upper: Floats
+    hard_lower: Floats
+    hard_upper: Floats
+    velocity: Floats
+    acceleration: Floats
+    jerk: Floats
+    bodies: dict[str, Body]
+    shapes: dict[str, tuple[str, ...]]
+    groups: dict[str, tuple[str, ...]]
+    states: dict[str, State]
+    disabled_pairs: frozenset[Pair]
+    adjacent_pairs: frozenset[Pair]
+    mimics: dict[str, tuple[str, float]]
+    tree: Tree
+    urdf: Path
+    package_dirs: tuple[Path, ...]
+    _columns: dict[str, slice] = field(repr=False)
+    # For each link but roots, the joint above it, "" for one without a name, and its parent; None is the world.
+    _above: dict[str, tuple[str, str | None]] = field(repr=False)
+    # For messages: the links that only have visual geometry.
+    _only_visual: tuple[str, ...] = field(repr=False)
+    _watch: Watch = field(repr=False)
+    # The tree with the root link at the origin.
+    _rooted: Tree = field(repr=False)
+    # Descriptions, and the robots that were joined.
+    _sources: tuple[Source, ...] = field(repr=False)
+    _parts: dict[str, Part[Robot]] = field(repr=False)
+    # Whether an SRDF or an MJCF has rules on pairs: then no adjacent pair is exempt by default.
+    _ruled: bool = field(repr=False)
+    # Bodies that were added in the world, which the robot's pose does not move.
+    _in_world: tuple[str, ...] = field(repr=False)
+    # The order of values in the model from which the robot was made.
+    _layout: Layout | None = field(repr=False)
+
+    @classmethod
+    @guarded
+    def from_urdf(
+        cls,
+        path: str | os.PathLike[str] | None = None,
+        *,
+        text: str | None = None,
+        xacro_args: Mapping[str, str | float | bool] | None = None,
+        srdf: str | os.PathLike[str] | None = None,
+        package_dirs: str | os.PathLike[str] | Iterable[str | os.PathLike[str]] = (),
+        meshes: MeshModel = USUAL_MODEL,
+        decompose: bool = False,
+        pairs: Literal["adjacent", "proven"] | None = None,
+        tol: float = 1e-4,
+        cache: bool = True,
+        progress: Progress | None = None,
+    ) -> Robot:
+        """Read a robot from a URDF.
+
+        Parameters
+        ----------
+        path : path, optional
+            A URDF file. If its name ends in ``.xacro``, the package xacro expands it (``pip install
+            "loewner[xacro]"``), which evaluates expressions of Python in the file: read only files that you trust.
+            Messages then have the lines of the expanded text.
+        text : str, optional
+            The contents of such a file instead of a path, such as ROS's ``/robot_description``. Relative paths of
+            meshes in it are resolved from the working directory.
+        xacro_args : mapping of str to str, number or bool, optional
+            Values of a xacro file's arguments; a file of any name is then expanded. ``$(find package)`` is the folder
+            of a package, see `package_dirs`.
+        srdf : path, optional
+            Groups, states and disabled pairs. A file whose name ends in ``.xacro`` is expanded as well.
+        package_dirs : path or iterable of paths
+            Folders of packages (or packages) for ``package://`` and ``model://``. The folders that ROS names in the
+            environment, and the folders above the URDF, are also searched.
+        meshes : {"auto", "hull", "pieces", "surface"}
+            Representation of each collision mesh. "auto", the default: the hull of a closed mesh if it is proven to
+            stick out by at most 1 mm or 1 % of the mesh's diameter (the larger of the two counts), and otherwise the
+            solid that the mesh encloses. Holes of a nearly closed mesh are closed first; of any other mesh, the hull is
+            taken. `shapes` has the results. "hull": the convex hull, which contains the mesh. "pieces": convex pieces
+            (`Body.from_mesh`), into which a non-convex mesh is split once (see `cache`). "surface": its triangles
+            (`Body.from_surface`), including the enclosed space if the mesh is closed.
+        decompose : bool
+            True means the same as ``meshes="pieces"``.
+        pairs : {"adjacent", "proven"}, optional
+            Which pairs need no check if there is no SRDF. "adjacent", the default: links that a joint connects.
+            "proven": also the pairs that are proven to collide never, or at all configurations (`prove_pairs`).
+        tol : float
+            Certified log-volume gap of all fits.
+        cache : bool
+            Keep the bodies of meshes and the proofs of pairs on disk, keyed by content, so that later calls only read
+            them.
+        progress : callable, optional
+            Called as ``progress(done, total)`` after each collision shape.
+
+        Returns
+        -------
+        Robot
+
+        Raises
+        ------
+        FileError
+            If a file is missing or cannot be read, or one of `package_dirs` is not a folder. For a mesh, the message
+            names its link and the places searched.
+        InputError
+            If neither or both of `path` and `text` are given; if `path` is not a path (but XML, for instance); if the
+            SRDF is a URDF; if the links do not form a tree; or if a joint is not well defined. GeometryError if a shape
+            is flat or has no size.
+        UnknownNameError
+            If a joint refers to a name that does not exist, or the SRDF belongs to a different robot.
+        MissingExtraError
+            If a mesh is to be decomposed and CoACD is not installed, or a xacro file is to be expanded without xacro.
+
+        Warns
+        -----
+        UserWarning
+            If meshes are not closed, with "auto"; one warning names them all.
+            If the URDF or the SRDF has parts that its format does not define (docs/robots.md); if limits of a joint
+            that mimics another would leave that one hardly any range. If the SRDF names links or joints that the robot
+            does not have, or none that it has; if it names a different robot, or has passive joints, or a base that
+            moves. If a body is probably not in metres, or the angles of an origin or the limits of revolute joints are
+            probably not in radians.
+
+        Examples
+        --------
+        >>> Robot.from_urdf("arm.urdf")
+        Robot('arm', 3 links, 3 with bodies, 2 joints, dof 2)
+        """
+        tol, cache, model = checked_tolerance(tol), _validate.flag(cache, "cache"), _model(meshes, decompose)
+        if pairs is not None:
+            _validate.choice(pairs, "pairs", ("adjacent", "proven"))
+            if srdf is not None:
+                raise InputError("pairs: expected none with an SRDF, which lists the pairs that need no check")
+        _validate.callback(progress, "progress")
+        given = [package_dirs] if isinstance(package_dirs, (str, os.PathLike)) else package_dirs
+        listed = _validate.listed(given, "package_dirs", wanted="a path or several")
+        places = [_validate.path(folder, "package_dirs") for folder in listed]
+        used: set[str] = set()
+        text = _text_of(path, text, xacro_args, places, used)
+        rules = None
+        if srdf is not None and str(_validate.path(srdf, "srdf", wanted="a path to an SRDF")).lower().endswith(SUFFIX):
+            rules = expanded(srdf, xacro_args or {}, places, used)
+        refuse_unused(xacro_args or {}, used)
+        robot = read_urdf("URDF text" if path is None else path, text)
+        semantics = Semantics() if srdf is None else read_srdf(srdf, robot, rules)
+        bodies, shapes = link_bodies(robot, places, model=model, tol=tol, cache=cache, progress=progress)
+        made = cls._of(robot, bodies, semantics, adjacent_pairs(robot), places, "URDF", text, shapes)
+        if pairs != "proven" or not made.bodies:
+            return made
+        others = [pair for pair in combinations(sorted(made.bodies), 2) if pair not in made.adjacent_pairs]
+        return made.disabling(made.adjacent_pairs | made.prove_pairs(others, cache=cache, progress=progress).exempt)
+
+    @classmethod
+    def _of(
+        cls,
+        robot: Description,
+        bodies: Mapping[str, Body],
+        semantics: Semantics,
+        adjacent: frozenset[Pair],
+        places: Iterable[Path],
+        format: str,
+        text: str | None,
+        shapes: Mapping[str, tuple[str, ...]] | None = None,
+    ) -> Robot:
+        """Build the robot from the parsed files."""
+        columns, dof = columns_of(robot)
+        kinds = {name: robot.joints[name].kind for name in columns}
+        lower, upper = _ends(robot, columns, dof, lambda joint: joint.range)
+        hard_lower, hard_upper = _ends(robot, columns, dof, lambda joint: (joint.lower, joint.upper))
+        rates = {kind: _rates(robot, columns, dof, kind) for kind in ("velocity", "acceleration", "jerk")}
+        for array in (lower, upper, hard_lower, hard_upper, *rates.values()):
+            array.setflags(write=False)
+        entries = [(name, value) for name in columns for value in VALUES[kinds[name]]]
+        names = tuple(f"{name}/{value}" if value else name for name, value in entries)
+        turns = [kinds[name] in ("revolute", "continuous") for name, _ in entries]
+        free = [kinds[name] in ("planar", *WITH_QUATERNION) for name, _ in entries]
+        tree = tree_of(robot, columns)
+        # Absolute: the visual geometry is read later, perhaps from another working directory.
+        path, package_dirs = robot.path.absolute(), tuple(place.absolute() for place in places)
+        return cls(
+            name=robot.name,
+            link_names=tuple(robot.shapes),
+            joint_names=tuple(columns),
+            configuration_names=names,
+            lower=lower,
+            upper=upper,
+            hard_lower=hard_lower,
+            hard_upper=hard_upper,
+            **rates,
+            bodies=Named("link with a body", bodies),
+            shapes=Named("link with shapes of a URDF", shapes or {}),
+            groups=Named("group", semantics.groups),
+            states=Named("state", semantics.states),
+            disabled_pairs=semantics.disabled_pairs,
+            adjacent_pairs=adjacent,
+            mimics={j.name: (j.mimic.joint, j.mimic.multiplier) for j in robot.joints.values() if j.mimic is not None},
+            tree=tree,
+            urdf=path,
+            package_dirs=package_dirs,
+            _columns=columns,
+            _above={link: (joint.name, joint.parent) for link, joint in robot.joint_above.items()},
+            _only_visual=robot.only_visual,
+            _watch=Watch(robot.name, names, hard_lower, hard_upper, turns, free),
+            _rooted=tree,
+            _sources=(Source("", format, path, text, package_dirs),),
+            _parts={},
+            _ruled=semantics.ruled,
+            _in_world=(),
+            _layout=None,
+        )
+
+    @classmethod
+    @guarded
+    def from_mjcf(cls, path: str | os.PathLike[str], *, tol: float = 1e-4) -> Robot:
+        """Read a robot, with the world around it, from an MJCF file, using MuJoCo's compiler.
+
+        A configuration equals MuJoCo's `qpos`, entry by entry. Pairs that MuJoCo does not check for collisions are in
+        `disabled_pairs`, and keyframes are in `states`. docs/howto/mujoco.md lists the correspondences.
+
+        Parameters
+        ----------
+        path : path
+            MJCF file, or a URDF that MuJoCo accepts.
+        tol : float
+            Certified log-volume gap of the fits of meshes.
+
+        Returns
+        -------
+        Robot
+            The root link is the world, and each colliding geom of the world is a separate link fixed to the root. Every
+            MuJoCo body is a link, in MuJoCo's frame. If several joints move one link, they are chained through links
+            without bodies.
+
+        Raises
+        ------
+        FileError
+            If the file is missing, or MuJoCo refuses it.
+        InputError
+            If a geom that collides is a signed distance field.
+        GeometryError
+            If a mesh that collides is flat.
+        MissingExtraError
+            If MuJoCo is not installed.
+
+        Warns
+        -----
+        UserWarning
+            If the file has parts with which MuJoCo computes and that are not read, such as flexible bodies and
+            constraints; if limits of hinges are probably not in radians after MuJoCo's conversion.
+
+        Examples
+        --------
+        >>> from pathlib import Path
+        >>> _ = Path("pole.xml").write_text('''
+        ... <mujoco model="pole"><worldbody>
+        ...   <geom name="floor" type="plane" size="1 1 1"/>
+        ...   <body name="pole" pos="0 0 0.5"><joint name="swing" axis="0 1 0"/>
+        ...     <geom type="capsule" fromto="0 0 0 0 0 -0.4" size="0.05"/></body>
+        ... </worldbody></mujoco>''')
+        >>> robot = Robot.from_mjcf("pole.xml")
+        >>> robot.link_names, robot.configuration_names
+        (('world', 'floor', 'pole'), ('swing',))
+        """
+        return cls._of_mjcf(read_mjcf(path, checked_tolerance(tol)), "MJCF")
+
+    @classmethod
+    @guarded
+    def from_mujoco(cls, model: Any, data: Any = None, *, couplings: bool = True, tol: float = 1e-4) -> Robot:
+        """Read a robot, with the world around it, from a model of MuJoCo in memory.
+
+        As for `from_mjcf`, pairs that MuJoCo does not check are in `disabled_pairs`, and keyframes are in `states`.
+        `imported` and `exported` convert configurations from and to `qpos`.
+
+        Parameters
+        ----------
+        model : mujoco.MjModel
+        data : mujoco.MjData, optional
+            Has the poses of mocap bodies and the active constraints. Default: as in the model.
+        couplings : bool
+            Let joints follow others if an active equality couples them linearly. If it is False, or there are none, a
+            configuration equals `qpos`, entry by entry.
+        tol : float
+            Certified log-volume gap of the fits of meshes.
+
+        Returns
+        -------
+        Robot
+            As for `from_mjcf`.
+
+        Raises
+        ------
+        InputError
+            If `model` or `data` are not MuJoCo's, or of different models; if a geom that collides is a signed distance
+            field.
+        GeometryError
+            If a mesh that collides is flat.
+
+        Warns
+        -----
+        UserWarning
+            As for `from_mjcf`.
+
+        Examples
+        --------
+        >>> import mujoco
+        >>> model = mujoco.MjModel.from_xml_string('''
+        ... <mujoco model="gripper"><worldbody><body name="left"><joint name="open" type="slide" range="0 0.1"/>
+        ...   <geom size="0.1"/></body><body name="right" pos="0.5 0 0"><joint name="follow" type="slide"/>
+        ...   <geom size="0.1"/></body></worldbody>
+        ...   <equality><joint joint1="follow" joint2="open" polycoef="0 -1 0 0 0"/></equality></mujoco>''')
+        >>> robot = Robot.from_mujoco(model)
+        >>> robot.configuration_names, robot.exported([0.1])
+        (('open',), array([ 0.1, -0.1]))
+        """
+        expect(model, "MjModel", "model")
+        if data is not None:
+            expect(data, "MjData", "data")
+            if (len(data.qpos), len(data.mocap_pos), len(data.eq_active)) != (model.nq, model.nmocap, model.neq):
+                raise InputError("data: expected that of the model, found that of another one")
+        coupled, path = _validate.flag(couplings, "couplings"), Path(name_of(model) or "model")
+        return cls._of_mjcf(compiled_model(model, data, path, checked_tolerance(tol), couplings=coupled), "links")
+
+    @classmethod
+    def _of_mjcf(cls, model: MjcfModel, format: str) -> Robot:
+        """Make the robot of a model that MuJoCo has compiled."""
+        robot, bodies = description_of(model)
+        doubt_limits(robot.path, robot.joints)
+        made = cls._of(robot, bodies, semantics_of(model, robot), model.related_pairs, (), format, None)
+        theirs = qpos_columns(robot)
+        order = Order("MuJoCo", sum(map(len, theirs.values())), theirs, {})
+        references = {joint.name: joint.reference for joint in robot.joints.values()}
+        return replace(made, _layout=layout_of(order, made._columns, joints_above(made), made.tree, references))
+
+    @classmethod
+    @guarded
+    def footprint(cls, polygon: ArrayLike, *, height: float, bounds: ArrayLike | None = None) -> Robot:
+        """Make a mobile base: a polygon with a height that slides and turns on the plane z = 0.
+
+        Parameters
+        ----------
+        polygon : array_like, shape (n, 2)
+            Corners in the frame of the base, in metres, in either order. It need not be convex.
+        height : float
+            In metres.
+        bounds : array_like, shape (2, 2), optional
+            Lowest and highest x and y, in metres; a plan needs them.
+
+        Returns
+        -------
+        Robot
+            With the link "footprint" on the joints ``base/x``, ``base/y`` and ``base/theta``, as from `add_base`. It
+            may move in each direction: a proof of its motions is one for a base that can drive sideways.
+
+        Raises
+        ------
+        InputError
+            If the polygon has fewer than three corners, is flat or crosses itself; if the height is not positive, or
+            the bounds are not in order.
+
+        Examples
+        --------
+        >>> base = Robot.footprint([[0.3, 0.2], [-0.3, 0.2], [-0.3, -0.2], [0.3, -0.2]], height=0.5)
+        >>> base.configuration_names
+        ('base/x', 'base/y', 'base/theta')
+        """
+        body = assembly.footprint_body(polygon, height)
+        return cls.from_links({"footprint": body}, [], name="footprint").add_base("planar", bounds)
+
+    @classmethod
+    @guarded
+    def from_links(
+        cls,
+        links: Mapping[str, Body | None | Iterable[tuple[Body, ArrayLike | None]]],
+        joints: Iterable[LinkJoint],
+        *,
+        disabled: Iterable[Pair] | None = None,
+        name: str = "robot",
+    ) -> Robot:
+        """Make a robot of links and joints in memory.
+
+        Parameters
+        ----------
+        links : mapping from str to Body, None, or list of (Body, pose)
+            The body of each link, in the frame of the link; None if it has none; or several bodies, each at its pose of
+            shape (4, 4) in the link, with translation in metres.
+        joints : iterable of Joint
+            They connect all links to one root. Their order is the order of the values of a configuration.
+        disabled : iterable of pairs of str, optional
+            Pairs of links that need no check; all others are checked. Default: adjacent pairs need no check, as for a
+            URDF without an SRDF.
+        name : str
+
+        Returns
+        -------
+        Robot
+
+        Raises
+        ------
+        InputError
+            If links and joints do not form a tree; if a name is used twice, limits are not in order, or something is
+            given for a joint of a kind that has none of it.
+        PoseError
+            If a pose is not a rigid motion.
+        UnknownNameError
+            If a joint, a mimicking joint or a pair has a name that does not exist, or there is no such kind of joint.
+
+        Warns
+        -----
+        UserWarning
+            If limits of a joint that mimics another would leave that one hardly any range; if the limits of revolute
+            joints are probably not in radians.
+
+        Examples
+        --------
+        >>> from loewner import Joint
+        >>> links = {"rail": Body.box([3, 0.2, 0.2]), "cart": Body.box([0.5, 0.5, 0.2])}
+        >>> on_top = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0.21], [0, 0, 0, 1]]
+        >>> slide = Joint("slide", "prismatic", "rail", "cart", on_top, axis=[1, 0, 0], lower=-1, upper=1)
+        >>> Robot.from_links(links, [slide])
+        Robot('robot', 2 links, 2 with bodies, 1 joints, dof 1)
+        """
+        robot, bodies, bounds = described(links, joints, name)
+        doubt_limits(robot.path, robot.joints)
+        semantics = Semantics(ruled=disabled is not None)
+        made = cls._of(robot, bodies, semantics, adjacent_pairs(robot, bodies), (), "links", None)
+        for joint, ends in bounds.items():  # of joints of several values, which a file has no limits for
+            at = slice(made._columns[joint].start, made._columns[joint].start + len(ends[0]))
+            for limits, end in zip(("lower", "upper"), ends, strict=True):
+                changed = getattr(made, limits).copy()
+                changed[at] = end
+                changed.setflags(write=False)
+                made = replace(made, **{limits: changed, f"hard_{limits}": changed})
+        return made if disabled is None else made.disabling(disabled)
+
+    @classmethod
+    @guarded
+    def from_drake(
+        cls,
+        plant: Any,
+        scene_graph: Any,
+        context: Any = None,
+        *,
+        mimic: Mapping[str, tuple[str, float, float]] | None = None,
+        tol: float = 1e-4,
+    ) -> Robot:
+        """Read a robot, with the world around it, from a plant of Drake and its scene graph.
+
+        The pairs that Drake's collision filters exclude are in `disabled_pairs`. `imported` and `exported` convert
+        configurations. docs/howto/other-models.md lists the correspondences.
+
+        Parameters
+        ----------
+        plant : pydrake.multibody.plant.MultibodyPlant
+            Finalized.
+        scene_graph : pydrake.geometry.SceneGraph
+        context : pydrake.systems.framework.Context, optional
+            The context of the whole diagram, for geometry, filters, poses of frames, and locked joints, which become
+            fixed. Default: as in the model.
+        mimic : mapping, optional
+            Joints that follow others, since Drake's Python cannot read couplers: ``{joint: (other, gear ratio,
+            offset)}``, in the names of the robot.
+        tol : float
+            Certified log-volume gap of the fits of meshes.
+
+        Returns
+        -------
+        Robot
+            Every body of the plant is a link, by its name, or MODEL::NAME if several models have it. Each shape of the
+            world is a link of its own, and so are shapes of a body with other filters than its first one.
+
+        Raises
+        ------
+        InputError
+            If the plant is not finalized, a joint or a shape cannot be represented, or the context is not of the
+            diagram.
+        UnknownNameError
+            If `mimic` names a joint that does not exist.
+        GeometryError
+            If a mesh is flat.
+
+        Warns
+        -----
+        UserWarning
+            If the plant has more constraints than `mimic` couples, or geometry that is deformable or not of the plant;
+            if bodies that are fixed to each other collide, which is not checked.
+
+        Examples
+        --------
+        >>> robot = Robot.from_drake(plant, scene_graph)  # doctest: +SKIP
+        >>> CollisionChecker(robot).collide(robot.imported(plant.GetPositions(context)))  # doctest: +SKIP
+        False
+        """
+        return cls._of_model(drake_model(plant, scene_graph, context, mimic or {}, checked_tolerance(tol)))
+
+    @classmethod
+    @guarded
+    def from_pinocchio(
+        cls,
+        model: Any,
+        geometry_model: Any,
+        *,
+        meshes: MeshModel = "surface",
+        tol: float = 1e-4,
+    ) -> Robot:
+        """Read a robot, with the world around it, from a model of pinocchio and its collision geometry.
+
+        The pairs of `geometry_model.collisionPairs` are checked; all others are in `disabled_pairs`. `imported`
+        and `exported` convert configurations. docs/howto/other-models.md lists the correspondences.
+
+        Parameters
+        ----------
+        model : pinocchio.Model
+        geometry_model : pinocchio.GeometryModel
+        meshes : {"auto", "hull", "pieces", "surface"}
+            Representation of meshes of triangles, as for `from_urdf`. The default, like Coal, is their triangles; the
+            space that a closed one encloses belongs to it as well.
+        tol : float
+            Certified log-volume gap of the fits of meshes.
+
+        Returns
+        -------
+        Robot
+            Every body frame is a link, by its name. Each shape of the universe is a link of its own, and so are shapes
+            of a link that are checked with other shapes than its first one.
+
+        Raises
+        ------
+        InputError
+            If a joint or a shape cannot be represented.
+        GeometryError
+            If a mesh is flat.
+
+        Warns
+        -----
+        UserWarning
+            If bodies that are fixed to each other collide, which is not checked; if there are shapes but no pairs; or
+            if meshes are not closed, with "auto".
+
+        Examples
+        --------
+        >>> robot = Robot.from_pinocchio(model, collision_model)  # doctest: +SKIP
+        >>> CollisionChecker(robot).collide(robot.imported(q))  # doctest: +SKIP
+        False
+        """
+        return cls._of_model(pinocchio_model(model, geometry_model, meshes, checked_tolerance(tol)))
+
+    @classmethod
+    def _of_model(cls, model: Model) -> Robot:
+        """Make the robot of another library's model."""
+        links, joints, disabled = with_shapes(model.links, model.joints, model.shapes, model.checked)
+        made = cls.from_links(links, joints, disabled=disabled, name=model.name)
+        warn_of_fixed_contacts(model, made.bodies, made.link_names, made.tree, made.disabled_pairs)
+        return replace(made, _layout=layout_of(model.order, made._columns, joints_above(made), made.tree, {}))
+
+    @guarded
+    def exported(self, Q: ArrayLike) -> Floats:
+        """Convert configurations to the order of this robot's model of Drake, pinocchio or MuJoCo.
+
+        Parameters
+        ----------
+        Q : array_like, shape (..., dof)
+
+        Returns
+        -------
+        ndarray, shape (..., nq)
+            Positions of Drake's plant, q of pinocchio, or qpos of MuJoCo, with the values of joints that mimic others.
+
+        Raises
+        ------
+        InputError
+            If the robot was made otherwise, or has got values since, as by `join`; use the parts then.
+
+        Examples
+        --------
+        >>> robot.exported(plan.path)  # doctest: +SKIP
+        """
+        checked = self.checked(Q)
+        return self._known_layout.exported(checked)
+
+    @guarded
+    def imported(self, q: ArrayLike, *, tolerance: float = 1e-6) -> Floats:
+        """Convert configurations of this robot's model to the robot's own order; see `exported`.
+
+        Parameters
+        ----------
+        q : array_like, shape (..., nq)
+        tolerance : float
+            Largest deviation [rad or m] of values that follow others, or do not change, from where the robot has them.
+
+        Returns
+        -------
+        ndarray, shape (..., dof)
+
+        Raises
+        ------
+        InputError
+            If values deviate by more than the tolerance, are not finite, or the width is not the model's. As for
+            `exported`.
+
+        Examples
+        --------
+        >>> checker.collide(robot.imported(data.qpos))  # doctest: +SKIP
+        False
+        """
+        layout = self._known_layout
+        given = _validate.finite_array(q, "q", ("...", len(layout.source)))
+        return self.checked(layout.imported(given, _validate.positive_scalar(tolerance, "tolerance", zero=True)))
+
+    @property
+    def _known_layout(self) -> Layout:
+        if self._layout is None:
+            raise InputError(
+                "expected a robot with the values of a model of Drake, pinocchio or MuJoCo, found one that was made "
+                "otherwise, or has got others since"
+            )
+        return self._layout
+
+    @guarded
+    def as_scene(self, q: ArrayLike) -> Scene:
+        """Return the bodies where they are at a configuration as a scene, for other robots to avoid.
+
+        Parameters
+        ----------
+        q : array_like, shape (dof,)
+
+        Returns
+        -------
+        Scene
+            Bodies have the names of their links. Pairs that need no check of the robot may touch in the scene.
+
+        Examples
+        --------
+        >>> scene = Robot.from_urdf("arm.urdf").as_scene([1.0, 0.0])
+        >>> scene.names, scene.pose("cart")[:3, 3]
+        (('rail', 'cart', 'forearm'), array([1., 0., 0.]))
+        """
+        scene, poses = Scene(), link_poses(self, self.checked_one(q)[None])[0]
+        for name, body in self.bodies.items():
+            scene.add(name, body, poses[self.link_names.index(name)])
+        for a, b in sorted(self._usually_skipped):
+            if a in scene and b in scene:
+                scene.allow(a, b)
+        return scene
+
+    def to_urdf(self, path: str | os.PathLike[str], *, mesh_prefix: str = "") -> None:
+        """Write the robot as a URDF, with an SRDF of the same stem, so that other programs, and `from_urdf`, read it.
+
+        Together the files describe the same kinematics, limits, rates, groups, states and shapes, up to the rounding of
+        poses, and a `CollisionChecker` checks the same pairs. A root link "world" is added before the others if the
+        robot has several roots, or is placed; links fixed to it can be adjacent through it, so do not give
+        ``skip_adjacent=True`` then. Visual geometry, masses and efforts are not written. Limits that are narrower than
+        `hard_lower` and `hard_upper` become soft limits. Without the SRDF, pairs may be exempt that this robot checks:
+        pass it to `from_urdf`, too. Solids are written as their triangles, which some other programs replace by their
+        convex hulls. Existing files are replaced.
+
+        Parameters
+        ----------
+        path : path
+            The URDF. The SRDF has the suffix ``.srdf`` instead, and meshes are files next to them,
+            ``STEM-DIGEST.obj``, as for `Body.to_urdf`.
+        mesh_prefix : str
+            Prefix for the names of mesh files in the URDF, for instance ``"package://my_robot/meshes/"``.
+
+        Raises
+        ------
+        InputError
+            If the robot has something that URDF cannot express: a ball joint, bounds of a floating base, a cone, an
+            ellipsoid or a cloud of points; or a surface that ``meshes="auto"`` would not read as the
+            same solid. If readers would change a name, since it has
+            characters that cannot be printed, a dollar sign, or spaces at its ends; or if the path ends in ``.srdf`` or
+            ``.xacro``.
+        FileError
+            If a file cannot be written.
+
+        Examples
+        --------
+        >>> arm = Robot.from_urdf("arm.urdf")
+        >>> Robot.join({"left": arm, "right": arm}).to_urdf("both.urdf")
+        >>> Robot.from_urdf("both.urdf", srdf="both.srdf").configuration_names
+        ('left/rail', 'left/elbow', 'right/rail', 'right/elbow')
+        """
+        from loewner.bodies.exports import prefix
+        from loewner.robots.description.exports import save_urdf
+
+        save_urdf(self, _validate.path(path, "path"), prefix(mesh_prefix))
+
+    @property
+    def _lists_pairs(self) -> bool:
+        """Whether the exempt pairs are listed; otherwise, adjacent pairs are exempt by default."""
+        return self._ruled or bool(self.disabled_pairs)
+
+    @property
+    def _usually_skipped(self) -> frozenset[Pair]:
+        """The pairs of links that a checker does not check by default."""
+        return self.disabled_pairs if self._lists_pairs else self.disabled_pairs | self.adjacent_pairs
+
+    @property
+    def dof(self) -> int:
+        """Number of entries of a configuration."""
+        return len(self.configuration_names)
+
+    def __repr__(self) -> str:
+        kinds = Counter(words.partition(",")[0] for shapes in self.shapes.values() for words in shapes)
+        models = {kind: count for kind, count in kinds.items() if kind not in PRIMITIVES}
+        told = ", ".join(f"{kind} {count}" for kind, count in models.items()) if set(models) - {"hull"} else ""
+        return (
+            f"Robot({self.name!r}, {len(self.link_names)} links, {len(self.bodies)} with bodies, "
+            f"{len(self.joint_names)} joints, dof {self.dof}{', quaternions wxyz' if self._quaternions else ''}"
+            f"{told and f', meshes: {told}'})"
+        )
+
+    @pictured
+    def _repr_html_(self) -> str:
+        shapes, _, note = drawn(self)
+        return bodies(shapes, note=note)
+
+    def placed(self, T_world_base: ArrayLike) -> Robot:
+        """Return the same robot with its root link at a pose of shape (4, 4) instead of the world's origin.
+
+        If the robot has been placed before, the new pose replaces the old one. A robot that was joined of several is
+        placed as a whole: the poses of its parts are relative to this pose.
+
+        Parameters
+        ----------
+        T_world_base : array_like, shape (4, 4)
+            Translation in metres.
+
+        Returns
+        -------
+        Robot
+
+        Raises
+        ------
+        PoseError
+            If the pose is not a rigid motion.
+
+        Examples
+        --------
+        >>> robot = Robot.from_urdf("arm.urdf").placed([[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 5], [0, 0, 0, 1]])
+        >>> robot.forward_kinematics(robot.configuration())[0, :3, 3]
+        array([0., 0., 5.])
+        """
+        T = _validate.pose(T_world_base, "T_world_base")
+        assembly.refuse_bodies_in_world(self, "placed")
+        return replace(self, tree=placed_tree(self._rooted, T), _parts=assembly.placed_parts(self._parts, T))
+
+    part = assembly.part
+    add_base = guarded(assembly.add_base)
+    with_body = guarded(assembly.with_body)
+
+    @classmethod
+    @guarded
+    def join(cls, parts: Mapping[str, Robot], poses: Mapping[str, ArrayLike | None] | None = None) -> Robot:
+        """Make one robot of several, so that they are checked and planned together.
+
+        Parameters
+        ----------
+        parts : mapping from str to Robot
+            The robots by name. The names of their links, joints, groups and states get this name and a slash as a
+            prefix: "left/panda_joint1".
+        poses : mapping from str to array_like, shape (4, 4), optional
+            Pose in the world of the root link of each part; translation in metres. A part without a pose stays where
+            it is.
+
+        Returns
+        -------
+        Robot
+            Its configurations are the parts' configurations, one after another. Groups, states and disabled pairs are
+            kept; pairs of links of different parts are checked. If only some parts have disabled pairs, the adjacent
+            pairs of the others are disabled, too.
+
+        Raises
+        ------
+        InputError
+            If there are no parts, a name is empty, or a part is not a robot.
+        UnknownNameError
+            If there is a pose for a part that does not exist.
+        PoseError
+            If a pose is not a rigid motion.
+
+        See Also
+        --------
+        part : Returns the values of one part.
+
+        Examples
+        --------
+        >>> arm = Robot.from_urdf("arm.urdf")
+        >>> opposite = [[-1, 0, 0, 3], [0, -1, 0, 0.5], [0, 0, 1, 0], [0, 0, 0, 1]]
+        >>> both = Robot.join({"left": arm, "right": arm}, {"right": opposite})
+        >>> both.configuration_names
+        ('left/rail', 'left/elbow', 'right/rail', 'right/elbow')
+        """
+        return assembly.joined(cls, parts, poses)
+
+    @guarded
+    def disabling(self, pairs: Iterable[Pair]) -> Robot:
+        """Return the same robot with more pairs of links exempt from checking, in addition to its `disabled_pairs`.
+
+        Parameters
+        ----------
+        pairs : iterable of pairs of str
+            For instance the pairs that `pairs_by_sampling` returns.
+
+        Returns
+        -------
+        Robot
+
+        Raises
+        ------
+        UnknownNameError
+            If the robot has no such link.
+        InputError
+            If an entry is not a pair of two different links.
+
+        Examples
+        --------
+        >>> sorted(Robot.from_urdf("arm.urdf").disabling([("rail", "forearm")]).disabled_pairs)
+        [('forearm', 'rail')]
+        """
+        return replace(self, disabled_pairs=self.disabled_pairs | self.link_pairs(pairs))
+
+    @guarded
+    def swept(
+        self,
+        curve: Any,
+        *,
+        links: str | Iterable[str] | None = None,
+        tolerance: float = 0.01,
+        joint_error: ArrayLike = 0.0,
+        scene: Scene | None = None,
+        progress: Progress | None = None,
+    ) -> Body:
+        """Make a body that provably contains links wherever they are along a whole curve.
+
+        Parameters
+        ----------
+        curve : PPoly, BPoly, BSpline, planners.Trajectory, planners.ControllerPoints, or array_like
+            As for `CollisionChecker.certify_trajectory`; or a path of straight motions, shape (k, dof).
+        links : str or iterable of str, optional
+            Names of links with bodies, or of bodies that are attached to links in `scene`. Default: all of them.
+        tolerance : float
+            The largest distance in metres by which the body may stick out of the links' swept volume. A larger one
+            leaves fewer pieces.
+        joint_error : float, or array_like of shape (dof,)
+            The body also contains the links if each value deviates from the curve by up to this much [rad or m]. These
+            deviations count as sticking out.
+        scene : Scene, optional
+            Bodies that are attached there are carried along; its other bodies do not matter.
+        progress : callable, optional
+            Called as ``progress(done, total)`` with numbers of pieces.
+
+        Returns
+        -------
+        Body
+            In the frame of the world, of convex pieces. Its `Body.covering` has the proven excess, `max_protrusion`:
+            no point of the body is farther from the links' swept volume. The coordinates of vertices are numbers of
+            single precision, so `Body.to_stl` writes exactly this body.
+
+        Raises
+        ------
+        InputError
+            As for `CollisionChecker.certify_trajectory`; also if the tolerance is not positive and finite, or so small
+            that it cannot be kept, or that the curve has to be divided.
+        UnknownNameError
+            If there is no such link or body.
+        GeometryError
+            If a link's mesh is flat.
+
+        See Also
+        --------
+        CollisionChecker.certify_trajectory : Whether a curve is free, without a body in between.
+
+        Notes
+        -----
+        Links are taken as their bodies (`bodies`): a solid is cut into convex pieces that stick out by two fifths of
+        the tolerance, as far as ten seconds of work for each suffice. docs/certified.md, "Swept volumes", derives both
+        bounds.
+
+        Examples
+        --------
+        >>> from loewner import Robot, collide
+        >>> robot = Robot.from_urdf("arm.urdf")
+        >>> fence = robot.swept([[0.0, 0.0], [1.0, 0.0]], links="cart")
+        >>> fence.covering.max_protrusion < 0.01
+        True
+        >>> moved = robot.forward_kinematics([0.3, 0.0])[robot.link_names.index("cart")]
+        >>> collide(fence, None, robot.bodies["cart"], moved)
+        True
+        """
+        return cast(
+            Body,
+            answers["swept"](
+                self, curve, links=links, tolerance=tolerance, joint_error=joint_error, scene=scene, progress=progress
+            ),
+        )
+
+    def prove_pairs(
+        self,
+        pairs: Iterable[Pair] | None = None,
+        *,
+        margin: float = 0.0,
+        limits: Mapping[str, tuple[float, float]] | None = None,
+        scene: Scene | None = None,
+        boxes: int = 1_000_000,
+        cache: bool = True,
+        progress: Progress | None = None,
+        proof: bool = False,
+    ) -> ProvenPairs:
+        """Prove which pairs of bodies can ever collide, over the whole ranges of the joints between them.
+
+        Parameters
+        ----------
+        pairs : iterable of pairs of str, optional
+            Names of links with bodies, or of bodies that are attached to links of this robot or at rest in `scene`; one
+            of each pair moves. Default: the pairs that the SRDF or the MJCF exempts from checking, or all pairs of
+            links with bodies if neither has rules on pairs.
+        margin : float
+            A distance in metres that counts as contact; larger margins of the scene are kept.
+        limits : mapping from str to (float, float), optional
+            Ranges of values by their names in `configuration_names`, in radians or metres. All others have the hard
+            limits of the file; a joint without limits makes a full turn, or as many as the joints that follow it need
+            to return.
+        scene : Scene, optional
+            Other bodies. Bodies that are attached there move with the robot's links.
+        boxes : int
+            At most this many boxes of configurations are examined for all pairs together.
+        cache : bool
+            Keep answers about the hard limits, without a margin or a scene, on disk, keyed by everything on which they
+            depend, so that later calls only read them.
+        progress : callable, optional
+            Called as ``progress(done, total)`` with numbers of pairs.
+        proof : bool
+            Write a proof of all rows for other programs to verify, `ProvenPairs.proof`. All have to be NEVER, with
+            bodies of convex pieces, joints that turn or slide, and at most eight values with a range between them.
+
+        Returns
+        -------
+        ProvenPairs
+            A row for each pair, with a verdict: NEVER, ALWAYS, SOMETIMES, CAN or OPEN. See `ProvenPair`.
+
+        Raises
+        ------
+        UnknownNameError
+            If there is no such link, body or value.
+        InputError
+            If an entry is not a pair of two different bodies, or none of the two moves; if a link has no body; if a
+            range has its lower end above its upper one; if the robot has no collision geometry; or if a body of the
+            scene follows a motion. With `proof`, also if a row is not NEVER, and if the format cannot express the model
+            or the proof, or in 5 MB.
+        ConvergenceError
+            With `proof`, if a pair comes too near to its margin for the format.
+
+        See Also
+        --------
+        loewner.pairs_by_sampling : Guesses by samples.
+
+        Notes
+        -----
+        NEVER and ALWAYS are proofs, like FREE of `CollisionChecker.certify_edges`; docs/certified.md derives the
+        bounds. Planar joints need ranges for their positions, and pairs with a floating or ball joint between them are
+        OPEN. A pair with many joints between its bodies takes many boxes: six or more rarely settle.
+
+        Examples
+        --------
+        >>> from loewner import Robot
+        >>> for row in Robot.from_urdf("arm.urdf").prove_pairs():
+        ...     print(*row.names, row.verdict)
+        cart forearm SOMETIMES
+        cart rail NEVER
+        forearm rail NEVER
+        """
+        return cast(
+            "ProvenPairs",
+            answers["prove_pairs"](
+                self, pairs, margin=margin, limits=limits, scene=scene, boxes=boxes, cache=cache, progress=progress,
+                proof=proof,
+            ),
+        )  # fmt: skip
+
+    def free_range(
+        self,
+        joints: str | Iterable[str],
+        about: ArrayLike | None = None,
+        *,
+        pairs: Iterable[Pair] | None = None,
+        margin: float = 0.0,
+        limits: Mapping[str, tuple[float, float]] | None = None,
+        scene: Scene | None = None,
+        boxes: int = 100_000,
+    ) -> dict[str, tuple[float, float]]:
+        """Find the largest range of joints about a configuration for which pairs are proven not to collide.
+
+        Parameters
+        ----------
+        joints : str or iterable of str
+            One value by its name in `configuration_names`, or several. The range of one value ends where contact
+            begins, up to 1e-9 rad or m, or at its limit. The range of several is a box: all ends are the same share of
+            the way to their limits.
+        about : array_like, shape (dof,), optional
+            The configuration; all other values stay as they are in it. Default: `configuration`.
+        pairs : iterable of pairs of str, optional
+            As for `prove_pairs`. Default: the pairs that a `CollisionChecker` of this robot checks.
+        margin, limits, scene
+            As for `prove_pairs`.
+        boxes : int
+            At most this many boxes are examined for each box of several values that is tried.
+
+        Returns
+        -------
+        dict
+            Maps each name to the lower and the upper end [rad or m].
+
+        Raises
+        ------
+        InputError
+            As for `prove_pairs`; also if there are no pairs, the configuration is outside the limits, or pairs collide
+            there.
+        UnknownNameError
+            If there is no such value, link or body.
+
+        Examples
+        --------
+        >>> from loewner import Body, Robot, Scene
+        >>> scene = Scene()
+        >>> scene.add("post", Body.box([0.2, 0.2, 0.2]), [[1, 0, 0, 1], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
+        >>> robot = Robot.from_urdf("arm.urdf")
+        >>> lower, upper = robot.free_range("rail", [0.0, 1.57], scene=scene)["rail"]
+        >>> round(lower, 9), round(upper, 9)
+        (0.0, 0.7)
+        """
+        return cast(
+            "dict[str, tuple[float, float]]",
+            answers["free_range"](
+                self, joints, about, pairs=pairs, margin=margin, limits=limits, scene=scene, boxes=boxes
+            ),
+        )
+
+    def cover(
+        self,
+        kind: Literal["spheres", "capsules", "boxes", "ellipsoids"] = "spheres",
+        *,
+        n: int | None = None,
+        protrusion: float | None = None,
+        progress: Progress | None = None,
+    ) -> Robot:
+        """Replace the body of each link by a union of simple shapes that is proven to contain it.
+
+        Shapes that stick out of links can meet where the links never do, and a planner would then find no path. Such
+        pairs are found in random configurations. A pair that is proven never to collide (`prove_pairs`) is added to
+        `disabled_pairs`; the others stay checked, and a warning lists the pairs that always meet.
+
+        Parameters
+        ----------
+        kind : {"spheres", "capsules", "boxes", "ellipsoids"}
+            As for `Body.cover`.
+        n : int, optional
+            The largest number of shapes of the whole robot. All links then have the same bound on how far shapes stick
+            out. This takes several times as long as a given ``protrusion``.
+        protrusion : float, optional
+            The largest distance by which shapes may stick out of a link [m]. Default: 0.02, unless `n` is given.
+        progress : callable, optional
+            Called as ``progress(done, total)`` with numbers of links.
+
+        Returns
+        -------
+        Robot
+            The same tree. The `covering` of each body states how far it sticks out.
+
+        Raises
+        ------
+        InputError
+            If `n` and ``protrusion`` are both given, the robot has no bodies, or no cover has at most `n` shapes. As
+            for `Body.cover`.
+
+        Warns
+        -----
+        UserWarning
+            If shapes of links that may collide meet in all configurations that were tried.
+
+        See Also
+        --------
+        save_cover : Writes the shapes for a planner.
+        covered_by : Judges any other model.
+
+        Examples
+        --------
+        >>> from loewner import Robot
+        >>> robot = Robot.from_urdf("arm.urdf")
+        >>> cover = robot.cover("boxes", protrusion=0.05)
+        >>> {report.outcome for report in robot.covered_by(cover).values()}
+        {'covered'}
+        """
+        return cast("Robot", answers["cover"](self, kind, n=n, protrusion=protrusion, progress=progress))
+
+    def covered_by(
+        self, model: Robot, *, tolerance: float | None = None, progress: Progress | None = None
+    ) -> dict[str, CoverReport]:
+        """Prove for each link whether the body of the same link of another robot contains it, or where it does not.
+
+        Parameters
+        ----------
+        model : Robot
+            A robot with links of the same names and frames, such as `with_cover` returns.
+        tolerance : float, optional
+            As for `Body.covered_by` [m].
+        progress : callable, optional
+            Called as ``progress(done, total)`` with numbers of links.
+
+        Returns
+        -------
+        dict
+            Link name to `CoverReport`, for each link of this robot that has a body. A link without a body in the model
+            is uncovered, with an infinite depth.
+
+        Raises
+        ------
+        InputError
+            If `model` is not a robot. As for `Body.covered_by`.
+
+        Examples
+        --------
+        >>> from loewner import Robot
+        >>> robot = Robot.from_urdf("arm.urdf")
+        >>> robot.covered_by(robot)["cart"].outcome
+        'covered'
+        """
+        return cast("dict[str, CoverReport]", answers["covered_by"](self, model, tolerance, progress))
+
+    def with_cover(
+        self,
+        path: str | os.PathLike[str],
+        format: Literal["curobo", "vamp", "foam", "pyroki", "urdf", "mjcf", "scene"] | None = None,
+    ) -> Robot:
+        """Return the same robot with the bodies of links from a file, for instance spheres of a planner.
+
+        The pairs that the file ignores become the `disabled_pairs`, instead of the robot's own; a file without rules
+        on pairs leaves them as they are. docs/howto/covers.md lists the formats.
+
+        Parameters
+        ----------
+        path : path
+            A configuration of cuRobo, or the file of its spheres, or an XRDF; a URDF of VAMP or foam with spheres; a
+            JSON file of pyroki's or foam's spheres; any URDF, with the SRDF of the same stem if there is one; an MJCF
+            file whose bodies have the names of the links; or a scene whose bodies have these names and poses in the
+            frames of the links.
+        format : str, optional
+            The program for which the file was made. Default: by the suffix and the keys. The numbers of "curobo",
+            "vamp", "foam" and "pyroki" are rounded to float32, as these programs do.
+
+        Returns
+        -------
+        Robot
+
+        Raises
+        ------
+        FileError
+            If the file is missing or malformed, or has no shapes; the message gives the place.
+        UnknownNameError
+            If the file has shapes of a link that the robot does not have, or there is no such format.
+        InputError
+            If the suffix does not determine the format.
+        MissingExtraError
+            If PyYAML or MuJoCo is needed and not installed.
+
+        Warns
+        -----
+        UserWarning
+            If the file has spheres that are disabled or unused, or keys that are not read; if links have no shapes.
+
+        Examples
+        --------
+        >>> from pathlib import Path
+        >>> from loewner import Robot
+        >>> ball = "[{center: [0, 0, 0], radius: 0.5}]"
+        >>> text = f"collision_spheres: {{rail: {ball}, cart: {ball}, forearm: {ball}}}"
+        >>> _ = Path("balls.yml").write_text(text)
+        >>> Robot.from_urdf("arm.urdf").with_cover("balls.yml").bodies["cart"]
+        Body(sphere, 0 vertices)
+        """
+        return cast("Robot", answers["with_cover"](self, path, format))
+
+    def save_cover(
+        self,
+        path: str | os.PathLike[str],
+        format: Literal["curobo", "vamp", "foam", "pyroki", "urdf", "mjcf", "scene"] | None = None,
+    ) -> None:
+        """Write the bodies of links, and the pairs that need no check, for a planner.
+
+        The shapes in the file contain the bodies of this robot: numbers are rounded outwards to float32 for programs
+        that use it, and shapes whose angles are rounded are 1 nm larger on each side. `with_cover` reads the file, so
+        that `covered_by` can prove it. Existing files are replaced.
+
+        Parameters
+        ----------
+        path : path
+        format : str, optional
+            "curobo": the keys of a configuration for spheres and pairs (.yml). "vamp" and "foam": a URDF of spheres,
+            with an SRDF of the same stem. "pyroki": JSON, with ignored pairs in ``STEM.ignored.json``. "urdf": as
+            `to_urdf`, where a capsule becomes a cylinder and two spheres. "mjcf": a model for MuJoCo. "scene": bodies
+            in the frames of links (.yaml). Default: by the suffix.
+
+        Raises
+        ------
+        InputError
+            If the format has other shapes only, or the suffix does not determine the format. As for
+            `to_urdf`.
+        UnknownNameError
+            If there is no such format.
+        FileError
+            If a file cannot be written.
+
+        Examples
+        --------
+        >>> from loewner import Robot
+        >>> Robot.from_urdf("arm.urdf").cover("boxes", protrusion=0.05).save_cover("boxes.urdf")
+        """
+        answers["save_cover"](self, path, format)
+
+    def link_pairs(self, pairs: Iterable[Pair], name: str = "pairs") -> frozenset[Pair]:
+        """Check pairs of two different links of this robot, and sort each by name.
+
+        Parameters
+        ----------
+        pairs : iterable of pairs of str
+        name : str
+            The caller's name for the pairs, for messages.
+
+        Returns
+        -------
+        frozenset of pairs of str
+
+        Raises
+        ------
+        UnknownNameError
+            If the robot has no such link.
+        InputError
+            If an entry is not a pair of two different links.
+        """
+        found, known = set(), set(self.link_names)
+        for pair in _validate.listed(pairs, name, wanted="pairs of names of links"):
+            names = tuple(_validate.listed(pair, f"{name}, one of them", wanted="a pair of names of links"))
+            if len(names) != 2:
+                raise InputError(f"{name}: expected pairs of names of links, found {_validate.short(pair)} among them")
+            for link in names:
+                if not isinstance(link, str) or link not in known:
+                    raise _validate.unknown_name(f"link in {name}", link, self.link_names)
+            if names[0] == names[1]:
+                raise InputError(f"{name}: expected two links, found {names[0]!r} twice")
+            found.add((min(names), max(names)))
+        return frozenset(found)
+
+    @guarded
+    def forward_kinematics(self, Q: ArrayLike) -> Floats:
+        """Compute the poses of all links.
+
+        Parameters
+        ----------
+        Q : array_like, shape (..., dof)
+            Configurations with entries as in `configuration_names`: radians for joints that turn, metres for joints
+            that slide.
+
+        Returns
+        -------
+        ndarray, shape (..., links, 4, 4)
+            T_world_link, rigid up to rounding; translation in metres.
+
+        Raises
+        ------
+        InputError
+            If the width is not dof, an entry is not finite (or beyond ±1e200), or a quaternion does not have norm 1.
+
+        Warns
+        -----
+        UserWarning
+            As for `checked`.
+
+        Examples
+        --------
+        >>> robot = Robot.from_urdf("arm.urdf")
+        >>> robot.forward_kinematics(robot.random_configurations(1000)).shape
+        (1000, 3, 4, 4)
+        """
+        checked = self.checked(Q)
+        batch, links = checked.shape[:-1], len(self.link_names)
+        count = int(np.prod(batch))
+        _validate.fits_memory(count * links * 128, f"{count} configurations of {links} links")
+        return link_poses(self, checked.reshape(count, self.dof)).reshape(*batch, links, 4, 4)
+
+    def jacobian(self, Q: ArrayLike, link: str, point: ArrayLike | None = None) -> Floats:
+        """Compute the Jacobian of a point of a link with respect to the configuration.
+
+        Parameters
+        ----------
+        Q : array_like, shape (..., dof)
+        link : str
+        point : array_like, shape (3,), optional
+            In the frame of the link, in metres. Default: the link's origin.
+
+        Returns
+        -------
+        ndarray, shape (..., 6, dof)
+            In the world's axes, one column per value of the configuration: three rows for the velocity of the point
+            [m], then three for the angular velocity of the link [rad], per unit of that value.
+
+        Raises
+        ------
+        InputError
+            As for `forward_kinematics`; also if the point is not three finite numbers.
+        UnknownNameError
+            If there is no such link.
+
+        Notes
+        -----
+        The columns of a quaternion are derivatives through the rotation it represents: a change of its length alone
+        rotates nothing.
+
+        Examples
+        --------
+        >>> robot = Robot.from_urdf("arm.urdf")
+        >>> robot.jacobian([0.0, 0.0], robot.link_names[-1]).shape
+        (6, 2)
+        """
+        if not isinstance(link, str) or link not in self.link_names:
+            raise _validate.unknown_name("link in jacobian", link, self.link_names)
+        x = np.zeros(3) if point is None else np.array(_validate.finite_array(point, "point", (3,)))
+        checked = self.checked(Q)
+        batch, number = checked.shape[:-1], self.link_names.index(link)
+        count = math.prod(batch)
+        _validate.fits_memory(count * 6 * 8 * self.dof, f"Jacobians of {count} configurations")
+        flat, J = checked.reshape(count, self.dof), np.empty((count, 6, self.dof))
+        in_shares(
+            lambda first, last: entries.link_jacobians(*self.tree, flat, first, last, number, x, J), count, LEAST_SHARE
+        )
+        return J.reshape(*batch, 6, self.dof)
+
+    @guarded
+    def reach(
+        self,
+        link: str,
+        T: ArrayLike,
+        *,
+        joints: str | Iterable[str] | None = None,
+        start: ArrayLike | None = None,
+        seeds: int = 64,
+        checker: reaching.Collides | None = None,
+        all: bool = False,
+        tolerance: ArrayLike | None = None,
+    ) -> reaching.Reached:
+        """Find configurations at which a link has given poses (inverse kinematics).
+
+        Parameters
+        ----------
+        link : str
+        T : array_like, shape (..., 4, 4)
+            The poses T_world_link, with translation in metres.
+        joints : str or iterable of str, optional
+            A group, or names of joints. Only these joints move. Default: all that move the link.
+        start : array_like, shape (..., dof), optional
+            Broadcast with the poses. All other joints keep these values, which are also the first seed, moved into the
+            limits. The second seed is the answer for the previous pose, so the poses of a line are best given in order.
+            Default: `configuration()`, moved into the limits.
+        seeds : int
+            Number of further configurations from which to search, spread evenly within the limits; at least 1.
+        checker : CollisionChecker, optional
+            Look for a solution that is free, as decided by `CollisionChecker.collide`.
+        all : bool
+            Return all distinct solutions found. Otherwise the search for a pose ends with its first solution.
+        tolerance : array_like, shape (6,), optional
+            Largest deviations, in the frame of the target, to either side; ``inf`` leaves a direction free.
+            Three lengths along x, y and z [m], the tilt of the link's z axis about x and y [rad], and the spin about
+            its z axis [rad]. ``[0, 0, 0, inf, inf, inf]`` seeks a position only, ``[0, 0, 0, 0, 0, inf]`` a z axis.
+            With both tilts a and b in use, the z axis deviates by arccos(cos a + cos b - 1). Default: zeros.
+
+        Returns
+        -------
+        Reached
+            One solution for each pose, and where there is none, how near the best attempt came.
+
+        Raises
+        ------
+        UnknownNameError
+            If there is no such link, joint or group.
+        PoseError
+            If `T` is not made of rigid motions.
+        InputError
+            If none of the joints moves the link, or an argument has the wrong shape or value.
+
+        Notes
+        -----
+        Solutions are within the limits, except for values that are kept from a start outside them. They reach the
+        tolerance to 1e-10 m and rad, times one plus the sum of the absolute values of the pose's coordinates in metres.
+        That no solution was found does not prove that there is none; more seeds find more. A joint that turns by more
+        than a whole turn is returned at the angle that is nearest to the start. Which solution comes first does not
+        depend on the number of threads.
+
+        Each seed is improved by damped Newton steps, eight seeds at a time, and given up where these gain too little. A
+        redundant arm has infinitely many solutions, one for each seed or so.
+
+        Examples
+        --------
+        >>> robot = Robot.from_urdf("arm.urdf")
+        >>> pose = robot.forward_kinematics([0.5, 1.0])[2]
+        >>> robot.reach("forearm", pose).configuration.round(9)
+        array([0.5, 1. ])
+        >>> pose[0, 3] += 3.0  # the rail is too short
+        >>> found = robot.reach("forearm", pose)
+        >>> found.reached, found.residual.round(3)
+        (False, array([1.5, 0. ]))
+        """
+        poses, seeds = _validate.poses(T, "T"), _validate.whole_number(seeds, "seeds", 1, reaching.MOST_SEEDS)
+        limits = np.zeros(6) if tolerance is None else reaching.checked_tolerance(tolerance)
+        if checker is not None and getattr(checker, "robot", None) is not self:
+            raise InputError(
+                f"checker: expected a loewner.CollisionChecker of this robot, found {_validate.short(checker)}"
+            )
+        every, chain = _validate.flag(all, "all"), chain_to(self, link, joints)
+        begin = self.configuration().clip(self.lower, self.upper) if start is None else self.checked(start, "start")
+        return reaching.reach(chain, poses, begin, seeds=seeds, checker=checker, every=every, tolerance=limits)
+
+    @kept
+    def _chains(self) -> dict[tuple[str, tuple[str, ...]], reaching.Chain]:
+        """Chains that have been made, by link and joints."""
+        return {}
+
+    def checked(self, Q: ArrayLike, name: str = "Q") -> Floats:
+        """Check configurations and return them in the form that kernels take: C-order float64.
+
+        Every function that takes configurations checks them with this function.
+
+        Parameters
+        ----------
+        Q : array_like, shape (..., dof)
+            A table with names of columns must have the order of `configuration_names`.
+        name : str
+            The caller's name for it, for messages.
+
+        Returns
+        -------
+        ndarray, shape (..., dof)
+            `Q` itself if possible.
+
+        Raises
+        ------
+        InputError
+            If the width is not dof, an entry is not finite (or beyond ±1e200), a quaternion does not have norm 1, or
+            the columns of a table (such as of pandas) have the names of joints in another order.
+
+        Warns
+        -----
+        UserWarning
+            Given once for a robot and its copies, if a value is far outside its limits (an angle by more than a turn,
+            or a length by more than a metre and ten times the range of the limits), or if a joint that turns without
+            limits is outside ±50 rad. The warning names the joint, and suggests that values may be in degrees or
+            millimetres.
+        """
+        # A fast path for a single configuration, whose few entries cost less than NumPy's overhead.
+        plain = type(Q) is np.ndarray and Q.dtype == np.float64 and Q.shape == (self.dof,) and self.runs_straight
+        if plain and isinstance(Q, np.ndarray) and Q.flags.carray and self._watch.passes_one(Q.tolist()):
+            return Q
+        _expect_order(self, Q, name)
+        array = _validate.float_array(Q, name)
+        expect_width(self, array.shape, name)
+        if not self._watch.passes(array):
+            refused = self._watch.refused(array)
+            if refused is not None:
+                *row, column = refused
+                where = f"{name}[{', '.join(map(str, row))}]" if row else name
+                value = array[refused]
+                wanted = f"numbers within ±{LARGEST_VALUE:g}" if np.isfinite(value) else "finite numbers"
+                raise InputError(f"{where}: expected {wanted}, found {value} for {self.configuration_names[column]}")
+            self._watch.tell(array, name)
+        for joint, quaternion in self._quaternions.items():
+            norm = np.linalg.norm(array[..., quaternion], axis=-1)
+            if np.abs(norm - 1).max(initial=0.0) > QUATERNION_TOLERANCE:
+                worst = norm.flat[np.abs(norm - 1).argmax()]
+                raise InputError(f"{name}: expected quaternions (wxyz) of norm 1 for {joint}, found norm {worst:g}")
+        return array if array.flags.carray else array.copy()  # read-only arrays are another type to Numba
+
+    def checked_one(self, q: ArrayLike, name: str = "q") -> Floats:
+        """Check one configuration and return it in the form that kernels take.
+
+        Parameters
+        ----------
+        q : array_like, shape (dof,)
+        name : str
+            The caller's name for it, for messages.
+
+        Returns
+        -------
+        ndarray, shape (dof,)
+            `q` itself if possible.
+
+        Raises
+        ------
+        InputError
+            As for `checked`, or if there is more than one configuration.
+        """
+        checked = self.checked(q, name)
+        if checked.ndim != 1:
+            found = _validate.shape_text(checked.shape)
+            raise InputError(f"{name}: expected one configuration, shape ({self.dof},), found {found}")
+        return checked
+
+    def configuration(self, values: Mapping[str, ArrayLike] | str | None = None) -> Floats:
+        """Make one configuration from named values.
+
+        Parameters
+        ----------
+        values : dict or str, optional
+            Values keyed by joint name or configuration name, or the name of a state. All other joints are at 0, or at
+            the identity quaternion, even if this is outside their limits.
+
+        Returns
+        -------
+        ndarray, shape (dof,)
+
+        Raises
+        ------
+        UnknownNameError
+            The message lists the valid names.
+        InputError
+            If `values` is neither a mapping nor the name of a state, or a value is not a finite number.
+
+        Examples
+        --------
+        >>> Robot.from_urdf("arm.urdf").configuration({"elbow": 0.5})
+        array([0. , 0.5])
+        """
+        if isinstance(values, str):
+            if values not in self.states:
+                raise _validate.unknown_name("state", values, self.states)
+            values = self.states[values][1]
+        if values is not None and not isinstance(values, Mapping):
+            raise InputError(
+                f"values: expected a dict by names of joints or the name of a state, found {_validate.short(values)}"
+            )
+        q = np.zeros(self.dof)
+        for quaternion in self._quaternions.values():
+            q[quaternion.start] = 1.0
+        places = {name: slice(i, i + 1) for i, name in enumerate(self.configuration_names)} | self._columns
+        for name, value in (values or {}).items():
+            if name in self.mimics:
+                followed, _ = self.mimics[name]
+                raise UnknownNameError(
+                    f"joint: expected one with a value of its own, found {name!r}: {name} mimics {followed}; "
+                    f"set {followed!r}"
+                )
+            if name not in places:
+                raise _validate.unknown_name("joint", name, places)
+            at = places[name]
+            given = np.atleast_1d(_validate.float_array(value, name))
+            q[at] = _validate.finite_array(given, name, (at.stop - at.start,))
+        return self.checked(q, "values")
+
+    @guarded
+    def random_configurations(self, n: int, seed: int = 0) -> Floats:
+        """Draw n configurations uniformly within the limits, shape (n, dof).
+
+        A value without limits is drawn from -π .. π (even a length, in metres); quaternions are uniform. A value with
+        one limit is drawn from a range that starts at the limit and has length 2π, or extends to the far end of -π .. π
+        if that is farther. A limit outside ±1e6 does not set the range, but is still respected.
+
+        Parameters
+        ----------
+        n : int
+        seed : int
+            Both are non-negative.
+
+        Returns
+        -------
+        ndarray, shape (n, dof)
+
+        Raises
+        ------
+        InputError
+            If `n` or `seed` is not a non-negative integer, or n configurations do not fit into memory.
+
+        Examples
+        --------
+        >>> robot = Robot.from_urdf("arm.urdf")
+        >>> Q = robot.random_configurations(1000)
+        >>> Q.shape, bool((Q[:, 0] >= 0).all() and (Q[:, 0] <= 2).all())
+        ((1000, 2), True)
+        """
+        n = _validate.whole_number(n, "n", 0)
+        _validate.fits_memory(n * self.dof * 8, f"{n} configurations")
+        rng = np.random.default_rng(_validate.whole_number(seed, "seed", 0))
+        lower, upper = self.usual_range(np.pi)
+        Q = rng.uniform(lower, upper, (n, self.dof)).clip(lower, upper)
+        for quaternion in self._quaternions.values():
+            drawn = rng.normal(size=(n, 4))
+            Q[:, quaternion] = drawn / np.linalg.norm(drawn, axis=1, keepdims=True)
+        return Q
+
+    @guarded
+    def usual_range(self, reach: float) -> tuple[Floats, Floats]:
+        """Return finite limits to search within, shape (dof,) each, inside `lower` and `upper`.
+
+        Parameters
+        ----------
+        reach : float
+            Sets the bound of a value without a limit, or with a limit outside ±1e6, which some programs write for "no
+            limit". The bound is this far from 0, or twice as far from the value's other limit if that is farther out.
+
+        Returns
+        -------
+        lower, upper : ndarray, shape (dof,)
+            In radians or metres.
+
+        Examples
+        --------
+        >>> Robot.from_urdf("arm.urdf").usual_range(3.0)
+        (array([ 0., -3.]), array([2., 3.]))
+        """
+        reach = _validate.positive_scalar(reach, "reach")
+        if reach > FARTHEST_LIMIT:
+            raise InputError(f"reach: expected at most {FARTHEST_LIMIT:g}, found {reach:g}")
+        below, above = self.lower > -FARTHEST_LIMIT, self.upper < FARTHEST_LIMIT
+        lower = np.where(below, self.lower, np.minimum(-reach, np.where(above, self.upper, 0.0) - 2 * reach * above))
+        upper = np.where(above, self.upper, np.maximum(reach, lower + 2 * reach))
+        return np.maximum(lower, self.lower), np.minimum(upper, self.upper)
+
+    @guarded
+    def distances(self, Q0: ArrayLike, Q1: ArrayLike) -> OneOrMany:
+        """Compute Euclidean distances of configurations in joint units; orientations count by the angle between them.
+
+        Parameters
+        ----------
+        Q0, Q1 : array_like, shape (..., dof)
+            Broadcast together.
+
+        Returns
+        -------
+        float, or ndarray, shape (...)
+
+        Examples
+        --------
+        >>> Robot.from_urdf("arm.urdf").distances([0, 0], [[3, 4], [0, 1]])
+        array([5., 1.])
+        """
+        a, b = self.checked(Q0, "Q0"), self.checked(Q1, "Q1")
+        _validate.broadcast({"Q0": a.shape[:-1], "Q1": b.shape[:-1]})
+        return self._distances(a, b)
+
+    def _distances(self, a: Floats, b: Floats) -> OneOrMany:
+        if a.ndim == b.ndim == 1 and self.runs_straight:
+            return math.dist(a.tolist(), b.tolist())
+        with np.errstate(over="ignore"):
+            squares = np.square(b - a)
+            for quaternion in self._quaternions.values():
+                # Half the chord to the nearer of q and -q is the sine of a quarter of the angle.
+                p, q = np.broadcast_arrays(a[..., quaternion], b[..., quaternion])
+                chord = np.minimum(np.linalg.norm(p - q, axis=-1), np.linalg.norm(p + q, axis=-1))
+                squares[..., quaternion] = 0.0
+                squares[..., quaternion.start] = power(4 * _elementary.arcsin(np.minimum(chord / 2, 1.0)), 2)
+            return np.sqrt(squares.sum(axis=-1))
+
+    @kept
+    def runs_straight(self) -> bool:
+        """Whether all values change linearly along motions, since no joint has a quaternion."""
+        return not self._quaternions
+
+    def between(self, Q0: ArrayLike, Q1: ArrayLike, t: ArrayLike) -> Floats:
+        """Compute configurations along a motion: values change linearly, and orientations follow the shorter arc.
+
+        Parameters
+        ----------
+        Q0, Q1 : array_like, shape (..., dof)
+        t : array_like, shape (...)
+            Fraction of the motion: 0 is Q0, 1 is Q1; broadcast with the configurations.
+
+        Returns
+        -------
+        ndarray, shape (..., dof)
+
+        Examples
+        --------
+        >>> Robot.from_urdf("arm.urdf").between([0, 0], [1, 2], [0.0, 0.5, 1.0])
+        array([[0. , 0. ],
+               [0.5, 1. ],
+               [1. , 2. ]])
+        """
+        a, b = self.checked(Q0, "Q0"), self.checked(Q1, "Q1")
+        at = _validate.finite_array(t, "t", ("...",))[..., None]
+        _validate.broadcast({"Q0": a.shape[:-1], "Q1": b.shape[:-1], "t": at.shape[:-1]})
+        return interpolated(self, a, b, at)
+
+    @kept
+    def _quaternions(self) -> dict[str, slice]:
+        """Columns of the quaternion of each joint that has one."""
+        widths = {len(VALUES[kind]) for kind in WITH_QUATERNION}
+        return {
+            joint: slice(at.stop - 4, at.stop) for joint, at in self._columns.items() if at.stop - at.start in widths
+        }
+
+
+def named_joints(robot: Robot, joints: str | Iterable[str] | None) -> list[str]:
+    """Return the names of the joints of a group, of given joints or of all joints, at least one."""
+    if isinstance(joints, str):
+        if joints not in robot.groups and joints not in robot.joint_names:
+            raise _validate.unknown_name("joints", joints, (*robot.groups, *robot.joint_names))
+        names = list(robot.groups.get(joints, (joints,)))
+    else:
+        names = list(robot.joint_names) if joints is None else _validate.listed(joints, "joints")
+    if not names:
+        raise InputError(
+            "joints: expected one or more, found none" + (f" in group {joints!r}" if isinstance(joints, str) else "")
+        )
+    for name in names:
+        if not isinstance(name, str) or name not in robot.joint_names:
+            raise _validate.unknown_name("joints", name, robot.joint_names)
+    return names
+
+
+def chain_to(robot: Robot, link: str, joints: str | Iterable[str] | None = None) -> reaching.Chain:
+    """Return the joints that place a link, in the form that `Robot.reach` takes; its arguments are checked here."""
+    if not isinstance(link, str) or link not in robot.link_names:
+        raise _validate.unknown_name("link", link, robot.link_names)
+    moving = named_joints(robot, joints)
+    key = link, tuple(moving)
+    if key not in robot._chains:
+        moves = np.zeros(robot.dof, dtype=bool)
+        for joint in moving:
+            moves[robot._columns[joint]] = True
+        limits, usual = np.stack([robot.lower, robot.upper]), np.stack(robot.usual_range(np.pi))
+        made = reaching.chain(robot.tree, robot.link_names.index(link), moves, limits, usual)
+        if not made.moving.any():
+            raise InputError(f"link: expected one that the joints move ({', '.join(moving)}), found {link!r}")
+        robot._chains[key] = made
+    return robot._chains[key]
+
+
+def _expect_order(robot: Robot, Q: object, name: str) -> None:
+    """Refuse a table, or a row of one, whose labels are joints in another order: its array has no labels."""
+    labels = getattr(Q, "columns" if hasattr(Q, "columns") else "index", None)
+    if labels is None or callable(labels) or isinstance(Q, np.ndarray):
+        return
+    found, expected = [str(label) for label in labels], list(robot.configuration_names)
+    if found != expected and set(found) & set(expected):
+        raise InputError(
+            f"{name}: expected columns in the order {_validate.short(', '.join(expected))}, found "
+            f"{_validate.short(', '.join(found))}; choose them by list(robot.configuration_names)"
+        )
+
+
+def expect_width(robot: Robot, shape: tuple[int, ...], name: str) -> None:
+    """Refuse configurations whose shape is not (..., dof)."""
+    if not shape or shape[-1] != robot.dof:
+        raise InputError(
+            f"{name}: expected shape (..., {robot.dof}), one column each for {', '.join(robot.configuration_names)}; "
+            f"found {_validate.shape_text(shape)}"
+        )
+
+
+def exported_rates(robot: Robot, rates: Floats) -> Floats:
+    """Convert rates of a robot's values to the order of its model; see `Robot.exported`."""
+    if not robot.runs_straight or len(robot._known_layout.turning):
+        raise InputError("robot: expected joints of one value each, found quaternions, or cosines and sines")
+    return robot._known_layout.exported_rates(rates)
+
+
+def joints_above(robot: Robot) -> tuple[str, ...]:
+    """Return the name of the joint above each link, in the order of the links; empty where it has none."""
+    return tuple(robot._above.get(link, ("", None))[0] for link in robot.link_names)
+
+
+def sources_of(robot: Robot) -> tuple[Source, ...]:
+    """Return where the descriptions of a robot and of its parts came from."""
+    return robot._sources
+
+
+def link_poses(robot: Robot, Q: Floats) -> Floats:
+    """Compute the poses of all links at checked configurations, shape (N, links, 4, 4)."""
+    total, links = len(Q), len(robot.link_names)
+    out = np.empty((total, links, 4, 4))
+    in_shares(lambda first, last: entries.link_poses(*robot.tree, Q, first, last, out), total, LEAST_SHARE)
+    return out
+
+
+def interpolated(robot: Robot, a: Floats, b: Floats, at: Floats) -> Floats:
+    """Interpolate between checked configurations, see `Robot.between`; fractions have a final axis of length 1."""
+    Q = np.where(at == 1, b, a + at * (b - a))  # the sum may miss b by a rounding of a
+    for quaternion in robot._quaternions.values():
+        p = a[..., quaternion]
+        q, cosine = _nearer(p, b[..., quaternion])
+        angle = _elementary.arccos(np.minimum(cosine, 1.0))
+        # For a small angle the chord is the arc.
+        sine = np.maximum(_elementary.sin(angle), 1e-12)
+        straight = angle < 1e-6
+        of_p = np.where(straight, 1 - at, _elementary.sin((1 - at) * angle) / sine)
+        of_q = np.where(straight, at, _elementary.sin(at * angle) / sine)
+        mixed = of_p * p + of_q * q
+        Q[..., quaternion] = mixed / lengths(mixed)[..., None]
+    return np.ascontiguousarray(Q)
+
+
+def on_the_way(robot: Robot, a: Floats, b: Floats) -> Floats:
+    """Return the ends b with the signs of quaternions that `between` uses; at half a turn, rounding decides."""
+    if robot.runs_straight:
+        return b
+    ends = b.copy()
+    for quaternion in robot._quaternions.values():
+        ends[..., quaternion], _ = _nearer(a[..., quaternion], b[..., quaternion])
+    return ends
+
+
+def unlimited(robot: Robot) -> tuple[Bools, Bools, Bools]:
+    """Mark the columns without a lower limit, those without an upper limit, and angles without any limit.
+
+    Some programs write 1e16 or the largest number for "no limit"; such values count as no limit.
+    """
+    below, above = robot.lower <= -FARTHEST_LIMIT, robot.upper >= FARTHEST_LIMIT
+    tree, turning = robot.tree, np.zeros(robot.dof, dtype=bool)
+    moved = tree.kind != kernel_columns.FIXED
+    turns = (tree.kind == kernel_columns.REVOLUTE) & (tree.multiplier == np.rint(tree.multiplier))
+    turning[tree.column[moved]] = True
+    turning[tree.column[moved & ~turns]] = False  # by all that follow the joint
+    return below, above, turning & below & above
+
+
+def _ends(
+    robot: Description, columns: Mapping[str, slice], dof: int, of: Callable[[Joint], tuple[float, float]]
+) -> tuple[Floats, Floats]:
+    """Return the least and the largest configuration values, of ranges of joints."""
+    lower, upper = np.full(dof, -np.inf), np.full(dof, np.inf)
+    for name, column in columns.items():
+        lower[column], upper[column] = of(robot.joints[name])
+        if robot.joints[name].kind in WITH_QUATERNION:
+            lower[column.stop - 4 : column.stop], upper[column.stop - 4 : column.stop] = -1.0, 1.0
+    return lower, upper
+
+
+def _rates(robot: Description, columns: Mapping[str, slice], dof: int, kind: str) -> Floats:
+    """Compute the largest rates of one kind of configuration values; NaN if a rate is unlimited or not given."""
+    rates = np.full(dof, np.nan)
+    for joint in robot.joints.values():
+        moved, multiplier = (joint.name, 1.0) if joint.mimic is None else (joint.mimic.joint, joint.mimic.multiplier)
+        if moved in columns and multiplier != 0:
+            at = columns[moved]
+            rates[at] = np.fmin(rates[at], getattr(joint, kind) / abs(multiplier))
+    return rates
+
+
+def _nearer(p: Floats, q: Floats) -> tuple[Floats, Floats]:
+    """Return the nearer to p of the quaternions q and -q, and the cosine of its angle to p."""
+    cosine = dot(p, q)[..., None]
+    return np.where(cosine < 0, -q, q), np.abs(cosine)
+
+
+def first_shown(robot: Robot) -> tuple[str | None, Floats]:
+    """Return the state of the most joints and its configuration, or zero; joints are within their limits."""
+    state = max(robot.states, key=lambda name: len(robot.states[name][1]), default=None)
+    return state, np.clip(robot.configuration(state), robot.lower, robot.upper)
+
+
+def drawn(robot: Robot) -> tuple[list[Shape], dict[str, Floats], str]:
+    """Return shapes of links, poses of all links, and a note, at the configuration that is shown first."""
+    state, q = first_shown(robot)
+    poses = dict(zip(robot.link_names, robot.forward_kinematics(q), strict=True))
+    shapes = [
+        for_pictures(packed_of(body), len(robot.bodies) > MANY_LINKS).at(poses[name], LINKS[k % len(LINKS)])
+        for k, (name, body) in enumerate(robot.bodies.items())
+    ]
+    return shapes, poses, f", at the state {state!r}" if state else ", at zero or the nearest limits"

@@ -1,0 +1,350 @@
+"""Read SRDF files for a robot: groups, states and disabled pairs."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from loewner._base._plausible import warn
+from loewner._base._validate import Pair
+from loewner.errors import UnknownNameError
+from loewner.robots.description.urdf import MOST_PAIRS, VALUES, Description
+from loewner.robots.description.xml_elements import LISTED, UNREAD, Element, by_name, cut, known, read_xml, settle, some
+
+# pinocchio's name for the free base that it adds to a robot; its SRDF files use it without declaring it.
+UNDECLARED_BASE = "root_joint"
+
+# Parts of SRDF files that do not change groups, states or pairs, by the element that contains them.
+HARMLESS = {
+    "robot": frozenset((
+        "@version",
+        "contact", "gripper", "handle", "position", "rotor_params", "specificities",  # additions of other programs
+        "end_effector",  # which group is a hand: for markers to drag
+        "link_sphere_approximation",  # the shapes of the URDF count
+    )),
+    "disable_collisions": frozenset(("@reason",)),
+    "enable_collisions": frozenset(("@reason",)),
+    "virtual_joint": frozenset(("@parent_frame", "@type")),  # the base has no values: see `Robot.placed`, `add_base`
+}  # fmt: skip
+
+# Limit on the number of joints of all groups together: far more than any robot has.
+MOST_MEMBERS = 2**22
+
+# If less than this share of the names in an SRDF belong to the robot, it was written for another robot.
+LEAST_IN_COMMON = 0.25
+
+# Group, and values by joint; the group is "" for a state of the whole robot.
+State = tuple[str, dict[str, float | tuple[float, ...]]]
+
+
+@dataclass(frozen=True, eq=False)
+class Semantics:
+    """The contents of an SRDF.
+
+    Attributes
+    ----------
+    groups : dict
+        Group name to the names of its driven joints, in the order of the URDF.
+    states : dict
+        State name to (group, {driven joint: value or tuple of values}).
+    disabled_pairs : frozenset
+        Sorted pairs of links that need no check.
+    ruled : bool
+        Whether there are rules on pairs; then adjacent pairs are checked unless a rule disables them.
+    """
+
+    groups: dict[str, tuple[str, ...]] = field(default_factory=dict)
+    states: dict[str, State] = field(default_factory=dict)
+    disabled_pairs: frozenset[Pair] = frozenset()
+    ruled: bool = False
+
+
+class _Names:
+    """Look names up in the URDF and count the hits, since few hits mean that the SRDF is for a different robot."""
+
+    def __init__(self, robot: Description, without_values: Collection[str]) -> None:
+        self.robot = robot
+        self.without_values = without_values
+        self.known: set[tuple[str, str]] = set()
+        self.unknown: dict[tuple[str, str], Element] = {}
+
+    def link(self, element: Element, attribute: str) -> str | None:
+        return self._of("link", element, attribute, self.robot.shapes)
+
+    def joint(self, element: Element) -> str | None:
+        if element.text("name") in self.without_values:
+            return None
+        return self._of("joint", element, "name", self.robot.joints)
+
+    def group(self, element: Element, attribute: str, groups: Collection[str]) -> str | None:
+        """Return the name of a group if this file has such a group."""
+        name = element.text(attribute)
+        if name in groups:
+            return name
+        self.unknown.setdefault(("group", name), element)
+        return None
+
+    def _of(self, kind: str, element: Element, attribute: str, valid: Collection[str]) -> str | None:
+        name = element.text(attribute)
+        if name in valid:
+            self.known.add((kind, name))
+            return name
+        self.unknown.setdefault((kind, name), element)
+        return None
+
+    def settle(self, path: Path) -> None:
+        """Refuse a different robot's SRDF; warn of ignored names, which a larger variant of this robot may have."""
+        if not self.unknown:
+            return
+        foreign = [key for key in self.unknown if key[0] != "group"]
+        could = min(len(self.known) + len(foreign), len(self.robot.shapes) + len(self.robot.joints))
+        found = ", ".join(f"{kind} {name!r} (line {e.line})" for (kind, name), e in list(self.unknown.items())[:8])
+        if len(self.unknown) > 8:
+            found += f" and {len(self.unknown) - 8} more"
+        if len(self.known) < LEAST_IN_COMMON * could:
+            raise UnknownNameError(
+                f"{path}: expected an SRDF for {self.robot.name!r} ({self.robot.path}), found one for another robot, "
+                f"with {found}; links: {known(self.robot.shapes)}; joints: {known(self.robot.joints)}"
+            )
+        warn(f"{path}: left out what names things that neither it nor {self.robot.path} has: {found}")
+
+
+def read_srdf(path: str | os.PathLike[str], robot: Description, text: str | None = None) -> Semantics:
+    """Read an SRDF file for a robot, or a string as if it were the contents of that file.
+
+    It reads groups, group states and the rules on pairs: ``disable_collisions``, ``enable_collisions`` and
+    ``disable_default_collisions``. Virtual joints have no values here (`Robot.placed` places the base), and elements
+    that other programs add (grippers, rotors, ...) are ignored.
+
+    Raises
+    ------
+    FileError, InputError
+        As for `read_urdf`.
+    UnknownNameError
+        If hardly any of the links and joints that the SRDF names belong to this robot.
+
+    Warns
+    -----
+    UserWarning
+        If some of the links and joints do not belong to this robot (an SRDF is often shared with a larger variant), or
+        the SRDF names a group that it does not contain; if it names no link or joint of this robot, is for a robot of a
+        different name, or has parts that are not defined in SRDF. If joints are passive; if the base moves, or a state
+        places it; or a state has a value of a joint outside its group.
+    """
+    root = read_xml(path, "an SRDF", text)
+    urdf = next((c for c in root.children if c.tag in ("link", "joint")), None)
+    if urdf is not None:
+        urdf.fault("an SRDF, with groups, states and rules on pairs", f"a URDF, with a <{urdf.tag}>")
+    virtual = {UNDECLARED_BASE, *(e.text("name") for e in root.all("virtual_joint"))}
+    names = _Names(robot, virtual - robot.joints.keys())
+    disabled = _disabled_pairs(root, names)
+    groups = _groups(root, names)
+    states, doubts = _states(root, names, groups)
+    passive = _passive(root, names)
+    names.settle(root.path)
+    for fault in (*_oddities(root, names), *_of_bases(root, robot), *_of_passive(passive), *doubts):
+        warn(f"{root.path}: {fault}")
+    settle(root, "SRDF", HARMLESS)
+    groups = {name: tuple(joint for joint in joints if joint not in passive) for name, joints in groups.items()}
+    ruled = any(root.all(tag) for tag in ("disable_collisions", "enable_collisions", "disable_default_collisions"))
+    return Semantics(groups, states, disabled, ruled)
+
+
+def _oddities(root: Element, names: _Names) -> Iterator[str]:
+    """Collect warnings about contents of an SRDF that are allowed but probably a mistake."""
+    robot, name = names.robot, root.get("name") or ""
+    if name and name != robot.name:
+        yield f"expected an SRDF for {robot.name!r}, as {robot.path} calls it, found one for {name!r}"
+    if not names.known:
+        yield f"expected groups, states or pairs of {robot.name!r}, found none of its links and joints named"
+
+
+def _of_bases(root: Element, robot: Description) -> Iterator[str]:
+    """Collect warnings about bases that do not move, or move otherwise, here."""
+    top = next(iter(robot.shapes))
+    for element in root.all("virtual_joint"):
+        link = element.get("child_link")
+        if link not in (None, top):
+            name = element.text("name")
+            yield f"line {element.line}: expected {top!r}, the root, below the virtual joint {name!r}, found {link!r}"
+    for element in root.all("joint_property"):
+        joint, of, value = (element.text(name) for name in ("joint_name", "property_name", "value"))
+        if of == "motion_model" and value != "holonomic":
+            yield (
+                f"line {element.line}: the motion model {cut(value)} of {joint!r} is not used: motions are straight "
+                "lines here, sideways as well"
+            )
+
+
+def _passive(root: Element, names: _Names) -> dict[str, Element]:
+    """Return the passive joints that have values."""
+    named = ((names.joint(element), element) for element in root.all("passive_joint"))
+    driven = set(names.robot.driven)
+    return {joint: element for joint, element in named if joint is not None and joint in driven}
+
+
+def _of_passive(passive: Mapping[str, Element]) -> Iterator[str]:
+    """List the passive joints in a warning."""
+    if passive:
+        named = some((f"{joint!r} (line {element.line})" for joint, element in passive.items()), UNREAD)
+        yield f"passive joints are left out of groups, but plans that name no joints move them: {named}"
+
+
+def _disabled_pairs(root: Element, names: _Names) -> frozenset[Pair]:
+    disabled: set[Pair] = set()
+    alone = list(dict.fromkeys(names.link(e, "link") for e in root.all("disable_default_collisions")))
+    if len(alone) * len(names.robot.shapes) > MOST_PAIRS:
+        root.fault(
+            f"<disable_default_collisions> of at most {MOST_PAIRS} pairs",
+            f"{len(alone)} links with {len(names.robot.shapes)} others each",
+        )
+    for link in alone:
+        if link is not None:
+            disabled |= {_sorted_pair(link, other) for other in names.robot.shapes if other != link}
+    for tag, change in (("enable_collisions", disabled.discard), ("disable_collisions", disabled.add)):
+        for element in root.all(tag):
+            a, b = names.link(element, "link1"), names.link(element, "link2")
+            if a is not None and b is not None and a != b:
+                change(_sorted_pair(a, b))
+    return frozenset(disabled)
+
+
+def _sorted_pair(a: str, b: str) -> Pair:
+    return (a, b) if a < b else (b, a)
+
+
+def _groups(root: Element, names: _Names) -> dict[str, tuple[str, ...]]:
+    """List the driven joints of each group, in the order of the URDF."""
+    elements = by_name(root.all("group"))
+    place = {joint: k for k, joint in enumerate(names.robot.driven)}
+    depth: dict[str, int] = {}
+    for link in names.robot.shapes:
+        above = names.robot.joint_above.get(link)
+        depth[link] = 0 if above is None else depth[above.parent] + 1
+    own: dict[str, frozenset[str]] = {}
+    inner: dict[str, list[str]] = {}
+    total = 0
+
+    def count(more: int, element: Element) -> None:
+        nonlocal total
+        total += more
+        if total > MOST_MEMBERS:
+            element.fault(f"groups of at most {MOST_MEMBERS} joints, all together", "more")
+
+    for name, element in elements.items():
+        listed: list[str] = []
+        for e in (e for tag in ("joint", "link", "chain") for e in element.all(tag)):
+            found = _named_joints(e, names, depth)
+            count(len(found), e)
+            listed += found
+        own[name] = frozenset(listed)
+        inside = (names.group(e, "name", elements) for e in element.all("group"))
+        inner[name] = [group for group in dict.fromkeys(inside) if group is not None]
+    members: dict[str, frozenset[str]] = {}
+    for name in _innermost_first(elements, inner):
+        members[name] = own.pop(name).union(*(members[group] for group in inner[name])) & place.keys()
+        count(len(members[name]), elements[name])
+    return {name: tuple(sorted(members[name], key=place.__getitem__)) for name in elements}
+
+
+def _named_joints(element: Element, names: _Names, depth: dict[str, int]) -> list[str]:
+    """List the joints of an entry of a group: one joint, the joint above a link, or the joints between two links."""
+    if element.tag == "joint":
+        joint = names.joint(element)
+        return [] if joint is None else [joint]
+    if element.tag == "link":
+        above = names.robot.joint_above.get(names.link(element, "name") or "")
+        return [] if above is None else [above.name]
+    return _chain(names.robot, depth, names.link(element, "base_link"), names.link(element, "tip_link"))
+
+
+def _innermost_first(elements: dict[str, Element], inner: dict[str, list[str]]) -> list[str]:
+    """Order groups so that each follows the groups that it contains."""
+    order: list[str] = []
+    done: set[str] = set()
+    for start in elements:
+        within: dict[str, Iterator[str]] = {} if start in done else {start: iter(inner[start])}  # from outside inwards
+        while within:
+            name = next(reversed(within))
+            group = next(within[name], None)
+            if group is None:
+                del within[name]
+                done.add(name)
+                order.append(name)
+            elif group in within:
+                names = list(within)
+                ring = [*names[names.index(group) :], group]
+                more = f" ... and {len(ring) - LISTED} more" if len(ring) > LISTED else ""
+                elements[group].fault("groups that do not contain themselves", " in ".join(ring[:LISTED]) + more)
+            elif group not in done:
+                within[group] = iter(inner[group])
+    return order
+
+
+def _chain(robot: Description, depth: dict[str, int], base: str | None, tip: str | None) -> list[str]:
+    """List the joints between two links."""
+    found: list[str] = []
+    if base is None or tip is None:
+        return found
+    while base != tip:
+        if depth[base] < depth[tip]:
+            base, tip = tip, base
+        above = robot.joint_above[base]
+        found.append(above.name)
+        base = above.parent
+    return found
+
+
+def _states(
+    root: Element, names: _Names, groups: Mapping[str, tuple[str, ...]]
+) -> tuple[dict[str, State], Iterator[str]]:
+    """Read the states, and collect warnings about values that have no effect, or reach beyond a group."""
+    states: dict[str, State] = {}
+    driven = set(names.robot.driven)
+    first: dict[tuple[str, str], Element] = {}
+    bases, outside = [], []
+    for element in root.all("group_state"):
+        # Some programs write a state outside all groups for the whole robot.
+        name = element.text("name")
+        group = (names.group(element, "group", groups) or "") if "group" in element.attributes else ""
+        before = first.setdefault((element.get("group") or "", name), element)
+        if before is not element:
+            element.fault("each state of a group once", f"{name!r} again, first in line {before.line}")
+        values: dict[str, float | tuple[float, ...]] = {}
+        for e in by_name(element.all("joint")).values():
+            joint, text = names.joint(e), e.get("value")
+            if e.text("name") in names.without_values and _is_away(text or ""):
+                bases.append(f"{name!r} (line {e.line})")
+            if joint not in driven:  # unknown, or without a value of its own: fixed, mimicking, virtual
+                continue
+            if group and groups[group] and joint not in groups[group]:
+                outside.append(f"{joint!r} in {name!r} (line {e.line})")
+            kind = names.robot.joints[joint].kind
+            numbers = e.finite("value", len(VALUES[kind]))
+            if kind == "floating":  # x, y, z, then the quaternion as x, y, z, w
+                numbers = [*numbers[:3], numbers[6], *numbers[3:6]]
+            values[joint] = numbers[0] if len(numbers) == 1 else tuple(numbers)
+        # The name of a state is unique only within its group.
+        key = f"{group}/{name}" if name in states else name
+        if key in states:
+            element.fault("states whose names differ", f"{key!r} twice: as a name, and as a group and a name")
+        states[key] = (group, values)
+    return states, _of_states(bases, outside)
+
+
+def _of_states(bases: list[str], outside: list[str]) -> Iterator[str]:
+    if bases:
+        yield f"states that place the base leave it where it is (Robot.placed, add_base): {some(bases, UNREAD)}"
+    if outside:
+        yield f"expected values of the joints of a state's group, found others, which are used: {some(outside, UNREAD)}"
+
+
+def _is_away(text: str) -> bool:
+    """Return whether the value of a base is another pose than the identity, in the order x, y, z, qx, qy, qz, qw."""
+    words = text.split()
+    try:
+        return any(float(word) != 0 for word in words[:6])
+    except ValueError:
+        return True

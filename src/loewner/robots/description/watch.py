@@ -1,0 +1,112 @@
+"""Detect values of configurations that cannot be computed with, or are probably a slip, such as degrees for radians."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from operator import le
+
+import numpy as np
+
+from loewner._base._plausible import FARTHEST_LIMIT, warn
+from loewner._base._read_only import KeepsReadOnly
+from loewner._base._validate import Floats
+
+# How far outside its limits the value of a joint may be: an angle may have been wrapped by a turn [rad]; a length is
+# compared with the way between the limits, and a metre on top.
+ANGLE_OUTSIDE = 2 * math.pi
+LENGTH_OUTSIDE, SPANS_OUTSIDE = 1.0, 10.0
+
+# Where a joint turns without limit, the angle that is more likely one in degrees: some eight turns [rad].
+LARGEST_TURN = 50.0
+
+# Values of joints beyond these are refused [rad or m]: times the largest factor of a description, and added up along
+# the longest chain, they are still numbers, so that no pose is NaN.
+LARGEST_VALUE = 1e200
+
+
+class Watch(KeepsReadOnly):
+    """Find values of configurations that cannot be computed with, and values far outside the limits.
+
+    Parameters
+    ----------
+    robot : str
+        The robot's name, for the warning.
+    names : sequence of str
+        The entries of a configuration.
+    lower, upper : ndarray, shape (dof,)
+        Limits; infinite where there are none.
+    turns : sequence of bool
+        Which entries are angles.
+    free : sequence of bool
+        Which entries belong to planar and floating joints, which have no limits in any unit.
+
+    Attributes
+    ----------
+    turns, free : tuple of bool
+        As given.
+    range : ndarray, shape (2, dof)
+        Least and largest values that need no warning. The array object stays the same, but its range may widen.
+
+    Notes
+    -----
+    After one warning, only values that cannot be computed with are looked for. Copies of a robot share one watch.
+    """
+
+    def __init__(
+        self,
+        robot: str,
+        names: Sequence[str],
+        lower: Floats,
+        upper: Floats,
+        turns: Sequence[bool],
+        free: Sequence[bool],
+    ) -> None:
+        self._robot, self._names = robot, tuple(names)
+        self.turns, self.free = tuple(turns), tuple(free)
+        self._limits = lower, upper
+        self.range = np.empty((2, len(lower)))
+        from_below, from_above = lower > -FARTHEST_LIMIT, upper < FARTHEST_LIMIT
+        span = np.where(from_below & from_above, upper.clip(max=FARTHEST_LIMIT) - lower.clip(min=-FARTHEST_LIMIT), 0.0)
+        room = np.where(self.turns, ANGLE_OUTSIDE, LENGTH_OUTSIDE + SPANS_OUTSIDE * span)
+        widest = np.where(self.turns, LARGEST_TURN, LARGEST_VALUE)
+        # Where there is one limit only, it may lie beyond the values that a joint without any would be warned about.
+        least = np.where(from_below, lower - room, np.where(from_above, upper, 0.0).clip(max=0.0) - widest)
+        most = np.where(from_above, upper + room, np.where(from_below, lower, 0.0).clip(min=0.0) + widest)
+        self._look_for(np.where(self.free, -LARGEST_VALUE, least), np.where(self.free, LARGEST_VALUE, most))
+
+    def _look_for(self, least: Floats, most: Floats) -> None:
+        self.range[:] = np.clip([least, most], -LARGEST_VALUE, LARGEST_VALUE)
+        self._least, self._most = self.range.tolist()
+
+    def passes_one(self, values: list[float]) -> bool:
+        """Return whether one configuration needs no warning."""
+        return all(map(le, self._least, values)) and all(map(le, values, self._most))  # neither holds for NaN
+
+    def passes(self, Q: Floats) -> bool:
+        """Return True if no configuration in a batch, shape (..., dof), needs a warning."""
+        least, most = self.range
+        return bool((least <= Q).all() and (most >= Q).all())
+
+    def refused(self, Q: Floats) -> tuple[int, ...] | None:
+        """Return the index of the first entry that cannot be computed with; None if there is none."""
+        wrong = ~(np.abs(Q) <= LARGEST_VALUE)
+        return tuple(int(i) for i in np.argwhere(wrong)[0]) if wrong.any() else None
+
+    def tell(self, Q: Floats, name: str) -> None:
+        """Warn about the first configuration that did not pass, and never warn again."""
+        least, most = self.range
+        far = np.argwhere((least > Q) | (most < Q))
+        if not len(far):
+            return  # another thread wrote to the array meanwhile
+        *row, k = (int(i) for i in far[0])
+        value, (lower, upper) = Q[(*row, k)], self._limits
+        self._look_for(np.full(len(least), -np.inf), np.full(len(least), np.inf))
+        where = f"{name}[{', '.join(map(str, row))}]" if row else name
+        none = np.isinf(lower[k]) and np.isinf(upper[k])
+        limits = "no limits" if none else f"the limits {lower[k]:.4g} .. {upper[k]:.4g}"
+        unit, slip = ("rad", "degrees") if self.turns[k] else ("m", "millimetres")
+        warn(
+            f"{where}: expected a value near the limits, found {self._names[k]} = {value:.6g} {unit} with {limits}; "
+            f"is it in {slip}? (this warning is given once for robot {self._robot!r})"
+        )

@@ -1,0 +1,127 @@
+"""Expand xacro files to URDF, with the package xacro.
+
+Such files contain expressions of Python. They are evaluated only if the caller names such a file, or gives arguments.
+"""
+
+from __future__ import annotations
+
+import importlib
+import os
+import threading
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from loewner._base import _validate
+from loewner.errors import FileError, InputError, MissingExtraError, installing
+from loewner.robots.description.link_bodies import package_folder
+
+# End of the names of files that are expanded.
+SUFFIX = ".xacro"
+
+# The package keeps the state of an expansion in its modules.
+_alone = threading.RLock()
+
+
+class _Arguments(dict[str, str]):
+    """Arguments of a file; the names that the file declares or reads are added to `used`."""
+
+    def __init__(self, given: Mapping[str, str], used: set[str]) -> None:
+        super().__init__(given)
+        self.used = used
+
+    def __contains__(self, name: object) -> bool:
+        self.used.add(str(name))
+        return super().__contains__(name)
+
+    def __getitem__(self, name: str) -> str:
+        self.used.add(name)
+        return super().__getitem__(name)
+
+
+def expanded(
+    path: str | os.PathLike[str],
+    arguments: Mapping[str, object],
+    folders: Sequence[str | os.PathLike[str]],
+    used: set[str],
+) -> str:
+    """Return the text of the URDF or SRDF that a xacro file describes.
+
+    Parameters
+    ----------
+    path : path
+    arguments : mapping of str to str, number or bool
+        Values of ``<xacro:arg>``.
+    folders : sequence of paths
+        Packages, and folders that contain packages, for ``$(find package)``.
+    used : set of str
+        Names of arguments that the file declares or reads are added.
+
+    Raises
+    ------
+    MissingExtraError
+        If the package xacro is not installed.
+    FileError
+        If the file does not exist, or xacro cannot expand it.
+    InputError
+        If an argument is not a text, a number or a bool.
+    """
+    file = _validate.path(path, "path", wanted="a path to a xacro file").absolute()
+    given = {name: _text(name, value) for name, value in arguments.items()}
+    if not os.path.isfile(file):  # Path.is_file raises if a name is too long
+        raise FileError(f"{path}: expected a xacro file, but there is no such file")
+    try:
+        xacro, substitution = (importlib.import_module(name) for name in ("xacro", "xacro.substitution_args"))
+    except ImportError:
+        raise MissingExtraError(f"reading {file.name} needs the package xacro: {installing('xacro')}") from None
+    with _alone, _finding(substitution, file, folders):
+        try:
+            document = xacro.process_file(str(file), mappings=_Arguments(given, used), verbosity=0)
+            return str(document.documentElement.toprettyxml(indent="  "))
+        except Exception as error:  # its expressions raise any error
+            if isinstance(getattr(error, "exc", None), FileError):
+                raise error.exc from None  # type: ignore[attr-defined]
+            named = str(error) or type(error).__name__
+            raise FileError(f"{path}: expected a file that xacro can expand, found that it cannot: {named}") from None
+
+
+def refuse_unused(arguments: Mapping[str, object], used: set[str]) -> None:
+    """Refuse arguments that no file declares or reads: most are misspelt.
+
+    Raises
+    ------
+    InputError
+    """
+    unused = [name for name in arguments if name not in used]
+    if unused:
+        raise InputError(
+            f"xacro_args: expected arguments that the file declares ({', '.join(sorted(used)) or 'none'}), found "
+            f"{_validate.short(', '.join(map(str, unused)))}"
+        )
+
+
+def _text(name: object, value: object) -> str:
+    """Return the value of an argument as it would be on a command line."""
+    if not isinstance(name, str) or not isinstance(value, (str, int, float)):
+        raise InputError(
+            f"xacro_args: expected texts, numbers or bools by name, found {_validate.short(value)} for "
+            f"{_validate.short(name)}"
+        )
+    return str(value).lower() if isinstance(value, bool) else str(value)
+
+
+@contextmanager
+def _finding(substitution: Any, file: Path, folders: Sequence[str | os.PathLike[str]]) -> Iterator[None]:
+    """Let ``$(find package)`` look where meshes of packages are looked for; xacro itself has to have ROS for it."""
+
+    def find(package: str) -> str:
+        return str(package_folder(package, file, folders).absolute())  # xacro resolves paths from the file's folder
+
+    names = vars(substitution)
+    before = names["_eval_find"]
+    names["_eval_find"] = names["_eval_dict"]["find"] = find
+    try:
+        yield
+    finally:
+        names["_eval_find"] = names["_eval_dict"]["find"] = before

@@ -1,0 +1,86 @@
+"""Clearances and distances of a checker with their gradients, in the caller's number type.
+
+This is the common part of `loewner.jax` and `loewner.torch`: NumPy arrays of float32 or float64 in, the same out. The
+checker computes in float64, and every float32 number is also a float64 number, so the answer belongs to exactly the
+given configuration.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loewner._base import _validate
+from loewner.errors import InputError
+from loewner.robots.checker import CollisionChecker
+from loewner.robots.description.robot import expect_width
+
+# From configurations, and whether gradients are requested, to values and gradients (which are otherwise arbitrary).
+Ask = Callable[[NDArray[Any], bool], tuple[Any, Any]]
+
+
+@dataclass(frozen=True, eq=False)
+class Measure:
+    """Distance of a robot from contact, as a function of configurations that has a gradient."""
+
+    name: str
+    checker: CollisionChecker
+    ask: Ask
+
+    def __call__(self, Q: NDArray[Any], gradient: bool) -> tuple[NDArray[Any], ...]:
+        """Values in metres, shape (...), of configurations, shape (..., dof), and their derivatives on request."""
+        values, gradients = self.ask(Q, gradient)
+        with np.errstate(over="ignore"):  # overflow of float32 gives infinity
+            down = rounded_down(values, Q.dtype)
+            return (down, gradients.astype(Q.dtype, copy=False)) if gradient else (down,)
+
+    def expect_width(self, shape: tuple[int, ...]) -> None:
+        """Refuse configurations of another robot before they have values."""
+        expect_width(self.checker.robot, shape, "Q")
+
+    def no_second_derivatives(self) -> InputError:
+        """The error for second derivatives: zeros would be wrong, and go unnoticed."""
+        return InputError(
+            f"{self.name}: expected to be differentiated once, found a second derivative, which it does not have; "
+            "use a method that needs gradients alone (L-BFGS, Gauss-Newton), or stop the gradient here"
+        )
+
+
+def clearance(checker: Any, softness: Any) -> Measure:
+    """`CollisionChecker.clearance` with this softness."""
+    checked, soft = _checker(checker), _validate.positive_scalar(softness, "softness")
+
+    def ask(Q: NDArray[Any], gradient: bool) -> tuple[Any, Any]:
+        if gradient:
+            return checked.clearance(Q, softness=soft, gradient=True)
+        return checked.clearance(Q, softness=soft, gradient=False), None
+
+    return Measure("clearance", checked, ask)
+
+
+def distance(checker: Any) -> Measure:
+    """The exact distance of `CollisionChecker.distance`."""
+    checked = _checker(checker)
+
+    def ask(Q: NDArray[Any], gradient: bool) -> tuple[Any, Any]:
+        found = checked.distance(Q, exact=True, gradient=gradient)
+        return found.distance, found.gradient
+
+    return Measure("distance", checked, ask)
+
+
+def rounded_down(values: Any, dtype: np.dtype[Any]) -> NDArray[Any]:
+    """Values in another type, rounded down, so that a lower bound remains one."""
+    exact = np.asarray(values, dtype=np.float64)
+    rounded = exact.astype(dtype)
+    return np.where(rounded > exact, np.nextafter(rounded, np.array(-np.inf, dtype)), rounded)
+
+
+def _checker(x: Any) -> CollisionChecker:
+    if not isinstance(x, CollisionChecker):
+        raise InputError(f"checker: expected loewner.CollisionChecker, found {type(x).__name__}")
+    return x

@@ -1,0 +1,449 @@
+"""Bound how near a robot comes to contact on each piece of a curve: from below with proof, from above by a moment.
+
+A piece is sampled, and the smallest distance is taken down into its valley. The proof of motions then shows that all
+pairs keep all but a hundredth of this distance; where it cannot, it names a moment that is nearer, and so on. Where
+the robot collides, there are no planes. Such pieces are divided until no point moves farther within a part than the
+bounds may differ.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple, overload
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loewner._base import _validate
+from loewner._base._matrices import lengths
+from loewner._base._pictures import pictured, verdicts
+from loewner._base._validate import Floats, Ints, Pair
+from loewner._kernels import codes, columns
+from loewner.robots.checking.distances import expect_pairs, nearest_columns
+from loewner.robots.checking.problem import Problem
+from loewner.robots.description.robot import Robot
+from loewner.robots.proofs import in_time, motions
+from loewner.robots.proofs.courses import CURVE_ROUNDINGS, configurations, parts
+from loewner.robots.proofs.curves import Curve, curves_of, cut_in_time, expect_short, hits, proven
+
+# The two bounds on a distance differ by no more than this share of it, or by this many metres, if possible.
+SHARE, NEAR = 0.01, 1e-5
+
+# Fractions of each piece at which distances are measured first; the last piece also has an end.
+FIRST = np.arange(4) / 4
+
+# A valley is sought this far to both sides of a moment, as a share of the piece, and then nearer, so often.
+WIDE, NARROWER, STEPS = 0.125, 0.4, 12
+
+# Fractions of pieces at which collisions are sought.
+TICKS = np.arange(32) / 32
+
+# How often the proof may name a nearer moment of a piece.
+MOST_ROUNDS = 30
+
+# Parts into which a part is divided, and the largest number of parts of one piece.
+PARTS, MOST_PARTS = 4, 1 << 14
+
+# Exact distances are accurate to this share of the lengths from which they are computed.
+ROUNDINGS = 1e-9
+
+# A quaternion that differs from one of norm 1 by δ, up to a half, is at an angle of at most arcsin δ from it, which is
+# less than 1.05 δ, and turns by twice this angle. No turn moves a point by more than twice its distance from the axis.
+TURNS, NEAR_TURNS, MOST_TURN = 2.1, 0.5, 2.0
+
+
+@dataclass(frozen=True, eq=False)
+class ClosestApproach:
+    """How near a robot comes to contact on each piece of a curve.
+
+    Attributes
+    ----------
+    times : ndarray, shape (n + 1,)
+        Seconds; times at which the pieces begin and end.
+    lower : ndarray, shape (n,)
+        Metres. No pair of bodies is nearer than this at any instant of the piece, with proof; a negative value bounds
+        the depth of all overlaps. -inf where surfaces overlap, for which depths have no upper bound.
+    distance : ndarray, shape (n,)
+        The least distance found: the exact distance at ``time``, or minus the depth. It is at least `lower`, and larger
+        by at most a hundredth or 10 µm, unless a search ended early.
+    time : ndarray, shape (n,)
+        Seconds.
+    names : ndarray of str, shape (n, 2)
+        The pair of bodies that is nearest at that time.
+
+    Examples
+    --------
+    >>> from loewner import Body, CollisionChecker, Robot, Scene
+    >>> from scipy.interpolate import CubicSpline
+    >>> scene = Scene()
+    >>> scene.add("post", Body.box([0.2, 0.2, 0.2]), [[1, 0, 0, 1.9], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
+    >>> checker = CollisionChecker(Robot.from_urdf("arm.urdf"), scene)
+    >>> found = checker.closest(CubicSpline([0.0, 1.0, 2.0], [[0.0, 0.0], [0.5, 0.0], [0.0, 0.0]]))
+    >>> found.names[found.nearest].tolist(), round(float(found.distance[found.nearest]), 6)
+    (['rail', 'post'], 0.35)
+    """
+
+    times: Floats
+    lower: Floats
+    distance: Floats
+    time: Floats
+    names: NDArray[np.str_]
+
+    @property
+    def nearest(self) -> int:
+        """Index of the piece with the least distance."""
+        return int(self.distance.argmin())
+
+    @property
+    def close(self) -> NDArray[np.bool_]:
+        """Whether the two bounds of a piece differ by at most a hundredth of the distance, or by 10 µm."""
+        return np.asarray(self.distance - self.lower <= _allowed(self.distance) * (1 + 1e-9))
+
+    def __repr__(self) -> str:
+        return _validate.brief(self)
+
+    @pictured
+    def _repr_html_(self) -> str:
+        hit = np.where(self.distance > 0, codes.FREE, codes.COLLIDING)
+        return verdicts(hit, self.times, "time, s")
+
+
+@overload
+def closest(
+    self: Any, curve: list[Any] | tuple[Any, ...], *, t0: float | None = ...
+) -> tuple[ClosestApproach, ...]: ...
+@overload
+def closest(self: Any, curve: Any, *, t0: float | None = ...) -> ClosestApproach: ...
+def closest(self: Any, curve: Any, *, t0: float | None = None) -> ClosestApproach | tuple[ClosestApproach, ...]:
+    """Bound how near the robot comes to contact on each piece of a curve, from below and above; margins are ignored.
+
+    Parameters
+    ----------
+    curve : PPoly, BPoly, BSpline, planners.Trajectory, planners.ControllerPoints, or a list of curves
+        As for `certify_trajectory`. Bodies that follow motions move at the same times; where they change their rates,
+        a piece ends.
+    t0 : float, optional
+        Seconds that are added to the curve's times, as for `certify_trajectory`.
+
+    Returns
+    -------
+    ClosestApproach
+        One result, or a tuple of results for a list of curves.
+
+    Raises
+    ------
+    InputError
+        As for `certify_trajectory`; also if there is no pair to check.
+    ConvergenceError
+        As for `distance`.
+
+    See Also
+    --------
+    certify_trajectory : Only whether all pairs keep their margins, in less time. distance : At single configurations.
+
+    Notes
+    -----
+    Pairs that `Scene.leave` and `Scene.reach` name are measured like all others. docs/certified.md, "Closest
+    approach", derives the lower bounds.
+
+    Examples
+    --------
+    >>> from loewner import CollisionChecker, Robot
+    >>> from scipy.interpolate import CubicSpline
+    >>> checker = CollisionChecker(Robot.from_urdf("arm.urdf"))
+    >>> found = checker.closest(CubicSpline([0.0, 1.0], [[0.0, 0.0], [0.2, 0.5]]))
+    >>> bool(0.98 * found.distance[0] < found.lower[0] <= found.distance[0])
+    True
+    """
+    ready: Problem = self._ready(timed=True)
+    given = curves_of(self.robot, self.scene, curve, t0)
+    found = tuple(measured(ready, cut_in_time(self.robot, ready, one), k) for k, one in enumerate(given))
+    return found if isinstance(curve, (list, tuple)) else found[0]
+
+
+def measured(ready: Problem, curve: Curve, number: int = 0) -> ClosestApproach:
+    """Measure one curve, on whose courses the moving bodies have their places; `number` is the curve's."""
+    expect_pairs(ready, "closest")
+    ready, curve = ready.without_margins, curve._replace(off=curve.off[:, : curve.courses.shape[2]])
+    search = Search.of(ready, curve)
+    lower = np.full(len(search.distance), -np.inf)
+    open_pieces = np.flatnonzero(search.distance > 0)
+    for _ in range(MOST_ROUNDS):
+        if len(open_pieces) == 0:
+            break
+        before = search.distance[open_pieces]
+        clear = np.maximum(before - _allowed(before), 0.0)
+        found = motions.settle(ready, curve.courses[open_pieces], NEAR / 2, curve.off[open_pieces], clear)
+        expect_short(found.verdicts, curve.times, number)
+        free = found.verdicts == codes.FREE
+        lower[open_pieces[free]] = clear[free]
+        left, shares, before = open_pieces[~free], found.fractions[~free], before[~free]
+        search.look(left, shares)
+        search.descend(left, shares)
+        # The others are measured by parts.
+        open_pieces = left[(search.distance[left] < before - _allowed(before) / 4) & (search.distance[left] > 0)]
+    rest = np.flatnonzero(lower == -np.inf)
+    if len(rest):
+        bounds = _Motion.of(ready, curve)
+        for k in rest.tolist():
+            lower[k] = _by_parts(search, bounds, k)
+    times = curve.times[:-1] + search.share * np.diff(curve.times)
+    names = np.array(ready.names)[search.bodies]
+    return ClosestApproach(curve.times, np.minimum(lower, search.distance), search.distance, times, names)
+
+
+class Measured(NamedTuple):
+    """Distances along a curve.
+
+    Attributes
+    ----------
+    near : ClosestApproach
+        All pairs, except for pairs that may be in contact at the beginning or the end on proven pieces on which they
+        come within their margins.
+    allowed : dict of (str, str) to ClosestApproach
+        Each pair that may be in contact.
+    contacts : ndarray, shape (m, 2)
+        Times at which collisions on unproven pieces begin and end.
+    """
+
+    near: ClosestApproach
+    allowed: dict[Pair, ClosestApproach]
+    contacts: Floats
+
+
+def along(checker: Any, curve: Curve, unproven: Ints) -> Measured:
+    """Measure a curve from `curves.proven`, whose pieces with the given numbers are not proven free."""
+    ready: Problem = checker._ready(timed=bool(checker.scene.following)).as_given
+    whole, allowed = cut_in_time(checker.robot, ready, curve), dict[Pair, ClosestApproach]()
+    if len(ready.ruled) < len(ready.pairs):
+        near = measured(ready.unruled, whole)
+    else:
+        far, no_names = np.full(len(whole.courses), np.inf), np.full((len(whole.courses), 2), "")
+        near = ClosestApproach(whole.times, far, far, whole.times[:-1], no_names)
+    for pair in ready.ruled.tolist():
+        a, b = (ready.names[k] for k in ready.pairs[pair])
+        own = allowed[a, b] = measured(ready.only(np.array([pair])), whole)
+        apart = own.distance > ready.margins[pair]
+        apart[unproven] = True
+        nearer = apart & (own.distance < near.distance)
+        near = ClosestApproach(
+            near.times, np.where(apart, np.minimum(own.lower, near.lower), near.lower),
+            np.where(nearer, own.distance, near.distance), np.where(nearer, own.time, near.time),
+            np.where(nearer[:, None], own.names, near.names),
+        )  # fmt: skip
+    if not np.isfinite(near.distance).any():  # all is contact that is allowed
+        near = measured(ready, whole)
+    return Measured(near, allowed, contacts(ready, whole, unproven, near))
+
+
+def worst(checker: Any, given: Any) -> ClosestApproach:
+    """Measure a curve in any form, where pairs that may touch keep their margins or are not proven."""
+    curve, found = proven(checker, given, 0.0)
+    return along(checker, curve, np.flatnonzero(found.segments.verdict != codes.FREE)).near
+
+
+def contacts(ready: Problem, curve: Curve, pieces: Ints, approach: ClosestApproach) -> Floats:
+    """Find when collisions on some pieces begin and end, as far as samples show; margins count.
+
+    Returns
+    -------
+    ndarray, shape (m, 2)
+        Seconds. At both times, which are as near as numbers get to the end of a collision, the robot collides. A
+        collision ends where the pieces end.
+    """
+    found: list[tuple[float, float]] = []
+    for group in np.split(pieces, np.flatnonzero(np.diff(pieces) > 1) + 1) if len(pieces) else []:
+        begin, end = curve.times[group], curve.times[group + 1]
+        times = np.unique(np.append(begin + (end - begin) * TICKS[:, None], [*end, *approach.time[group]]))
+        hit = np.zeros(len(times) + 2, dtype=bool)
+        hit[1 + hits(ready, curve, times)] = True
+        first, last = np.flatnonzero(hit[1:] & ~hit[:-1]), np.flatnonzero(hit[:-1] & ~hit[1:]) - 1
+        first, last = first[first < len(times)], last[last >= 0]
+        inside = [times[first], times[last]]
+        for side, free in enumerate((times[np.maximum(first - 1, 0)], times[np.minimum(last + 1, len(times) - 1)])):
+            while True:
+                middle = (inside[side] + free) / 2
+                if not ((middle != inside[side]) & (middle != free)).any():
+                    break
+                at = np.zeros(len(middle), dtype=bool)
+                at[hits(ready, curve, middle)] = True
+                inside[side], free = np.where(at, middle, inside[side]), np.where(at, free, middle)
+        found += zip(*(side.tolist() for side in inside), strict=True)
+    return np.array(found).reshape(-1, 2)
+
+
+def _allowed(distance: Floats) -> Floats:
+    """Return how far the bounds on a distance may be apart."""
+    return np.maximum(SHARE * np.abs(distance), NEAR)
+
+
+class Search:
+    """The least distance found on each piece of a curve, with its place.
+
+    Attributes
+    ----------
+    distance, share : ndarray, shape (n,)
+        The distance in metres, and the fraction of the piece at which it was found.
+    bodies : ndarray of int64, shape (n, 2)
+        The nearest pair there.
+    """
+
+    def __init__(self, ready: Problem, curve: Curve) -> None:
+        n = len(curve.courses)
+        self.ready, self.curve = ready, curve
+        self.distance, self.share, self.bodies = np.full(n, np.inf), np.zeros(n), np.zeros((n, 2), dtype=np.int64)
+
+    @classmethod
+    def of(cls, ready: Problem, curve: Curve) -> Search:
+        """Measure some distances on each piece, and go down from the least of them."""
+        made, n = cls(ready, curve), len(curve.courses)
+        pieces, shares = np.repeat(np.arange(n), len(FIRST)), np.tile(FIRST, n)
+        distances = made.look(np.append(pieces, n - 1), np.append(shares, 1.0))
+        # A piece ends where the next one begins.
+        lower_at_end = np.flatnonzero(distances[len(FIRST) :: len(FIRST)] < made.distance)
+        made.look(lower_at_end, np.ones(len(lower_at_end)))
+        return made
+
+    def look(self, pieces: Ints, shares: Floats) -> Floats:
+        """Measure the distances at fractions of pieces, shape (N,) each, and keep the least ones."""
+        curve, ready = self.curve, self.ready
+        Q = configurations(ready.robot, curve.courses[pieces], shares)
+        if ready.paths is not None:
+            begin, end = curve.times[pieces], curve.times[pieces + 1]
+            own = Q.shape[1] - in_time.WIDTH * len(ready.paths.far)
+            Q = in_time.with_bodies(ready, Q[:, :own], np.where(shares == 1.0, end, begin + shares * (end - begin)))
+        _, _, distance, bodies, *_ = nearest_columns(ready, Q, True)
+        order = np.lexsort((distance, pieces))
+        least = order[np.diff(pieces[order], prepend=-1) > 0]
+        least = least[distance[least] < self.distance[pieces[least]]]
+        at = pieces[least]
+        self.distance[at], self.share[at], self.bodies[at] = distance[least], shares[least], bodies[least]
+        return np.asarray(distance)
+
+    def descend(self, pieces: Ints, shares: Floats) -> None:
+        """Go down into the valleys about fractions of pieces."""
+        half, middle = WIDE, shares.copy()
+        for _ in range(STEPS):
+            if len(pieces) == 0:
+                return
+            tried = np.clip(middle + half * np.array([-1.0, -0.5, 0.0, 0.5, 1.0])[:, None], 0.0, 1.0)
+            found = self.look(np.tile(pieces, len(tried)), tried.ravel()).reshape(tried.shape)
+            middle = tried[found.argmin(axis=0), np.arange(len(pieces))]
+            half *= NARROWER
+
+
+class _Motion(NamedTuple):
+    """Bounds on how far points of bodies move when values change.
+
+    Attributes
+    ----------
+    far : ndarray, shape (links, bodies)
+        Largest distances of bodies from the axes of joints, by the links that the joints move; 0 for other bodies.
+    moved : ndarray, shape (links, bodies)
+        1 where the joint moves the body.
+    pairs : ndarray of int64, shape (2, pairs)
+        Bodies; the last number is for all bodies that do not move.
+    slack : float
+        Error of exact distances in metres.
+    """
+
+    ready: Problem
+    far: Floats
+    moved: Floats
+    pairs: Ints
+    slack: float
+
+    @classmethod
+    def of(cls, ready: Problem, curve: Curve) -> _Motion:
+        tree, tables, moving = ready.robot.tree, ready.standing, len(ready.link)
+        most = np.abs(curve.courses).max(axis=(0, 1)) + curve.off.max(axis=0)
+        far, moved = np.zeros((2, len(tree.kind), moving + 1))
+        slides = _slides(tree, most) + np.where(tree.kind == columns.PRISMATIC, np.abs(tree.offset), 0.0)
+        for body, link in enumerate(ready.link.tolist()):
+            path, travel = [], 0.0
+            while link >= 0:
+                path.append(link)
+                link = int(tree.parent[link])
+            for joint in path:  # the body's own joint first
+                far[joint, body] = tables.reach[body, joint] + travel
+                moved[joint, body] = 1.0
+                travel += slides[joint]
+        longest = float(ready.chain[1]) + float(slides.sum())
+        spread = longest + float(np.abs(ready.standing.poses.reshape(-1, 4, 4)[:, :3, 3]).sum(axis=1).max(initial=0.0))
+        return cls(ready, far, moved, np.minimum(ready.pairs, moving).T, ROUNDINGS * spread)
+
+    def approach(self, off: Floats) -> Floats:
+        """Bound how much nearer two bodies can come if values change by `off`, shape (N, dof)."""
+        tree = self.ready.robot.tree
+        way = _turns(tree, off) @ self.far + _slides(tree, off) @ self.moved
+        return np.asarray((way[:, self.pairs[0]] + way[:, self.pairs[1]]).max(axis=1) * (1 + 1e-9))
+
+
+def _slides(tree: Any, off: Floats) -> Floats:
+    """Bound how far joints slide if values change by `off`, shape (..., dof); shape (..., links)."""
+    found = np.zeros((*off.shape[:-1], len(tree.kind)))
+    for link, (kind, at, by) in enumerate(zip(tree.kind, tree.column, tree.multiplier, strict=True)):
+        if kind == columns.PRISMATIC:
+            found[..., link] = abs(by) * off[..., at]
+        elif kind in (columns.FLOATING, columns.PLANAR):
+            found[..., link] = off[..., at : at + (3 if kind == columns.FLOATING else 2)].sum(axis=-1)
+    return found
+
+
+def _turns(tree: Any, off: Floats) -> Floats:
+    """Bound how far joints turn points, in units of the distance from their axes, if values change by `off`."""
+    found = np.zeros((*off.shape[:-1], len(tree.kind)))
+    for link, (kind, at, by) in enumerate(zip(tree.kind, tree.column, tree.multiplier, strict=True)):
+        if kind == columns.REVOLUTE:
+            found[..., link] = abs(by) * off[..., at]
+        elif kind == columns.PLANAR:
+            found[..., link] = off[..., at + 2]
+        elif kind in (columns.FLOATING, columns.BALL):
+            first = at + 3 * (kind == columns.FLOATING)
+            far = np.sqrt((off[..., first : first + 4] ** 2).sum(axis=-1))
+            found[..., link] = np.where(far <= NEAR_TURNS, TURNS * far, MOST_TURN)
+    return np.minimum(found, MOST_TURN)
+
+
+def _changes(robot: Robot, courses: Floats, low: Floats, high: Floats) -> Floats:
+    """Bound how far values get from their values in the middle of a part of a course; shape (N, dof)."""
+    quaternions = robot._quaternions.values()
+    if courses.shape[1] == 2:
+        center, *ends = (configurations(robot, courses, share) for share in ((low + high) / 2, low, high))
+        changes = np.maximum(*(np.abs(end - center) for end in ends))
+        for at in quaternions:  # turn at a constant rate: farthest at the ends, in no single column
+            changes[:, at] = lengths(changes[:, at])[:, None] / 2
+        return np.asarray(changes)
+    points = center = parts(courses, low, high)
+    while center.shape[1] > 1:
+        center = (center[:, :-1] + center[:, 1:]) / 2
+    changes = np.abs(points - center).max(axis=1)
+    for at in quaternions:  # as if the one in the middle had norm 1
+        changes[:, at] /= lengths(center[:, 0, at])[:, None]
+    return np.asarray(changes)
+
+
+def _by_parts(search: Search, bounds: _Motion, piece: int) -> float:
+    """Bound the distance on a piece from below by the distances in the middle of parts and the ways of points."""
+    curve = search.curve
+    course, off = curve.courses[piece], curve.off[piece] + CURVE_ROUNDINGS * np.abs(curve.courses[piece]).max(axis=0)
+    low, width, lower, spent = np.zeros(1), 1.0, np.inf, 0
+    with_surfaces = np.isin(search.ready.packed.layout[:, columns.KIND], (columns.SOLID, columns.SURFACE)).any()
+    while True:
+        count = len(low)
+        distance = search.look(np.full(count, piece), low + width / 2)
+        change = _changes(search.ready.robot, np.repeat(course[None], count, axis=0), low, low + width) + off
+        least = distance - bounds.approach(change) - bounds.slack
+        least[np.isnan(least)] = -np.inf  # an overflow bounds nothing
+        spent += count
+        wanted = search.distance[piece] - _allowed(search.distance[piece : piece + 1])[0]
+        left = least < wanted
+        lower = min(lower, float(least[~left].min(initial=np.inf)))
+        if not left.any():
+            break
+        if spent + PARTS * left.sum() > MOST_PARTS or low[left][0] + width / PARTS == low[left][0]:
+            lower = min(lower, float(least[left].min()))
+            break
+        width /= PARTS
+        low = (low[left][:, None] + width * np.arange(PARTS)).ravel()
+    return -np.inf if with_surfaces and search.distance[piece] <= 0 else lower

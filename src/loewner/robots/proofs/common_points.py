@@ -1,0 +1,199 @@
+"""Find points that two bodies have in common, well inside both, and vertices that show it: see docs/proof-format.md."""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+
+from loewner._base._validate import Floats
+from loewner._kernels import columns
+from loewner.bodies import Packed
+from loewner.queries._exact import cross, dot, minus, placed
+
+# A point that is this share of the depth away from the boundaries of both pieces is well inside them.
+WELL_INSIDE = 0.05
+
+# How far from the witnesses points are sought, in multiples of the depth, and how often curved pieces get more planes.
+AWAY, ROUNDS = (4.0, 256.0, 2.0**16), 24
+
+# Lengths below this share of the pieces' size are rounding.
+LEAST = 1e-15
+
+# Where planes matter that are this near, in multiples of the size, rounding matters as well.
+ROUNDED = 1e-9
+
+# A step beside a point, in multiples of its depth: a point in the middle of a hull is in the faces of many tetrahedra.
+BESIDE = np.array([0.17, 0.08, -0.23])
+
+# Vertices of a hull from which tetrahedra are tried, and how many from each.
+APEXES, TRIANGLES = 4, 2
+
+
+def blocks(packs: Sequence[Packed], poses: Floats, near: Floats) -> Iterator[bytes]:
+    """Make the contents of proofs that two bodies have a common point, likely ones first.
+
+    Parameters
+    ----------
+    packs : sequence of Packed
+        The bodies, with their surfaces in parts.
+    poses : ndarray, shape (2, 4, 4)
+    near : ndarray, shape (2, 3)
+        Witnesses of the depth, see `loewner.distance`.
+    """
+    middle, chosen = near.mean(axis=0), list[tuple[int, _Piece]]()
+    for packed, T in zip(packs, poses, strict=True):
+        pieces = [_Piece(packed, k, T, middle) for k in range(len(packed.layout))]
+        best = int(np.argmax([piece.depth(middle) for piece in pieces]))
+        chosen.append((best, pieces[best]))
+    (i, a), (j, b) = chosen
+    for step in _steps(a, b, near):
+        for first in a.vertices_about(middle + step):
+            for second in b.vertices_about(middle + step):
+                yield struct.pack("<12I6d", 0, i, *first, 1, j, *second, *middle, *step)
+
+
+def _steps(a: _Piece, b: _Piece, near: Floats) -> Iterator[Floats]:
+    """Make steps, from the middle of the witnesses, to points that may belong to two pieces; first well inside both."""
+    middle, half = near.mean(axis=0), (near[1] - near[0]) / 2
+    scale = max(2.0 * float(np.linalg.norm(half)), LEAST * (a.size + b.size))
+    if (depth := min(a.depth(middle), b.depth(middle))) > WELL_INSIDE * scale:
+        yield depth * BESIDE
+    for away in AWAY:
+        step, depth = _innermost(a, b, middle, scale, away)
+        if depth > 0.0:
+            yield step + depth * BESIDE
+            break
+    yield from (np.zeros(3), half, -half)
+
+
+def _innermost(a: _Piece, b: _Piece, middle: Floats, scale: float, away: float) -> tuple[Floats, float]:
+    """Find about the point that is deepest inside two pieces, as a step from the middle, and its depth; 0 if none is.
+
+    The planes around the pieces make a linear program, with lengths in multiples of `scale` from the middle. Curved
+    pieces get more planes where its solutions are.
+    """
+    from scipy.optimize import linprog
+
+    reach = 3.0 * away * scale  # planes farther away are beyond all points that are sought
+    planes = np.concatenate([piece.near_planes(middle, reach) for piece in (a, b)])
+    best, deepest = np.zeros(3), 0.0
+    for _ in range(ROUNDS):
+        rows = np.column_stack([planes[:, :3], np.ones(len(planes))])
+        found = linprog([0.0, 0.0, 0.0, -1.0], rows, planes[:, 3] / scale, bounds=[(-away, away)] * 4)
+        if found.x is None or found.x[3] <= deepest:
+            break
+        step = scale * found.x[:3]
+        more = np.concatenate(
+            [piece.planes(middle + step) for piece in (a, b) if piece.kind != columns.POLYTOPE] + [planes[:0]]
+        )
+        more[:, 3] += more[:, :3] @ step
+        depth = float((np.concatenate([planes, more]) @ np.append(-step, 1.0)).min()) / scale
+        if depth > deepest:
+            best, deepest = step, depth
+        if deepest > found.x[3] / 2:
+            break
+        planes = np.concatenate([planes, more])
+    return best, scale * deepest
+
+
+class _Piece:
+    """A piece in the world: its kind, radius and size, the points of its core, and faces or the factor of its image.
+
+    A surface or a cloud counts as the ball about its corner that is nearest to a point. A plane is a row: a unit
+    outward normal, and how far the plane is from a point, which is `place` for `faces`.
+    """
+
+    def __init__(self, packed: Packed, k: int, T: Floats, near: Floats) -> None:
+        row, frame = packed.layout[k], packed.frames[k]
+        self.kind, self.radius = int(row[columns.KIND]), float(frame[0])
+        M, s = T[:3, :3], T[:3, 3]
+        center, self.factor = M @ frame[1:4] + s, M @ frame[4:].reshape(3, 3)
+        self.points, self.four = center[None], (0, 0, 0, 0)
+        self.own, self.T = packed.points[row[columns.POINTS_FROM] : row[columns.POINTS_TO]], T
+        if self.kind <= columns.SURFACE:
+            corners = np.unique(self.own + 0.0, axis=0) @ M.T + s  # in the order of the model
+            best = int(((corners - near) ** 2).sum(axis=1).argmin())
+            self.kind, self.points, self.four = columns.POINT, corners[best, None], (best,) * 4
+        elif self.kind == columns.SEGMENT:
+            self.four = 0, 1, 0, 0
+            self.points = center + np.outer([-1.0, 1.0], self.factor[:, 2])
+        elif self.kind == columns.POLYTOPE:
+            self.points = self.own @ M.T + s
+            self.triangles = packed.triangles[packed.triangle_start[k] : packed.triangle_start[k + 1]]
+            self.faces, self.place = _turned(packed.planes[slice(*row[3:])], np.linalg.inv(M)), s
+        extent = np.abs(self.points).max() + np.abs(self.factor).max()
+        self.size = float(extent + self.radius)
+
+    def depth(self, x: Floats) -> float:
+        """How far the planes near a point are from it, at least; negative outside."""
+        return float(self.planes(x)[:, 3].min())
+
+    def near_planes(self, x: Floats, reach: float) -> Floats:
+        """Planes that are not farther from a point than `reach`; of faces, if these are rounding, exact ones."""
+        planes = self.planes(x)
+        planes = planes[planes[:, 3] < reach + LEAST * self.size]
+        if self.kind != columns.POLYTOPE or reach > ROUNDED * self.size:
+            return planes
+        corners = self.points[self.triangles]
+        n = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        n /= np.maximum(np.linalg.norm(n, axis=1), 1e-300)[:, None]
+        away, found = ((corners[:, 0] - x) * n).sum(axis=1), []
+        for triangle in self.triangles[away < reach + ROUNDED * self.size]:
+            (o, p, q, r), unit = placed([(np.eye(4), x), *((self.T, self.own[k]) for k in triangle)])
+            normal = cross(minus(q, p), minus(r, p))
+            length = math.isqrt(dot(normal, normal)) or 1
+            found.append([*(y / length for y in normal), dot(normal, minus(p, o)) / length * float(unit)])
+        return np.array(found, dtype=np.float64).reshape(-1, 4)
+
+    def planes(self, x: Floats) -> Floats:
+        """Planes around the piece that are tight near a point."""
+        if self.kind == columns.POLYTOPE:
+            return np.column_stack([self.faces[:, :3], self.faces[:, 3] - self.faces[:, :3] @ (x - self.place)])
+        if self.kind in (columns.POINT, columns.SEGMENT):
+            along = self.points[-1] - self.points[0]
+            share = (x - self.points[0]) @ along / max(float(along @ along), 1e-300)
+            n = x - self.points[0] - min(max(share, 0.0), 1.0) * along
+            length = float(np.linalg.norm(n))
+            if length == 0.0:  # any direction across
+                n = np.cross(along, np.eye(3)[np.argmin(np.abs(along))]) if along.any() else np.eye(3)[0]
+            return np.append(n / np.linalg.norm(n), self.radius - length)[None]
+        back = np.linalg.inv(self.factor)
+        u = back @ (x - self.points[0])
+        across = np.append(u[:2], 0.0) / np.hypot(*u[:2]) if u[:2].any() else np.eye(3)[0]
+        up = np.eye(3)[2]
+        if self.kind == columns.ELLIPSOID:
+            rows = [u / np.linalg.norm(u) if u.any() else up]
+        elif self.kind == columns.CYLINDER:
+            rows = [across, up, -up]
+        else:
+            rows = [2.0 * across + up, -up]
+        return _turned(np.column_stack([rows, 1.0 - rows @ u]), back)
+
+    def vertices_about(self, point: Floats) -> Iterator[tuple[int, ...]]:
+        """Name four points of the core that show that a point belongs to the piece."""
+        if self.kind != columns.POLYTOPE:
+            yield self.four
+            return
+        # The ray from a vertex through the point leaves the hull through a triangle. The best such tetrahedron has its
+        # faces far from the point.
+        rated = []
+        for apex in np.argsort(-((self.points - point) ** 2).sum(axis=1), kind="stable")[:APEXES].tolist():
+            a, b, c = (self.points[self.triangles] - self.points[apex]).transpose(1, 0, 2)
+            normals = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)])
+            volume = (a * normals[0]).sum(axis=1)
+            weights = normals @ (point - self.points[apex]) / np.where(volume == 0.0, 1.0, volume)
+            least = np.minimum(weights.min(axis=0), 1.0 - weights.sum(axis=0))
+            least[volume == 0.0] = -np.inf
+            rated += [(float(least[k]), apex, k) for k in np.argsort(-least, kind="stable")[:TRIANGLES].tolist()]
+        for _, apex, k in sorted(rated, reverse=True)[: APEXES * TRIANGLES // 2]:
+            yield (apex, *self.triangles[k].tolist())
+
+
+def _turned(planes: Floats, back: Any) -> Floats:
+    """Planes about vectors u = back v, as planes about v."""
+    n = planes[:, :3] @ back
+    return np.asarray(np.column_stack([n, planes[:, 3]]) / np.linalg.norm(n, axis=1)[:, None])

@@ -1,0 +1,242 @@
+"""Find when a robot on a curve first touches something: free until then, with proof, and touching, exactly."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any, overload
+
+import numpy as np
+
+from loewner._base import _validate
+from loewner._base._validate import Floats, Ints
+from loewner._kernels import codes
+from loewner.queries.pairs import Verdict
+from loewner.robots.checking import verdicts
+from loewner.robots.checking.problem import Problem
+from loewner.robots.proofs import in_time
+from loewner.robots.proofs.contacts import distance_at, distances_at, stages
+from loewner.robots.proofs.courses import CURVE_ROUNDINGS, elevated, parts
+from loewner.robots.proofs.curves import MEASURED, Curve, configurations_at, curves_of, cut_in_time, expect_short
+from loewner.robots.proofs.proofs import prove
+
+# Parts into which a piece that is not proven free is cut, and the number of times that this is done.
+PARTS = 8
+MOST_CUTS = 17  # after which two fractions of a piece may be the same number
+
+# Share of the tolerance that is left to the proof.
+FOR_PROOF = 0.25
+
+
+@dataclass(frozen=True, eq=False)
+class TrajectoryContact:
+    """When a robot on a curve first touches something.
+
+    Attributes
+    ----------
+    verdict : Verdict
+        FREE: proven free at every instant of the curve. COLLIDING: the robot collides at `touching_at`, which may be
+        rounded. AMBIGUOUS: the robot comes within the tolerance at `free_until`, and no collision is known.
+    free_until : float
+        Seconds. At every real time from the start of the curve to this time, except the time itself, every pair is
+        proven to be farther apart than its margin, or in contact as `Scene.leave` or `Scene.reach` allows; inf if FREE.
+        At this time, the pair is within the tolerance of its margin, or of the depth that the rule allows.
+    touching_at : float
+        Seconds; the earliest time at which a collision is known. The two times differ by the time that the pair takes
+        for the tolerance, unless it grazes before it collides. inf if there is none.
+    names : tuple of str
+        The pair; empty strings if FREE.
+
+    Examples
+    --------
+    >>> from loewner import Body, CollisionChecker, Robot, Scene
+    >>> from scipy.interpolate import CubicSpline
+    >>> scene = Scene()
+    >>> scene.add("post", Body.box([0.2, 0.2, 0.2]), [[1, 0, 0, 1], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
+    >>> checker = CollisionChecker(Robot.from_urdf("arm.urdf"), scene)
+    >>> contact = checker.first_contact(CubicSpline([0.0, 1.0], [[0.0, 1.57], [1.0, 1.57]]))
+    >>> contact.names, round(contact.touching_at, 5)
+    (('cart', 'post'), 0.7)
+    """
+
+    verdict: Verdict
+    free_until: float
+    touching_at: float
+    names: tuple[str, str]
+
+    def __repr__(self) -> str:
+        return _validate.brief(self)
+
+
+@overload
+def first_contact(
+    self: Any, curve: list[Any] | tuple[Any, ...], *, tolerance: float = ..., t0: float | None = ...
+) -> tuple[TrajectoryContact, ...]: ...
+@overload
+def first_contact(self: Any, curve: Any, *, tolerance: float = ..., t0: float | None = ...) -> TrajectoryContact: ...
+def first_contact(
+    self: Any, curve: Any, *, tolerance: float = 1e-6, t0: float | None = None
+) -> TrajectoryContact | tuple[TrajectoryContact, ...]:
+    """Find when a robot on a curve first touches something, and prove that it is free until then.
+
+    Parameters
+    ----------
+    curve : PPoly, BPoly, BSpline, planners.Trajectory, planners.ControllerPoints, or a list of curves
+        As for `certify_trajectory`. Bodies that follow motions move at the same times.
+    tolerance : float
+        Metres. Where it is proven free no longer, a pair is within this distance of its margin.
+    t0 : float, optional
+        Seconds that are added to the curve's times, as for `certify_trajectory`.
+
+    Returns
+    -------
+    TrajectoryContact
+        One result, or a tuple of results for a list of curves. The time until which the curve is free is never late.
+
+    Raises
+    ------
+    InputError
+        As for `certify_trajectory`.
+
+    See Also
+    --------
+    certify_trajectory : Only whether the curve is free, in less time. loewner.first_contact : Two bodies.
+
+    Notes
+    -----
+    The first piece that is not proven free is cut into eight parts, again and again, until the pair is near enough
+    where the proof ends. Two things end the proof earlier: many triangles of two surfaces that come near each other at
+    the same time; and rounding, about 1e-11 of the lengths involved, and 2e-14 of the times.
+
+    Contact that `Scene.leave` or `Scene.reach` allows on this curve is not reported. A contact at the end that gets
+    deeper than its rule allows is reported from where it begins.
+
+    Examples
+    --------
+    >>> from loewner import CollisionChecker, Robot
+    >>> from scipy.interpolate import CubicSpline
+    >>> checker = CollisionChecker(Robot.from_urdf("arm.urdf"))
+    >>> checker.first_contact(CubicSpline([0.0, 1.0], [[0.0, 0.0], [1.0, 0.5]])).verdict
+    <Verdict.FREE: 0>
+    """
+    tolerance = _validate.positive_scalar(tolerance, "tolerance")
+    ready: Problem = self._ready(timed=True)
+    found = []
+    for k, one in enumerate(curves_of(self.robot, self.scene, curve, t0)):
+        # On courses of degree 1, parts of a body's turn would have to be made otherwise.
+        cubic = one._replace(courses=elevated(one.courses, max(0, 4 - one.courses.shape[1])))
+        found.append(_by_rules(ready, cut_in_time(self.robot, ready, cubic), tolerance, k))
+    return tuple(found) if isinstance(curve, (list, tuple)) else found[0]
+
+
+def _by_rules(ready: Problem, curve: Curve, tolerance: float, number: int) -> TrajectoryContact:
+    """Find the first contact of one curve that no rule allows: of the pairs without rules, and of each with one."""
+    if not len(ready.ruled):
+        return _first(ready, ready, curve, tolerance, number)
+    found, lengths = [_first(ready, ready.unruled, curve, tolerance, number)], np.diff(curve.times)
+    for pair in ready.ruled.tolist():
+        a, b = (ready.names[n] for n in ready.pairs[pair])
+        for problem, run, allowed, least in stages(
+            ready, pair, curve.courses, curve.off[:, : curve.courses.shape[2]], tolerance
+        ):
+            k = run.number
+            ends = np.where(run.high == 1.0, curve.times[k + 1], curve.times[k] + run.high * lengths[k])
+            times = np.append(curve.times[k[0]] + run.low[0] * lengths[k[0]], ends)
+            one = _first(ready, problem, Curve(None, times, run.courses, run.off), allowed, number)
+            if one.verdict == Verdict.FREE:
+                continue
+            if least is not None:
+                one = replace(one, touching_at=_deeper(ready, pair, curve, (one.free_until, times[-1]), least))
+            found.append(replace(one, names=(a, b)))
+    first, touching = min(found, key=lambda one: one.free_until), min(one.touching_at for one in found)
+    ambiguous = first.verdict == Verdict.FREE or touching == np.inf
+    return replace(first, verdict=first.verdict if ambiguous else Verdict.COLLIDING, touching_at=touching)
+
+
+def _first(ready: Problem, problem: Problem, curve: Curve, tolerance: float, number: int) -> TrajectoryContact:
+    """Find the first contact of a problem's pairs on one curve, on whose courses the moving bodies have their places.
+
+    `ready` has the motions that these bodies follow.
+    """
+    waiting = [(curve, 0)]  # pieces that are not proven yet, the earliest last, and the numbers of cuts
+    touching, doubt = np.inf, None  # the earliest collision, and the first place that is too near
+    while waiting:
+        piece, cuts = waiting.pop()
+        proven = prove(problem, piece.courses, FOR_PROOF * tolerance, piece.off)
+        expect_short(proven.verdicts, piece.times, number)
+        hit = np.flatnonzero(proven.verdicts == codes.COLLIDING)[:1]
+        if len(hit):
+            k = int(hit[0])
+            touching = min(touching, piece.times[k] + proven.fractions[k] * (piece.times[k + 1] - piece.times[k]))
+        unproven = np.flatnonzero(proven.verdicts != codes.FREE).tolist()
+        if not unproven:
+            continue
+        # The others are proven only if the first one turns out to be free.
+        first, pair = unproven[0], int(proven.pairs[unproven[0]])
+        gap = distance_at(problem, pair, piece.courses[first, 0]) - problem.margins[pair]
+        gap -= problem.off_at_start(piece.off[first, piece.courses.shape[2] :])[pair]
+        if cuts == MOST_CUTS or gap <= tolerance:
+            doubt = float(piece.times[first]), pair
+            break
+        waiting += [(_cut(ready, _of(piece, slice(k, k + 1))), cuts + 1) for k in reversed(unproven)]
+    if doubt is None:
+        return TrajectoryContact(Verdict.FREE, np.inf, np.inf, ("", ""))
+    a, b = (problem.names[n] for n in problem.pairs[doubt[1]])
+    # Times of parts are rounded.
+    free = max(doubt[0] - CURVE_ROUNDINGS * float(np.abs(curve.times).max()), float(curve.times[0]))
+
+    def colliding(times: Floats) -> Ints:
+        hit = verdicts.classified(problem.as_given, codes.EXACT, configurations_at(ready, curve, times)).verdicts
+        return np.flatnonzero(hit == codes.COLLIDING)
+
+    # Where a collision is known up to rounding only, there may be none.
+    known = touching < np.inf and len(colliding(np.array([touching]))) > 0
+    touching = _earlier(colliding, free, touching) if known else np.inf
+    verdict = Verdict.COLLIDING if known else Verdict.AMBIGUOUS
+    return TrajectoryContact(verdict, free, touching, (a, b))
+
+
+def _deeper(ready: Problem, pair: int, curve: Curve, between: tuple[float, float], least: float) -> float:
+    """Return a time at which a pair is no farther apart than `least`, with one just before it at which it is.
+
+    inf if there is none among `MEASURED` times.
+    """
+
+    def deep(times: Floats) -> Ints:
+        return np.flatnonzero(distances_at(ready, pair, configurations_at(ready, curve, times)) <= least)
+
+    times = np.linspace(*between, MEASURED)
+    hit = deep(times)[:1]
+    return _earlier(deep, between[0], float(times[hit[0]])) if len(hit) else np.inf
+
+
+def _of(curve: Curve, rows: slice) -> Curve:
+    return Curve(None, curve.times[rows.start : rows.stop + 1], curve.courses[rows], curve.off[rows])
+
+
+def _cut(ready: Problem, piece: Curve) -> Curve:
+    """Cut one piece into parts; bodies that move get courses of their own, since a shorter turn is missed by less."""
+    shares = np.arange(PARTS + 1) / PARTS
+    courses = parts(np.repeat(piece.courses, PARTS, axis=0), shares[:-1], shares[1:])
+    off = np.repeat(piece.off, PARTS, axis=0)
+    off[:, : courses.shape[2]] += CURVE_ROUNDINGS * np.abs(piece.courses).max(axis=1)
+    begin, end = piece.times
+    times = np.where(shares == 1.0, end, begin + shares * (end - begin))
+    if ready.paths is not None:
+        own = courses.shape[2] - in_time.WIDTH * len(ready.paths.far)
+        in_time.write_bodies(ready.paths, times[:-1], times[1:], courses[..., own:], off[..., own:])
+    return Curve(None, times, courses, off)
+
+
+def _earlier(hits: Callable[[Floats], Ints], free: float, touching: float) -> float:
+    """Return a time that is hit with a free one just before it, from `free` to `touching`; `free` if that is hit."""
+    if len(hits(np.array([free]))):
+        return free
+    while True:
+        times = np.linspace(free, touching, 2 * PARTS + 1)[1:-1]
+        times = times[(times > free) & (times < touching)]
+        if len(times) == 0:
+            return touching
+        hit = hits(times)
+        at = int(hit[0]) if len(hit) else len(times)
+        free, touching = float(times[at - 1]) if at else free, float(times[at]) if at < len(times) else touching

@@ -1,0 +1,238 @@
+"""Motions of a robot among bodies that follow motions of their own: both together, as motions of one robot.
+
+A body that follows a motion is a link on a floating joint (`assembly.with_moving_bodies`). Between two of its times it
+moves straight and turns at a constant rate, as such a joint does. So a motion of the robot is cut at these times, and
+each piece is proven as usual. Ends of pieces are rounded; the bounds below are derived in docs/certified.md, "Motions
+in time".
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from loewner._base import _elementary, _validate
+from loewner._base._matrices import power
+from loewner._base._validate import Bools, Floats, Ints
+from loewner._kernels import codes, tolerances
+from loewner.queries.pose_paths import PackedPaths
+from loewner.robots.checking import verdicts
+from loewner.robots.checking.problem import Problem
+from loewner.robots.description.robot import Robot, interpolated
+from loewner.robots.proofs import motions
+from loewner.robots.proofs.courses import CURVE_ROUNDINGS, between, elevated, straight
+from loewner.robots.proofs.motions import Found, Limit
+from loewner.robots.proofs.proofs import apply_rules, deviations, refuse_starts
+
+# Values of a floating joint.
+WIDTH = 7
+
+# Bounds on the rounding of positions and quaternions, in units of their largest numbers, and of times.
+VALUE_ROUNDINGS = 128.0 * tolerances.UNIT_ROUNDOFF  # derived 100, certified.md B56
+TIME_ROUNDINGS = 16.0 * tolerances.UNIT_ROUNDOFF  # derived 14, certified.md B57
+
+# A cubic curve through an arc of a unit circle, with its tangents at both ends, misses it by φ⁴ / 384 at most.
+ARC_ERROR = 1.0 / 384.0
+
+
+# The tolerance of a proof of a robot at rest [m], for which nothing has to be halved.
+STILL = 1e-9
+
+
+class Pieces(NamedTuple):
+    """Motions cut where bodies change their rates.
+
+    Attributes
+    ----------
+    owner : ndarray of int64, shape (M,)
+        The motion to which each piece belongs.
+    low, high : ndarray, shape (M,)
+        The fractions of that motion at which the piece begins and ends.
+    times : ndarray, shape (M, 2)
+        Seconds.
+    courses : ndarray, shape (M, degree + 1, dof + 7 bodies)
+    off : ndarray, shape (M, dof + 7 bodies + 3 growing)
+        How far values may deviate from the courses; and how far points of bodies may be off (`PackedPaths.off`).
+    """
+
+    owner: Ints
+    low: Floats
+    high: Floats
+    times: Floats
+    courses: Floats
+    off: Floats
+
+
+def with_bodies(ready: Problem, Q: Floats, t: Floats) -> Floats:
+    """Append the values of all moving bodies at times, shape (N,), to configurations, shape (N, dof)."""
+    return (
+        Q
+        if ready.paths is None
+        else np.concatenate([Q, ready.paths.values(t).reshape(len(Q), WIDTH * len(ready.paths.far))], axis=1)
+    )
+
+
+def free_at(ready: Problem, Q: Floats, t: Floats) -> Bools:
+    """Return which values of `with_bodies`, at times of shape (N,), are proven free for all places of the bodies."""
+    paths = ready.paths
+    if paths is None or not paths.bounds:
+        return verdicts.free(ready, Q)
+    off = np.concatenate([np.zeros_like(Q), paths.off(t, t)], axis=1)
+    found = motions.settle(ready, np.stack([Q, Q], axis=1), STILL, off)
+    refuse_starts(ready.as_given, Q, found)
+    return np.asarray(found.verdicts == codes.FREE)
+
+
+def pieces(robot: Robot, paths: PackedPaths, courses: Floats, off: Floats, t0: Floats, t1: Floats) -> Pieces:
+    """Cut courses of a robot, from t0 to t1, and append the courses of moving bodies.
+
+    Parameters
+    ----------
+    robot : Robot
+        Without moving bodies.
+    paths : PackedPaths
+        The motions of the bodies.
+    courses : ndarray, shape (N, degree + 1, dof)
+    off : ndarray, shape (N, dof)
+        How far values may deviate from the courses.
+    t0, t1 : ndarray, shape (N,)
+        Times at which they begin and end.
+
+    Raises
+    ------
+    InputError
+        If there are more than `pose_paths.MOST_KNOTS` knots, or the pieces do not fit into memory.
+    """
+    curved = courses.shape[1] > 2
+    if curved and paths.turns.any():
+        courses = elevated(courses, max(0, 4 - courses.shape[1]))
+    knots = paths.knots(t0, t1, curved)
+    first, last = np.searchsorted(knots, t0, side="right"), np.searchsorted(knots, t1, side="left")
+    counts = np.maximum(last - first, 0) + 1
+    if counts.max(initial=1) == 1:
+        uncut = np.arange(len(t0)), np.zeros(len(t0)), np.ones(len(t0)), np.stack([t0, t1], axis=1)
+        return Pieces(*uncut, *_joined(paths, t0, t1, courses, off))
+    total, width = int(counts.sum()), courses.shape[2] + WIDTH * len(paths.far)
+    _validate.fits_memory(8 * total * width * (2 * courses.shape[1] + 2), f"{total} pieces of motions")
+    owner = np.repeat(np.arange(len(courses)), counts)
+    number = np.arange(total) - np.repeat(np.cumsum(counts) - counts, counts)
+    behind = number == counts[owner] - 1
+    padded = np.concatenate([knots, [np.nan]])
+    begin = np.where(number == 0, t0[owner], padded[np.minimum(first[owner] + number - 1, len(knots))])
+    end = np.where(behind, t1[owner], padded[np.minimum(first[owner] + number, len(knots))])
+    length = (t1 - t0)[owner]
+    length = np.where(length > 0.0, length, 1.0)
+    starts = np.where(number == 0, 0.0, (begin - t0[owner]) / length)
+    ends = np.where(behind, 1.0, (end - t0[owner]) / length)
+    of_robot, strays = courses[owner], off[owner]
+    cut = np.flatnonzero(counts[owner] > 1)
+    if len(cut):
+        whole = of_robot[cut]
+        of_robot[cut] = between(robot, whole, starts[cut], ends[cut])
+        strays[cut] += CURVE_ROUNDINGS * np.abs(whole).max(axis=1)
+    times = np.stack([begin, end], axis=1)
+    return Pieces(owner, starts, ends, times, *_joined(paths, begin, end, of_robot, strays))
+
+
+def _joined(paths: PackedPaths, begin: Floats, end: Floats, courses: Floats, off: Floats) -> tuple[Floats, Floats]:
+    """Append the courses of all bodies between times, and how far values may deviate from them."""
+    M, points, dof = courses.shape
+    width = dof + WIDTH * len(paths.far)
+    made, allowed = np.empty((M, points, width)), np.empty((M, width + 3 * len(paths.bounds)))
+    made[..., :dof], allowed[:, :dof] = courses, off
+    write_bodies(paths, begin, end, made[..., dof:], allowed[:, dof:])
+    return made, allowed
+
+
+def write_bodies(paths: PackedPaths, begin: Floats, end: Floats, courses: Floats, off: Floats) -> None:
+    """Write courses of all bodies between times, shape (M,) each, between which no body changes its rates.
+
+    Parameters
+    ----------
+    courses : ndarray, shape (M, points, 7 bodies)
+        Receives them.
+    off : ndarray, shape (M, 7 bodies + 3 growing)
+        Receives how far values may deviate from the courses, and points of bodies from their places, as in `Pieces`.
+    """
+    values, farthest = WIDTH * len(paths.far), np.maximum(np.abs(begin), np.abs(end))
+    off[:, values:] = paths.off(begin, end, TIME_ROUNDINGS * (farthest + paths.spans.max(initial=0.0)))
+    if values == 0:
+        return
+    made, errors = (x.reshape(*x.shape[:-1], len(paths.far), WIDTH) for x in (courses, off[:, :values]))
+    bent = _write_courses(paths.values(begin), paths.values(end), made)
+    ticks = TIME_ROUNDINGS * (farthest[:, None] + paths.spans)  # (M, bodies)
+    errors[..., :3] = (VALUE_ROUNDINGS * paths.far + paths.speeds * ticks)[..., None]
+    errors[..., 3:] = (VALUE_ROUNDINGS + paths.turns * ticks + bent)[..., None]
+
+
+def _write_courses(a: Floats, b: Floats, out: Floats) -> Floats | float:
+    """Write courses of bodies between their values a and b, shape (M, bodies, 7), to shape (M, points, bodies, 7).
+
+    Returns how far their quaternions miss a turn at a constant rate, shape (M, bodies), or 0.
+    """
+    points = out.shape[1]
+    p, q = a[..., 3:], b[..., 3:]
+    q *= np.where(np.einsum("mbk,mbk->mb", p, q) < 0.0, -1.0, 1.0)[..., None]
+    out[:, 0], out[:, -1] = a, b
+    for k in range(1, points - 1):
+        share = k / (points - 1)
+        out[:, k, :, :3] = (1.0 - share) * a[..., :3] + share * b[..., :3]
+    if points <= 3:  # motions of degree 1 turn at a constant rate, and in others of so few points nothing turns
+        out[:, 1:-1, :, 3:] = q[:, None]
+        return 0.0
+    arc = 2.0 * _elementary.arcsin(np.minimum(np.linalg.norm(q - p, axis=-1, keepdims=True) / 2.0, 1.0))
+    cosine, third = _elementary.cos(arc), np.where(arc < 1e-6, 1.0, arc / np.maximum(_elementary.sin(arc), 1e-12)) / 3.0
+    cubic = np.stack([p, p + third * (q - cosine * p), q + third * (p - cosine * q), q], axis=1)
+    out[..., 3:] = elevated(cubic.reshape(len(a), 4, 4 * a.shape[1]), points - 4).reshape(len(a), points, *p.shape[1:])
+    error: Floats = ARC_ERROR * (1.0 + 1e-9) * power(arc[..., 0], 4)
+    return error
+
+
+def prove_edges(
+    robot: Robot,
+    ready: Problem,
+    paths: PackedPaths,
+    ends: tuple[Floats, Floats],
+    times: tuple[Floats, Floats],
+    tolerance: float,
+    joint_error: Floats,
+    steps: int | None = None,
+) -> Found:
+    """Prove which straight motions between `ends`, shape (N, dof) each, at `times` are free.
+
+    COLLIDING is confirmed at the configuration and the time that a user computes from the fraction. Each motion may
+    take this number of steps.
+    """
+    (a, b), (t0, t1) = ends, times
+    courses = straight(robot, a, b)
+    off = deviations(courses, joint_error)
+    cut = pieces(robot, paths, courses, np.zeros_like(a) if off is None else off, t0, t1)
+    first = np.searchsorted(cut.owner, np.arange(len(a) + 1))
+    limit = None if steps is None else Limit(steps, first)
+    found = motions.settle(ready, cut.courses, tolerance, cut.off, limit=limit, as_given=True)
+    refuse_starts(ready.as_given, cut.courses[:, 0], found)
+    if off is None:
+        apply_rules(ready, cut.courses, cut.off, first, tolerance, found, steps)
+    found.verdicts[found.verdicts == codes.BY_CARE] = codes.COLLIDING  # confirmed below, as all are
+    made = found if len(cut.owner) == len(a) else _gathered(cut, found, len(a))
+    at = (made.verdicts == codes.COLLIDING).nonzero()[0]
+    if len(at):
+        fractions = made.fractions[at]
+        Q = interpolated(robot, a[at], b[at], fractions[:, None])
+        Q = with_bodies(ready, Q, t0[at] + fractions * (t1 - t0)[at])
+        hit = verdicts.classified(ready.as_given, codes.EXACT, Q).verdicts == codes.COLLIDING
+        made.verdicts[at] = np.where(hit, codes.COLLIDING, codes.AMBIGUOUS)
+    return made
+
+
+def _gathered(cut: Pieces, found: Found, total: int) -> Found:
+    """Join the answers about pieces to those about their motions: the worst one, where it is first met."""
+    work = np.add.reduceat(found.work, np.flatnonzero(np.diff(cut.owner, prepend=-1)))
+    made = Found(np.full(total, codes.FREE, dtype=np.int8), np.full(total, np.nan), np.full(total, -1), work)
+    for verdict in (codes.AMBIGUOUS, codes.COLLIDING, codes.TOO_LONG):  # the later ones count more
+        at = np.flatnonzero(found.verdicts == verdict)[::-1]  # of a motion's pieces, the first is written last
+        at_owner = cut.owner[at]
+        made.verdicts[at_owner], made.pairs[at_owner] = verdict, found.pairs[at]
+        made.fractions[at_owner] = cut.low[at] + found.fractions[at] * (cut.high[at] - cut.low[at])
+    return made

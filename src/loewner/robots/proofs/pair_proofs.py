@@ -1,0 +1,112 @@
+"""Prove the verdict of two bodies at two poses: a plane between them, or a point of both."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from loewner._base import _validate
+from loewner._base._guard import guarded
+from loewner.bodies import Body, packed_of
+from loewner.bodies.parts import in_small_parts
+from loewner.errors import ConvergenceError, FileError, InputError
+from loewner.queries import pairs as queries
+from loewner.robots.proofs import common_points, separations
+from loewner.robots.proofs.proof_models import Model, model_of_pair
+from loewner.robots.proofs.written_proofs import COMMON, FREE, Proof, assembled
+
+
+@guarded
+def prove(
+    a: Body, T_world_a: ArrayLike | None, b: Body, T_world_b: ArrayLike | None, *, margin: float = 0.0
+) -> Proof:  # fmt: skip
+    """Decide whether two bodies collide, and write a proof of the answer.
+
+    The answer agrees with `collide`, except about bodies that `collide` counts as touching although they are apart by
+    less than rounding. `prove` proves them to be FREE.
+
+    Parameters
+    ----------
+    a, b : Body
+    T_world_a, T_world_b : array_like, shape (4, 4), or None
+        Poses; translation in metres. None is the identity.
+    margin : float
+        Distance in metres that the bodies have to keep. If they are farther apart, this is proven.
+
+    Returns
+    -------
+    Proof
+        Its `verdict` is FREE or COLLIDING. A proof of FREE names planes between the bodies: one, if both are single
+        pieces. A proof of COLLIDING names a common point.
+
+    Raises
+    ------
+    PoseError, InputError
+        As for `collide`, and if there is more than one pair.
+    ConvergenceError
+        If the format cannot express a proof of the answer: the bodies are apart, but not by more than the margin; they
+        touch, or nearly touch, so that no point is inside both, or no plane between them, by more than rounding; a
+        surface takes part in a collision; or hulls of parts of surfaces and clouds meet, while the bodies do not.
+
+    Examples
+    --------
+    >>> from loewner import Body, prove
+    >>> T = np.eye(4)
+    >>> T[0, 3] = 1.2
+    >>> proof = prove(Body.sphere(1.0), None, Body.box([1, 1, 1]), T)
+    >>> proof.verdict
+    <Verdict.COLLIDING: 1>
+    >>> proof.verify().common
+    ('a', 'b')
+    """
+    keep = _validate.positive_scalar(margin, "margin", zero=True)
+    for name, body in (("a", a), ("b", b)):
+        if not isinstance(body, Body):
+            raise InputError(f"{name}: expected loewner.Body, found {type(body).__name__}")
+    poses = np.stack([_validate.pose(T_world_a, "T_world_a"), _validate.pose(T_world_b, "T_world_b")])
+    packs = packed_of(a), packed_of(b)
+    cut = in_small_parts(packs)
+    model, parts = model_of_pair(packs, cut, poses, keep), any(pack.trees for pack in cut)
+    if not queries.collide(a, poses[0], b, poses[1], margin=keep):
+        return _apart(model, parts, lambda: queries.distance(a, poses[0], b, poses[1], exact=True))
+    found = queries.distance(a, poses[0], b, poses[1], exact=True)
+    if 0.0 < found.distance <= keep:
+        raise ConvergenceError(
+            f"proof: expected bodies that have a common point, or are apart by more than the margin of {keep:g} m, "
+            f"found a distance of {found.distance:.3g} m"
+        )
+    for block in common_points.blocks(cut, poses, np.stack([found.witness_a, found.witness_b])):
+        proof = assembled(COMMON, model.data, block)
+        if _holds(proof):
+            return proof
+    if found.distance > keep:  # `collide` counts bodies as touching that are apart by less than rounding
+        return _apart(model, parts, lambda: found)
+    raise ConvergenceError(
+        f"proof: expected a point that is inside both bodies by more than rounding, found none; their overlap is "
+        f"{-found.distance:.3g} m deep{', and a surface has no inside' if any(pack.trees for pack in packs) else ''}"
+    )
+
+
+def _apart(model: Model, parts: bool, measured: Callable[[], queries.Distance]) -> Proof:
+    """Write a proof with planes that leave room for checkers that round, or if there are none, with any planes.
+
+    The search for planes fails near contact. The search of the distance is more careful, and is used last.
+    """
+    for room, careful in ((separations.ROOM, False), (0.0, False), (0.0, True)):
+        tree = separations.still(model, room, np.asarray(measured().normal) if careful else None)
+        if tree is not None:
+            proof = assembled(FREE, model.data, tree)
+            if room > 0.0 or _holds(proof):
+                return proof
+    why = "the hulls of parts of a surface or a cloud are nearer" if parts else "their gap is too small"
+    raise ConvergenceError(f"proof: expected planes between the bodies, which are apart, found none: {why}")
+
+
+def _holds(proof: Proof) -> bool:
+    try:
+        proof.verify()
+    except FileError:
+        return False
+    return True

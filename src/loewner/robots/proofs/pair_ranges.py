@@ -1,0 +1,758 @@
+"""Decide which pairs of bodies can ever collide, at any configuration within the ranges of the joints between them.
+
+Only the joints between two bodies matter, so the question is small. A box of configurations, one range for each value,
+is proven by the kernel that proves motions: along its longest side as a motion, and with its other sides as deviations
+of the joints from that motion. Boxes that are not proven are halved. A pair that collides in every configuration is
+proven by depth: two convex pieces deeper in each other than any of their points moves in a box meet in all of it. See
+docs/certified.md, "Pairs over whole ranges".
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from fractions import Fraction
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from loewner._base import _low_discrepancy, _validate
+from loewner._base._guard import guarded
+from loewner._base._plausible import FARTHEST_LIMIT
+from loewner._base._validate import Floats, Ints, Pair, Progress
+from loewner._kernels import codes
+from loewner._kernels import columns as kernel_columns
+from loewner._kernels.records import Tree
+from loewner.bodies import Packed
+from loewner.errors import InputError
+from loewner.robots.checking import distances, verdicts
+from loewner.robots.checking.checked_pairs import prepared
+from loewner.robots.checking.pair_cache import keep, known_pairs
+from loewner.robots.checking.problem import Problem
+from loewner.robots.description import robot
+from loewner.robots.description.pair_verdicts import PairVerdict, ProvenPair, ProvenPairs
+from loewner.robots.description.robot import Robot
+from loewner.robots.proofs import proofs
+from loewner.robots.proofs.courses import straight
+from loewner.robots.proofs.proof_models import model_of
+from loewner.robots.proofs.range_proofs import Claim, proof_of_ranges
+from loewner.scenes.scene import Scene
+
+# Configurations that are tried first, and boxes that are examined at a time.
+TRIED = 512
+AT_ONCE = 4096
+
+# Boxes that each pair gets at a time, at least.
+FIRST_BOXES = 1000
+
+# Least tolerance of a proof [m].
+LEAST_TOLERANCE = 1e-12
+
+# Largest denominator of a multiplier of a joint that follows another one without limits: the range is a common period.
+MOST_TURNS = 64
+
+# Ranges of one value are found up to this [rad or m], and boxes of several by this many bisections.
+FINEST, BISECTIONS = 1e-10, 20
+
+# An allowance for the rounding of bounds on motions.
+UP = 1.0 + 1e-5
+
+# Distances and depths count less these shares of themselves, of the lengths from which positions are computed, and of
+# the size of curved pieces. The last one covers searches that stop beside the best direction: their error was measured
+# as 7.1e-6 at most, where cylinders have a common axis.
+OF_DEPTH, OF_LENGTHS, OF_CURVED = 1e-6, 1e-12, 1e-4
+
+# Kinds of pieces whose cores are curved.
+CURVED = (kernel_columns.ELLIPSOID, kernel_columns.CYLINDER, kernel_columns.CONE)
+
+# Verdicts that more boxes may change.
+UNDECIDED = (PairVerdict.CAN, PairVerdict.OPEN)
+
+# Starts of a search for the least distance, and its steps.
+STARTS, STEPS = 4, 50
+
+
+@dataclass(eq=False)
+class _Question:
+    """A pair of bodies, with all that is known about it so far.
+
+    Attributes
+    ----------
+    names, pair : names of the bodies, and their numbers in `every`, which has all bodies of the robot and the scene
+    columns : numbers of the values between them
+    ready : the two bodies on a robot that has only the joints between them
+    base : a configuration of the robot
+    lower, upper, complete : the range, and whether it has all of the hard limits
+    reason : why boxes cannot be halved further; usually empty
+    levers : how far a point moves at most, for each value [m per rad or m]
+    waiting : boxes that are neither proven nor examined, in arrays of shape (n, 2, columns)
+    always : whether contact everywhere is to be proven, and not its absence
+    colliding, free, nearest, distance, boxes, share : see `ProvenPair`
+    """
+
+    names: Pair
+    pair: tuple[int, int]
+    every: Problem
+    columns: Ints
+    ready: Problem
+    base: Floats
+    lower: Floats
+    upper: Floats
+    complete: bool
+    reason: str = ""
+    waiting: list[Floats] = field(default_factory=list)
+    always: bool = False
+    colliding: Floats | None = None
+    free: Floats | None = None
+    nearest: Floats | None = None
+    distance: float = math.nan
+    boxes: int = 0
+    share: float = 0.0
+
+    def __post_init__(self) -> None:
+        self.measured = self.ready.without_margins
+        self.margin = float(self.ready.margins[0])
+        self.levers, travel = _levers(self.ready, 0, self.lower, self.upper)
+        packed = self.ready.packed
+        sizes = packed.kernel.table[:, kernel_columns.OUTER_RADIUS]
+        curved = np.isin(packed.layout[:, kernel_columns.KIND], CURVED)
+        lengths = self.ready.chain[1] + travel + packed.kernel.table[:, kernel_columns.REACH].max()
+        self.rounding = OF_LENGTHS * float(lengths) + OF_CURVED * float(sizes[curved].max(initial=0.0))
+
+    # -- single configurations -------------------------------------------------------------------
+
+    @cached_property
+    def whole(self) -> Problem:
+        """The pair on the robot itself."""
+        return _with_pairs(self.every, [self.pair], np.array([self.margin]))
+
+    def configuration(self, q: Floats) -> Floats:
+        """The configuration of the robot with these values between the bodies."""
+        found = self.base.copy()
+        found[self.columns] = q
+        return found
+
+    def try_some(self) -> None:
+        """Look for contact, and for configurations without it, at corners, in the middle and between them."""
+        count = len(self.columns)
+        corners = np.array(list(itertools.product((0.0, 1.0), repeat=min(count, 6))))
+        corners = np.concatenate([corners, np.full((len(corners), count - corners.shape[1]), 0.5)], axis=1)
+        shares = np.concatenate([np.full((1, count), 0.5), corners, _low_discrepancy.points(TRIED, count)])
+        Q = self.lower + shares * (self.upper - self.lower)
+        self.look_at(np.minimum(np.maximum(Q, self.lower), self.upper))
+        self.always = self.free is None
+        self.waiting = [np.stack([self.lower, self.upper])[None]]
+
+    def look_at(self, Q: Floats) -> None:
+        """Note a configuration with contact and one without, as the robot's own kinematics confirm."""
+        found = verdicts.classified(self.ready, codes.EXACT, Q).verdicts
+        for verdict in (codes.COLLIDING, codes.FREE):
+            if (self.colliding if verdict == codes.COLLIDING else self.free) is not None:
+                continue
+            for k in np.flatnonzero(found == verdict)[:STARTS].tolist():
+                q = self.configuration(Q[k])
+                if verdicts.classified(self.whole, codes.EXACT, q[None]).verdicts[0] == verdict:
+                    if verdict == codes.COLLIDING:
+                        self.colliding = q
+                    else:
+                        self.free = q
+                    break
+
+    def descend(self) -> None:
+        """Search for the least distance, from the nearest of the configurations that are tried first."""
+        Q = self.lower + _low_discrepancy.points(TRIED, len(self.columns)) * (self.upper - self.lower)
+        if self.colliding is not None:
+            Q = np.concatenate([Q, self.colliding[None, self.columns]])
+        Q = np.clip(Q, self.lower, self.upper)
+        values = self.signed(Q)
+        best = np.argsort(values, kind="stable")[:STARTS]
+        Q, values = Q[best], values[best]
+        step = np.tile((self.upper - self.lower) / 8, (len(Q), 1))
+        count = len(self.columns)
+        ways = np.concatenate([np.eye(count), -np.eye(count)])
+        for _ in range(STEPS):
+            tried = np.clip(Q[:, None] + step[:, None] * ways, self.lower, self.upper)
+            found = self.signed(tried.reshape(-1, count)).reshape(len(Q), -1)
+            at, row = np.where(np.isnan(found), np.inf, found).argmin(axis=1), np.arange(len(Q))
+            better = found[row, at] < values
+            Q, values = np.where(better[:, None], tried[row, at], Q), np.where(better, found[row, at], values)
+            step = np.where(better[:, None], step, step / 2)
+        if np.isnan(values).all():
+            return
+        lowest = int(np.nanargmin(values))
+        self.distance, self.nearest = float(values[lowest]), self.configuration(Q[lowest])
+        if self.distance <= self.margin:
+            self.look_at(Q[lowest : lowest + 1])
+
+    def signed(self, Q: Floats) -> Floats:
+        """Signed distances of the bodies; NaN where fast searches find none."""
+        return np.asarray(distances.nearest_columns(self.measured, np.ascontiguousarray(Q), True, care=False)[2])
+
+    # -- boxes -----------------------------------------------------------------------------------
+
+    @property
+    def proven_free(self) -> bool:
+        """Whether all of the range is proven free."""
+        return not (self.waiting or self.always or self.reason)
+
+    @property
+    def settled(self) -> bool:
+        """Whether nothing is left to do."""
+        return bool(self.reason) or not self.waiting or (self.colliding is not None and self.free is not None)
+
+    @property
+    def to_go(self) -> float:
+        """A guess at how many more boxes it takes."""
+        return self.boxes * (1.0 - self.share) / self.share if self.share > 0 else math.inf
+
+    def proceed(self, most: int) -> None:
+        """Examine at most this many boxes."""
+        while most > 0 and not self.settled:
+            last = self.waiting.pop()
+            boxes, rest = last[-min(AT_ONCE, most) :], last[: -min(AT_ONCE, most)]
+            if len(rest):
+                self.waiting.append(rest)
+            most -= len(boxes)
+            self.boxes += len(boxes)
+            proven = self.collide_in(boxes) if self.always else self.free_in(boxes)
+            width = self.upper - self.lower
+            parts = np.where(width > 0, (boxes[:, 1] - boxes[:, 0]) / np.where(width > 0, width, 1.0), 1.0)
+            self.share += float(parts.prod(axis=1)[proven].sum())
+            left = boxes[~proven]
+            if len(left):
+                halves = _halved(left, self.levers)
+                if len(halves) < 2 * len(left):
+                    self.reason = "two neighbouring configurations of floating point are not told apart"
+                    return
+                self.waiting.append(halves)
+
+    def free_in(self, boxes: Floats) -> Any:
+        """Which boxes are proven free; a contact that is found is noted."""
+        center, half = _center_and_half(boxes)
+        moved = self.moved(half)
+        row, long = np.arange(len(boxes)), (half * self.levers).argmax(axis=1)
+        a, b = center.copy(), center.copy()
+        a[row, long], b[row, long] = boxes[row, 0, long], boxes[row, 1, long]
+        half[row, long] = 0.0
+        courses = straight(self.ready.robot, a, b)
+        proven = np.zeros(len(boxes), dtype=bool)
+        for like in _of_like_size(moved):
+            # At this tolerance, motions of such lengths are not halved, and their deviations do not count as rounding.
+            some, tolerance = courses[like], 2.0 * float(moved[like].max()) + LEAST_TOLERANCE
+            found = proofs.prove(self.ready, some, tolerance, proofs.deviations(some, half[like]))
+            proven[like] = found.verdicts == codes.FREE
+            met = np.flatnonzero(found.verdicts == codes.COLLIDING)[:STARTS]
+            if len(met) and self.colliding is None:
+                share = found.fractions[met, None]
+                self.look_at(np.where(share == 1, some[met, 1], some[met, 0] + share * (some[met, 1] - some[met, 0])))
+        if self.non_convex:
+            open_ones = np.flatnonzero(~proven)
+            near = self.signed(center[open_ones])
+            proven[open_ones] = near - self.error_of(near) > self.margin + moved[open_ones]
+        return proven
+
+    def collide_in(self, boxes: Floats) -> Any:
+        """Which boxes are proven to be in contact everywhere; configurations without contact are noted."""
+        center, half = _center_and_half(boxes)
+        near = self.signed(center)
+        if (near > self.margin).any():
+            self.look_at(center[near > self.margin])
+        return near + self.error_of(near) < self.margin - self.moved(half)
+
+    def error_of(self, near: Floats) -> Floats:
+        """Error of computed distances and depths, rounded up."""
+        return OF_DEPTH * np.abs(near) + self.rounding
+
+    @property
+    def non_convex(self) -> bool:
+        """Whether a body has triangles, for which proofs of motions may take a box."""
+        return bool((self.ready.packed.layout[:, kernel_columns.KIND] <= kernel_columns.SURFACE).any())
+
+    def moved(self, half: Floats) -> Floats:
+        """How far any point of one body, seen from the other one, is at most from its place in the middle of boxes."""
+        return np.asarray((half * self.levers).sum(axis=1) * UP)
+
+    def answer(self) -> ProvenPair:
+        """Return all that has been found out."""
+        if not self.waiting and not self.reason and self.boxes:
+            verdict = PairVerdict.ALWAYS if self.always else PairVerdict.NEVER
+            if self.colliding is not None and self.free is not None:
+                verdict = PairVerdict.SOMETIMES
+        elif self.colliding is not None:
+            verdict = PairVerdict.SOMETIMES if self.free is not None else PairVerdict.CAN
+        else:
+            verdict = PairVerdict.OPEN
+        reason = ""
+        if verdict in UNDECIDED:
+            count = len(self.columns)
+            values = f"{count} values" if count > 1 else "one value"
+            reason = self.reason or f"with {values} between the bodies, it takes more boxes"
+        names = self.every.robot.configuration_names
+        return ProvenPair(
+            self.names, verdict, tuple(names[k] for k in self.columns), self.lower, self.upper, self.margin,
+            self.distance, self.nearest, self.colliding, self.free, self.boxes, min(self.share, 1.0), self.complete,
+            reason,
+        )  # fmt: skip
+
+
+def _center_and_half(boxes: Floats) -> tuple[Floats, Floats]:
+    """Return the middles of boxes, and how far their ends are from them at most."""
+    low, high = boxes[:, 0], boxes[:, 1]
+    center = low + (high - low) / 2
+    return center, np.nextafter(np.maximum(high - center, center - low), np.inf)
+
+
+def _of_like_size(sizes: Floats) -> Iterator[Ints]:
+    """Group numbers that differ by less than a factor of eight."""
+    exponents = np.frexp(sizes)[1] // 3
+    for exponent in np.unique(exponents):
+        yield np.flatnonzero(exponents == exponent)
+
+
+def _halved(boxes: Floats, levers: Floats) -> Floats:
+    """Halve boxes across the side along which points move most; boxes that have no middle are left out."""
+    low, high = boxes[:, 0], boxes[:, 1]
+    row, at = np.arange(len(boxes)), ((high - low) * levers).argmax(axis=1)
+    middle = low[row, at] + (high[row, at] - low[row, at]) / 2
+    one, other = boxes.copy(), boxes.copy()
+    one[row, 1, at], other[row, 0, at] = middle, middle
+    inside = (middle > low[row, at]) & (middle < high[row, at])
+    return np.stack([one[inside], other[inside]], axis=1).reshape(-1, 2, boxes.shape[2])
+
+
+# -- the joints between two bodies --------------------------------------------------------------
+
+
+def _joints(tree: Tree, link: int) -> list[int]:
+    """The joints between the world and a link, as the links that they move."""
+    found = []
+    while link >= 0:
+        if tree.kind[link] != kernel_columns.FIXED:
+            found.append(link)
+        link = int(tree.parent[link])
+    return found[::-1]
+
+
+def _between(tree: Tree, one: int, other: int) -> list[int]:
+    """The joints between two links; -1 is the world."""
+    a, b = _joints(tree, one), _joints(tree, other)
+    shared = sum(1 for _ in itertools.takewhile(lambda pair: pair[0] == pair[1], zip(a, b, strict=False)))
+    return a[shared:] + b[shared:]
+
+
+def _chain(whole: Robot, links: list[int], joints: list[int], columns: Ints) -> tuple[Robot, Ints]:
+    """Make a robot with only these joints and links, and the values of some columns; return the links' numbers in it.
+
+    What carries the first joints is its world: neither its place nor other joints matter.
+    """
+    tree, kept = whole.tree, sorted({*links, *joints} - {-1})
+    number = {link: k for k, link in enumerate(kept)}
+    place = {int(column): k for k, column in enumerate(columns)}
+    made = Tree(*(np.ascontiguousarray(np.asarray(array)[kept]) for array in tree))
+    for k, link in enumerate(kept):
+        made.parent[k] = number.get(int(tree.parent[link]), -1)
+        if link in joints:
+            made.column[k] = place.get(int(tree.column[link]), 0)
+        elif tree.kind[link] != kernel_columns.FIXED:  # it carries the first joints
+            made.parent[k], made.kind[k], made.column[k], made.constants[k] = -1, kernel_columns.FIXED, 0, 0.0
+            made.constants[k, kernel_columns.ROTATION + np.array([0, 4, 8])] = 1.0
+    names = tuple(whole.configuration_names[k] for k in columns)
+    chain = replace(
+        whole, tree=made, link_names=tuple(whole.link_names[k] for k in kept), configuration_names=names,
+        joint_names=names, lower=whole.hard_lower[columns], upper=whole.hard_upper[columns],
+        hard_lower=whole.hard_lower[columns], hard_upper=whole.hard_upper[columns],
+        _columns={name: slice(k, k + 1) for k, name in enumerate(names)},
+    )  # fmt: skip
+    return chain, np.array([number[link] for link in links if link >= 0], dtype=np.int64)
+
+
+def _levers(ready: Problem, body: int, lower: Floats, upper: Floats) -> tuple[Floats, float]:
+    """How far any point of a body, seen from the other one, moves at most for each value [m per rad or m].
+
+    Also return the largest travel of all joints that slide [m].
+    """
+    tree, reach = ready.robot.tree, ready.standing.reach[body]
+    slides, turns = [], []  # link, column, and multiplier
+    for k in np.flatnonzero(tree.kind != kernel_columns.FIXED).tolist():
+        at, by = int(tree.column[k]), abs(float(tree.multiplier[k]))
+        if tree.kind[k] == kernel_columns.PLANAR:
+            slides += [(k, at, 1.0), (k, at + 1, 1.0)]
+            turns.append((k, at + 2, 1.0))
+        else:
+            (slides if tree.kind[k] == kernel_columns.PRISMATIC else turns).append((k, at, by))
+    # Joints that slide add their distance from 0, at which reaches are measured.
+    travel = sum(max(abs(lower[at]), abs(upper[at])) * by + abs(float(tree.offset[k])) for k, at, by in slides)
+    levers = np.zeros(len(lower))
+    for _, at, by in slides:
+        levers[at] += by * UP
+    for k, at, by in turns:
+        levers[at] += by * (float(reach[k]) + travel) * UP
+    return levers, float(travel)
+
+
+def _range(whole: Robot, joints: list[int], column: int, turns: bool) -> tuple[float, float, str]:
+    """The hard limits of a value, or a full turn of all joints that follow it; and why there is no such range."""
+    low, high = float(whole.hard_lower[column]), float(whole.hard_upper[column])
+    name, tree = whole.configuration_names[column], whole.tree
+    if low > -FARTHEST_LIMIT and high < FARTHEST_LIMIT:
+        return low, high, ""
+    if low > -FARTHEST_LIMIT or high < FARTHEST_LIMIT:
+        return low, high, f"{name} has a limit on one side only"
+    if not turns:
+        return low, high, f"{name} slides without limits"
+    period = 1
+    for by in (float(tree.multiplier[k]) for k in joints if tree.column[k] == column):
+        share = Fraction(by).limit_denominator(MOST_TURNS)
+        if float(share) != by:
+            return low, high, f"a joint follows {name} by the factor {by:.17g}, and they have no common period"
+        period = math.lcm(period, share.denominator)
+    end = math.nextafter(period * math.pi, math.inf)  # π is rounded
+    return -end, end, ""
+
+
+def _values(whole: Robot, joints: list[int]) -> tuple[dict[int, bool], str]:
+    """The columns on which joints depend, and whether each is an angle only; and a kind that has no ranges."""
+    tree, found = whole.tree, dict[int, bool]()
+    for k in joints:
+        kind, at = int(tree.kind[k]), int(tree.column[k])
+        if kind in (kernel_columns.FLOATING, kernel_columns.BALL):
+            return {}, f"the joint above {whole.link_names[k]} turns about any axis, and has no range"
+        if kind == kernel_columns.PLANAR:
+            found |= {at: False, at + 1: False, at + 2: True}
+        elif tree.multiplier[k] != 0.0:
+            found[at] = found.get(at, True) and kind == kernel_columns.REVOLUTE
+    return dict(sorted(found.items())), ""
+
+
+# -- the questions ------------------------------------------------------------------------------
+
+
+@guarded
+def prove_pairs(
+    self: Robot,
+    pairs: Iterable[Pair] | None,
+    *,
+    margin: float,
+    limits: Mapping[str, tuple[float, float]] | None,
+    scene: Scene | None,
+    boxes: int,
+    cache: bool,
+    progress: Progress | None,
+    proof: bool,
+    only_free: bool = False,
+) -> ProvenPairs:
+    """Answer `Robot.prove_pairs`, which has the defaults; `only_free`, least distances of other pairs are left out."""
+    cache = _validate.flag(cache, "cache")
+    margin = _validate.positive_scalar(margin, "margin", zero=True)
+    boxes = _validate.whole_number(boxes, "boxes", 1)
+    _validate.callback(progress, "progress")
+    scene = _standing(self, scene)
+    given = _checked_limits(self, limits)
+    stated = None
+    if _validate.flag(proof, "proof"):
+        ready = prepared(self, scene, self._usually_skipped, scene.version, None)
+        stated = model_of(ready), ready  # refused at once where there is none
+    every = prepared(self, scene, (), scene.version, None)
+    asked = _asked(self, every, pairs)
+    kept = cache and not given and margin == 0.0 and not scene.names and not scene.margins
+    known = known_pairs(self) if kept else {}
+    found: dict[Pair, Any] = {}
+    for pair in asked:
+        names = _sorted(every, pair)
+        row, allowed = known.get(names, (None, 0))
+        if row is not None and (row.verdict not in UNDECIDED or allowed >= boxes / len(asked)):
+            found[names] = row
+        else:
+            found[names] = _question(self, every, pair, max(margin, scene.margin_of(*names)), given)
+    questions = {names: one for names, one in found.items() if isinstance(one, _Question)}
+    _settle(list(questions.values()), boxes, progress, only_free=only_free)
+    found |= {names: question.answer() for names, question in questions.items()}
+    if kept and questions and not only_free:
+        keep(self, (found[names] for names in questions), boxes // len(asked))
+    rigid = tuple(names for names, one in found.items() if one is None)
+    rows = tuple(one for one in found.values() if one is not None)
+    made = None if stated is None else proof_of_ranges(*stated, _claims(self, every, rows))
+    return ProvenPairs(self.name, rows, rigid, made)
+
+
+@guarded
+def free_range(
+    self: Robot,
+    joints: str | Iterable[str],
+    about: ArrayLike | None,
+    *,
+    pairs: Iterable[Pair] | None,
+    margin: float,
+    limits: Mapping[str, tuple[float, float]] | None,
+    scene: Scene | None,
+    boxes: int,
+) -> dict[str, tuple[float, float]]:
+    """Answer `Robot.free_range`, which has the defaults."""
+    names = [joints] if isinstance(joints, str) else _validate.listed(joints, "joints", wanted="a name or several")
+    for name in names:
+        _expect_value(self, name, "joints")
+    if not names or len(set(names)) < len(names):
+        raise InputError(f"joints: expected one name or several different ones, found {_validate.short(joints)}")
+    margin, boxes = _validate.positive_scalar(margin, "margin", zero=True), _validate.whole_number(boxes, "boxes", 1)
+    scene, given = _standing(self, scene), _checked_limits(self, limits)
+    q = self.configuration() if about is None else self.checked_one(about, "about")
+    every = prepared(self, scene, self._usually_skipped if pairs is None else (), scene.version, None)
+    asked = [(int(a), int(b)) for a, b in every.pairs] if pairs is None else _asked(self, every, pairs)
+    if not asked:
+        raise InputError("pairs: expected at least one, found none: any range would count as free")
+    kept = np.array([max(margin, scene.margin_of(every.names[a], every.names[b])) for a, b in asked])
+    ready = _with_pairs(every, asked, kept)
+    columns = [_column(self, name, q, given) for name in names]
+    if not verdicts.free(ready, q[None])[0]:
+        found = verdicts.verdicts_at(ready, q)
+        a, b = asked[int((found != codes.FREE).argmax())]
+        raise InputError(
+            f"about: expected a free configuration, found contact of {every.names[a]} and {every.names[b]}"
+        )
+    if len(columns) == 1:
+        ((at, low, high),) = columns
+        return {names[0]: (_end(ready, q, at, low), _end(ready, q, at, high))}
+    share = _largest_share(self, every, asked, kept, q, columns, boxes)
+    return {
+        name: (float(q[at] - share * (q[at] - low)), float(q[at] + share * (high - q[at])))
+        for name, (at, low, high) in zip(names, columns, strict=True)
+    }
+
+
+robot.answers |= {"prove_pairs": prove_pairs, "free_range": free_range}
+
+
+def _claims(whole: Robot, every: Problem, rows: tuple[ProvenPair, ...]) -> list[Claim]:
+    """The rows as a proof states them; all have to be NEVER."""
+    if not rows:
+        raise InputError("proof: expected pairs with joints between them, found none; there is nothing to prove")
+    place, found = {name: k for k, name in enumerate(every.names)}, list[Claim]()
+    for row in rows:
+        if row.verdict is not PairVerdict.NEVER:
+            why = f" ({row.reason})" if row.reason else ""
+            raise InputError(
+                f"proof: expected pairs that are NEVER nearer than their margins, found {row.verdict} for "
+                f"{' and '.join(row.names)}{why}; leave it out"
+            )
+        a, b = sorted(place[name] for name in row.names)
+        columns = np.array([whole.configuration_names.index(name) for name in row.columns], dtype=np.int64)
+        found.append(Claim((a, b), row.margin, columns, row.lower, row.upper))
+    return found
+
+
+def _standing(whole: Robot, scene: Scene | None) -> Scene:
+    """Check the robot and the scene of a question, and return a copy of the scene."""
+    if not whole.bodies:
+        raise InputError(f"robot: expected a robot with collision geometry, found none in {whole.name!r}")
+    if scene is not None and not isinstance(scene, Scene):
+        raise InputError(f"scene: expected loewner.Scene or None, found {type(scene).__name__}")
+    scene = Scene() if scene is None else scene.snapshot()
+    if scene.following:
+        raise InputError(
+            f"scene: expected bodies at rest or attached, found {next(iter(scene.following))!r}, which follows a motion"
+        )
+    for name in scene.bounds:
+        raise InputError(f"scene: expected bodies at known poses, found {name!r}, whose pose has an error")
+    return scene
+
+
+def _column(whole: Robot, name: Any, q: Floats, given: Mapping[int, tuple[float, float]]) -> tuple[int, float, float]:
+    """The column of a value, and its range, which must hold its present value."""
+    _expect_value(whole, name, "joints")
+    at, tree = whole.configuration_names.index(name), whole.tree
+    if at not in given:
+        moved = [k for k in np.flatnonzero(tree.kind != kernel_columns.FIXED).tolist() if tree.column[k] == at]
+        low, high, reason = _range(whole, moved, at, all(tree.kind[k] == kernel_columns.REVOLUTE for k in moved))
+        if reason or not moved:
+            raise InputError(f"joints: expected a joint with a range, found {name!r}: {reason or 'part of a position'}")
+        if whole.hard_lower[at] <= -FARTHEST_LIMIT:  # a full turn begins anywhere
+            low, high = q[at] + low, q[at] + high
+    else:
+        low, high = given[at]
+    if not low <= q[at] <= high:
+        raise InputError(f"about: expected {name!r} between {low:g} and {high:g}, found {q[at]:g}")
+    return at, float(low), float(high)
+
+
+def _end(ready: Problem, q: Floats, column: int, end: float) -> float:
+    """How far one value can go towards an end of its range, as far as that is proven."""
+    known, step = float(q[column]), end - float(q[column])
+    a, b = q.copy(), q.copy()
+    while known != end and abs(step) > FINEST:
+        a[column] = known
+        b[column] = end if abs(step) >= abs(end - known) else known + step
+        if b[column] == known:  # no number is left between the two
+            break
+        if proofs.prove(ready, straight(ready.robot, a[None], b[None]), FINEST).verdicts[0] == codes.FREE:
+            known, step = float(b[column]), 2.0 * step
+        else:
+            step = 0.5 * (float(b[column]) - known)
+    return known
+
+
+def _largest_share(
+    whole: Robot,
+    every: Problem,
+    asked: list[tuple[int, int]],
+    kept: Floats,
+    q: Floats,
+    columns: list[tuple[int, float, float]],
+    boxes: int,
+) -> float:
+    """The largest share of the way to all ends for which a box of values is proven free, by bisection."""
+
+    def proven(share: float) -> bool:
+        ends = {k: (float(value), float(value)) for k, value in enumerate(q)}
+        ends |= {at: (q[at] - share * (q[at] - low), q[at] + share * (high - q[at])) for at, low, high in columns}
+        asked_now = [_question(whole, every, pair, margin, ends) for pair, margin in zip(asked, kept, strict=True)]
+        questions = [one for one in asked_now if isinstance(one, _Question)]
+        for one in asked_now:
+            if isinstance(one, ProvenPair):  # a box of no size would be a silent answer
+                raise InputError(f"pairs: expected ranges, found none for {' and '.join(one.names)}: {one.reason}")
+        _settle(questions, boxes, None, search=False)
+        return all(question.proven_free for question in questions)
+
+    low, high = 0.0, 1.0
+    if proven(high):
+        return high
+    for _ in range(BISECTIONS):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if proven(middle) else (low, middle)
+    return low
+
+
+def _checked_limits(whole: Robot, limits: Mapping[str, tuple[float, float]] | None) -> dict[int, tuple[float, float]]:
+    """Ranges that are given, by columns."""
+    if limits is not None and not isinstance(limits, Mapping):
+        raise InputError(f"limits: expected a mapping from joints to (lower, upper), found {_validate.short(limits)}")
+    found = {}
+    for name, ends in (limits or {}).items():
+        _expect_value(whole, name, "limits")
+        low, high = _validate.finite_array(ends, f"limits of {name}", (2,)).tolist()
+        if low > high:
+            raise InputError(f"limits of {name}: expected (lower, upper), found {low:g} above {high:g}")
+        found[whole.configuration_names.index(name)] = low, high
+    return found
+
+
+def _expect_value(whole: Robot, name: Any, argument: str) -> None:
+    """Refuse a name that is none of the values of a configuration."""
+    if isinstance(name, str) and name in whole.mimics:
+        other, _ = whole.mimics[name]
+        raise InputError(
+            f"{argument}: expected joints with values of their own, found {name!r}, which follows {other!r}"
+        )
+    if not isinstance(name, str) or name not in whole.configuration_names:
+        raise _validate.unknown_name(argument, name, whole.configuration_names)
+
+
+def _asked(whole: Robot, every: Problem, pairs: Iterable[Pair] | None) -> list[tuple[int, int]]:
+    """The pairs in question, as numbers of bodies; the first one of each moves."""
+    place = {name: k for k, name in enumerate(every.names)}
+    if pairs is None:
+        listed = whole.disabled_pairs if whole._lists_pairs else itertools.combinations(whole.bodies, 2)
+        names: Iterable[Pair] = ((a, b) for a, b in listed if a in place and b in place)
+    else:
+        names = []
+        for pair in _validate.listed(pairs, "pairs", wanted="pairs of names"):
+            both = tuple(_validate.listed(pair, "pairs, one of them", wanted="a pair of names"))
+            if len(both) != 2 or both[0] == both[1]:
+                raise InputError(f"pairs: expected pairs of two different names, found {_validate.short(pair)}")
+            for name in both:
+                if isinstance(name, str) and name in whole.link_names and name not in place:
+                    raise InputError(f"pairs: expected links with bodies, found {name!r}, which has none")
+                if not isinstance(name, str) or name not in place:
+                    raise _validate.unknown_name("pairs", name, every.names)
+            if min(place[name] for name in both) >= len(every.link):
+                raise InputError(
+                    f"pairs: expected one body that moves with a link at least, found {both[0]!r}, {both[1]!r}"
+                )
+            names.append(both)
+    found = {frozenset(pair): pair for pair in names}
+    return [tuple(sorted(place[name] for name in found[key])) for key in sorted(found, key=sorted)]  # type: ignore[misc]
+
+
+def _sorted(every: Problem, pair: tuple[int, int]) -> Pair:
+    one, other = (every.names[k] for k in pair)
+    return min(one, other), max(one, other)
+
+
+def _question(
+    whole: Robot, every: Problem, pair: tuple[int, int], margin: float, given: Mapping[int, tuple[float, float]]
+) -> _Question | ProvenPair | None:
+    """Prepare the question about a pair; return its answer if it has no range, and None if no joint is between."""
+    moving, (a, b), names = len(every.link), pair, _sorted(every, pair)
+    links = [int(every.link[a]), int(every.link[b]) if b < moving else -1]
+    joints = _between(whole.tree, *links)
+    values, reason = _values(whole, joints)
+    if not values and not reason:
+        return None
+    columns = np.array(list(values), dtype=np.int64)
+    ranges = [_range(whole, joints, k, turns) for k, turns in values.items()]
+    ends = [given.get(k, found[:2]) for k, found in zip(values, ranges, strict=True)]
+    reasons = [reason, *(found[2] for k, found in zip(values, ranges, strict=True) if k not in given)]
+    lower, upper = np.array(ends).reshape(-1, 2).T.copy()
+    complete = all(end[0] <= found[0] and end[1] >= found[1] for end, found in zip(ends, ranges, strict=True))
+    labels = tuple(whole.configuration_names[k] for k in columns)
+    for why in filter(None, reasons):
+        return ProvenPair(names, PairVerdict.OPEN, labels, lower, upper, margin, complete=complete, reason=why)
+    chain, numbers = _chain(whole, links, joints, columns)
+    packs: list[Packed] = [every.packs[a], every.packs[b]]
+    standing = every.standing.poses.reshape(-1, 16)[b - moving :][:1] if b >= moving else np.empty((0, 16))
+    ready = _pair_problem(chain, packs, numbers, margin, standing)
+    if b < moving:
+        # The one that moves less, seen from the other one, is the one that moves in proofs.
+        first, second = (((upper - lower) * _levers(ready, body, lower, upper)[0]).sum() for body in (0, 1))
+        if second < first:
+            ready = _pair_problem(chain, packs[::-1], numbers[::-1], margin, standing)
+    base = np.clip(whole.configuration(), whole.hard_lower, whole.hard_upper)
+    return _Question(names, pair, every, columns, ready, base, lower, upper, complete)
+
+
+def _with_pairs(every: Problem, pairs: list[tuple[int, int]], margins: Floats) -> Problem:
+    """The same bodies with other pairs."""
+    numbers, no = np.array(pairs, dtype=np.int64).reshape(-1, 2), np.zeros(len(pairs), dtype=bool)
+    return Problem.of(
+        every.robot, (every.version, every.structure_version), every.names, every.packs, every.link, numbers, margins,
+        no, no, every.moving, every.packed,
+    ).with_poses(every.standing.poses, every.version)  # fmt: skip
+
+
+def _pair_problem(chain: Robot, packs: list[Packed], numbers: Ints, margin: float, standing: Floats) -> Problem:
+    """Prepare two bodies, the first one on a link of a chain, the second one on another link or in the world."""
+    return Problem.of(
+        chain, (0, 0), ("one", "other"), packs, np.ascontiguousarray(numbers), np.array([[0, 1]]), np.array([margin]),
+        np.zeros(1, dtype=bool), np.zeros(1, dtype=bool),
+    ).with_poses(standing, 0)  # fmt: skip
+
+
+def _settle(
+    questions: list[_Question], boxes: int, progress: Progress | None, *, search: bool = True, only_free: bool = False
+) -> None:
+    """Work on all questions, beginning with the shortest, until they are settled or the boxes are used up."""
+    order = sorted(questions, key=lambda question: len(question.columns))
+    for question in order:
+        question.try_some()
+    left = [question for question in order if not question.settled]
+    for question in left:
+        before = question.boxes
+        question.proceed(min(FIRST_BOXES, boxes))
+        boxes -= question.boxes - before
+    while boxes > 0 and (left := [question for question in left if not question.settled]):
+        if progress is not None:
+            progress(len(order) - len(left), len(order))
+        # Next, the question that probably needs the fewest boxes.
+        question = min(left, key=lambda question: question.to_go)
+        before = question.boxes
+        question.proceed(min(max(FIRST_BOXES, math.ceil(min(2 * question.to_go, boxes))), boxes))
+        boxes -= question.boxes - before
+    if search:
+        for question in order:
+            if question.proven_free or not only_free:
+                question.descend()  # also for pairs that are proven: contact would be a contradiction
+    if progress is not None:
+        progress(len(order), len(order))

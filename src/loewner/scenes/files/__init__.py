@@ -1,0 +1,10 @@
+"""Read scenes from files: our YAML format, MuJoCo models, and MotionBenchMaker's planning problems in JSON.
+
+`yaml_scenes` is our format, `mjcf_scenes` MuJoCo's, `motion_bench_maker` reads the benchmark, `sensor_shapes`
+clouds, voxels and terrain, and `schema` has the keys of our format.
+"""
+
+from loewner.scenes.files.motion_bench_maker import Problem, read_motion_bench_maker
+from loewner.scenes.files.yaml_scenes import load_scene, save_scene
+
+__all__ = ["Problem", "load_scene", "read_motion_bench_maker", "save_scene"]

@@ -1,0 +1,21 @@
+"""Convert MuJoCo models to scenes of static bodies at their poses in the model."""
+
+from pathlib import Path
+
+from loewner.ellipsoids.fits import DEFAULT_TOLERANCE
+from loewner.scenes.mjcf_models import read_mjcf
+from loewner.scenes.scene import Scene
+
+# Endings of the names of model files, as opposed to YAML.
+MJCF_SUFFIXES = (".xml", ".mjcf")
+
+
+def mjcf_scene(file: Path) -> Scene:
+    """Make a scene of all colliding geoms, with joints at their references; pairs that MuJoCo skips may touch."""
+    model, scene = read_mjcf(file, DEFAULT_TOLERANCE), Scene()
+    for body in model.bodies:
+        for part in body.parts:
+            scene.add(part.name, part.body, body.T_world_body)
+    for pair in sorted(model.related_pairs | model.excluded_pairs):
+        scene.allow(*pair)
+    return scene

@@ -1,0 +1,26 @@
+"""The JSON Schema of scene files: editors use it, and the reader takes its keys from it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from loewner._base import _json
+
+# `loewner --scene-schema` prints this path.
+SCHEMA_FILE = Path(__file__).parents[2] / "share" / "scene.schema.json"
+
+SCHEMA: dict[str, Any] = _json.parsed(SCHEMA_FILE.read_bytes(), str(SCHEMA_FILE))
+BODY: dict[str, Any] = SCHEMA["definitions"]["body"]
+
+Keys = tuple[tuple[str, ...], tuple[str, ...]]
+
+
+def keys_of(place: str) -> Keys:
+    """Return the keys of a mapping in the entry of a body, and the keys that it must have."""
+    return keys_in(BODY["properties"][place])
+
+
+def keys_in(rule: dict[str, Any]) -> Keys:
+    """Return the keys of a rule for a mapping, and the keys that it must have."""
+    return tuple(rule["properties"]), tuple(rule.get("required", ()))

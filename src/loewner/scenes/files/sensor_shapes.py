@@ -1,0 +1,121 @@
+"""Read the shapes of scene files for sensor data: point clouds, voxels, terrain, and unions of balls and boxes."""
+
+from __future__ import annotations
+
+import functools
+import re
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from loewner._base import _archives, _tables, _validate
+from loewner._base._files import read_regular
+from loewner._base._nodes import Node
+from loewner._base._plausible import doubt_about_unit, warn
+from loewner.bodies import Body
+from loewner.errors import FileError
+from loewner.scenes.files.schema import keys_of
+
+# Largest file of numbers in bytes: a cloud of ten million points in text.
+MOST_BYTES = 2**29
+
+Recipe = tuple[Any, Callable[[], Body]]
+
+
+def _spheres(entry: Node) -> Recipe:
+    rows = np.array(entry.rows(4)).reshape(-1, 4)
+    return (rows.tobytes(),), lambda: Body.spheres(rows[:, :3], rows[:, 3])
+
+
+def _boxes(entry: Node) -> Recipe:
+    rows = np.array(entry.rows(6)).reshape(-1, 6)
+    return (rows.tobytes(),), lambda: Body.boxes(rows[:, :3], rows[:, 3:])
+
+
+def _half_space(entry: Node) -> Recipe:
+    given = entry.mapping(*keys_of("half_space"))
+    normal, offset = given["normal"].numbers(3), given["offset"].number()
+    sizes = {"extent": given["extent"].number()} if "extent" in given else {}
+    return (*normal, offset, *sizes.values()), functools.partial(Body.half_space, normal, offset, **sizes)
+
+
+def _cloud(entry: Node) -> Recipe:
+    given = entry.mapping(*keys_of("cloud"))
+    file = _file(given["file"])
+    sizes = {key: given[key].number() for key in ("radius", "voxel") if key in given}
+    return (file, *sizes.items()), lambda: Body.from_cloud(read_array(file), **sizes)
+
+
+def _voxels(entry: Node) -> Recipe:
+    given = entry.mapping(*keys_of("voxels"))
+    file, size = _file(given["file"]), given["size"].number()
+    origin = given["origin"].numbers(3) if "origin" in given else [0.0] * 3
+    return (file, size, *origin), lambda: Body.from_voxels(read_array(file), size, origin=origin)
+
+
+def _height_field(entry: Node) -> Recipe:
+    given = entry.mapping(*keys_of("height_field"))
+    file, spacing = _file(given["file"]), given["spacing"].numbers(2)
+    base = given["base"].number() if "base" in given else None
+    return (file, *spacing, base), lambda: Body.height_field(read_array(file), spacing, base=base)
+
+
+def _octree(entry: Node) -> Recipe:
+    file = _file(entry)
+    return (file,), functools.partial(Body.from_octree, file)
+
+
+SENSOR_SHAPES: dict[str, Callable[[Node], Recipe]] = {
+    "cloud": _cloud,
+    "voxels": _voxels,
+    "octree": _octree,
+    "height_field": _height_field,
+    "half_space": _half_space,
+    "spheres": _spheres,
+    "boxes": _boxes,
+}
+
+
+def _file(entry: Node) -> Path:
+    """Return the path of a file that is given relative to the scene's file."""
+    name = entry.text()
+    with entry.blamed():
+        return entry.file.parent / _validate.path(name, "file")
+
+
+def read_array(path: Path) -> Any:
+    """Read numbers from a NumPy array (`.npy`, never a pickle) or from lines of text (`.xyz`, `.txt`, `.csv`).
+
+    Parameters
+    ----------
+    path : Path
+        In `.csv` files commas separate the numbers; in other text files spaces or commas do.
+
+    Raises
+    ------
+    FileError
+        If the file is missing, too large or of the wrong kind, or lacks a number.
+    """
+    suffix = path.suffix.lower()
+    if suffix not in (".npy", ".xyz", ".txt", ".csv"):
+        raise FileError(f"{path}: expected a file that ends in .npy, .xyz, .txt or .csv")
+    data = read_regular(path, "numbers in .npy, .xyz, .txt or .csv", MOST_BYTES)
+    if suffix == ".npy":
+        return _archives.numbers(data, str(path), "an array of numbers")
+    found = _tables.table(data, str(path), commas=suffix == ".csv")
+    for doubt in _doubts("\n".join(_tables.COMMENT.findall(data.decode("ascii")))):
+        warn(f"{path}: expected {doubt}")
+    return found
+
+
+def _doubts(comments: str) -> Iterator[str]:
+    """Yield why numbers may be in another unit or order, by the comments of their file, which are not read."""
+    if doubt := doubt_about_unit(comments):
+        yield doubt
+    for line in comments.splitlines():
+        names = re.split(r"[\s,;]+", line.strip("# \t").lower())[:3]
+        if sorted(names) == ["x", "y", "z"] != names:
+            yield f"columns x, y and z, found {line!r} in a comment, which is not read"
+            return

@@ -1,0 +1,119 @@
+"""Limits on an MJCF file, checked before MuJoCo compiles it, which no signal can interrupt."""
+
+from __future__ import annotations
+
+import math
+import os
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from loewner._base import _validate
+from loewner._base._files import read_regular, shown
+from loewner._base._xml import Element, XmlError, parse
+from loewner.errors import FileError
+
+# Limits on a model: bytes, elements and their nesting in each file, included files, and copies made by replicas. The
+# time to compile grows with the square of the copies: this many take a few seconds, and have more pairs than a checker
+# accepts.
+MOST_BYTES = 2**26
+MOST_ELEMENTS = 2_000_000
+DEEPEST = 1000
+MOST_INCLUDES = 100
+MOST_COPIES = 4096
+
+# Limit on the samples of a height field, and bytes that MuJoCo uses for each while it compiles.
+BYTES_A_SAMPLE = 64
+
+# Elements that name files, and the attributes in which <compiler> names folders for them.
+FILE_ELEMENTS = ("mesh", "hfield", "skin", "texture", "model", "include", "plugin", "flexcomp")
+FOLDERS = ("meshdir", "texturedir", "assetdir")
+
+
+@dataclass
+class _Model:
+    """The parts of a model read so far.
+
+    Attributes
+    ----------
+    folder : Path
+        Folder of the main file.
+    copies : int
+        Number of copies made by replicas and composites, multiplied for nested ones.
+    folders : set of str
+        Folders of files, as given by <compiler>.
+    files : list of tuple of Path and str
+        Files that name other files, with the names.
+    included : int
+    """
+
+    folder: Path
+    copies: int = 0
+    folders: set[str] = field(default_factory=lambda: {""})
+    files: list[tuple[Path, str]] = field(default_factory=list)
+    included: int = 0
+
+
+def check_limits(file: Path) -> str:
+    """Refuse a model that MuJoCo would compile forever, or that would block it; return the tag of its root element.
+
+    Raises
+    ------
+    FileError
+        If a file is missing or not a regular file, or includes, replicas or height fields are too large.
+    """
+    model = _Model(file.parent)
+    tag = _look(file, model, 1)
+    for source, name in model.files:
+        for folder in sorted(model.folders):
+            for start in (model.folder, source.parent):
+                path = start / folder / name
+                if os.path.exists(path) and not os.path.isfile(path) and not os.path.isdir(path):
+                    raise FileError(f"{shown(source)}: expected regular files, found {shown(path)}, which is none")
+    return tag
+
+
+def _look(file: Path, model: _Model, copies: int) -> str:
+    """Read one file, which is included at a place that is copied the given number of times; return its root's tag."""
+    data = read_regular(file, "an MJCF file", MOST_BYTES)
+    try:
+        root = parse(data, "an MJCF file", Element, deepest=DEEPEST, most=MOST_ELEMENTS)
+    except XmlError as error:
+        raise FileError(f"{shown(file)}, line {error.line}: {error}") from None
+    waiting = [(root, copies)]
+    while waiting:
+        element, around = waiting.pop()
+        attributes, repeats = element.attributes, element.tag in ("replicate", "composite", "flexcomp")
+        count = _product(attributes.get("count", "")) if repeats else 1
+        within = around * count
+        waiting += [(child, within) for child in reversed(element.children)]
+        where = f"{shown(file)}, line {element.line}: expected at most"
+        if count > 1:
+            model.copies += within
+        if model.copies > MOST_COPIES:
+            found = f"found {model.copies} or more"
+            raise FileError(f"{where} {MOST_COPIES} copies in all of <replicate> and its like, {found}")
+        if element.tag == "hfield":
+            samples = _product(attributes.get("nrow", "")) * _product(attributes.get("ncol", ""))
+            _validate.fits_memory(BYTES_A_SAMPLE * samples, f"{shown(file)}: a height field of {samples} samples")
+        if element.tag == "compiler":
+            model.folders.update(attributes[name] for name in FOLDERS if name in attributes)
+        name = attributes.get("file", "")
+        if element.tag in FILE_ELEMENTS and name:
+            model.files.append((file, name))
+        if element.tag in ("include", "model") and name:
+            model.included += 1
+            if model.included > MOST_INCLUDES:
+                raise FileError(f"{where} {MOST_INCLUDES} included files, found more")
+            for folder in dict.fromkeys((model.folder, file.parent)):  # MuJoCo searches beside the main file
+                if os.path.lexists(folder / name):
+                    _look(folder / name, model, within)
+                    break
+    return root.tag
+
+
+def _product(text: str) -> int:
+    """Product of whole numbers; 1 if there is none."""
+    try:
+        return math.prod(max(int(float(word)), 1) for word in text.split())
+    except (ValueError, OverflowError):
+        return 1

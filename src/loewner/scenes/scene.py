@@ -1,0 +1,1372 @@
+"""Scenes: named bodies in the world or attached to a robot's links, allowed contacts, and margins.
+
+A `Scene` changes between two queries: bodies are added, moved, grasped and put down by name. The bodies themselves
+never change, so a change of the scene costs a few dictionary entries and no new fit. A scene has no robot;
+`CollisionChecker` pairs a scene with a robot, and checks names of links.
+"""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from typing import Any, Literal, overload
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from loewner._base import _validate
+from loewner._base._guard import guarded
+from loewner._base._pictures import COLOURS, MOST_BODIES, MOST_NAMES, Shape, bodies, pictured
+from loewner._base._plausible import doubt_about_size, warn
+from loewner._base._read_only import KeepsReadOnly
+from loewner._base._validate import Floats, Ints, Pair
+from loewner._kernels.columns import OUTER_RADIUS
+from loewner.bodies import Bodies, Body, for_pictures, packed_of, reach_of
+from loewner.errors import InputError
+from loewner.queries import crowds
+from loewner.queries import pairs as queries
+from loewner.queries.pairs import Bounds, Distance, Measured
+from loewner.queries.pose_paths import PoseBounds, PosePath, path_of, with_twist
+from loewner.scenes import maps as _maps
+
+# One name or a pair, where None in place of a name means any link.
+MarginKey = tuple[str | None, ...]
+
+# Held for microseconds while a scene changes or is copied. All scenes share one lock, so that copies and pickles need
+# not exclude it, and a process that forks has only one to reset.
+_CHANGING = threading.RLock()
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(before=_CHANGING.acquire, after_in_parent=_CHANGING.release, after_in_child=_CHANGING.release)
+
+
+@dataclass(frozen=True, eq=False)
+class Contact:
+    """Two named bodies that touch, overlap, or come within their margin.
+
+    Attributes
+    ----------
+    name_a, name_b : str
+        Names of bodies of a scene, or of links of a robot.
+    distance : float
+        In metres; a negative value is the depth of the deepest two pieces. It is positive only for two bodies within
+        their margin, or for touching bodies that rounding moves apart, since touching counts as colliding.
+    witness_a, witness_b : ndarray, shape (3,)
+        Points of a and of b in world coordinates, with witness_b - witness_a = distance * normal.
+    normal : ndarray, shape (3,)
+        Unit vector from a to b.
+
+    Examples
+    --------
+    >>> scene = Scene()
+    >>> scene.add("ball", Body.sphere(1.0))
+    >>> scene.add("box", Body.box([1, 1, 1]))
+    >>> (contact,) = scene.pairs()
+    >>> contact.name_a, contact.name_b, contact.distance < 0
+    ('ball', 'box', True)
+    """
+
+    name_a: str
+    name_b: str
+    distance: float
+    witness_a: Floats
+    witness_b: Floats
+    normal: Floats
+
+    @classmethod
+    def from_distances(cls, names: Iterable[Pair], found: Distance) -> tuple[Contact, ...]:
+        """Make one contact per pair of names, from exact distances.
+
+        Parameters
+        ----------
+        names : iterable of pairs of str
+        found : Distance
+            One distance per pair of names, computed with ``exact=True``.
+
+        Returns
+        -------
+        tuple of Contact
+
+        Raises
+        ------
+        InputError
+            If the number of names differs from the number of exact distances.
+        """
+        if not isinstance(found, Distance) or found.normal is None or found.normal.ndim != 2:
+            raise InputError(f"found: expected exact distances of a row of pairs, found {_validate.short(found)}")
+        listed = [_pair_as_given(pair) for pair in _validate.listed(names, "names")]
+        if len(listed) != len(found.normal):
+            raise InputError(f"names: expected {len(found.normal)} pairs, as found, found {len(listed)}")
+        rows = zip(listed, found.distance.tolist(), found.witness_a, found.witness_b, found.normal, strict=True)
+        return tuple(cls(a, b, distance, *vectors) for (a, b), distance, *vectors in rows)
+
+
+@dataclass(frozen=True, eq=False)
+class Attachment(KeepsReadOnly):
+    """How a body is attached to a link of a robot.
+
+    Attributes
+    ----------
+    link : str
+        The link that carries it.
+    T_link_body : ndarray, shape (4, 4)
+        Pose of the body in the frame of the link; translation in metres.
+    touch_links : tuple of str
+        Links that the body may touch while it is attached: the given links and the link that carries it, sorted.
+
+    Examples
+    --------
+    >>> scene = Scene()
+    >>> scene.add("can", Body.cylinder(radius=0.03, length=0.14))
+    >>> scene.attach("can", "hand", touch_links=["finger"])
+    >>> scene.attachments["can"].touch_links
+    ('finger', 'hand')
+    """
+
+    link: str
+    T_link_body: Floats
+    touch_links: tuple[str, ...]
+
+
+@guarded
+class Scene:
+    """Named bodies with poses, attachments to links, allowed pairs and margins.
+
+    Parameters
+    ----------
+    margin : float
+        Distance in metres that every pair with a body of the scene has to keep (see `margin_of`).
+
+    Notes
+    -----
+    Iterating over a scene yields the names of its bodies, in the order in which they were added. The scene's own
+    queries (`pairs`, `collide`, `distance`) cover only the static bodies in the world, since the pose of an attached
+    body depends on a robot's configuration, and the pose of a body that follows a motion (`follow`) on the time.
+
+    Any thread may change a scene while others query it: each change is atomic, and each query uses one consistent
+    state. Adding a body that is probably not in metres causes a warning, once per scene.
+
+    Examples
+    --------
+    >>> scene = Scene()
+    >>> scene.add("table", Body.box([1.0, 1.0, 0.1]))
+    >>> T = np.eye(4)
+    >>> T[2, 3] = 0.3
+    >>> scene.add("ball", Body.sphere(0.1), T)
+    >>> scene.collide()
+    False
+    >>> T[2, 3] = 0.1
+    >>> scene.move("ball", T)
+    >>> [(contact.name_a, contact.name_b, round(contact.distance, 9)) for contact in scene.pairs()]
+    [('table', 'ball', -0.05)]
+    """
+
+    def __init__(self, *, margin: float = 0.0) -> None:
+        self._margin = _validate.positive_scalar(margin, "margin", zero=True)
+        self._bodies: dict[str, Body] = {}
+        self._poses: dict[str, Floats] = {}
+        self._attachments: dict[str, Attachment] = {}
+        self._following: dict[str, PosePath] = {}
+        self._bounds: dict[str, PoseBounds] = {}
+        self._off: dict[str, float] = {}  # of a snapshot: by how many metres points of bodies may be off
+        self._allowed: set[Pair] = set()
+        self._leaving: set[Pair] = set()
+        self._reaching: set[Pair] = set()
+        self._margins: dict[MarginKey, float] = {}
+        self._lowered: set[MarginKey] = set()
+        self._version = self._structure_version = 0
+        self._packed: tuple[int, Bodies] | None = None
+        self._doubted = False
+
+    def __getstate__(self) -> dict[str, Any]:
+        return self.snapshot().__dict__
+
+    def __repr__(self) -> str:
+        count = "1 body" if len(self) == 1 else f"{len(self)} bodies"
+        off = f", {len(self._bounds)} known by bounds" if self._bounds else ""
+        return f"Scene({count}, {len(self._attachments)} attached{off})"
+
+    @pictured
+    def _repr_html_(self) -> str:
+        shapes, entries, note = drawn(self, {})
+        return bodies(shapes, (), entries, note)
+
+    # -- contents -----------------------------------------------------------------------------
+
+    def __len__(self) -> int:
+        return len(self._bodies)
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._bodies
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._bodies)
+
+    def __getitem__(self, name: str) -> Body:
+        return self._bodies[self._known(name)]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of all bodies, in the order in which they were added."""
+        return tuple(self._bodies)
+
+    @property
+    def static_names(self) -> tuple[str, ...]:
+        """Names of the static bodies, neither attached nor following a motion, in the order of `names`."""
+        with _CHANGING:
+            return tuple(name for name in self._bodies if name in self._poses)
+
+    @property
+    def static_bodies(self) -> Bodies:
+        """The bodies in `static_names`, packed; the same object until `structure_version` increases."""
+        with _CHANGING:
+            packed, version = self._packed, self._structure_version
+            standing = [self._bodies[name] for name in self.static_names]
+        if packed is None or packed[0] != version:
+            self._packed = packed = version, Bodies(standing)
+        return packed[1]
+
+    @property
+    def static_poses(self) -> Floats:
+        """World poses of the bodies in `static_names`, shape (n, 4, 4), as a new array."""
+        with _CHANGING:
+            poses = self._poses  # a body that moves has none
+            # Their bytes one after the other: NumPy takes twice as long for a list of arrays.
+            joined = bytearray().join([poses[name] for name in self._bodies if name in poses])
+        return np.frombuffer(joined).reshape(-1, 4, 4)
+
+    @property
+    def attachments(self) -> dict[str, Attachment]:
+        """How each attached body is fixed to the robot, keyed by the name of the body."""
+        with _CHANGING:
+            held = {name: self._attachments[name] for name in self._bodies if name in self._attachments}
+        return _validate.Named("attached body", held)
+
+    @property
+    def following(self) -> dict[str, PosePath]:
+        """The motion of each body that follows one, keyed by the name of the body."""
+        with _CHANGING:
+            held = {name: self._following[name] for name in self._bodies if name in self._following}
+        return _validate.Named("body that follows a motion", held)
+
+    @property
+    def bounds(self) -> dict[str, PoseBounds]:
+        """How far bodies may be from their poses or motions, keyed by name; other bodies are exactly there."""
+        with _CHANGING:
+            return {name: self._bounds[name] for name in self._bodies if name in self._bounds}
+
+    @property
+    def version(self) -> int:
+        """A number that grows with every change, so that stale data prepared from the scene can be recognised."""
+        return self._version
+
+    @property
+    def structure_version(self) -> int:
+        """A number that grows with every change except of poses and motions, which leave other prepared data valid."""
+        return self._structure_version
+
+    def pose(self, name: str) -> Floats:
+        """Return the pose of a body in the world, shape (4, 4), as a new array.
+
+        Parameters
+        ----------
+        name : str
+
+        Returns
+        -------
+        ndarray, shape (4, 4)
+            T_world_body; translation in metres.
+
+        Raises
+        ------
+        InputError
+            If the body is attached to a link, or follows a motion: see `following`.
+        """
+        with _CHANGING:
+            return self._poses[self._placed(name)].copy()
+
+    def copy(self) -> Scene:
+        """Return a copy of the scene; later changes of the scene do not affect the copy, or the reverse.
+
+        Returns
+        -------
+        Scene
+            A scene with the same bodies, margins and rules; the bodies themselves are shared, since they never change.
+        """
+        other = self.snapshot()
+        other._version = other._structure_version = 0
+        other._packed = None
+        return other
+
+    def snapshot(self) -> Scene:
+        """Copy the scene and its versions consistently, so that a query is unaffected when another thread changes it.
+
+        Returns
+        -------
+        Scene
+            A copy that shares the arrays that are already packed.
+        """
+        other = Scene()
+        with _CHANGING:
+            other.__dict__.update(self.__dict__)
+            other._bodies = dict(self._bodies)
+            other._poses = dict(self._poses)
+            other._attachments = dict(self._attachments)
+            other._following = dict(self._following)
+            other._bounds = dict(self._bounds)
+            other._allowed = set(self._allowed)
+            other._leaving, other._reaching = set(self._leaving), set(self._reaching)
+            other._margins = dict(self._margins)
+            other._lowered = set(self._lowered)
+        return other
+
+    # -- changes ------------------------------------------------------------------------------
+
+    @classmethod
+    def from_map(
+        cls, path: str | os.PathLike[str], *, height: float, unknown: bool = True, margin: float = 0.0
+    ) -> Scene:
+        """Make a scene of a map of ROS's map server: its occupied cells, as boxes on the plane z = 0.
+
+        Parameters
+        ----------
+        path : path
+            The YAML file, which names the image. PGM is read as it is; PNG and BMP need Pillow (the extra ``plots``).
+            Modes are trinary and scale; in the latter, all cells that are not free are occupied.
+        height : float
+            Height of the boxes, in metres.
+        unknown : bool
+            Count unknown cells as occupied. Everything outside the map is free.
+        margin : float
+            As for `Scene`.
+
+        Returns
+        -------
+        Scene
+            With the body "map", if any cell is occupied. Cells that form a rectangle become one box. The pose of the
+            body is the origin of the map.
+
+        Raises
+        ------
+        FileError
+            If a file is missing, damaged or not grey, a key is missing or not known, or a threshold is no share.
+        InputError
+            If the height is not positive.
+        MissingExtraError
+            If PyYAML (the extra ``robots``) or Pillow is missing.
+        """
+        top = _validate.positive_scalar(height, "height")
+        counted = _validate.flag(unknown, "unknown")
+        grid = _maps.read_map(path)
+        scene = cls(margin=margin)
+        rectangles = _maps.rectangles(grid.occupied | grid.unknown if counted else grid.occupied)
+        if len(rectangles):
+            low, high = (grid.resolution * rectangles[:, ends] for ends in (slice(0, 2), slice(2, 4)))
+            centers = np.column_stack([(low + high) / 2.0, np.full(len(low), top / 2.0)])
+            edges = np.column_stack([high - low, np.full(len(low), top)])
+            scene.add("map", Body.boxes(centers, edges), _maps.corner(grid))
+        return scene
+
+    def add(
+        self,
+        name: str,
+        body: Body,
+        T_world_body: ArrayLike | None = None,
+        *,
+        margin: float | None = None,
+        error: ArrayLike | None = None,
+    ) -> None:
+        """Put a body into the world.
+
+        Parameters
+        ----------
+        name : str
+            A name that no other body has yet.
+        body : Body
+        T_world_body : array_like, shape (4, 4), or None
+            Translation in metres. None is the identity.
+        margin : float, optional
+            Distance in metres that this body has to keep if no larger margin applies (see `margin_of`).
+        error : array_like, shape (2,), optional
+            Bounds on the error of the pose, in metres and radians, as for `move`.
+
+        Raises
+        ------
+        InputError
+            If the name is taken or not a string, `body` is not a body, or the margin or an error is negative or not
+            finite.
+        PoseError
+            If the pose is not a rigid motion.
+
+        Warns
+        -----
+        UserWarning
+            If the body is probably not in metres: kilometres large or far away, or much smaller than a millimetre.
+            Given once per scene.
+        """
+        _check_name(name, "name")
+        if not isinstance(body, Body):
+            raise InputError(f"body of {name!r}: expected loewner.Body, found {type(body).__name__}")
+        T = _validate.pose(T_world_body, f"T_world_body of {name!r}")
+        keep = None if margin is None else _validate.positive_scalar(margin, f"margin of {name!r}", zero=True)
+        bounds = _bounds_of(body, _error(error, f"error of {name!r}"))
+        with _CHANGING:
+            if name in self._bodies:
+                raise InputError(
+                    f"name: expected a new name, found {name!r}, which the scene has already; replace or remove it"
+                )
+            self._bodies[name] = body
+            self._poses[name] = T
+            self._set_bounds(name, bounds)
+            if keep is not None:
+                self._margins[(name,)] = keep
+            self._changed()
+        if not self._doubted:
+            self._doubt(name, body, T)
+
+    def _doubt(self, name: str, body: Body, T: Floats) -> None:
+        """Warn once if the body seems not to be in metres."""
+        radius = float(packed_of(body).kernel.table[:, OUTER_RADIUS].max(initial=0.0))
+        doubt = doubt_about_size(radius, max(map(abs, T[:3, 3].tolist())))
+        if doubt:
+            self._doubted = True
+            warn(f"body {name!r}: expected {doubt} (this warning is given once for each scene)")
+
+    def remove(self, name: str) -> None:
+        """Remove a body, with all margins and allowed pairs that name it.
+
+        Parameters
+        ----------
+        name : str
+
+        Raises
+        ------
+        UnknownNameError
+            If there is no such body.
+        """
+        with _CHANGING:
+            del self._bodies[self._known(name)]
+            self._poses.pop(name, None)
+            self._attachments.pop(name, None)
+            self._following.pop(name, None)
+            self._bounds.pop(name, None)
+            # A body that is later added under the same name must not inherit permission to touch.
+            self._allowed = {pair for pair in self._allowed if name not in pair}
+            self._end_contacts(name)
+            self._margins = {key: margin for key, margin in self._margins.items() if name not in key}
+            self._lowered.intersection_update(self._margins)
+            self._changed()
+
+    def replace(self, name: str, body: Body) -> None:
+        """Replace a body by a new one, for instance by the next image of a camera; everything else stays the same.
+
+        Parameters
+        ----------
+        name : str
+            Name of the body to replace. Its pose or attachment, the bounds on its pose, margins and allowed pairs apply
+            to the new body.
+        body : Body
+
+        Raises
+        ------
+        UnknownNameError
+            If there is no such body.
+        InputError
+            If `body` is not a body.
+
+        Examples
+        --------
+        >>> scene = Scene()
+        >>> scene.add("camera", Body.from_cloud([[0, 0, 1]], radius=0.01), margin=0.02)
+        >>> scene.replace("camera", Body.from_cloud([[0, 0, 1.1]], radius=0.01))
+        >>> scene.margins
+        {('camera',): 0.02}
+        """
+        if not isinstance(body, Body):
+            raise InputError(f"body of {_validate.short(name)}: expected loewner.Body, found {type(body).__name__}")
+        with _CHANGING:
+            self._bodies[self._known(name)] = body
+            if name in self._bounds:
+                self._bounds[name] = replace(self._bounds[name], reach=reach_of(body))
+            T = self._poses.get(name)  # None for a body on a link
+            self._changed()
+        if not self._doubted and T is not None:
+            self._doubt(name, body, T)
+
+    def move(
+        self,
+        name: str | Mapping[str, ArrayLike | None],
+        T_world_body: ArrayLike | None = None,
+        *,
+        error: ArrayLike | None = None,
+    ) -> None:
+        """Move one body, or many at once: ``move(name, T)`` or ``move({name: T, ...})``.
+
+        Parameters
+        ----------
+        name : str, or mapping from names to poses
+            The body, or a mapping from several bodies to their poses. If any name or pose of a mapping is wrong, no
+            body is moved.
+        T_world_body : array_like, shape (4, 4), or None
+            The new pose; translation in metres. None is the identity.
+        error : array_like, shape (2,), optional
+            By how much the pose may be wrong, in metres and radians: the body's origin is off by at most the first
+            number, and its orientation by at most the second. A point at the distance ρ from the body's origin is then
+            off by at most metres + ρ · radians; `bounds` has the largest ρ. Answers hold for all such poses: FREE means
+            free at each. By default the pose is exact, also if an earlier one was not.
+
+        Raises
+        ------
+        InputError
+            If a body is attached to a link, since it moves with the link until it is detached; or an error is negative
+            or not finite.
+
+        Notes
+        -----
+        An error is added to the margins of the body, so a checker prepares its pairs again when an error changes; a new
+        pose with the same error is as fast as one without. `collide` is True where the body may collide. COLLIDING
+        means a collision at the given pose; everything else that is not free is AMBIGUOUS. Exact distances belong to
+        the given poses; their bounds, and clearances, hold for all.
+
+        Examples
+        --------
+        >>> scene = Scene()
+        >>> scene.add("crate", Body.box([0.6, 0.8, 0.2]))
+        >>> scene.move("crate", np.eye(4), error=(0.01, 0.1))
+        >>> print(round(scene.bounds["crate"].off(0.0), 3))  # 0.01 + 0.51 * 0.1
+        0.061
+        """
+        if isinstance(name, Mapping):
+            if T_world_body is not None:
+                raise InputError("T_world_body: expected none with a mapping from names to poses, found one")
+            moves = name
+        else:
+            moves = {self._known(name): T_world_body}
+        checked = {key: _validate.pose(T, f"T_world_body of {key!r}") for key, T in moves.items()}
+        self._move(checked, _error(error, "error"))
+
+    def _move(self, moves: Mapping[Any, Floats], error: tuple[float, float]) -> None:
+        with _CHANGING:
+            self._poses.update({self._placed(key): T for key, T in moves.items()})
+            if any(error) or self._bounds:
+                before = self._bounds.copy()
+                for key in moves:
+                    self._set_bounds(key, _bounds_of(self._bodies[key], error))
+                self._structure_version += self._bounds != before
+            self._version += 1
+
+    def _set_bounds(self, name: str, bounds: PoseBounds | None) -> None:
+        if bounds is None:
+            self._bounds.pop(name, None)
+        else:
+            self._bounds[name] = bounds
+
+    def move_all(self, names: Iterable[str], Ts: ArrayLike, *, error: ArrayLike | None = None) -> None:
+        """Move many bodies at once, as a tracker of objects reports them: faster than `move` with a mapping.
+
+        Parameters
+        ----------
+        names : iterable of str
+            The bodies, each once.
+        Ts : array_like, shape (n, 4, 4)
+            The new pose of each; translation in metres. If any name or pose is wrong, no body is moved.
+        error : array_like, shape (2,), optional
+            By how much each pose may be wrong, as for `move`.
+
+        Raises
+        ------
+        InputError
+            If the numbers of names and poses differ, a name occurs twice, or a body is attached to a link, since it
+            moves with the link until it is detached.
+        PoseError
+            If a pose is not a rigid motion.
+        UnknownNameError
+            If there is no such body.
+
+        Examples
+        --------
+        >>> scene = Scene()
+        >>> scene.add("a", Body.sphere(0.1))
+        >>> scene.add("b", Body.sphere(0.1))
+        >>> T = np.tile(np.eye(4), (2, 1, 1))
+        >>> T[:, 0, 3] = 1.0, 2.0
+        >>> scene.move_all(["a", "b"], T)
+        >>> float(scene.pose("b")[0, 3])
+        2.0
+        """
+        moving = _validate.listed(names, "names", wanted="several names")
+        poses = _validate.poses(Ts, "Ts")
+        if poses.shape != (len(moving), 4, 4):
+            found = _validate.shape_text(poses.shape)
+            raise InputError(f"Ts: expected a pose for each of {len(moving)} names, shape (n, 4, 4), found {found}")
+        off = _error(error, "error")
+        with _CHANGING:
+            moves = dict(zip(map(self._placed, moving), poses.copy(), strict=True))
+            if len(moves) < len(moving):
+                raise InputError(f"names: expected names that differ, found {_validate.short(moving)}")
+            self._move(moves, off)
+
+    def follow(
+        self,
+        name: str,
+        times: ArrayLike,
+        poses: ArrayLike,
+        *,
+        repeat: bool = False,
+        twist: ArrayLike | None = None,
+        speed: float = 0.0,
+        turn: float = 0.0,
+        since: float | None = None,
+        error: ArrayLike | None = None,
+    ) -> None:
+        """Let a body move: a part on a conveyor, a door, the forecast of a tracker.
+
+        From now on, a `CollisionChecker` needs times for its answers; it proves motions of the robot against the motion
+        of the body. Bodies of the scene are not checked against each other.
+
+        Parameters
+        ----------
+        name : str
+            A body of the scene. If it follows a motion already, the new one takes its place.
+        times : array_like, shape (n,)
+            Seconds, increasing; two or more. A body that rests needs only one, if there are bounds.
+        poses : array_like, shape (n, 4, 4)
+            T_world_body at these times; translation in metres. In between, the position changes linearly and the body
+            turns at a constant rate, the shorter way.
+        repeat : bool
+            Whether the motion begins again when it ends, for which the last pose must be the first one. By default the
+            body waits at the first pose before the motion, and at the last pose after it.
+        twist : array_like, shape (6,), optional
+            Velocity of the body's origin [m/s] and angular velocity [rad/s], both in the world's frame and constant
+            between two `times`; `poses` is then the first pose, shape (4, 4). The origin moves straight while the body
+            turns about it: no screw motion about another axis.
+        speed, turn : float
+            Bounds on how the body departs from this motion [m/s, rad/s], such as 1.6 m/s for a person: at a time t, its
+            origin is off by at most speed · \\|t - since\\|, and its orientation by at most turn · \\|t - since\\|. A
+            point at the distance ρ from the origin is then off by at most (speed + ρ · turn) · \\|t - since\\|;
+            `bounds` has the largest ρ, so a frame in the middle of the body is the best one.
+        since : float, optional
+            Seconds: when the body was seen. Default: the first of `times`.
+        error : array_like, shape (2,), optional
+            Bounds on the error at that time, in metres and radians, which are added; see `move`.
+
+        Notes
+        -----
+        With bounds, answers hold for all motions within them: FREE means free for each, and `collide` is True where the
+        body may collide. COLLIDING means a collision with the body on its given motion; everything else that is not
+        free is AMBIGUOUS. Distances belong to the given motion. To follow a motion again without bounds drops them.
+
+        Raises
+        ------
+        InputError
+            If the body is attached to a link, times do not increase, there are not as many as poses, two successive
+            poses differ by half a turn, or a bound is negative or not finite.
+        PoseError
+            If a pose is not a rigid motion.
+        UnknownNameError
+            If there is no such body.
+
+        See Also
+        --------
+        detach : Stops the body. attach : Stops it as well, and attaches it to a link.
+
+        Examples
+        --------
+        >>> scene = Scene()
+        >>> scene.add("box", Body.box([0.2, 0.2, 0.2]))
+        >>> T = np.tile(np.eye(4), (2, 1, 1))
+        >>> T[:, 0, 3] = -1.0, 1.0
+        >>> scene.follow("box", [0.0, 10.0], T)  # 0.2 m/s along x
+        >>> scene.static_names, scene.following["box"].poses(2.5)[:3, 3].tolist()
+        ((), [-0.5, 0.0, 0.0])
+        >>> scene.follow("box", [0.0, 10.0], T[0], twist=[0.2, 0.0, 0.0, 0.0, 0.0, 1.0])  # the same, and it turns
+
+        A person who was seen there at 2 s and may have walked anywhere since:
+
+        >>> scene.add("person", Body.capsule(radius=0.3, length=1.2))
+        >>> scene.follow("person", [2.0], np.eye(4)[None], speed=1.6)
+        >>> print(round(scene.bounds["person"].off(2.5), 9))
+        0.8
+        """
+        self._known(name)
+        rates = (
+            _validate.positive_scalar(speed, "speed", zero=True), _validate.positive_scalar(turn, "turn", zero=True),
+        )  # fmt: skip
+        off = _error(error, "error")
+        begin = None if since is None else _validate.real(since, "since")
+        if begin is not None and not any(rates):
+            raise InputError(f"since: expected speed or turn with it, found since = {begin:.15g} alone")
+        if any((*rates, *off)) and twist is None:
+            times, poses = _rest(times, poses)
+        path = path_of(*((times, poses) if twist is None else with_twist(times, poses, twist)), repeat)
+        with _CHANGING:
+            before = self._following.get(self._known(name))
+            rested = before is not None and before.rests and name in self._bounds
+            if before is None:
+                self._poses.pop(self._placed(name))
+            self._following[name] = path
+            body = self._bodies[name]
+            first = float(path.times[0]) if begin is None else begin
+            self._set_bounds(name, _bounds_of(body, off, rates, first))
+            self._structure_version += before is None or rested != (path.rests and name in self._bounds)
+            self._version += 1
+        if not self._doubted:
+            farthest = np.eye(4)
+            farthest[:3, 3] = np.abs(path.positions).max(axis=0)
+            self._doubt(name, body, farthest)
+
+    def attach(
+        self,
+        name: str,
+        link: str,
+        T_link_body: ArrayLike | None = None,
+        *,
+        touch_links: Iterable[str] = (),
+        leave: Iterable[str] = (),
+        reach: Iterable[str] = (),
+    ) -> None:
+        """Attach a body, such as a grasped object, to a link, so that it moves with the link from now on.
+
+        Parameters
+        ----------
+        name : str
+            A body of the scene. A body that is already attached to a link is handed over to the new one; a body that
+            follows a motion no longer follows it, and bounds on its pose are dropped.
+        link : str
+            Name of a link. It is checked when the scene is paired with a robot.
+        T_link_body : array_like, shape (4, 4), or None
+            Pose of the body in the frame of the link; translation in metres. None is the identity.
+        touch_links : iterable of str
+            Links that the body may touch as long as it is attached, in addition to `link` itself.
+        leave : iterable of str
+            Bodies or links that the body touches now and must leave, such as the table below it: see `leave`.
+        reach : iterable of str
+            Bodies or links that the body may touch at the end of a motion, such as the shelf on which it is placed: see
+            `reach`.
+
+        Warns
+        -----
+        UserWarning
+            If `allow` still permits contact between this body and another; proofs of motions then ignore that pair.
+
+        Notes
+        -----
+        Earlier rules of `leave` and `reach` that name the body end when it is attached, and the new ones when it is
+        detached.
+
+        Examples
+        --------
+        >>> scene = Scene()
+        >>> scene.add("table", Body.box([1.0, 1.0, 0.1]))
+        >>> scene.add("can", Body.cylinder(radius=0.03, length=0.14))
+        >>> scene.attach("can", "hand", touch_links=["left_finger", "right_finger"], leave=["table"])
+        >>> scene.static_names, scene.leaving
+        (('table',), frozenset({('can', 'table')}))
+        """
+        self._known(name)
+        _check_name(link, "link")
+        touching = {link, *_names(touch_links, "touch_links")}
+        leaving = {_pair(name, other) for other in _names(leave, "leave")}
+        reaching = {_pair(name, other) for other in _names(reach, "reach")}
+        T = _validate.pose(T_link_body, f"T_link_body of {name!r}")
+        T.setflags(write=False)
+        with _CHANGING:
+            self._attachments[self._known(name)] = Attachment(link, T, tuple(sorted(touching)))
+            self._poses.pop(name, None)
+            self._following.pop(name, None)
+            self._bounds.pop(name, None)
+            self._end_contacts(name)
+            self._leaving |= leaving
+            self._reaching |= reaching
+            unseen = sorted(
+                pair for pair in self._allowed - leaving - reaching if name in pair and not touching.intersection(pair)
+            )
+            self._changed()
+        if unseen:
+            warn(
+                f"attach of {name!r}: {', '.join(map(_text, unseen))} stay allowed to touch by Scene.allow, so that "
+                "motions are proven without them; name in leave=[...] what the body stands on, or forbid the pair"
+            )
+
+    def detach(self, name: str, T_world_body: ArrayLike | None) -> None:
+        """Put an attached body back into the world, or stop a body that follows a motion.
+
+        Parameters
+        ----------
+        name : str
+        T_world_body : array_like, shape (4, 4), or None
+            The new pose in the world, with translation in metres; None is the identity. If the body was released in
+            place, it is the link's pose times `T_link_body`.
+
+        Raises
+        ------
+        InputError
+            If the body is neither attached nor follows a motion.
+        """
+        T = _validate.pose(T_world_body, f"T_world_body of {self._known(name)!r}")
+        with _CHANGING:
+            if self._known(name) in self._poses:
+                raise InputError(f"{name!r}: expected an attached body, found one that stands in the world")
+            self._poses[name] = T
+            self._attachments.pop(name, None)
+            self._following.pop(name, None)
+            self._bounds.pop(name, None)
+            self._end_contacts(name)
+            self._changed()
+
+    # -- rules --------------------------------------------------------------------------------
+
+    @property
+    def allowed(self) -> frozenset[Pair]:
+        """Pairs whose contact is allowed, each sorted by name."""
+        with _CHANGING:
+            return frozenset(self._allowed)
+
+    def allow(self, a: str, b: str) -> None:
+        """Allow two bodies or links to touch; from now on queries ignore contact between them.
+
+        Parameters
+        ----------
+        a, b : str
+            Names of bodies, which may be added later, or of links.
+        """
+        pair = _pair(a, b)
+        with _CHANGING:
+            self._allowed.add(pair)
+            self._changed()
+
+    def forbid(self, a: str, b: str) -> None:
+        """Undo `allow`.
+
+        Parameters
+        ----------
+        a, b : str
+            The two names, in either order.
+
+        Raises
+        ------
+        UnknownNameError
+            If the pair was not allowed. Otherwise a misspelt name would silently leave another pair allowed.
+        """
+        pair = _pair(a, b)
+        with _CHANGING:
+            if pair not in self._allowed:
+                raise _validate.unknown_name(
+                    "allowed pair", _text(pair), (_text(allowed) for allowed in sorted(self._allowed))
+                )
+            self._allowed.remove(pair)
+            self._changed()
+
+    @property
+    def leaving(self) -> frozenset[Pair]:
+        """Pairs whose contact at the start of a motion must end, each sorted by name; see `leave`."""
+        with _CHANGING:
+            return frozenset(self._leaving)
+
+    @property
+    def reaching(self) -> frozenset[Pair]:
+        """Pairs that may come into contact at the end of a motion, each sorted by name; see `reach`."""
+        with _CHANGING:
+            return frozenset(self._reaching)
+
+    def leave(self, a: str, b: str) -> None:
+        """Let two bodies that touch at the start of a motion separate; the contact may not deepen.
+
+        Parameters
+        ----------
+        a, b : str
+            Names of bodies or links, made of convex pieces: a can and the table below it, or a finger and the can that
+            it released.
+
+        See Also
+        --------
+        reach : The corresponding rule for the end of a motion. allow : Allows contact at any time, however deep.
+
+        Notes
+        -----
+        The rule applies to motions and to whole curves (see `CollisionChecker.certify_edges` and
+        `CollisionChecker.certify_trajectory`). A motion or curve that starts with the two in contact, or within their
+        margin, is FREE if two things are proven. On a first stretch, no two of their pieces penetrate each other deeper
+        than at the start or, while within their margin, come nearer, by more than the tolerance of the proof. On the
+        rest, the two keep their margin. Once the two have parted, by a ten-thousandth of the robot's reach more than
+        their margin, the stretch ends before they come near again. Their distance is measured for this at places that
+        are chosen by how far the two move in between, so this part is not a proof: contact might end and begin again
+        between two places, but no deeper than at the start. The rule takes precedence over `allow`. At a single
+        configuration, contact is a collision, as for all pairs.
+
+        The rule ends when one of the two is attached, detached or removed.
+
+        Examples
+        --------
+        >>> scene = Scene()
+        >>> scene.leave("can", "left_finger")
+        >>> scene.leaving
+        frozenset({('can', 'left_finger')})
+        """
+        self._begin_contact(self._leaving, _pair(a, b))
+
+    def reach(self, a: str, b: str) -> None:
+        """Let two bodies come into contact at the end of a motion, as `leave` lets them separate at the start of one.
+
+        At the end of the motion or curve the two may touch or be within their margin, and may overlap by no more than
+        the tolerance of the proof; before, they penetrate each other no deeper than at the end, up to the tolerance.
+
+        Parameters
+        ----------
+        a, b : str
+            Names of bodies or links, made of convex pieces.
+
+        See Also
+        --------
+        leave : The corresponding rule for the start of a motion.
+
+        Examples
+        --------
+        >>> scene = Scene()
+        >>> scene.reach("can", "shelf")
+        >>> scene.reaching
+        frozenset({('can', 'shelf')})
+        """
+        self._begin_contact(self._reaching, _pair(a, b))
+
+    def _begin_contact(self, rules: set[Pair], pair: Pair) -> None:
+        with _CHANGING:
+            rules.add(pair)
+            self._changed()
+
+    def _end_contacts(self, name: str) -> None:
+        """Drop the rules of `leave` and `reach` for a body whose contacts have changed."""
+        for rules in (self._leaving, self._reaching):
+            rules.difference_update([pair for pair in rules if name in pair])
+
+    @property
+    def margin(self) -> float:
+        """Distance in metres that every pair with a body of the scene has to keep."""
+        return self._margin
+
+    @property
+    def margins(self) -> dict[MarginKey, float]:
+        """All margins except the scene's own, keyed by names.
+
+        The margin of a body or link has the key ``(name,)``, or ``(name, None)`` if it applies only against links. The
+        margin of a pair has the sorted names ``(a, b)`` as its key, and the margin between links ``(None, None)``.
+        """
+        with _CHANGING:
+            return dict(self._margins)
+
+    @property
+    def lowered(self) -> frozenset[MarginKey]:
+        """Keys of the `margins` that were set with ``lower=True``."""
+        with _CHANGING:
+            return frozenset(self._lowered)
+
+    def set_margin(
+        self,
+        margin: float | None,
+        a: str | None = None,
+        b: str | None = None,
+        *,
+        against: Literal["links"] | None = None,
+        lower: bool = False,
+    ) -> None:
+        """Set the margin of a pair, of one body or link, of the whole scene, or of all pairs of links.
+
+        The new margin replaces an earlier margin for the same names. It never reduces a larger margin that applies to a
+        pair for other reasons, unless `lower` is set (see `margin_of`).
+
+        Parameters
+        ----------
+        margin : float or None
+            In metres. None removes the margin of the pair, body or link.
+        a, b : str, optional
+            Names of bodies or links. Give both for the margin of a pair, only `a` for one body or link, and neither for
+            the scene's margin.
+        against : "links", optional
+            Apply the margin only against links. With `a`, it is the margin between `a` and links; without `a`, it is
+            the margin between all links, to which the scene's margin does not apply.
+        lower : bool
+            Whether this margin overrides more general ones, so that two bodies may come closer together.
+
+        Raises
+        ------
+        InputError
+            If the margin is negative or not finite, a name is not a string, or `against` is given with a pair.
+
+        Examples
+        --------
+        >>> scene = Scene(margin=0.05)
+        >>> scene.add("table", Body.box([1.0, 1.0, 0.1]))
+        >>> scene.set_margin(0.001, "hand", against="links")
+        >>> scene.margin_of("table", "hand"), scene.margin_of("forearm", "hand")
+        (0.05, 0.001)
+        >>> scene.set_margin(0.002, "hand", "table", lower=True)
+        >>> scene.margin_of("table", "hand")
+        0.002
+        """
+        keep = None if margin is None else _validate.positive_scalar(margin, "margin", zero=True)
+        lower = _validate.flag(lower, "lower")
+        key = _margin_key(a, b, against)
+        if not key and keep is None:
+            raise InputError("margin: expected a number of metres for the whole scene, found None")
+        with _CHANGING:
+            self._lowered.discard(key)
+            if keep is None:
+                self._margins.pop(key, None)
+            elif not key:
+                self._margin = keep
+            else:
+                self._margins[key] = keep
+                if lower:
+                    self._lowered.add(key)
+            self._changed()
+
+    def widen(self, least: float) -> None:
+        """Raise margins of pairs with a body of this scene to at least `least`; margins between links do not change.
+
+        Parameters
+        ----------
+        least : float
+            In metres. Margins above it do not change. The scene's own margin is raised, too.
+
+        Raises
+        ------
+        InputError
+            If `least` is negative or not finite.
+
+        Examples
+        --------
+        >>> scene = Scene(margin=0.01)
+        >>> scene.add("table", Body.box([1.0, 1.0, 0.1]))
+        >>> scene.add("person", Body.capsule(radius=0.3, length=1.2), margin=0.05)
+        >>> scene.widen(0.02)
+        >>> scene.margin_of("person", "arm"), scene.margin_of("table", "arm")
+        (0.05, 0.02)
+        """
+        least = _validate.positive_scalar(least, "least", zero=True)
+        with _CHANGING:
+            self._margin = max(least, self._margin)
+            # All pairs with bodies now keep this margin, except for lowered margins.
+            for key in [key for key in self._lowered if self._margins[key] < least]:
+                if any(name in self._bodies for name in key):
+                    self._margins[key] = least
+                elif len(key) == 1:  # of a link: it applies against other links as well
+                    for body in self._bodies:
+                        pair = _pair(body, key[0])
+                        self._margins[pair] = max(least, self._margins.get(pair, 0.0))
+            self._changed()
+
+    def margin_of(self, a: str, b: str) -> float:
+        """Return the margin of two bodies or links, in metres, which is the largest that applies to them.
+
+        The scene's margin applies to every pair with a body of the scene, and the links' margin (``against="links"``)
+        to two links. In addition, the margin of each body or link and the margin of the pair apply. Only a margin set
+        with ``lower=True`` overrides more general ones: a body's or link's margin overrides the scene's and the links'
+        margin, and the pair's margin overrides all others.
+
+        Parameters
+        ----------
+        a, b : str
+            Names of bodies of the scene; all other names are assumed to be links.
+
+        Returns
+        -------
+        float
+            In metres.
+
+        Examples
+        --------
+        >>> scene = Scene(margin=0.05)
+        >>> scene.add("person", Body.capsule(radius=0.3, length=1.2), margin=0.5)
+        >>> scene.add("table", Body.box([1.0, 1.0, 0.1]), margin=0.01)
+        >>> scene.margin_of("person", "table"), scene.margin_of("table", "arm"), scene.margin_of("hand", "arm")
+        (0.5, 0.05, 0.0)
+        """
+        pair = _pair(a, b)
+        with _CHANGING:
+            links = [name not in self._bodies for name in pair]
+            kept = self._margins.get((None, None), 0.0) if all(links) else self._margin
+            own: list[MarginKey] = [(name,) for name in pair]
+            own += [(name, None) for name, other_is_link in zip(pair, reversed(links), strict=True) if other_is_link]
+            for keys in (own, [pair]):
+                found = [key for key in keys if key in self._margins]
+                if not self._lowered.isdisjoint(found):
+                    kept = 0.0
+                kept = max([kept, *(self._margins[key] for key in found)])
+            return kept
+
+    # -- queries ------------------------------------------------------------------------------
+
+    def pairs(self, time: float | None = None) -> tuple[Contact, ...]:
+        """List all pairs of bodies in the world that touch, overlap or come within their margin, except allowed pairs.
+
+        Parameters
+        ----------
+        time : float, optional
+            Seconds; required if bodies follow motions, which are where they are then.
+
+        Returns
+        -------
+        tuple of Contact
+            Each pair once, in the order in which the bodies were added. Pairs that are not listed are allowed or proven
+            free. Attached bodies are left out: a `CollisionChecker` checks them.
+
+        Raises
+        ------
+        InputError
+            If bodies follow motions and there is no time, or it is not a finite number.
+        ConvergenceError
+            If the exact search could not settle a pair. It never returns "free" instead.
+        """
+        now = self._standing_at(time)
+        first, second = now._meeting().T
+        bodies, poses, names = now.static_bodies, now.static_poses, now.static_names
+        found = queries.distance(bodies[first], poses[first], bodies[second], poses[second], exact=True)
+        return Contact.from_distances(((names[i], names[j]) for i, j in zip(first, second, strict=True)), found)
+
+    def collide(self, time: float | None = None) -> bool:
+        """Decide whether any pair of bodies in the world collides, except allowed pairs; `pairs` gives the details.
+
+        Parameters
+        ----------
+        time : float, optional
+            Seconds; required if bodies follow motions, as for `pairs`. Attached bodies are left out.
+
+        Returns
+        -------
+        bool
+            Touching, or coming within the margin, counts as colliding.
+
+        Raises
+        ------
+        InputError
+            As for `pairs`.
+
+        Examples
+        --------
+        >>> scene = Scene()
+        >>> scene.add("belt", Body.box([2.0, 0.5, 0.1]))
+        >>> scene.add("box", Body.box([0.2, 0.2, 0.2]))
+        >>> poses = np.tile(np.eye(4), (2, 1, 1))
+        >>> poses[1, 2, 3] = 1.0
+        >>> scene.follow("box", [0.0, 1.0], poses)
+        >>> scene.collide(0.0), scene.collide(1.0)
+        (True, False)
+        """
+        return len(self._standing_at(time)._meeting()) > 0
+
+    @overload
+    def distance(self, a: str, b: str, *, exact: Literal[False] = ...) -> Bounds[float]: ...
+    @overload
+    def distance(self, a: str, b: str, *, exact: Literal[True]) -> Measured[float]: ...
+    @overload
+    def distance(self, a: str, b: str, *, exact: bool) -> Distance: ...
+    def distance(self, a: str, b: str, *, exact: bool = False) -> Distance:
+        """Compute the signed distance of two named bodies in the world; margins and allowed pairs are ignored.
+
+        See `loewner.distance`.
+
+        Parameters
+        ----------
+        a, b : str
+            Names of static bodies in the world.
+        exact : bool
+            Also compute the distance or depth, witnesses and normal.
+
+        Returns
+        -------
+        Distance
+            In metres.
+
+        Examples
+        --------
+        >>> scene = Scene()
+        >>> scene.add("a", Body.sphere(1.0))
+        >>> scene.add("b", Body.sphere(1.0), [[1, 0, 0, 3], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
+        >>> round(scene.distance("a", "b", exact=True).distance, 9)
+        1.0
+        """
+        with _CHANGING:
+            one, T_one, other, T_other = self[a], self.pose(a), self[b], self.pose(b)
+        return queries.distance(one, T_one, other, T_other, exact=exact)
+
+    def _standing_at(self, time: float | None) -> Scene:
+        """Return a snapshot with packed bodies, and keep the packing for the next snapshot if no body moves."""
+        now, t = self.snapshot(), 0.0 if time is None else _validate.real(time, "time")
+        moving = now.following
+        if moving and time is None:
+            raise InputError(f"time: expected seconds, since bodies follow motions ({', '.join(moving)}), found None")
+        bounds = now.bounds
+        for name, motion in moving.items():
+            now.detach(name, motion.poses(t))
+        now._off = {name: one.off(t) for name, one in bounds.items()} if bounds else {}
+        _ = now.static_bodies
+        if not moving:
+            self._packed = now._packed  # a snapshot has its own version
+        return now
+
+    def _meeting(self) -> Ints:
+        """Find the colliding pairs of bodies in the world, as indices into `static_names`, shape (m, 2)."""
+        bodies, poses, names = self.static_bodies, self.static_poses, self.static_names
+        # The broad phase has one margin for all pairs: the largest misses none, and surplus pairs are dropped below.
+        off = self._off
+        widest = max([self._margin, *self._margins.values()]) + sum(sorted(off.values())[-2:])
+        found = crowds.overlapping_pairs(bodies, poses, margin=widest)
+        if self._allowed:
+            found = found[[_pair(names[i], names[j]) not in self._allowed for i, j in found]]
+        if not self._margins and not off:
+            return found
+        margins = np.array(
+            [self.margin_of(names[i], names[j]) + off.get(names[i], 0.0) + off.get(names[j], 0.0) for i, j in found]
+        )
+        meet = np.ones(len(found), dtype=bool)
+        for margin in np.unique(margins[margins < widest]):
+            at = np.flatnonzero(margins == margin)
+            first, second = found[at].T
+            meet[at] = queries.collide(bodies[first], poses[first], bodies[second], poses[second], margin=margin)
+        return found[meet]
+
+    # -- names --------------------------------------------------------------------------------
+
+    def _changed(self) -> None:
+        # In this order, so that a thread that reads the new version also finds the new structure.
+        self._structure_version += 1
+        self._version += 1
+
+    def _known(self, name: Any) -> str:
+        if not isinstance(name, str) or name not in self._bodies:
+            with _CHANGING:
+                raise _validate.unknown_name("body", name, self._bodies)
+        return name
+
+    def _placed(self, name: Any) -> str:
+        if self._known(name) in self._attachments:
+            link = self._attachments[name].link
+            raise InputError(
+                f"{name!r}: expected a body that stands in the world, found one attached to link {link!r}; detach it, "
+                "or attach it anew to place it otherwise on a link"
+            )
+        if name in self._following:
+            raise InputError(
+                f"{name!r}: expected a body that stands in the world, found one that follows a motion; see "
+                "Scene.following for its poses, and detach to stop it"
+            )
+        return str(name)
+
+
+def in_world(scene: Scene) -> tuple[Floats, dict[str, PosePath], dict[str, PoseBounds]]:
+    """Return the poses, motions and bounds of a scene, which can change while its structure stays the same.
+
+    Returns
+    -------
+    poses : ndarray, shape (n, 4, 4)
+        `static_poses`, then of bodies that follow motions but rest, and grow with time.
+    following : dict of str to PosePath
+        The motions of the others.
+    bounds : dict of str to PoseBounds
+        The bounds of all these that follow motions, in the same order.
+    """
+    following, known = scene.following, scene._bounds
+    resting = [name for name, path in following.items() if path.rests and name in known]
+    poses = [scene.static_poses, *(following.pop(name).poses(0.0)[None] for name in resting)]
+    return np.concatenate(poses), following, {name: known[name] for name in (*following, *resting) if name in known}
+
+
+def poses_since(
+    scene: Scene, structure_version: int
+) -> tuple[Floats, tuple[PosePath, ...], dict[str, PoseBounds], int] | None:
+    """Return the results of `in_world` and the version of a scene in which only these changed; otherwise None."""
+    with _CHANGING:
+        if scene.structure_version != structure_version:
+            return None
+        if not scene._following:
+            return scene.static_poses, (), {}, scene.version
+        poses, following, bounds = in_world(scene)
+        return poses, tuple(following.values()), bounds, scene.version
+
+
+def drawn(scene: Scene, held: Mapping[str, Floats]) -> tuple[list[Shape], list[tuple[str, str]], str]:
+    """Return shapes, the colours of few bodies by name, and a note; `held` has the poses of attached bodies."""
+    scene = scene.snapshot()
+    poses = scene._poses | {name: path.poses(path.times[0]) for name, path in scene._following.items()} | dict(held)
+    names = [name for name in scene if name in poses][:MOST_BODIES]
+    colours = [COLOURS[1 + k % MOST_NAMES] for k in range(len(names))]
+    shapes = [
+        for_pictures(packed_of(scene[name]), len(names) > MOST_NAMES).at(poses[name], colour)
+        for name, colour in zip(names, colours, strict=True)
+    ]
+    left = len(scene) - len(names)
+    entries = list(zip(names, colours, strict=True)) if len(names) <= MOST_NAMES else []
+    return shapes, entries, f"; {left} of {len(scene)} bodies are not drawn" if left else ""
+
+
+def _error(given: Any, name: str) -> tuple[float, float]:
+    """Check the error of a pose, in metres and radians; none is (0, 0)."""
+    if given is None:
+        return 0.0, 0.0
+    metres, radians = _validate.finite_array(given, name, (2,)).tolist()
+    if not (metres >= 0.0 and radians >= 0.0):
+        raise InputError(f"{name}: expected metres and radians >= 0, found {metres:g} and {radians:g}")
+    return metres, radians
+
+
+def _bounds_of(
+    body: Body, error: tuple[float, float], rates: tuple[float, float] = (0.0, 0.0), since: float = 0.0
+) -> PoseBounds | None:
+    """Make the bounds on a body's pose; None if it is exact."""
+    return PoseBounds(*error, *rates, since, reach_of(body)) if any((*error, *rates)) else None
+
+
+def _rest(times: ArrayLike, poses: ArrayLike) -> tuple[ArrayLike, ArrayLike]:
+    """Let a body with a single time and pose rest there."""
+    at = _validate.finite_array(times, "times", (None,))
+    T = _validate.poses(poses, "poses")
+    if len(at) != 1 or T.shape not in ((4, 4), (1, 4, 4)):
+        return at, T
+    later = float(at[0]) + max(1.0, float(np.spacing(abs(at[0]))))
+    return np.array([float(at[0]), later]), np.broadcast_to(T.reshape(4, 4), (2, 4, 4))
+
+
+def _check_name(name: Any, what: str) -> str:
+    if not isinstance(name, str) or not name:
+        raise InputError(f"{what}: expected a name, found {_validate.short(name)}")
+    return name
+
+
+def _names(given: Any, what: str) -> list[str]:
+    return [_check_name(name, what) for name in _validate.listed(given, what, wanted="several names")]
+
+
+def _pair_as_given(pair: Any) -> Pair:
+    try:
+        a, b = pair
+    except Exception:  # not two names, or an error from the caller's object
+        raise InputError(f"names: expected pairs of names, found {_validate.short(pair)}") from None
+    return _check_name(a, "names"), _check_name(b, "names")
+
+
+def _pair(a: Any, b: Any) -> Pair:
+    """Check two names, which must differ, and sort them."""
+    _check_name(a, "a")
+    _check_name(b, "b")
+    if a == b:
+        raise InputError(f"a, b: expected two names, found {a!r} twice")
+    return (a, b) if a < b else (b, a)
+
+
+def _margin_key(a: Any, b: Any, against: Any) -> MarginKey:
+    """Make the key of a margin; the key () belongs to the margin of the whole scene."""
+    if a is None and b is not None:
+        raise InputError(f"a: expected a name with b = {b!r}, found None")
+    if against is not None:
+        _validate.choice(against, "against", ("links",))
+        if b is not None:
+            raise InputError(f"against: expected none with a pair, found {against!r} with b = {b!r}")
+        return (None if a is None else _check_name(a, "a"), None)
+    if a is None:
+        return ()
+    return (_check_name(a, "a"),) if b is None else _pair(a, b)
+
+
+def _text(pair: Pair) -> str:
+    return f"({pair[0]}, {pair[1]})"
