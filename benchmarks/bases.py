@@ -21,7 +21,6 @@ from typing import Any
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-os.environ.setdefault("LOEWNER_NUM_THREADS", "1")
 
 import numpy as np
 
@@ -43,7 +42,16 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--rival-trips", type=int, default=20)
     parser.add_argument("--samples", type=int, default=1_000_000)
     parser.add_argument("--maps", nargs="*", default=list(MAPS), choices=list(MAPS))
-    options = parser.parse_args(arguments)
+    options, threads = parser.parse_args(arguments), loewner.get_num_threads()
+    loewner.set_num_threads(1)
+    try:
+        return compare(options)
+    finally:
+        loewner.set_num_threads(threads)
+
+
+def compare(options: argparse.Namespace) -> int:
+    """Plan all trips, print the tables, and return the exit status."""
     share = options.samples // (len(options.maps) * len(KINDS) * max(options.trips, 1)) + 1
     print(
         f"{'map':12} {'base':12} {'solved':>8} {'ms: median':>11} {'mean':>6} {'95 %':>6} {'length':>7} {'changes':>8}"

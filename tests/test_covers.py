@@ -204,6 +204,14 @@ def test_a_cavity_is_no_part_of_the_body():
     assert shell.covered_by(Body.spheres(centers, 0.035)).outcome == "covered"
 
 
+def test_excess_in_a_slit_between_pieces():
+    """Polytopes around two balls close the slit between them, where a small ball is outside both."""
+    balls = Body.spheres([[-1.001, 0, 0], [1.001, 0, 0]], 1.0)
+    report = balls.covered_by(Body.sphere(0.02))
+    outside = np.hypot(1.001, 0.02) - 1.0
+    assert report.excess[0] <= outside * (1 + 1e-9) <= report.excess[1] * (1 + 2e-9)
+
+
 def test_excess_of_elements_that_stick_out():
     """The excess of each kind of element over a box is known in closed form."""
     for model, excess in (

@@ -266,6 +266,13 @@ def test_depths_in_millimetres_cause_a_warning():
         ),
         (lambda: Body.from_depth(np.ones((4, 4), np.uint16), K, radius=0.1), InputError, "divide millimetres by 1000"),
         (lambda: Body.from_depth(np.ones((4, 4, 3)), K, radius=0.1), InputError, "is the image in colour"),
+        (
+            lambda: points_of(
+                np.where(np.eye(9) > 0, 1.0, np.nan) * np.r_[np.ones(8), 1e308], [[1, 0, 0], [0, 1, 0], [0, 0, 1]]
+            ),
+            InputError,
+            "points are finite",
+        ),
         (lambda: Body.from_depth(np.ones((4, 4)), K), InputError, "radius, voxel: expected one"),
         (lambda: Body.from_depth(np.zeros((4, 4)), K, radius=0.1), GeometryError, "image: expected an echo"),
         (lambda: Body.from_depth(np.ones((4, 4)), np.eye(3)[::-1], radius=0.1), InputError, "K: expected an intrin"),

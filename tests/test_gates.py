@@ -361,6 +361,29 @@ def test_the_last_proven_brake_is_executed():
     assert certified.verdict == Verdict.FREE
 
 
+@pytest.mark.parametrize("jerk", [None, 50.0])
+def test_brakes_far_from_few_bodies_take_one_proof(jerk):
+    """With one body far away, a tick that goes on proves one motion and one brake."""
+    gate = Gate(CollisionChecker(arm(), wall(5.0)), jerk=jerk)
+    path = along_the_rail(0.5, 42) + 0.01 * np.arange(42)[:, None] * np.array([0.0, 0.7, 0.3])
+    first = gate.check(path[0], V0, path[1:21], DT)
+    on = gate.check(path[1], (path[1] - path[0]) / DT, path[2:22], DT)
+    assert (first.state, on.state) == (GateState.GO, GateState.GO)
+    assert 0 < on.work <= first.work / 10
+
+
+def test_what_failed_is_forgotten_with_its_targets():
+    """After a chunk with fewer targets, others may follow, which are proven anew."""
+    gate = Gate(CollisionChecker(arm(), wall(1.0)))
+    into = along_the_rail(1.0, 40)
+    assert gate.check(Q0, V0, into, DT).state == GateState.PREFIX
+    few = gate.check(Q0, V0, into[:3], DT)
+    other = np.concatenate([into[:3], np.repeat(into[2:3], 37, axis=0)])
+    anew = Gate(CollisionChecker(arm(), wall(1.0))).check(Q0, V0, other, DT)
+    assert few.state == GateState.GO
+    assert (gate.check(Q0, V0, other, DT).steps, GateState.GO) == (anew.steps, anew.state)
+
+
 def test_budgets_end_the_work():
     """With too few steps nothing is let through, and the reason is the budget."""
     answer = Gate(CollisionChecker(arm(), wall(1.0)), steps=10).check(Q0, V0, along_the_rail(1.0, 40), DT)

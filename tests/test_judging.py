@@ -488,7 +488,7 @@ def test_conventions_that_explain_all_errors_are_named(monkeypatch):
     ):
         said = judge_answers(a, Ta, b, Tb, **{**right, **changed})
         (hint,) = said.hints
-        assert re.match(r"All \d+ ", hint), hint
+        assert re.match(r"(All|\d+ of) \d+ ", hint), hint  # without pairs whose truth is nearly zero
         assert hint.endswith(sentence)
         with monkeypatch.context() as without:  # the findings stay
             without.setattr(judging, "TRIED", np.inf)
@@ -513,6 +513,22 @@ def test_errors_that_no_convention_explains_have_no_hint():
     assert judge_answers(a, Ta, b, Tb, normal=half).hints == ()
     factors = rng.uniform(2.0, 1000.0, 40)
     assert judge_answers(a, Ta, b, Tb, distance=factors * right["distance"]).hints == ()
+
+
+@pytest.mark.parametrize(
+    ("apart", "said"),
+    [
+        (3.0, {"distance": [7000.0, 9000.0, 5000.0]}),  # thousandths of them are wrong as well
+        (3.0, {"depth": [2.0, 3.0, 6.0]}),
+        (1.0, {"distance": [2e-4, 1e-4, 3e-4]}),  # noise: any large unit would make it right
+    ],
+)
+def test_units_that_only_shrink_errors_are_no_hint(apart, said):
+    """A unit explains an error only if the answer is right in it, and is not for being small."""
+    ball = Body.sphere(1.0)
+    judgement = judge_answers(ball, None, ball, translation(apart), **{k: np.array(v) for k, v in said.items()})
+    assert (judgement.excess > 0).any(axis=-1).all()
+    assert judgement.hints == ()
 
 
 def test_hints_of_a_table(table, capsys):

@@ -8,6 +8,7 @@
 
 enum { VECTORS = 9 };
 
+#define LEAST_STEPS 64 /* of a brake as a whole: more than one interval takes with one pair */
 #define SAME_TICK 1e-6 /* times that agree to this share of a period belong to the same tick */
 #define ROUNDED 0x1p-47  /* by how much brakes may be off straight motions, as a share of values */
 #define WITHIN 1e-12   /* metres, and shares, by which bounds must be narrower than older ones to lie within these */
@@ -334,10 +335,10 @@ static int goes_on(loewner_gate *gate, int64_t tick, const double *targets, int6
     int64_t first = made->first > 0 ? made->first : 0;
     while (gate->on_path && made->braked >= first && made->ends[made->braked] > count) /* its path was longer */
         made->braked--;
-    const Stop none = {-1, 0, -1, 0};
-    int is_same = is_same_world(gate);
-    made->motion_stop = is_same ? later(last->motion_stop, tick) : none;
-    made->brake_stop = is_same ? later(last->brake_stop, tick) : none;
+    const Stop none = {-1, 0, -1, 0}, stops[] = {later(last->motion_stop, tick), later(last->brake_stop, tick)};
+    int is_same = is_same_world(gate); /* and behind fewer targets, others may follow */
+    made->motion_stop = is_same && stops[0].needed <= count ? stops[0] : none;
+    made->brake_stop = is_same && stops[1].needed <= count ? stops[1] : none;
     return 1;
 }
 
@@ -412,7 +413,7 @@ static double stopping_time(const loewner_gate *gate, int64_t c, double v)
 /* How many steps a brake as a whole may take: about what one interval does. */
 static int64_t steps_of_whole(const loewner_gate *gate)
 {
-    return gate->checker->state.pairs;
+    return gate->checker->state.pairs > LEAST_STEPS ? gate->checker->state.pairs : LEAST_STEPS;
 }
 
 /* Try to prove a whole brake as one course, which takes one interval where nothing is near, with `steps` at most. The

@@ -56,7 +56,9 @@ UNITS = {"millimetres": 1e3, "centimetres": 1e2, "inches": 1 / 0.0254}
 
 # Another convention is named if it explains at least three errors and this share of all, and spoils few right answers
 # in return. It is tried if this share of the answers is wrong, and explains an error if at most a thousandth is left.
-LEAST, EXPLAINED, SPOILT, TRIED, LEFT = 3, 0.9, 0.1, 0.1, 1e-3
+# Half of the answer in a unit must be wrong by several times as much as is left: where the truth is nearly zero, or far
+# below the claim, any unit that is large enough would leave little.
+LEAST, EXPLAINED, SPOILT, TRIED, LEFT, HALVED = 3, 0.75, 0.1, 0.1, 1e-3, 10
 
 
 class Finding(IntEnum):
@@ -473,12 +475,23 @@ def _conventions(
         kinds, excess, right, spoilt = court.kinds[..., at], court.excess[..., at], 0, 0
         wrong = kinds > Finding.UNDECIDED
         if wrong.any() and wrong.sum() >= TRIED * (kinds != Finding.NOT_GIVEN).sum():
-            other = _Court.of(lower.shape, court.allowed)
-            _fill(other, pairs, answers, lower, upper)
-            right = int((wrong & (other.excess[..., at] <= LEFT * excess)).sum())
+            other = _reread(pairs, answers, lower, upper, court.allowed)
+            explained = wrong & (other.excess[..., at] <= LEFT * excess)
+            if reading.removeprefix("are right in ") in UNITS:
+                half = {name: x / 2 for name, x in answers.items()}
+                halved = _reread(pairs, half, lower, upper, court.allowed).excess[..., at]
+                explained &= halved > HALVED * other.excess[..., at]
+            right = int(explained.sum())
             spoilt = int(((kinds == Finding.OK) & (other.kinds[..., at] > Finding.UNDECIDED)).sum())
         if wrong.any():
             yield Convention(about, reading, int(wrong.sum()), right, spoilt)
+
+
+def _reread(pairs: _Pairs, answers: dict[str, Floats], lower: Floats, upper: Floats, allowed: float) -> _Court:
+    """Judge answers as they are in another convention."""
+    court = _Court.of(lower.shape, allowed)
+    _fill(court, pairs, answers, lower, upper)
+    return court
 
 
 def _readings(pairs: _Pairs, said: dict[str, Floats]) -> Iterator[tuple[str, str, dict[str, Floats]]]:

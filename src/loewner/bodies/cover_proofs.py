@@ -631,7 +631,8 @@ def _round_excess(target: Target, model: Elements, these: Ints, tolerance: float
         owner, low, high = np.tile(owner, 2), np.concatenate([low, middle]), np.concatenate([middle, high])
     else:
         np.maximum.at(bound, owner, np.inf)
-    return np.asarray(bound + model.radius[these] + model.rounding[these])
+    # A ball inside the triangles may be outside the pieces, by as much as the triangles stick out.
+    return np.asarray(np.maximum(bound + model.radius[these] + model.rounding[these], target.gap.max()))
 
 
 def prove(

@@ -57,7 +57,11 @@ def points_of(image: ArrayLike, K: ArrayLike, T_world_camera: ArrayLike | None =
     y = (v - cy) / fy
     x = (u - cx - skew * y) / fx
     rays = np.stack([x, y, np.ones(depths.shape)], axis=-1)
-    return np.asarray((depths[..., None] * rays) @ T[:3, :3].T + T[:3, 3])
+    with np.errstate(over="ignore", invalid="ignore"):
+        points = np.asarray((depths[..., None] * rays) @ T[:3, :3].T + T[:3, 3])
+    for at in np.argwhere(np.isfinite(depths) & ~np.isfinite(points).all(axis=-1))[:1].tolist():
+        raise InputError(f"image: expected depths whose points are finite, found {depths[tuple(at)]:g} m in pixel {at}")
+    return points
 
 
 def camera_of(image: ArrayLike, K: ArrayLike, T_world_camera: ArrayLike | None) -> tuple[Floats, Floats, Floats]:

@@ -1,4 +1,4 @@
-"""From mesh files to convex pieces, and how well they stand for the mesh.
+"""From mesh files to convex pieces, and how closely they approximate it.
 
 `files` reads the formats; `decomposition` divides a mesh into convex pieces, `plane_cuts` within a tolerance, and
 `closed_parts` finds its closed parts. `coverage` and `protrusion` measure what pieces miss and how far they stick out,

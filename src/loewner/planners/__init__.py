@@ -3,10 +3,10 @@
 Users call `planning` (plans), `roadmaps`, `trajectories`, `velocity_tuning`, `coordination`, `gates`, `lines`,
 `pose_goals` and `controller_points`. `compiled` and `ompl_planners` search, in the joints of `space`; `improving` and
 `clearing` make paths better; `in_time` plans among bodies that move; `departures` leaves a contact. `judge` decides
-whether a motion is free. `bases` plans for mobile bases, in `drives` of arcs by the ways of `steering`. `straights`,
-`jerk_limited`, `profiles` and `brakes` are motions in time, `joint_limits` and `limit_use` their limits. `kept_axes`
-and `kept_lines` hold an axis or a line on curves; `trajectory_files`, `messages` and `controllers` read and write
-files.
+whether a motion is free. `bases` plans for mobile bases: `drives` are sequences of arcs and turns, and `steering`
+connects two poses. `straights`, `jerk_limited`, `profiles` and `brakes` are motions in time, `joint_limits` and
+`limit_use` their limits. `kept_axes` and `kept_lines` hold an axis or a line on curves; `trajectory_files`, `messages`
+and `controllers` read and write files.
 """
 
 from loewner.planners.controller_points import ControllerPoints

@@ -48,6 +48,9 @@ WITHIN = 1e-12
 # What rounding takes from a turn between two quaternions [rad]: cosines near 1 are off by some roundings.
 TURNED = 1e-6
 
+# How many steps a brake as a whole may take at least: more than one interval does with one pair.
+LEAST_STEPS = 64
+
 # By how much brakes on straight motions may be off them, as a share of their values.
 ROUNDED = 64.0 * tolerances.UNIT_ROUNDOFF  # 40 of them are derived in certified.md, "Brakes"
 
@@ -542,7 +545,8 @@ class Gate:
         rows, braked = np.vstack([old.rows[:1], wanted]), min(old.braked, n)
         if self._on_path:  # not brakes whose path was longer
             braked -= int((old.ends[max(old.first, 0) : max(braked + 1, 0)] > n).sum())
-        stops = (old.motion_stop, old.brake_stop) if _is_same(world, old.world) else (None, None)
+        same = _is_same(world, old.world)  # and behind fewer targets, others may follow
+        stops = [stop if same and stop and stop.needed <= n else None for stop in (old.motion_stop, old.brake_stop)]
         return old._replace(
             rows=rows, rates=_rates(rows, old.rates[0], dt), motions=min(old.motions, n), braked=braked,
             ends=np.append(old.ends[: n + 1], np.zeros(max(n - len(known), 0), dtype=np.int64)), world=world,
@@ -640,9 +644,9 @@ class Gate:
 
         A brake as a whole may take about as many steps as one interval does; none is tried if not all may.
         """
-        free, steps = np.zeros(len(rates), dtype=bool), len(ready.pairs)
+        free, steps = np.zeros(len(rates), dtype=bool), max(len(ready.pairs), LEAST_STEPS)
         chosen = np.flatnonzero(brakes.counts > 2)
-        if len(chosen) == 0 or steps == 0 or most < steps * len(rates):
+        if len(chosen) == 0 or most < steps * len(rates):
             return free, 0
         until = np.zeros(len(chosen))
         if ready.paths is not None and self._rate_error.any():

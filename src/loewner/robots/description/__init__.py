@@ -2,6 +2,7 @@
 
 `robot` defines `Robot`, `assembly` joins several, `links` and `tree` describe joints, and `reaching` solves inverse
 kinematics. `urdf`, `srdf`, `xacro_files`, `mjcf`, `drake` and `pinocchio` read; `exports` writes. `link_bodies`,
-`link_meshes` and `coal_shapes` make bodies of links, `pair_verdicts` holds the pairs of links that are proven, `watch`
-reports odd values, `other_models` has the orders of values in other libraries, and `xml_elements` the lines of XML.
+`link_meshes` and `coal_shapes` make bodies of links, `pair_verdicts` holds whether each pair of links can ever collide,
+`watch` reports odd values, `other_models` has the orders of values in other libraries, and `xml_elements` reads
+elements of XML and remembers their lines.
 """
