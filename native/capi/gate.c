@@ -457,7 +457,7 @@ static loewner_status prove_brake(loewner_gate *gate, double begin, double dt, c
         return LOEWNER_OK;
     TRY(CALL(courses_of_brakes, &made, .courses = {gate->courses, pieces, points, dof},
              .seconds = {gate->seconds, pieces}, BRAKE(gate)));
-    if (rate == NULL) {
+    if (rate == NULL || pieces > 1) {
         /* Where a long brake fails, it mostly fails at its end, where no interval has to be halved. */
         double *still = gate->courses + pieces * points * dof;
         for (int k = 0; k < 2; k++)

@@ -582,31 +582,31 @@ class Gate:
             # In a world at rest, motions that are proven are free at all times, and so are brakes on them.
             open_ones = np.flatnonzero(brakes.needed - 1 > chunk.motions)
             ticks, brakes = ticks[open_ones], brakes.only(open_ones)
-        error = np.tile(self._error, (len(ticks), 1))
-        standing, at_end = len(ticks), None
-        if self._on_path:
-            # Where a long brake fails, it mostly fails at its end, where no interval has to be halved.
-            still = np.repeat(brakes.states[np.arange(standing), brakes.counts - 1, :1], 2, axis=1)
-            end = chunk.t0 + chunk.dt * ticks + brakes.durations
-            standing, at_end, more = self._first_block(ready, still, error, end, end, most - work)
-            work += more
-        else:
-            error += self._farther(chunk.rates[ticks])
-        tried = np.arange(standing)
+        error, tried, end = np.tile(self._error, (len(ticks), 1)), np.arange(len(ticks)), len(ticks)
+        starts: Floats = chunk.t0 + chunk.dt * ticks.astype(np.float64)
         if not self._on_path:
-            starts: Floats = chunk.t0 + chunk.dt * ticks.astype(np.float64)
-            free_ones, more = self._wholes(ready, brakes, chunk.rates[ticks], error, starts, most - work)
-            tried, work = np.flatnonzero(~free_ones), work + more
+            error += self._farther(chunk.rates[ticks])
+            wholes, more = self._wholes(ready, brakes, chunk.rates[ticks], error, starts, most - work)
+            tried, work = np.flatnonzero(~wholes), work + more
+        # Where a long brake fails, it mostly fails at its end, where no interval has to be halved.
+        long = tried if self._on_path else tried[brakes.counts[tried] > 2]
+        still = np.repeat(brakes.states[long, brakes.counts[long] - 1, :1], 2, axis=1)
+        at_rest = starts[long] + brakes.durations[long]
+        standing, at_end, more = self._first_block(ready, still, error[long], at_rest, at_rest, most - work)
+        work += more
+        if at_end is not None:
+            end = int(long[standing])
+            tried = tried[tried < end]
         courses, seconds, first = self._pieces(
             ready, brakes.only(tried), None if self._on_path else chunk.rates[ticks[tried]]
         )
         owner = np.repeat(np.arange(len(tried)), np.diff(first))
-        end = np.cumsum(seconds)
-        end += (chunk.t0 + chunk.dt * ticks[tried] - np.append(0.0, end)[first[:-1]])[owner]
+        after = np.cumsum(seconds)
+        after += (starts[tried] - np.append(0.0, after)[first[:-1]])[owner]
         owner = tried[owner]
-        free, other, more = self._first_block(ready, courses, error[owner], end - seconds, end, most - work)
+        free, other, more = self._first_block(ready, courses, error[owner], after - seconds, after, most - work)
         work += more
-        k = standing if other is None else int(owner[free])
+        k = end if other is None else int(owner[free])
         other = at_end if other is None else other
         if other is None:
             return chunk._replace(braked=chunk.motions), block, work
