@@ -288,6 +288,9 @@ def test_bad_input():
         BOX.covered_by(Body.from_surface(ANNULUS))
     with pytest.raises(InputError, match="tolerance"):
         BOX.covered_by(BOX, tolerance=0.0)
+    for far in (1e-200, 1e200):
+        with pytest.raises(InputError, match="protrusion: expected at (least|most)"):
+            BOX.cover(protrusion=far)
     with pytest.raises(InputError, match="n, protrusion: expected one of the two, found none"):
         BOX.cover()
     with pytest.raises(InputError, match="n, protrusion: expected one of the two, found both"):

@@ -66,8 +66,8 @@ RESERVE = 0.04
 # Numbers are multiples of the largest coordinate's power of two times this, so that they are the same in float32.
 GRID = 2.0**-22
 
-# The least protrusion, relative to the size of the body, and the most elements.
-LEAST_PROTRUSION, MOST = 1e-4, 4096
+# The least and the largest protrusion, relative to the size of the body, and the most elements.
+LEAST_PROTRUSION, LARGEST_PROTRUSION, MOST = 1e-4, 1e4, 4096
 
 
 def grid_of(target: Target) -> float:
@@ -92,7 +92,7 @@ class Candidates:
         share = 1.0
         if protrusion is not None:
             # A small surface needs fewer points to be dense for balls of this protrusion.
-            share = float(np.clip(DENSITY * ends[-1] / 2 / protrusion**2 / SURFACE, LEAST_SHARE, 1.0))
+            share = float(np.clip(DENSITY * ends[-1] / 2 / protrusion / protrusion / SURFACE, LEAST_SHARE, 1.0))
         where = even_points(int(SURFACE * share), 3)
         at = np.minimum(np.searchsorted(ends, where[:, 0] * ends[-1]), len(triangles) - 1)
         u, v = where[:, 1], where[:, 2]
@@ -525,6 +525,11 @@ def cover(
     if protrusion is not None and protrusion < LEAST_PROTRUSION * target.size:
         raise InputError(
             f"protrusion: expected at least {LEAST_PROTRUSION * target.size:.3g} m, 1e-4 of the body's diagonal, "
+            f"found {protrusion:g}"
+        )
+    if protrusion is not None and protrusion > LARGEST_PROTRUSION * target.size:
+        raise InputError(
+            f"protrusion: expected at most {LARGEST_PROTRUSION * target.size:.3g} m, 1e4 of the body's diagonal, "
             f"found {protrusion:g}"
         )
     report(0, 100)
