@@ -17,7 +17,7 @@ from loewner._kernels import codes, columns, records, tolerances
 from loewner._kernels._sources import source_hash
 from loewner._native.entries import ENTRIES, Entry
 from loewner.bodies import native_files
-from loewner.planners import compiled, joint_limits, judge
+from loewner.planners import compiled, gates, joint_limits, judge
 from loewner.robots import checker
 from loewner.robots.checking import motion_tables
 from loewner.robots.checking.edges import NEARLY_WHOLE
@@ -91,7 +91,8 @@ def constants() -> dict[str, str]:
         "ON_LIMIT": joint_limits.ON_LIMIT, "PLAN_TOLERANCE": judge.TOLERANCE, "LONGEST_SHARE": compiled.SHARE,
         "TREE_CAPACITY": compiled.CAPACITY, "FIRST_ITERATIONS": compiled.FIRST, "MOST_ITERATIONS": compiled.AT_A_TIME,
         "A_WHILE": compiled.A_WHILE, "USUAL_CUTS": compiled.CUTS, "USUAL_ITERATIONS": compiled.UNLIMITED,
-        "MOST_ROOM": compiled.MOST_ROOM,
+        "MOST_ROOM": compiled.MOST_ROOM, "LEAST_STEPS": gates.LEAST_STEPS, "SAME_TICK": gates.SAME_TICK,
+        "ROUNDED": gates.ROUNDED, "WITHIN": gates.WITHIN,
     }  # fmt: skip
     return {name: f"({value!r})" for name, value in values.items()} | {"SOURCES": f'"{source_hash()}"'}
 

@@ -96,6 +96,12 @@ def test_scipy_waits_for_a_hull(tmp_path):
     assert "numba" in loaded or "scipy" not in loaded
 
 
+def test_the_command_line_begins_without_scipy():
+    """Its parser imports all commands, and each of them waits for what it needs."""
+    loaded = modules_after("import loewner.cli.main")
+    assert "numba" in loaded or "scipy" not in loaded
+
+
 def test_the_first_example_loads_qhull_alone():
     """What the README's first example loads of SciPy is what SciPy's Qhull needs, and nothing of it before the hull."""
     example = (Path(__file__).parent.parent / "README.md").read_text().split("```python\n")[1].split("```")[0]

@@ -8,11 +8,6 @@
 
 enum { VECTORS = 9 };
 
-#define LEAST_STEPS 64 /* of a brake as a whole: more than one interval takes with one pair */
-#define SAME_TICK 1e-6 /* times that agree to this share of a period belong to the same tick */
-#define ROUNDED 0x1p-47  /* by how much brakes may be off straight motions, as a share of values */
-#define WITHIN 1e-12   /* metres, and shares, by which bounds must be narrower than older ones to lie within these */
-
 /* The properties of a body of the scene that may change while the scene remains the same. */
 typedef struct {
     double pose[16];
@@ -410,7 +405,7 @@ static double stopping_time(const loewner_gate *gate, int64_t c, double v)
     return v <= strongest * strongest / jerk ? 2 * sqrt(v / jerk) : v / strongest + strongest / jerk;
 }
 
-/* How many steps a brake as a whole may take: about what one interval does. */
+/* How many steps a brake as a whole may take: about as many as one interval does. */
 static int64_t steps_of_whole(const loewner_gate *gate)
 {
     return gate->checker->state.pairs > LEAST_STEPS ? gate->checker->state.pairs : LEAST_STEPS;

@@ -470,14 +470,14 @@ def _conventions(
     court: _Court, pairs: _Pairs, said: dict[str, Floats], lower: Floats, upper: Floats
 ) -> Iterator[Convention]:
     """Count the errors that other conventions explain, where many answers are wrong."""
-    for about, reading, answers in _readings(pairs, said):
+    for about, reading, answers, is_unit in _readings(pairs, said):
         at = [PARTS.index(name) for name in answers]
         kinds, excess, right, spoilt = court.kinds[..., at], court.excess[..., at], 0, 0
         wrong = kinds > Finding.UNDECIDED
         if wrong.any() and wrong.sum() >= TRIED * (kinds != Finding.NOT_GIVEN).sum():
             other = _reread(pairs, answers, lower, upper, court.allowed)
             explained = wrong & (other.excess[..., at] <= LEFT * excess)
-            if reading.removeprefix("are right in ") in UNITS:
+            if is_unit:
                 half = {name: x / 2 for name, x in answers.items()}
                 halved = _reread(pairs, half, lower, upper, court.allowed).excess[..., at]
                 explained &= halved > HALVED * other.excess[..., at]
@@ -494,25 +494,25 @@ def _reread(pairs: _Pairs, answers: dict[str, Floats], lower: Floats, upper: Flo
     return court
 
 
-def _readings(pairs: _Pairs, said: dict[str, Floats]) -> Iterator[tuple[str, str, dict[str, Floats]]]:
-    """Read answers by other conventions: the kind of parts, the convention, and the answers in ours."""
+def _readings(pairs: _Pairs, said: dict[str, Floats]) -> Iterator[tuple[str, str, dict[str, Floats], bool]]:
+    """Read answers by other conventions: the kind of parts, the convention, the answers in ours; if it is a unit."""
     if "normal" in said:
-        yield "normals", "point the other way, from b to a", {"normal": -said["normal"]}
+        yield "normals", "point the other way, from b to a", {"normal": -said["normal"]}, False
     for name in ("distance", "depth"):
         for unit, many in UNITS.items() if name in said else ():
-            yield f"{name}s", f"are right in {unit}", {name: said[name] / many}
+            yield f"{name}s", f"are right in {unit}", {name: said[name] / many}, True
     points = {name: said[name] for name in VECTORS[:2] if name in said}
     for unit, many in UNITS.items() if points else ():
-        yield "witnesses", f"are right in {unit}", {name: x / many for name, x in points.items()}
+        yield "witnesses", f"are right in {unit}", {name: x / many for name, x in points.items()}, True
     if len(points) == 2:
         a, b = points.values()
-        yield "witnesses", "are right with a and b exchanged", {"witness_a": b, "witness_b": a}
+        yield "witnesses", "are right with a and b exchanged", {"witness_a": b, "witness_b": a}, False
     Ta, Tb = pairs.Ta, pairs.Tb
     frames = {"a": (Ta, Ta), "b": (Tb, Tb), "their own bodies": (Ta, Tb), "the other bodies": (Tb, Ta)}
     for whose, poses in frames.items() if points else ():
         given = dict(zip(VECTORS, poses, strict=False))
         world = {n: (given[n][..., :3, :3] @ x[..., None])[..., 0] + given[n][..., :3, 3] for n, x in points.items()}
-        yield "witnesses", f"are right in the frame{'s' * (len(whose) > 1)} of {whose}", world
+        yield "witnesses", f"are right in the frame{'s' * (len(whose) > 1)} of {whose}", world, False
 
 
 @dataclass(frozen=True)

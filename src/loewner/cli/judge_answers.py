@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.spatial import ConvexHull
 
 import loewner
 from loewner import judging
@@ -292,6 +291,8 @@ def _described(bodies: dict[str, loewner.Body]) -> dict[str, str]:
 
 def _is_convex(vertices: Any, triangles: Any) -> bool:
     """Whether a closed mesh is its own hull: for the reader alone, no finding depends on it."""
+    from scipy.spatial import ConvexHull  # other commands begin without it
+
     corners = (vertices - vertices.mean(axis=0))[triangles]
     volume = abs(float(np.linalg.det(corners).sum())) / 6
     return math.isclose(volume, float(ConvexHull(vertices).volume), rel_tol=1e-6)

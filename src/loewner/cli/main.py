@@ -41,6 +41,7 @@ from loewner.cli import (
 from loewner.cli.completion import SHELLS, PrintCompletion
 from loewner.cli.output import ERROR, PrintPath, standard_output
 from loewner.errors import InputError, LoewnerError
+from loewner.scenes.files.schema import SCHEMA_FILE
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -110,9 +111,8 @@ def _parser() -> argparse.ArgumentParser:
         ("--pkg-config-dir", package / "share" / "pkgconfig", "files for pkg-config"),
     ):
         parser.add_argument(option, action=PrintPath, path=folder, help=f"print the folder of {what}")
-    schema = package / "share" / "scene.schema.json"
     parser.add_argument(
-        "--scene-schema", action=PrintPath, path=schema, help="print the path of scene files' JSON Schema"
+        "--scene-schema", action=PrintPath, path=SCHEMA_FILE, help="print the path of scene files' JSON Schema"
     )
     parser.add_argument(
         "--print-completion", action=PrintCompletion, choices=SHELLS, help="print the completion script of a shell"
