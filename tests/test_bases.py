@@ -303,3 +303,10 @@ def test_no_way_and_no_bounds_are_said():
             planners.Drive.of(base(), [0, 0, 0], motions)
     with pytest.raises(InputError, match="times from 0 to 1"):
         planners.Drive.of(base(), [0, 0, 0], [[1.0, 0.0]]).positions(1.5)
+
+
+@pytest.mark.parametrize("motion", [[1.0, 1e9], [1e300, 1e300], [0.0, 1e300]])
+def test_turns_beyond_number_are_refused(motion):
+    """A drive of more pieces than anybody can mean is named, and takes no memory."""
+    with pytest.raises(InputError, match="motions: expected"):
+        CollisionChecker(base()).certify_trajectory(planners.Drive.of(base(), np.zeros(3), [motion]))

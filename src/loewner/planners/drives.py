@@ -31,6 +31,9 @@ from loewner.robots.proofs.curves import Curve, form_of
 # Largest distance of an arc from the polynomial that stands for it [m], and the largest turn of one piece [rad].
 DEVIATION, LARGEST_TURN = 1e-6, math.pi / 2.0
 
+# Limit on the pieces of a drive, so that a turn by millions of radians takes no memory.
+MOST_PIECES = 100_000
+
 # The remainder of such a polynomial is at most the eighth derivative over this number: 8! 2^8.
 REMAINDER = 40320.0 * 256.0
 
@@ -250,7 +253,15 @@ def arcs_of(poses: Floats, lengths: Floats, turns: Floats, ends: Floats, gaps: F
         How far the ends of the courses and of the motions are apart.
     """
     ways, angles = np.abs(lengths), np.abs(turns)
-    count = np.maximum(np.ceil((ways * angles**7 / (REMAINDER * DEVIATION)) ** 0.125), np.ceil(angles / LARGEST_TURN))
+    with np.errstate(over="ignore", invalid="ignore"):  # refused below
+        count = np.maximum(
+            np.ceil((ways * angles**7 / (REMAINDER * DEVIATION)) ** 0.125), np.ceil(angles / LARGEST_TURN)
+        )
+    if not count.sum() <= MOST_PIECES:
+        raise InputError(
+            f"motions: expected at most {MOST_PIECES:,} pieces of arcs, which turn by up to 90 degrees each, found "
+            f"{count.sum():.3g}"
+        )
     count = np.maximum(count, 1.0).astype(np.int64)
     owner = np.repeat(np.arange(len(poses)), count)
     place = np.arange(len(owner)) - np.repeat(np.cumsum(count) - count, count)
