@@ -105,7 +105,8 @@ def test_joints_brake_with_limited_jerk(robot, q, dq, share, strongest, jerk):
     ddq = share * strongest
     moved = brake(robot, q, dq, ddq, acceleration=strongest, jerk=jerk)
     assert_lawful(moved, q, dq, strongest, jerk)
-    assert (np.abs(moved.bends[0] - ddq) <= 1e-12 + 2 * NEAR * moved.duration * jerk).all()
+    # A ramp that is shorter than this share of the brake becomes a jump.
+    assert (np.abs(moved.bends[0] - ddq) <= 1e-12 + NEAR * moved.duration * jerk).all()
     assert not moved.bends[-1].any()
     assert len(moved.times) <= 10
     T = np.diff(moved.times)[:, None]
