@@ -130,6 +130,7 @@ def test_two_balls_around_a_box():
     assert outside_in_fractions(report.witness, centers, np.full(2, 0.08))
 
 
+@pytest.mark.verify
 def test_share_is_that_of_samples():
     """The share of the surface that is outside agrees with samples, to three digits."""
     centers, radius = np.array([[0.0, 0.01, -0.03], [0.0, -0.01, 0.03]]), 0.042
@@ -322,7 +323,7 @@ def test_a_thick_surface_is_not_its_corners():
     assert thick.covered_by(Body.box([2, 2, 2]), tolerance=0.05).outcome != "covered"
 
 
-@pytest.mark.slow("two fits of spheres")
+@pytest.mark.verify
 def test_spheres_of_a_thick_surface_hold_its_thickness():
     """Spheres of a surface with a radius hold the balls about its points, not only the points."""
     points = np.array([[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0], [0.1, 0.1, 0.03]])

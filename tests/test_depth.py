@@ -88,7 +88,7 @@ def test_single_precision_images_are_read():
 # -- the robot's own points -----------------------------------------------------------------------
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=8, deadline=None)
 @given(st.integers(0, 10_000), st.floats(0.005, 0.2))
 def test_the_points_that_stay_are_those_beyond(seed, clear):
     """A naive loop over all links and points gives the same answer, and so does a ball around each point."""

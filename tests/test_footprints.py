@@ -26,7 +26,7 @@ def inside(polygon, x, y):
     return bool((crosses & (where > x)).sum() % 2)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=15, deadline=None)
 @given(st.integers(0, 10_000), st.booleans())
 def test_the_body_is_the_polygon_with_its_height(seed, turned):
     """Points of stars with random radii are in the body if they are in the polygon and below its height."""

@@ -160,7 +160,7 @@ def places(value, path=()):
         yield from places(each, (*path, key))
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=75, deadline=None)
 @given(st.integers(0, 10**6))
 def test_the_schema_never_refuses_what_is_read(tmp_path_factory, seed):
     """One or two values of a scene are replaced, removed or moved: if the reader accepts it, so does the schema."""

@@ -112,7 +112,7 @@ NUMBER = re.compile(r"-?\d+(?:\.\d+)?(?:e-?\d+)?")
 WORD = re.compile(r"[A-Za-z_]+")
 # One file in so many is not damaged but made to explode.
 HOSTILE = 11
-COUNT, SHORT = 6000, 100
+COUNT, SHORT = 6000, 60
 CONFIGURATIONS = 12
 
 

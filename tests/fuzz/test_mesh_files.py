@@ -140,7 +140,7 @@ def test_whole_files_are_read(name, tmp_path):
 
 def test_damaged_files(tmp_path):
     """A damaged file is refused with a LoewnerError, or read as an independent reading of the same bytes does."""
-    campaign(440, tmp_path)
+    campaign(220, tmp_path)
 
 
 @pytest.mark.fuzz

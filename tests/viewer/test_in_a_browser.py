@@ -106,10 +106,8 @@ STOPS = [
 ]
 
 
-@pytest.mark.parametrize(
-    "stops", [STOPS[1:2], pytest.param(STOPS, marks=pytest.mark.verify)], ids=lambda stops: f"{len(stops)} stops"
-)
-def test_dragging_a_body_in_the_browser(tab, tmp_path, stops):
+@pytest.mark.verify
+def test_dragging_a_body_in_the_browser(tab, tmp_path):
     """Dragged by its arrow from free over touching to colliding, and back.
 
     At each stop the page says what the library answers for the place where the browser draws the body: verdict, exact
@@ -120,7 +118,7 @@ def test_dragging_a_body_in_the_browser(tab, tmp_path, stops):
         tab.goto(page.url)
         assert shown(tab, "FREE") == "FREE"
         eventually(lambda: len(page.server.get_clients()) == 1, PATIENCE / 1000)
-        for x, verdict, exact in stops:
+        for x, verdict, exact in STOPS:
             drag_to(tab, page, x)
             eventually(lambda: says_what_the_library_says(tab, a, b, page.T_world_b), PATIENCE / 1000)
             assert (panel(tab)["ellipsoids"].partition(",")[0], panel(tab)["verdict"]) == (verdict, exact)
@@ -306,8 +304,8 @@ def found_by_axe(tab):
 @pytest.mark.parametrize(
     "scene",
     [
-        of_a_moving_arm,
-        *(pytest.param(k, marks=pytest.mark.verify) for k in (of_two_pieces, of_two_surfaces, of_a_panda)),
+        of_two_pieces,
+        *(pytest.param(k, marks=pytest.mark.verify) for k in (of_a_moving_arm, of_two_surfaces, of_a_panda)),
     ],
 )
 def test_everything_on_the_page_can_be_read(tab, arm, scene, tmp_path):
