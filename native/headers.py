@@ -50,7 +50,7 @@ _Static_assert(sizeof(void *) == sizeof(int64_t), "an address takes a slot");
 COLUMNS = (
     "SOLID", "SURFACE", "MAPPED", "POLYTOPE", "REACH", "HOT", "COLUMNS", "POINTS_FROM", "POINTS_TO", "SURFACE_AT",
     "LAYOUT", "PARTS", "DEEPEST", "WIDE", "FIXED", "REVOLUTE", "PLANAR", "BALL", "TRANSLATION", "SINE", "COSINE",
-    "BOUNDS", "CACHE_LINE", "ITERATION", "STARTS", "GOALS", "OF_START", "OF_GOAL", "RANDOM", "STATE",
+    "BOUNDS", "CACHE_LINE", "ITERATION", "RANDOM", "ROWS", "STATE", "TREE_ROWS",
 )  # fmt: skip
 
 
@@ -60,6 +60,7 @@ def text() -> str:
         "pieces": records.Pieces._fields,
         "problem": records.Tree._fields + records.Problem._fields[1:],
         "motion_tables": records.MotionTables._fields,
+        "search": records.Search._fields,
     }
     return "\n".join([
         BEGIN,
@@ -88,7 +89,7 @@ def constants() -> dict[str, str]:
         "STRETCH": motion_tables.STRETCH, "LANES": motion_tables.LANES, "ROUNDED_VALUES": contacts.OFF,
         "FIRST_LOOK": checker.FIRST_LOOK, "LARGEST_VALUE": watch.LARGEST_VALUE, "NEARLY_WHOLE": NEARLY_WHOLE,
         "QUATERNION_TOLERANCE": robot.QUATERNION_TOLERANCE, "ROTATION_TOLERANCE": tolerances.ROTATION_TOLERANCE,
-        "ON_LIMIT": joint_limits.ON_LIMIT, "PLAN_TOLERANCE": judge.TOLERANCE, "LONGEST_SHARE": compiled.SHARE,
+        "ON_LIMIT": joint_limits.ON_LIMIT, "PLAN_TOLERANCE": judge.TOLERANCE,
         "TREE_CAPACITY": compiled.CAPACITY, "FIRST_ITERATIONS": compiled.FIRST, "MOST_ITERATIONS": compiled.AT_A_TIME,
         "A_WHILE": compiled.A_WHILE, "USUAL_CUTS": compiled.CUTS, "USUAL_ITERATIONS": compiled.UNLIMITED,
         "MOST_ROOM": compiled.MOST_ROOM, "LEAST_STEPS": gates.LEAST_STEPS, "SAME_TICK": gates.SAME_TICK,

@@ -112,7 +112,7 @@ def test_the_core_consists_of_files_that_exist():
 @pytest.mark.parametrize("dimension", [1, 2, 7, 30])
 def test_strides_are_powers_of_the_root(dimension):
     """The root is the number of float64 below which x^(d + 1) < x + 1, in rational arithmetic up to its rounding."""
-    strides, _ = _low_discrepancy.irrationals(dimension)
+    strides = _low_discrepancy.strides(dimension)
     root = Fraction(1 / strides[0])
     assert abs(root ** (dimension + 1) - root - 1) < (dimension + 2) * 2 ** (dimension + 1) * Fraction(2) ** -50
     wanted = np.array([float(root**-k) for k in range(1, dimension + 1)])

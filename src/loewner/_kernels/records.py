@@ -121,6 +121,49 @@ class KeptAxis(NamedTuple):
     numbers: Any
 
 
+class Search(NamedTuple):
+    """A search for a path by two trees, for `robots.planning`, with `joints` values that move.
+
+    Attributes
+    ----------
+    handles, lengths : ndarray
+        See `free_motions.judge_of`.
+    columns : ndarray of int64, shape (joints,)
+        Columns of the values in a configuration of the robot.
+    turning : ndarray of int64, shape (joints,)
+        1 where whole turns change nothing, and there are no limits.
+    lower, upper : ndarray, shape (joints,)
+        Range to draw from; where values turn, the kernels write half a turn to both sides of the start.
+    stride, shift : ndarray, shape (joints,)
+        Fractions of the k-th draw are those of shift + k stride. The kernels write them.
+    weights : ndarray, shape (joints,)
+        Factors of differences in distances.
+    reach : ndarray, shape (3,)
+        How long a motion of a tree may be; an upper bound on the cost of a path, infinite for any path; and how near to
+        each other the trees came. The kernels write them, and a caller may change the first two.
+    state : ndarray of int64, shape (columns.STATE,)
+        Where the search stands, see `columns`.
+    start : ndarray, shape (dof,)
+        The root of the first tree, with the values that do not move.
+    trees : ndarray, shape (2 joints + columns.TREE_ROWS, capacity)
+        Memory, see `robots.planning.Trees`. With more columns, the old ones keep their rows.
+    """
+
+    handles: Any
+    lengths: Any
+    columns: Any
+    turning: Any
+    lower: Any
+    upper: Any
+    stride: Any
+    shift: Any
+    weights: Any
+    reach: Any
+    state: Any
+    start: Any
+    trees: Any
+
+
 class MotionTables(NamedTuple):
     """The input of `robots.motions` besides a `Problem`.
 

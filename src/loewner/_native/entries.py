@@ -32,7 +32,9 @@ ENTRIES = {
         Entry("robots.motions", "free_motions", "i i i F3 i f i i i I2 B1 i", ""),
         Entry("robots.motions", "motion_memory", "i i i", "i"),
         Entry("robots.motion_bounds", "course_bounds", "i i F3 F2 F3", ""),
-        Entry("robots.planning", "connect_trees", "i F1 I1 F1 I2 F2 F3 I2 F2 I1 F1 F2 F2 F1", "i"),
+        Entry("robots.planning", "begin_search", "i F2 i", ""),
+        Entry("robots.planning", "connect_trees", "i i", "i"),
+        Entry("robots.planning", "path_through", "i F2", "i"),
         Entry("robots.shortening", "shorten_path", "i i I1 F1 F2 I1 F2 F2", "i"),
         Entry("robots.polishing", "polish_path", "i i I1 F1 F2 F2 I1 F1 F2 F2", "i"),
         Entry("robots.nearest", "memory_of_nearest", "i i i", "i"),
@@ -71,8 +73,9 @@ ENTRIES = {
         # -- ellipsoids
         Entry("ellipsoids.contact_robust", "contact_of_pairs", "F2 F3 F3 F1", ""),
         Entry("ellipsoids.near_points", "near_points_of_pairs", "i F2 F3 F3 f F2 F2 F1 I1 I1", ""),
-        # -- elementary functions
+        # -- elementary functions, even points
         Entry("elementary", "elementary", "i F1 F1 F1", ""),
+        Entry("low_discrepancy", "irrationals", "F1 F1", ""),
         # -- poses, crowds, trees
         Entry("pieces.rigid", "first_fault", "F3", "i i f"),
         Entry("pieces.directions", "direction_map", "F2", "I1 F2"),

@@ -20,7 +20,7 @@ from loewner.errors import FileError
 _MODULES = {
     "verdicts": ("elementary", "pipeline.verdicts", "pipeline.fallback", "pipeline.workspace", "pieces.rigid"),
     "crowds": ("trees.boxes",),
-    "robots": ("robots.",),
+    "robots": ("robots.", "low_discrepancy"),
     "fits": ("fits.", "ellipsoids.", "pieces.directions"),
     "surfaces": ("narrow.mesh_points", "trees.piece_tree", "trees.triangle", "trees.cuts"),
     "distances": ("pipeline.distances", "pipeline.first_contacts"),

@@ -5,15 +5,14 @@ from __future__ import annotations
 import math
 import time
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
-from loewner._base._low_discrepancy import irrationals
 from loewner._base._matrices import lengths
 from loewner._base._validate import Floats, Ints, fits_memory
 from loewner._kernels import codes
-from loewner._kernels.columns import GOALS, ITERATION, MOTIONS, OF_GOAL, OF_START, RANDOM, STARTS, STATE
+from loewner._kernels.columns import GAP, GOALS, ITERATION, LONGEST, MOTIONS, RANDOM, ROWS, STARTS, STATE, TREE_ROWS
+from loewner._kernels.records import Search, table_of
 from loewner._native import entries
 from loewner.errors import PlanningError
 from loewner.planners.judge import TOLERANCE, Judge
@@ -21,10 +20,8 @@ from loewner.planners.space import Space
 from loewner.queries.pairs import Verdict
 from loewner.robots.proofs.proofs import prove_by_rules
 
-# The longest motion of a tree, as a share of the diagonal of the limits: 1 rad for a usual arm.
-SHARE = 1 / 12
-
-# The same with an axis to keep, over the square root of its angle: chords of longer motions leave the angle.
+# The longest motion of a tree with an axis to keep, over the square root of its angle: chords of longer motions leave
+# the angle.
 KEPT = 2.0
 
 # Initial capacity of trees, in configurations.
@@ -48,122 +45,82 @@ BETWEEN = 64
 MOST_ROOM = 4096
 
 
-class Trees(NamedTuple):
-    """Two trees in the form that `_kernels.robots.planning.Trees` describes."""
-
-    nodes: Floats
-    parents: Ints
-    domains: Floats
-
-    @classmethod
-    def of(cls, joints: int, capacity: int) -> Trees:
-        """Allocate trees with room for this number of configurations each."""
-        fits_memory(2 * capacity * 8 * (joints + 3), f"trees of {capacity} configurations")
-        nodes, parents = np.empty((2, joints, capacity)), np.empty((2, capacity), dtype=np.int64)
-        return cls(nodes, parents, np.empty((2, capacity)))
-
-    def rooted(self, start: Floats, goals: Floats) -> Trees:
-        """Add a start, shape (joints,), and goals, shape (goals, joints), as the roots of the trees."""
-        count = len(goals)
-        self.nodes[0, :, 0], self.nodes[1, :, :count] = start, goals.T
-        self.parents[0, 0], self.parents[1, :count] = -1, -1
-        self.domains[0, 0], self.domains[1, :count] = np.inf, np.inf
-        return self
-
-    @property
-    def capacity(self) -> int:
-        """Number of configurations that fit into each tree."""
-        return int(self.nodes.shape[2])
-
-    def grown(self) -> Trees:
-        """Copy the trees, with room for twice as many configurations."""
-        more = Trees.of(self.nodes.shape[1], 2 * self.capacity)
-        for old, new in zip(self, more, strict=True):
-            new[..., : self.capacity] = old
-        return more
-
-    def branch(self, tree: int, node: int) -> Floats:
-        """Return the values from a node to its root."""
-        numbers = []
-        while node >= 0:
-            numbers.append(node)
-            node = int(self.parents[tree, node])
-        values: Floats = self.nodes[tree][:, numbers].T
-        return values
-
-
 @dataclass(eq=False)
 class Growth:
-    """Two trees, and the arrays from which the kernel lets them grow.
+    """Two trees that kernels let grow.
 
     Attributes
     ----------
     space : Space
     judge : Judge
-    start : ndarray, shape (dof,)
     goals : ndarray, shape (goals, dof)
-    numbers, limits, reach
-        `joints`, `limits` and `reach` of `connect_trees`.
-    trees : Trees
-    state, gap : ndarray
-        See `connect_trees`.
+    search : Search
+        All that the kernels read and write.
     """
 
     space: Space
     judge: Judge
-    start: Floats
     goals: Floats
-    numbers: Ints
-    limits: Floats
-    reach: Floats
-    trees: Trees
-    state: Ints
-    gap: Floats
+    search: Search
+
+    def __post_init__(self) -> None:
+        self.state: Ints = self.search.state
+        self._table = table_of(self.search)
 
     @classmethod
-    def of(cls, space: Space, judge: Judge, start: Floats, goals: Floats, weights: Floats | None = None) -> Growth:
-        """Allocate memory for the trees; `weights` are factors for differences of the joints that move."""
-        joints, root = len(space.columns), start[space.columns]
-        numbers, limits = np.empty((2, joints), dtype=np.int64), np.empty((5, joints))
-        numbers[0], numbers[1] = space.columns, space.turning
-        limits[0], limits[1] = space.lower, space.upper
-        limits[0, space.turning] = root[space.turning] - np.pi
-        limits[1, space.turning] = root[space.turning] + np.pi
-        limits[4] = 1.0 if weights is None else weights
-        low, high = limits[4] * limits[:2]
-        longest = float(lengths(high - low)) * SHARE
+    def of(
+        cls, space: Space, judge: Judge, start: Floats, goals: Floats, seed: int, weights: Floats | None = None
+    ) -> Growth:
+        """Plant the trees; `weights` are factors for differences of the joints that move."""
+        joints = len(space.columns)
+        search = Search(
+            np.empty(7, dtype=np.int64), np.empty(2), space.columns, space.turning.astype(np.int64),
+            space.lower.copy(), space.upper.copy(), np.empty(joints), np.empty(joints),
+            np.ones(joints) if weights is None else weights, np.empty(3), np.zeros(STATE, dtype=np.int64),
+            np.ascontiguousarray(start), _trees(joints, max(CAPACITY, 2 * len(goals))),
+        )  # fmt: skip
+        growth = cls(space, judge, np.ascontiguousarray(goals), search).rooted(seed)
+        longest = search.reach[LONGEST] if weights is None else lengths(search.upper - search.lower)
+        growth.judge = judge.up_to(float(longest))
         if judge.kept is not None:
-            longest = min(longest, KEPT * math.sqrt(judge.kept.angle))
-        judge = judge.up_to(float(lengths(limits[1] - limits[0])) * (SHARE if weights is None else 1.0))
-        trees = Trees.of(joints, max(CAPACITY, 2 * len(goals)))
-        state, gap = np.zeros(STATE, dtype=np.int64), np.array([np.inf])
-        return cls(space, judge, start, goals, numbers, limits, np.array([longest, np.inf]), trees, state, gap)
+            search.reach[LONGEST] = min(search.reach[LONGEST], KEPT * math.sqrt(judge.kept.angle))
+        return growth
 
     def rooted(self, seed: int) -> Growth:
         """Begin anew from the start and the goals."""
-        at = self.space.columns
-        self.trees.rooted(self.start[at], self.goals[:, at])
-        self.limits[2], self.limits[3] = _sequence(len(at), seed)
-        self.state[:], self.gap[0] = 0, np.inf
-        self.state[STARTS], self.state[GOALS], self.state[RANDOM] = 1, len(self.goals), seed
+        entries.begin_search(self._table.ctypes.data, self.goals, seed)
         return self
 
     def on(self, most: int) -> int:
         """Let the trees grow until they meet, for at most this number of iterations in all; return the outcome."""
-        outcome = codes.FULL
-        while outcome == codes.FULL:
-            points, ends = np.empty((4, len(self.space.columns))), np.array([self.start, self.start])
-            outcome = entries.connect_trees(
-                most, self.reach, *self.judge.asked(), self.numbers, self.limits, *self.trees, self.state, self.gap,
-                ends, points, np.empty(self.trees.capacity),
-            )  # fmt: skip
-            if outcome == codes.FULL:
-                self.trees = self.trees.grown()
+        self.search.handles[:], self.search.lengths[:] = self.judge.asked()
+        while (outcome := entries.connect_trees(self._table.ctypes.data, most)) == codes.FULL:
+            trees = self.search.trees
+            more = _trees(len(self.space.columns), 2 * trees.shape[1])
+            more[:, : trees.shape[1]] = trees
+            self.search = self.search._replace(trees=more)
+            self._table = table_of(self.search)
         return int(outcome)
 
     def path(self) -> Floats:
         """Return the path through both trees."""
-        return _path(self.space, self.judge, self.trees, self.state)
+        judge, path = self.judge, np.empty((int(self.state[ROWS]), len(self.search.start)))
+        turned = entries.path_through(self._table.ctypes.data, path)
+        # Whole turns are rounded, and steps are counted from the start, so the path differs slightly from the judged
+        # motions. Also, where starts matter, they were checked in a scene that may have changed.
+        if (turned or judge.resolution or judge.ready.starts_matter) and not judge.free(path[:-1], path[1:]).all():
+            raise PlanningError(
+                "expected a path that is free when it is checked as a whole, found one that is not; "
+                "another seed, or a finer resolution, may help"
+            )
+        return path
+
+
+def _trees(joints: int, capacity: int) -> Floats:
+    """Allocate trees with room for this number of configurations each."""
+    rows = 2 * joints + TREE_ROWS
+    fits_memory(8 * rows * capacity, f"trees of {capacity} configurations")
+    return np.empty((rows, capacity))
 
 
 def connect(
@@ -183,7 +140,7 @@ def connect(
     PlanningError
         If no path was found within the iterations or in time.
     """
-    growth = Growth.of(space, judge, start, goals).rooted(seed)
+    growth = Growth.of(space, judge, start, goals, seed)
     state = growth.state
     began: float | None = None  # only after the first call, for which Numba may have to compile
     outcome, portion = codes.SPENT, min(FIRST, AT_A_TIME)
@@ -201,38 +158,13 @@ def connect(
     return growth.path()
 
 
-def _sequence(joints: int, seed: int) -> tuple[Floats, Floats]:
-    """Return strides and shifts of a low-discrepancy sequence; its k-th entry is the fraction of shift + k strides."""
-    strides, shifts = irrationals(joints)
-    return strides, np.modf(0.5 + seed * shifts)[0]
-
-
-def _path(space: Space, judge: Judge, trees: Trees, state: Ints) -> Floats:
-    """Return the path through both trees."""
-    first, rest = trees.branch(0, int(state[OF_START]))[::-1], trees.branch(1, int(state[OF_GOAL]))
-    turned = False
-    if space.turning.any():
-        turns = np.where(space.turning, np.rint((rest[0] - first[-1]) / (2 * np.pi)), 0.0)
-        turned = bool(turns.any())
-        rest = np.where(turns == 0, rest, rest - 2 * np.pi * turns)
-    path = space.configurations(np.concatenate([first, rest]))
-    # Whole turns are rounded, and steps are counted from the start, so the path differs slightly from the judged
-    # motions. Also, where starts matter, they were checked in a scene that may have changed.
-    if (turned or judge.resolution or judge.ready.starts_matter) and not judge.free(path[:-1], path[1:]).all():
-        raise PlanningError(
-            "expected a path that is free when it is checked as a whole, found one that is not; "
-            "another seed, or a finer resolution, may help"
-        )
-    return path
-
-
 def _how_far(growth: Growth, spent: str, option: str) -> str:
     """Make the message for a search that found nothing."""
-    state, gap = growth.state, growth.gap
+    state, gap = growth.state, growth.search.reach[GAP]
     from_start, from_goals = state[[STARTS, GOALS]].tolist()
     near = (
-        f"the two came within {gap[0]:.3g} (in the units of the joints) of each other"
-        if np.isfinite(gap[0]) else "neither grew"
+        f"the two came within {gap:.3g} (in the units of the joints) of each other"
+        if np.isfinite(gap) else "neither grew"
     )  # fmt: skip
     return (
         f"expected a path from start to goal, found none {spent}: of {state[MOTIONS]} motions tried, the free ones "
@@ -247,7 +179,8 @@ def _what_is_between(growth: Growth) -> str:
     if judge.resolution:
         return ""
     spread = [np.unique(np.linspace(0, count - 1, BETWEEN, dtype=np.int64)) for count in counts]
-    first, last = (growth.trees.nodes[tree][:, numbers].T for tree, numbers in enumerate(spread))
+    halves = np.split(growth.search.trees[:-TREE_ROWS], 2)
+    first, last = (nodes[:, numbers].T for nodes, numbers in zip(halves, spread, strict=True))
     nearest = lengths(first[:, None] - last).argmin(axis=1)
     a, b = growth.space.configurations(first), growth.space.configurations(last[nearest])
     found, parts = prove_by_rules(judge.ready, a, b, TOLERANCE, judge.joint_error), []

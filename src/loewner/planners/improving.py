@@ -15,7 +15,7 @@ from loewner._base._log import log
 from loewner._base._read_only import KeepsReadOnly
 from loewner._base._validate import Floats, Ints, fits_memory
 from loewner._kernels import codes
-from loewner._kernels.columns import ITERATION, RANDOM, STATE
+from loewner._kernels.columns import BOUND, ITERATION, LONGEST, RANDOM, STATE
 from loewner._native import entries
 from loewner.errors import InputError, PlanningError
 from loewner.planners import compiled
@@ -307,18 +307,24 @@ class Rounds:
         # Odd rounds do not move the idle joints, then the heavier half of them, and so on.
         halvings = number // 2 % len(self.idle).bit_length() if len(self.idle) else 0
         resting = self.idle[: len(self.idle) >> halvings] if number % 2 else self.idle[:0]
-        limits, turning = growth.limits.copy(), growth.numbers[1].copy()
-        growth.limits[:2, resting] = growth.start[growth.space.columns[resting]]
-        growth.numbers[1, resting], box[2, growth.space.columns[resting]] = 0, 0.0
+        search, columns = growth.search, growth.space.columns[resting]
+        ranges = search.lower, search.upper, search.turning
+        before = [values.copy() for values in ranges]
+        search.lower[resting] = search.upper[resting] = search.start[columns]
+        search.turning[resting], box[2, columns] = 0, 0.0
         self._search(number, box)
-        growth.limits[:], growth.numbers[1] = limits, turning
+        for values, old in zip(ranges, before, strict=True):
+            values[:] = old
         self._on(self.best, BEST_STEPS)
         self.best = self._resting(self.best)
 
     def _search(self, number: int, box: Floats) -> None:
         """Search for another path, and keep it if it is cheaper when it is polished."""
         growth, best, seed = self.growth.rooted(self.seed + number), self.best, self.seed + number
-        growth.reach[:] = min(self.longest, SHARE * best.cost), self.least + SLACK * (best.cost - self.least)
+        growth.search.reach[[LONGEST, BOUND]] = (
+            min(self.longest, SHARE * best.cost),
+            self.least + SLACK * (best.cost - self.least),
+        )
         if self._on(growth, self.searches) != codes.MET:
             self.searches = min(int(AFTER_FAILURE * self.searches), MOST_SEARCH)
             return
@@ -393,12 +399,12 @@ def _shorter(
     box[0, at] = np.where(space.turning, -np.inf, space.lower)
     box[1, at] = np.where(space.turning, np.inf, space.upper)
     box[2, at] = asked.weights[at]
-    growth = Growth.of(space, judge, path[0], goals, box[2, at])
+    growth = Growth.of(space, judge, path[0], goals, seed, box[2, at])
     same = (goals[:, at] == path[0, at]).all(axis=0)
     idle = np.flatnonzero(same & ~same.all())
     idle = idle[np.argsort(-asked.weights[at[idle]], kind="stable")]
     best = Polish.of(growth.judge, box, path, seed)
-    rounds = Rounds(growth, best, box, idle, least, float(growth.reach[0]), seed, asked.deadline)
+    rounds = Rounds(growth, best, box, idle, least, float(growth.search.reach[LONGEST]), seed, asked.deadline)
     done = 0
     try:
         while done < asked.most and rounds.best.cost > enough:

@@ -28,10 +28,29 @@ import numpy as np
 
 from loewner._kernels._jit import inline, njit
 from loewner._kernels.codes import FULL, MET, SPENT
-from loewner._kernels.columns import GOALS, ITERATION, MOTIONS, OF_START, POSES, STARTS
+from loewner._kernels.columns import (
+    BOUND,
+    GAP,
+    GOALS,
+    ITERATION,
+    LONGEST,
+    MOTIONS,
+    OF_GOAL,
+    OF_START,
+    POSES,
+    RANDOM,
+    ROWS,
+    STARTS,
+)
+from loewner._kernels.low_discrepancy import irrationals
+from loewner._kernels.records import Search
 from loewner._kernels.robots.free_motions import is_free, judge_of, random, sample_memory
 from loewner._kernels.robots.lines import bring_back
-from loewner._kernels.simd.memory import held
+from loewner._kernels.simd.memory import floats_at, held, integers_at, reader, record_kind
+from loewner._kernels.simd.vectors import rounded_product
+
+# The longest motion of a tree, as a share of the diagonal of the limits: 1 rad for a usual arm.
+SHARE = 1 / 12
 
 # Of the dynamic domain, in ranges: what a configuration is first limited to when a motion from it fails, what it is
 # limited to at least, and the share that a failure takes and a success gives.
@@ -42,6 +61,8 @@ MOST_STEPS = 64
 
 TURN = 2.0 * np.pi
 
+_search_of = reader(record_kind(Search, "I1 F1 I1 I1 F1 F1 F1 F1 F1 F1 I1 F1 F2"))
+
 
 class Trees(NamedTuple):
     """Two trees; row 0 is the start's, row 1 the goals'.
@@ -50,92 +71,68 @@ class Trees(NamedTuple):
     ----------
     nodes : ndarray, shape (2, joints, capacity)
         Values of the joints that move.
-    parents : ndarray of int64, shape (2, capacity)
-        -1 for roots.
     domains : ndarray, shape (2, capacity)
         How near a configuration drawn must be for the node to be extended; infinite until a motion from it fails.
+    parents : ndarray of int64, shape (2, capacity)
+        -1 for roots.
+    squares : ndarray, shape (capacity,)
+        Memory for distances.
     """
 
     nodes: Any
-    parents: Any
     domains: Any
+    parents: Any
+    squares: Any
 
 
-class Space(NamedTuple):
-    """The joints that move.
-
-    Attributes
-    ----------
-    columns : ndarray of int64, shape (joints,)
-        Their columns in configurations.
-    lower, upper : ndarray, shape (joints,)
-    turning : ndarray of int64, shape (joints,)
-        1 where whole turns change nothing, and there are no limits.
-    stride, shift : ndarray, shape (joints,)
-        Of the sequence that configurations are drawn from, see `loewner.planners.compiled`.
-    weights : ndarray, shape (joints,)
-        Factors of their differences in distances.
-    range : float
-        How long a motion of a tree may be.
-    bound : float
-        Upper bound on the cost of a path; infinite for any path.
-    """
-
-    columns: Any
-    lower: Any
-    upper: Any
-    turning: Any
-    stride: Any
-    shift: Any
-    weights: Any
-    range: Any
-    bound: Any
-
-
-class Search(NamedTuple):
-    """All that a search reads and writes.
+class Work(NamedTuple):
+    """All that an iteration reads and writes.
 
     Attributes
     ----------
     judge : free_motions.Judge
-    space : Space
+    search : records.Search
     trees : Trees
-    state : ndarray of int64, shape (columns.STATE,)
-        Where the search stands, see `columns`.
-    gap : ndarray, shape (1,)
-        How near to each other the trees came.
     ends : ndarray, shape (2, dof)
         A motion to test, in which joints that do not move keep their values.
     points : ndarray, shape (4, joints)
         Memory.
-    squares : ndarray, shape (capacity,)
-        Memory.
     """
 
     judge: Any
-    space: Any
+    search: Any
     trees: Any
-    state: Any
-    gap: Any
     ends: Any
     points: Any
-    squares: Any
 
 
 @inline
-def _turns(space, c, way):
+def _trees_of(search):
+    """The trees in the memory of a search."""
+    joints, capacity, at = len(search.columns), search.trees.shape[1], np.int64(search.trees.ctypes.data)
+    row = 8 * capacity
+    return Trees(
+        floats_at(at, (2, joints, capacity)),
+        floats_at(at + 2 * joints * row, (2, capacity)),
+        integers_at(at + (2 * joints + 2) * row, (2, capacity)),
+        floats_at(at + (2 * joints + 4) * row, (capacity,)),
+    )
+
+
+@inline
+def _turns(search, c, way):
     """Whole turns to leave out of a way."""
-    return np.rint(way / TURN) if space.turning[c] != 0 else 0.0
+    return np.rint(way / TURN) if search.turning[c] != 0 else 0.0
 
 
 @njit()
-def _nearest(space, nodes, count, q, squares):
+def _nearest(search, nodes, count, q, squares):
     """Which of a tree's nodes is nearest to q, and how far it is."""
     for k in range(count):
         squares[k] = 0.0
     for c in range(nodes.shape[0]):
-        row, value, weight = nodes[c], q[c], space.weights[c]
-        if space.turning[c] != 0:
+        row, value, weight = nodes[c], q[c], search.weights[c]
+        if search.turning[c] != 0:
             for k in range(count):
                 way = value - row[k]
                 way = weight * (way - TURN * np.rint(way / TURN))
@@ -152,28 +149,28 @@ def _nearest(space, nodes, count, q, squares):
 
 
 @inline
-def _free(search, a, b):
+def _free(work, a, b):
     """Is the motion between two settings of the joints that move free?"""
-    space, ends, state = search.space, search.ends, search.state
+    columns, ends, state = work.search.columns, work.ends, work.search.state
     for c in range(len(a)):
-        ends[0, space.columns[c]] = a[c]
-        ends[1, space.columns[c]] = b[c]
+        ends[0, columns[c]] = a[c]
+        ends[1, columns[c]] = b[c]
     state[MOTIONS] += 1
-    return is_free(search.judge, ends, state[POSES:])
+    return is_free(work.judge, ends, state[POSES:])
 
 
 @inline
-def _brought_back(search, q):
+def _brought_back(work, q):
     """Move q until it keeps an axis, if one is to be kept; return whether that worked."""
-    space, row = search.space, search.ends[1]
-    if search.judge.kept == 0:
+    columns, row = work.search.columns, work.ends[1]
+    if work.judge.kept == 0:
         return True
     for c in range(len(q)):
-        row[space.columns[c]] = q[c]
-    if not bring_back(search.judge.kept, row):
+        row[columns[c]] = q[c]
+    if not bring_back(work.judge.kept, row):
         return False
     for c in range(len(q)):
-        q[c] = row[space.columns[c]]
+        q[c] = row[columns[c]]
     return True
 
 
@@ -187,13 +184,12 @@ def _add(trees, tree, count, q, parent):
 
 
 @inline
-def _way(search, goal, q, axis):
+def _way(search, nodes, goal, q, axis):
     """Length of the straight way from the start to a goal, written to `axis`, and of the way by q."""
-    space, nodes = search.space, search.trees.nodes
     straight = before = after = 0.0
     for c in range(len(q)):
-        weight, way = space.weights[c], nodes[1, c, goal] - nodes[0, c, 0]
-        axis[c] = weight * (way - TURN * _turns(space, c, way))
+        weight, way = search.weights[c], nodes[1, c, goal] - nodes[0, c, 0]
+        axis[c] = weight * (way - TURN * _turns(search, c, way))
         first = weight * (q[c] - nodes[0, c, 0])
         straight += axis[c] * axis[c]
         before += first * first
@@ -202,19 +198,19 @@ def _way(search, goal, q, axis):
 
 
 @njit()
-def _draw_within(search, roots, drawn, axis):
+def _draw_within(search, nodes, roots, drawn, axis):
     """Draw from the ellipsoid about the start and a goal, unless q lies in one: all ways that cost less than a bound.
 
     A direction has sums of four uniform numbers for coordinates, nearly normal; a radius is the largest of as many
     uniform numbers as there are joints, which is distributed as in a ball.
     """
-    space, state, start, bound = search.space, search.state, search.trees.nodes[0], search.space.bound
+    state, start, bound = search.state, nodes[0], search.reach[BOUND]
     for goal in range(roots):
-        if _way(search, goal, drawn, axis)[1] < bound:
+        if _way(search, nodes, goal, drawn, axis)[1] < bound:
             return
     first, straight = np.int64(random(state) * roots), np.inf
     for k in range(roots):
-        straight, _ = _way(search, (first + k) % roots, drawn, axis)
+        straight, _ = _way(search, nodes, (first + k) % roots, drawn, axis)
         if straight < bound:
             break
     if not 0.0 < straight < bound:
@@ -231,63 +227,74 @@ def _draw_within(search, roots, drawn, axis):
     along *= scale / straight
     for c in range(len(drawn)):
         place = (0.5 + (0.5 * bound - thick) * along / straight) * axis[c] + thick * scale * drawn[c]
-        drawn[c] = start[c, 0] + place / space.weights[c]
-        if space.turning[c] == 0:
-            drawn[c] = min(max(drawn[c], space.lower[c]), space.upper[c])
+        drawn[c] = start[c, 0] + place / search.weights[c]
+        if search.turning[c] == 0:
+            drawn[c] = min(max(drawn[c], search.lower[c]), search.upper[c])
+
+
+@inline
+def _rows(trees, tree, node):
+    """Number of nodes from a node to its root, both included."""
+    count = 0
+    while node >= 0:
+        count += 1
+        node = trees.parents[tree, node]
+    return count
 
 
 @njit()
-def _iterate(search, roots):
+def _iterate(work, roots):
     """Grow one tree and lead it to the other; MET if they meet, else SPENT."""
-    space, trees, state, points = search.space, search.trees, search.state, search.points
-    joints = len(space.columns)
+    search, trees, points = work.search, work.trees, work.points
+    state, longest, joints = search.state, search.reach[LONGEST], len(search.columns)
     drawn, here, there = points[0], points[1], points[2]
     tree = 0 if state[STARTS] <= state[GOALS] else 1
     nodes, count = trees.nodes[tree], state[STARTS + tree]
     for c in range(joints):
-        share = space.shift[c] + state[ITERATION] * space.stride[c]
-        drawn[c] = space.lower[c] + (space.upper[c] - space.lower[c]) * (share - np.floor(share))
-    if space.bound < np.inf:
-        _draw_within(search, roots, drawn, points[3])
-    near, distance = _nearest(space, nodes, count, drawn, search.squares)
+        share = search.shift[c] + state[ITERATION] * search.stride[c]
+        drawn[c] = search.lower[c] + (search.upper[c] - search.lower[c]) * (share - np.floor(share))
+    if search.reach[BOUND] < np.inf:
+        _draw_within(search, trees.nodes, roots, drawn, points[3])
+    near, distance = _nearest(search, nodes, count, drawn, trees.squares)
     if distance == 0.0 or distance > trees.domains[tree, near]:
         return SPENT
-    share = min(space.range / distance, 1.0)
+    share = min(longest / distance, 1.0)
     for c in range(joints):
         here[c] = nodes[c, near]
         way = drawn[c] - here[c]
-        there[c] = here[c] + share * (way - TURN * _turns(space, c, way))
-        if space.turning[c] == 0:
-            there[c] = min(max(there[c], space.lower[c]), space.upper[c])
+        there[c] = here[c] + share * (way - TURN * _turns(search, c, way))
+        if search.turning[c] == 0:
+            there[c] = min(max(there[c], search.lower[c]), search.upper[c])
     domain = trees.domains[tree, near]
-    if not (_brought_back(search, there) and _free(search, here, there)):
-        less = max(domain * (1.0 - CHANGE), LEAST_DOMAIN * space.range)
-        trees.domains[tree, near] = FIRST_DOMAIN * space.range if domain == np.inf else less
+    if not (_brought_back(work, there) and _free(work, here, there)):
+        less = max(domain * (1.0 - CHANGE), LEAST_DOMAIN * longest)
+        trees.domains[tree, near] = FIRST_DOMAIN * longest if domain == np.inf else less
         return SPENT
     if domain != np.inf:
         trees.domains[tree, near] = domain * (1.0 + CHANGE)
     _add(trees, tree, count, there, near)
-    return _lead(search, tree, count)
+    return _lead(work, tree, count)
 
 
 @njit()
-def _lead(search, tree, last):
+def _lead(work, tree, last):
     """Lead the last node of a tree straight to the nearest one of the other, as far as motions are free."""
-    space, trees, state, gap, points = search.space, search.trees, search.state, search.gap, search.points
-    joints, count, other = len(space.columns), last + 1, 1 - tree
+    search, trees, points = work.search, work.trees, work.points
+    state, reach, joints = search.state, search.reach, len(search.columns)
+    count, other = last + 1, 1 - tree
     first, here, there = points[0], points[1], points[2]
     for c in range(joints):
         first[c] = trees.nodes[tree, c, last]
         here[c] = first[c]
-    aim, distance = _nearest(space, trees.nodes[other], state[STARTS + other], first, search.squares)
-    steps = np.int64(min(max(np.ceil(distance / space.range), 1.0), MOST_STEPS + 1.0))
+    aim, distance = _nearest(search, trees.nodes[other], state[STARTS + other], first, trees.squares)
+    steps = np.int64(min(max(np.ceil(distance / reach[LONGEST]), 1.0), MOST_STEPS + 1.0))
     met = steps <= MOST_STEPS
     for step in range(1, min(steps, MOST_STEPS) + 1):
         for c in range(joints):
             value = trees.nodes[other, c, aim]
-            value -= TURN * _turns(space, c, value - first[c])
+            value -= TURN * _turns(search, c, value - first[c])
             there[c] = first[c] + (value - first[c]) * (step / steps) if step < steps else value
-        if not ((step == steps or _brought_back(search, there)) and _free(search, here, there)):
+        if not ((step == steps or _brought_back(work, there)) and _free(work, here, there)):
             met = False
             break
         if step == steps:
@@ -299,65 +306,123 @@ def _lead(search, tree, last):
     state[STARTS + tree] = count
     if met:
         state[OF_START + tree], state[OF_START + other] = count - 1, aim
-        gap[0] = 0.0
+        state[ROWS] = _rows(trees, 0, state[OF_START]) + _rows(trees, 1, state[OF_GOAL])
+        reach[GAP] = 0.0
         return MET
     left = 0.0
     for c in range(joints):
         way = trees.nodes[other, c, aim] - here[c]
-        way = space.weights[c] * (way - TURN * _turns(space, c, way))
+        way = search.weights[c] * (way - TURN * _turns(search, c, way))
         left += way * way
-    gap[0] = min(gap[0], np.sqrt(left))
+    reach[GAP] = min(reach[GAP], np.sqrt(left))
     return SPENT
 
 
 @njit()
-def connect_trees(
-    most, reach, handles, lengths, joints, limits, nodes, parents, domains, state, gap, ends, points, squares
-):  # fmt: skip
-    """Let the trees grow, for at most so many iterations.
+def begin_search(search, goals, seed):
+    """Begin a search anew: trees of nothing but roots, and the range and the sequence to draw from.
 
     Parameters
     ----------
+    search : int
+        Handle of a `records.Search`.
+    goals : ndarray, shape (goals, dof)
+    seed : int
+    """
+    begun = _search_of(search)
+    trees, state, reach = _trees_of(begun), begun.state, begun.reach
+    irrationals(begun.stride, begun.shift)
+    squares = 0.0
+    for c in range(len(begun.columns)):
+        column, weight = begun.columns[c], begun.weights[c]
+        root = begun.start[column]
+        if begun.turning[c] != 0:
+            begun.lower[c], begun.upper[c] = root - np.pi, root + np.pi
+        way = rounded_product(weight, begun.upper[c]) - rounded_product(weight, begun.lower[c])
+        squares += rounded_product(way, way)
+        share = 0.5 + rounded_product(np.float64(seed), begun.shift[c])
+        begun.shift[c] = share - np.floor(share)
+        trees.nodes[0, c, 0] = root
+        for goal in range(len(goals)):
+            trees.nodes[1, c, goal] = goals[goal, column]
+    trees.domains[0, 0], trees.parents[0, 0] = np.inf, -1
+    for goal in range(len(goals)):
+        trees.domains[1, goal], trees.parents[1, goal] = np.inf, -1
+    reach[LONGEST], reach[BOUND], reach[GAP] = SHARE * np.sqrt(squares), np.inf, np.inf
+    for k in range(len(state)):
+        state[k] = 0
+    state[STARTS], state[GOALS], state[RANDOM] = 1, len(goals), seed
+
+
+@njit()
+def connect_trees(search, most):
+    """Let the trees grow until they meet, or for at most so many iterations.
+
+    Parameters
+    ----------
+    search : int
+        Handle of a `records.Search` that has begun. A later call goes on from where this one ends.
     most : int
         Iterations in all, those of earlier calls included.
-    reach : ndarray, shape (2,)
-        `Space.range` and `Space.bound`.
-    handles, lengths
-        See `free_motions.judge_of`.
-    joints : ndarray of int64, shape (2, joints)
-        Columns and which turn, see `Space`.
-    limits : ndarray, shape (5, joints)
-        The rest of it: lower, upper, stride, shift, weights.
-    nodes, parents, domains
-        See `Trees`: roots are in their places.
-    state, gap, ends, points, squares
-        See `Search`, which goes on from there.
 
     Returns
     -------
     int
         MET; SPENT: all iterations are done; or FULL: the trees need more memory to go on.
     """
-    space = Space(joints[0], limits[0], limits[1], joints[1], limits[2], limits[3], limits[4], reach[0], reach[1])
-    samples = sample_memory(handles)
-    judge = judge_of(handles, lengths, ends.shape[1], samples.ctypes.data)
-    outcome = _grow(Search(judge, space, Trees(nodes, parents, domains), state, gap, ends, points, squares), most)
+    begun = _search_of(search)
+    samples, state, trees = sample_memory(begun.handles), begun.state, _trees_of(begun)
+    judge = judge_of(begun.handles, begun.lengths, len(begun.start), samples.ctypes.data)
+    ends, points = np.empty((2, len(begun.start))), np.empty((4, len(begun.columns)))
+    for c in range(len(begun.start)):
+        ends[0, c] = ends[1, c] = begun.start[c]
+    work, roots, outcome = Work(judge, begun, trees, ends, points), 0, SPENT
+    while roots < state[GOALS] and trees.parents[1, roots] < 0:
+        roots += 1
+    while outcome == SPENT and state[ITERATION] < most:
+        if max(state[STARTS], state[GOALS]) + MOST_STEPS + 1 > trees.nodes.shape[2]:
+            outcome = FULL
+        else:
+            state[ITERATION] += 1
+            # Straight to the nearest goal, before anything is drawn.
+            outcome = _lead(work, 0, 0) if state[ITERATION] == 1 else _iterate(work, roots)
     held(samples)
     return outcome
 
 
 @njit()
-def _grow(search, most):
-    """Let the trees grow as `connect_trees` does."""
-    state, capacity, roots = search.state, search.trees.nodes.shape[2], 0
-    while roots < state[GOALS] and search.trees.parents[1, roots] < 0:
-        roots += 1
-    while state[ITERATION] < most:
-        if max(state[STARTS], state[GOALS]) + MOST_STEPS + 1 > capacity:
-            return FULL
-        state[ITERATION] += 1
-        # Straight to the nearest goal, before anything is drawn.
-        outcome = _lead(search, 0, 0) if state[ITERATION] == 1 else _iterate(search, roots)
-        if outcome == MET:
-            return MET
-    return SPENT
+def path_through(search, path):
+    """Write the path through both trees, once they have met.
+
+    Parameters
+    ----------
+    search : int
+        Handle of a `records.Search`.
+    path : ndarray, shape (state[ROWS], dof)
+        Receives the path.
+
+    Returns
+    -------
+    int
+        1 if values were shifted by whole turns, so that the path differs slightly from the motions that were judged.
+    """
+    met = _search_of(search)
+    trees, state, turned = _trees_of(met), met.state, 0
+    first = _rows(trees, 0, state[OF_START])
+    for tree in range(2):
+        node = state[OF_START + tree]
+        for step in range(len(path) - first if tree == 1 else first):
+            row = path[first + step if tree == 1 else first - 1 - step]
+            for c in range(len(row)):
+                row[c] = met.start[c]
+            for c in range(len(met.columns)):
+                row[met.columns[c]] = trees.nodes[tree, c, node]
+            node = trees.parents[tree, node]
+    for c in range(len(met.columns)):
+        column = met.columns[c]
+        turns = _turns(met, c, path[first, column] - path[first - 1, column])
+        if turns != 0.0:
+            turned = 1
+            for k in range(first, len(path)):
+                path[k, column] -= rounded_product(TURN, turns)
+    return turned
