@@ -198,6 +198,44 @@ def test_some_joints_move_and_goals_are_refused(pair):
         mine.plan(start + 100.0, goal)
 
 
+def around(tmp_path, turning, gap):
+    """A ball of 5 cm that slides in x, and slides or turns through a slit in a wall; and the same in C."""
+    limits = '<limit lower="-1" upper="1" velocity="1" effort="1"/></joint>'
+    robot = written(tmp_path, (
+        f'<robot name="r"><link name="w"/><link name="a"/><link name="b"><collision><origin xyz="{0.4 * turning} 0 0"/>'
+        '<geometry><sphere radius="0.05"/></geometry></collision></link>'
+        f'<joint name="x" type="prismatic"><parent link="w"/><child link="a"/><axis xyz="1 0 0"/>{limits}'
+        f'<joint name="y" type="{"continuous" if turning else "prismatic"}"><parent link="a"/><child link="b"/>'
+        + ('<axis xyz="0 0 1"/></joint>' if turning else f'<axis xyz="0 1 0"/>{limits}') + "</robot>"))  # fmt: skip
+    scene = Scene()
+    for k, side in enumerate((-1, 1)):
+        T = np.eye(4)
+        T[1, 3] = side * (2.05 + gap) - 0.2
+        scene.add(f"wall {k}", Body.box([0.3, 4, 1]), T)
+    checker = CollisionChecker(robot, scene)
+    checker.save(tmp_path / "cell.lwn")
+    return checker, capi.Checker(tmp_path / "cell.lwn")
+
+
+def test_turned_paths_are_those_of_python(tmp_path):
+    """Where trees meet whole turns apart, the path is shifted alike."""
+    checker, mine = around(tmp_path, True, 0.2)
+    for turns in (-5, -1, 3):
+        start, goal = np.array([-0.9, 2.0]), np.array([0.9, 0.5 + 2 * np.pi * turns])
+        path = planners.plan(checker, start, goal, seed=turns + 5, simplify=False)
+        assert len(path) > 2
+        assert np.array_equal(mine.plan(start, goal, seed=turns + 5, cuts=-1), path)
+
+
+@pytest.mark.verify
+def test_trees_grow_as_in_python(tmp_path):
+    """Trees that need several times their first memory give the same path."""
+    checker, mine = around(tmp_path, False, 5e-4)
+    start, goal = np.array([-0.5, 0.3]), np.array([0.5, 0.4])
+    path = planners.plan(checker, start, goal, seed=5, simplify=False, timeout=1e3)
+    assert np.array_equal(mine.plan(start, goal, seed=5, cuts=-1), path)
+
+
 def test_curves_are_proven_as_courses(pair):
     """Evenly spread points are the straight motion; FREE curves hold against samples, COLLIDING ones collide."""
     checker, mine = pair
