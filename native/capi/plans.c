@@ -19,7 +19,7 @@ typedef struct {
 /* A search in the form that kernels take, and its memory. */
 typedef struct {
     struct search arrays;
-    int64_t dof, joints, state[STATE]; /* values of a configuration, and those that move */
+    int64_t dof, joints, state[STATE]; /* values of a configuration, and how many move */
     int64_t *columns, *turning;
     double reach[3], *lower, *upper, *start, *goals; /* goals that are free */
     size_t goal_count;
@@ -143,7 +143,7 @@ static int is_inside(const Search *search, const double *q)
     return is;
 }
 
-/* Give the trees more memory; what they have keeps its rows. */
+/* Give the trees more memory, and copy their rows to it. */
 static loewner_status grow(Search *search, int64_t capacity)
 {
     Array2 old = search->arrays.trees, more = {NULL, 2 * search->joints + TREE_ROWS, capacity};

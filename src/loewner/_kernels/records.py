@@ -135,14 +135,14 @@ class Search(NamedTuple):
     lower, upper : ndarray, shape (joints,)
         Range to draw from; where values turn, the kernels write half a turn to both sides of the start.
     stride, shift : ndarray, shape (joints,)
-        Fractions of the k-th draw are those of shift + k stride. The kernels write them.
+        The k-th draw has the fractional parts of shift + k stride. The kernels write both.
     weights : ndarray, shape (joints,)
         Factors of differences in distances.
     reach : ndarray, shape (3,)
         How long a motion of a tree may be; an upper bound on the cost of a path, infinite for any path; and how near to
         each other the trees came. The kernels write them, and a caller may change the first two.
     state : ndarray of int64, shape (columns.STATE,)
-        Where the search stands, see `columns`.
+        Counts and results of the search, see `columns`.
     start : ndarray, shape (dof,)
         The root of the first tree, with the values that do not move.
     trees : ndarray, shape (2 joints + columns.TREE_ROWS, capacity)

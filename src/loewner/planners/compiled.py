@@ -11,7 +11,7 @@ import numpy as np
 from loewner._base._matrices import lengths
 from loewner._base._validate import Floats, Ints, fits_memory
 from loewner._kernels import codes
-from loewner._kernels.columns import GAP, GOALS, ITERATION, LONGEST, MOTIONS, RANDOM, ROWS, STARTS, STATE, TREE_ROWS
+from loewner._kernels.columns import GAP, GOALS, ITERATION, MOTIONS, RANDOM, ROWS, STARTS, STATE, STEP, TREE_ROWS
 from loewner._kernels.records import Search, table_of
 from loewner._native import entries
 from loewner.errors import PlanningError
@@ -80,10 +80,10 @@ class Growth:
             np.ascontiguousarray(start), _trees(joints, max(CAPACITY, 2 * len(goals))),
         )  # fmt: skip
         growth = cls(space, judge, np.ascontiguousarray(goals), search).rooted(seed)
-        longest = search.reach[LONGEST] if weights is None else lengths(search.upper - search.lower)
+        longest = search.reach[STEP] if weights is None else lengths(search.upper - search.lower)
         growth.judge = judge.up_to(float(longest))
         if judge.kept is not None:
-            search.reach[LONGEST] = min(search.reach[LONGEST], KEPT * math.sqrt(judge.kept.angle))
+            search.reach[STEP] = min(search.reach[STEP], KEPT * math.sqrt(judge.kept.angle))
         return growth
 
     def rooted(self, seed: int) -> Growth:

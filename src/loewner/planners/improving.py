@@ -15,7 +15,7 @@ from loewner._base._log import log
 from loewner._base._read_only import KeepsReadOnly
 from loewner._base._validate import Floats, Ints, fits_memory
 from loewner._kernels import codes
-from loewner._kernels.columns import BOUND, ITERATION, LONGEST, RANDOM, STATE
+from loewner._kernels.columns import BOUND, ITERATION, RANDOM, STATE, STEP
 from loewner._native import entries
 from loewner.errors import InputError, PlanningError
 from loewner.planners import compiled
@@ -321,7 +321,7 @@ class Rounds:
     def _search(self, number: int, box: Floats) -> None:
         """Search for another path, and keep it if it is cheaper when it is polished."""
         growth, best, seed = self.growth.rooted(self.seed + number), self.best, self.seed + number
-        growth.search.reach[[LONGEST, BOUND]] = (
+        growth.search.reach[[STEP, BOUND]] = (
             min(self.longest, SHARE * best.cost),
             self.least + SLACK * (best.cost - self.least),
         )
@@ -404,7 +404,7 @@ def _shorter(
     idle = np.flatnonzero(same & ~same.all())
     idle = idle[np.argsort(-asked.weights[at[idle]], kind="stable")]
     best = Polish.of(growth.judge, box, path, seed)
-    rounds = Rounds(growth, best, box, idle, least, float(growth.search.reach[LONGEST]), seed, asked.deadline)
+    rounds = Rounds(growth, best, box, idle, least, float(growth.search.reach[STEP]), seed, asked.deadline)
     done = 0
     try:
         while done < asked.most and rounds.best.cost > enough:

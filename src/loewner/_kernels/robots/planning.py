@@ -28,20 +28,7 @@ import numpy as np
 
 from loewner._kernels._jit import inline, njit
 from loewner._kernels.codes import FULL, MET, SPENT
-from loewner._kernels.columns import (
-    BOUND,
-    GAP,
-    GOALS,
-    ITERATION,
-    LONGEST,
-    MOTIONS,
-    OF_GOAL,
-    OF_START,
-    POSES,
-    RANDOM,
-    ROWS,
-    STARTS,
-)
+from loewner._kernels.columns import BOUND, GAP, GOALS, ITERATION, MOTIONS, OF_START, POSES, RANDOM, ROWS, STARTS, STEP
 from loewner._kernels.low_discrepancy import irrationals
 from loewner._kernels.records import Search
 from loewner._kernels.robots.free_motions import is_free, judge_of, random, sample_memory
@@ -246,7 +233,7 @@ def _rows(trees, tree, node):
 def _iterate(work, roots):
     """Grow one tree and lead it to the other; MET if they meet, else SPENT."""
     search, trees, points = work.search, work.trees, work.points
-    state, longest, joints = search.state, search.reach[LONGEST], len(search.columns)
+    state, longest, joints = search.state, search.reach[STEP], len(search.columns)
     drawn, here, there = points[0], points[1], points[2]
     tree = 0 if state[STARTS] <= state[GOALS] else 1
     nodes, count = trees.nodes[tree], state[STARTS + tree]
@@ -287,7 +274,7 @@ def _lead(work, tree, last):
         first[c] = trees.nodes[tree, c, last]
         here[c] = first[c]
     aim, distance = _nearest(search, trees.nodes[other], state[STARTS + other], first, trees.squares)
-    steps = np.int64(min(max(np.ceil(distance / reach[LONGEST]), 1.0), MOST_STEPS + 1.0))
+    steps = np.int64(min(max(np.ceil(distance / reach[STEP]), 1.0), MOST_STEPS + 1.0))
     met = steps <= MOST_STEPS
     for step in range(1, min(steps, MOST_STEPS) + 1):
         for c in range(joints):
@@ -306,7 +293,7 @@ def _lead(work, tree, last):
     state[STARTS + tree] = count
     if met:
         state[OF_START + tree], state[OF_START + other] = count - 1, aim
-        state[ROWS] = _rows(trees, 0, state[OF_START]) + _rows(trees, 1, state[OF_GOAL])
+        state[ROWS] = _rows(trees, 0, state[OF_START]) + _rows(trees, 1, state[OF_START + 1])
         reach[GAP] = 0.0
         return MET
     left = 0.0
@@ -348,7 +335,7 @@ def begin_search(search, goals, seed):
     trees.domains[0, 0], trees.parents[0, 0] = np.inf, -1
     for goal in range(len(goals)):
         trees.domains[1, goal], trees.parents[1, goal] = np.inf, -1
-    reach[LONGEST], reach[BOUND], reach[GAP] = SHARE * np.sqrt(squares), np.inf, np.inf
+    reach[STEP], reach[BOUND], reach[GAP] = SHARE * np.sqrt(squares), np.inf, np.inf
     for k in range(len(state)):
         state[k] = 0
     state[STARTS], state[GOALS], state[RANDOM] = 1, len(goals), seed
@@ -356,14 +343,14 @@ def begin_search(search, goals, seed):
 
 @njit()
 def connect_trees(search, most):
-    """Let the trees grow until they meet, or for at most so many iterations.
+    """Let the trees grow until they meet, or have had a number of iterations.
 
     Parameters
     ----------
     search : int
         Handle of a `records.Search` that has begun. A later call goes on from where this one ends.
     most : int
-        Iterations in all, those of earlier calls included.
+        Number of iterations, of earlier calls too.
 
     Returns
     -------
