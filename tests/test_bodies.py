@@ -73,7 +73,7 @@ def test_a_kind_is_known_wherever_kinds_are_told_apart(number, tmp_path):
     scene.add("body", loaded)
     loewner.save_scene(scene, tmp_path / "scene.yaml")
     assert f"{kind.name}:" in (tmp_path / "scene.yaml").read_text()
-    assert f'type="{kind.name if kind.inradii is None else "mesh"}"' in body.to_mjcf()
+    assert f'type="{kind.name if kind.in_mjcf else "mesh"}"' in body.to_mjcf()
 
 
 def test_no_kind_stands_for_an_unknown_one():
