@@ -42,13 +42,16 @@ class Kind(NamedTuple):
     """A kind of curved piece: the image of a unit shape, with a ball added (see `_kernels.pieces.shapes`).
 
     The `Body` constructor called `name` takes `sizes`, computed from the ball's radius and the image's semi-axes. Scene
-    files give them as separate fields, named by `size_names`, or as one vector if there are no names. `mesh`
-    triangulates the unit shape, with all corners on its surface. Divided by `inradii`, this mesh contains the unit
-    shape; None if it is `ball`. `inner` and `outer` are the optimal ellipsoids. `gauge` is a convex function of points,
-    with gradients no longer than 1: at most 1 in the unit shape and nowhere else, and less at the origin. `support` is
-    the support function; covers refuse kinds without them. If a ball is added, neither is needed, `core` is half the
-    length of the unit segment to which it is added (0 for a point), and `mesh` triangulates the unit ball. `is_ball`
-    marks kinds that are their own ellipsoids, `in_mjcf` those for which MJCF has a shape called `name`.
+    files give them as separate fields, named by `size_names`, or as one vector if there are no names. `is_ball` marks
+    kinds that are their own ellipsoids.
+
+    `mesh` triangulates the unit shape, with all corners on its surface. Divided by `inradii`, this mesh contains the
+    unit shape; None if it is `ball`. `inner` and `outer` are the optimal ellipsoids. `gauge` is a convex function of
+    points, with gradients no longer than 1: at most 1 in the unit shape and nowhere else, and less at the origin.
+    `support` is the support function. Covers refuse kinds without these two functions.
+
+    If a ball is added, neither is needed, `core` is half the length of the unit segment to which it is added (0 for a
+    point), and `mesh` triangulates the unit ball.
     """
 
     name: str
@@ -62,7 +65,6 @@ class Kind(NamedTuple):
     inradii: tuple[float, float, float] | None = None
     core: float | None = None
     is_ball: bool = False
-    in_mjcf: bool = False
 
     def share(self, points: Floats) -> Floats:
         """Compute a share of the way from the origin to each point, at which the way is still in the unit shape.
@@ -171,13 +173,11 @@ for _ in range(4):
 
 # Indexed by the numbers used in kernels and files.
 CURVED = {
-    columns.ELLIPSOID: Kind(
-        "ellipsoid", lambda _, axes: axes, ball, _UNIT, _UNIT, lengths, lengths, (), is_ball=True, in_mjcf=True
-    ),
+    columns.ELLIPSOID: Kind("ellipsoid", lambda _, axes: axes, ball, _UNIT, _UNIT, lengths, lengths, (), is_ball=True),
     columns.CYLINDER: Kind(
         "cylinder", _upright, lambda: revolved((1, -1), (1, 1)), _UNIT, _AROUND_CYLINDER,
         _around_axis(lambda r, z: np.maximum(r, np.abs(z))), _around_axis(lambda r, z: r + np.abs(z)),
-        inradii=(_POLYGON, _POLYGON, 1.0), in_mjcf=True,
+        inradii=(_POLYGON, _POLYGON, 1.0),
     ),
     columns.CONE: Kind(  # the apex is at height 1, and the base of radius 1 at height -1
         "cone", _upright, lambda: revolved((1, -1), (0, 1)), _IN_CONE, _AROUND_CONE,
@@ -185,15 +185,13 @@ CURVED = {
         _around_axis(lambda r, z: np.maximum(r - z, z)), inradii=(_POLYGON, _POLYGON, 1.0),
     ),
     columns.SEGMENT: Kind(
-        "capsule", lambda radius, axes: (radius, 2 * axes[2]), ball, _in_capsules, _around_capsules,
-        core=1.0, in_mjcf=True,
+        "capsule", lambda radius, axes: (radius, 2 * axes[2]), ball, _in_capsules, _around_capsules, core=1.0
     ),
     columns.POINT: Kind(
-        "sphere", lambda radius, _: (radius,), ball, _same, _same, size_names=("radius",), core=0.0,
-        is_ball=True, in_mjcf=True,
+        "sphere", lambda radius, _: (radius,), ball, _same, _same, size_names=("radius",), core=0.0, is_ball=True
     ),
 }  # fmt: skip
-# Numbers of the kinds that are their own ellipsoids, and of those with a ball.
+# Numbers of kinds that are their own ellipsoids, and of kinds with a ball.
 BALLS = [number for number, kind in CURVED.items() if kind.is_ball]
 ROUND = [number for number, kind in CURVED.items() if kind.core is not None]
 FLAT = {columns.SOLID: "solid", columns.SURFACE: "surface", columns.POLYTOPE: "polytope"}

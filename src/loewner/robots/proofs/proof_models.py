@@ -28,9 +28,11 @@ from loewner.robots.checking.problem import Problem
 
 # Kinds of joints and of pieces in the format.
 STAYS, TURNS, SLIDES = 0, 1, 2
-HULL, BALL, CYLINDER, CONE = 0, 1, 2, 3
-# What kernels call these kinds of pieces. Pieces with a ball are hulls of their cores.
+HULL = 0
+# What kernels call the kinds of pieces, from HULL on, and how far the points of their unit shapes are from the origin.
+# Pieces with a ball are hulls of their cores.
 KINDS = columns.POLYTOPE, columns.ELLIPSOID, columns.CYLINDER, columns.CONE
+FARTHEST = 0.0, 1.0, np.sqrt(2.0), np.sqrt(2.0)
 
 # Where rules allow contact: at the start of motions, at their end, or at both (the sum).
 AT_START, AT_END = 1, 2
