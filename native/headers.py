@@ -16,7 +16,7 @@ from typing import Any
 from loewner._kernels import codes, columns, records, tolerances
 from loewner._kernels._sources import source_hash
 from loewner._native.entries import ENTRIES, Entry
-from loewner.bodies import native_files
+from loewner.bodies import CURVED, native_files
 from loewner.planners import compiled, gates, joint_limits, judge
 from loewner.robots import checker
 from loewner.robots.checking import motion_tables
@@ -79,7 +79,7 @@ def constants() -> dict[str, str]:
     values = {
         **{f"CODE_{name}": value for name, value in vars(codes).items() if name.isupper()},
         **{name: getattr(columns, name) for name in COLUMNS},
-        "KIND_OF": columns.KIND, "LAST_KIND": columns.POINT, "POINT_BLOCK": columns.BLOCK,
+        "KIND_OF": columns.KIND, "LAST_KIND": max(CURVED), "POINT_BLOCK": columns.BLOCK,
         "LINK_CONSTANTS": columns.CONSTANTS, "GROUP_NUMBERS": boxes["ROWS"], "TREE_LEVELS": boxes["LEVELS"],
         "WIDE_SURFACE": mesh["WIDE"], "LEAF_BITS": mesh["LEAF_BITS"], "BLOCK_NUMBERS": mesh["BLOCK"],
         "DIAGONAL_NUMBERS": mesh["DIAGONALS"], "SURFACE_LEVELS": mesh["LEVELS"],

@@ -1,14 +1,20 @@
-"""Kernels run by Python, with one lane that is a float, so that a change to their source takes no compilation."""
+"""Kernels run by Python, with one lane that is a float, so that a change to their source takes no compilation.
+
+With ``LOEWNER_TRACE=1`` in the environment, they print each exit from a loop or a function, with its condition.
+"""
 
 import builtins
+import os
+import sys
 import types
 
 import numpy as np
 
 from loewner._kernels._sources import sources
 
-INTERPRETED = {"linalg3", "robots.kinematics", "robots.reach", "robots.lines"}
+INTERPRETED = {"linalg3", "narrow.simplex", "robots.kinematics", "robots.reach", "robots.lines"}
 PREFIX = "loewner._kernels."
+LINES = {}  # of the text of each interpreted module
 
 STAND_INS = {
     "_jit": {
@@ -42,8 +48,34 @@ def interpreted(name, text=None):
     """A module of kernels as functions of Python, from its own text or a changed one."""
     module = types.ModuleType(PREFIX + name)
     module.__dict__["__builtins__"] = vars(builtins) | {"__import__": _imported}
-    exec(compile(text or source_of(name), name, "exec"), module.__dict__)
+    text = text or source_of(name)
+    LINES[name] = text.splitlines()
+    exec(compile(text, name, "exec"), module.__dict__)
+    if os.environ.get("LOEWNER_TRACE"):
+        sys.settrace(tracing(print))
     return module
+
+
+def tracing(write):
+    """A function for `sys.settrace` that writes where interpreted kernels leave loops or return early, and why."""
+
+    def trace(frame, event, _):
+        file, number = frame.f_code.co_filename, frame.f_lineno
+        if file not in LINES:
+            return None
+        line = LINES[file][number - 1]
+        if event == "line" and line.split()[0] in ("break", "return"):
+            above = [text.split() for text in LINES[file][: number - 1] if text.strip() and _depth(text) < _depth(line)]
+            values = {name: frame.f_locals[name] for name in ("r", "k", "status") if name in frame.f_locals}
+            if above[-1][0] != "def":
+                write(f"{file}:{number} {frame.f_code.co_name} {values}: {' '.join(above[-1])} {line.strip()}")
+        return trace
+
+    return trace
+
+
+def _depth(text):
+    return len(text) - len(text.lstrip())
 
 
 def _imported(name, globals=None, locals=None, fromlist=(), level=0):

@@ -18,7 +18,7 @@ from families import FAMILIES, box_corners, pieces, random_poses
 from loewner import Bodies, Body
 from loewner._kernels import columns
 from loewner._kernels.pieces.shapes import unit_support
-from loewner.bodies import CURVED
+from loewner.bodies import CURVED, exports
 from loewner.bodies.triangulated import of_piece
 from loewner.ellipsoids import polytopes
 from loewner.meshes import decomposition as meshes
@@ -73,7 +73,7 @@ def test_a_kind_is_known_wherever_kinds_are_told_apart(number, tmp_path):
     scene.add("body", loaded)
     loewner.save_scene(scene, tmp_path / "scene.yaml")
     assert f"{kind.name}:" in (tmp_path / "scene.yaml").read_text()
-    assert f'type="{kind.name if kind.inradii is None else "mesh"}"' in body.to_mjcf()
+    assert f'type="{kind.name if kind.name in exports.MJCF else "mesh"}"' in body.to_mjcf()
 
 
 def test_no_kind_stands_for_an_unknown_one():

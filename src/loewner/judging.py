@@ -17,6 +17,7 @@ from loewner._base._matrices import lengths
 from loewner._base._validate import Bools, Floats
 from loewner._kernels import columns
 from loewner.bodies import Bodies, Body, packed_of
+from loewner.bodies.kinds import BALLS
 from loewner.errors import InputError
 from loewner.queries import pairs as queries
 from loewner.queries.pairs import Distance, expect_bodies, plan_of
@@ -29,10 +30,9 @@ ACCURACY, OF_CURVED = 1.01e-9, 1.01e-3
 
 GOLDEN = (1.0 + math.sqrt(5.0)) / 2.0
 
-# Families of the kinds of pieces, from SOLID on: depths between two pieces of one of them are as accurate as distances.
-# Nothing is like cylinders, cones and capsules.
-UNLIKE = -1
-FAMILIES = np.array([0, 0, 0, 0, 1, UNLIKE, UNLIKE, UNLIKE, 1])
+# Families of kinds of pieces: depths between two pieces of one of them are as accurate as distances. Nothing is like
+# curved pieces that are not balls.
+FLAT, BALL, UNLIKE = 0, 1, -1
 
 # Corners of a regular icosahedron on the unit sphere, and a bit less than the radius of the ball in it.
 ICOSAHEDRON = np.array([np.roll([0.0, y, z], k) for y in (-1, 1) for z in (-GOLDEN, GOLDEN) for k in range(3)])
@@ -385,7 +385,8 @@ class _Pairs:
             several = np.diff(packed_of(body).piece_start) > 1
             convex = _of_each(body, np.minimum, kind) >= columns.MAPPED
             single = single & convex & ~(several[0] if isinstance(body, Body) else several)
-            first, last = (_of_each(body, which, FAMILIES[kind - columns.SOLID]) for which in (np.minimum, np.maximum))
+            family = np.where(kind <= columns.POLYTOPE, FLAT, np.where(np.isin(kind, BALLS), BALL, UNLIKE))
+            first, last = (_of_each(body, which, family) for which in (np.minimum, np.maximum))
             families.append(np.where(first == last, first, UNLIKE))
         return single, (families[0] == families[1]) & (families[0] != UNLIKE)
 

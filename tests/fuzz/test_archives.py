@@ -29,6 +29,7 @@ import loewner
 from families import CUT_FROM_A_MUG, FAMILIES, near_corners, pieces, prism, random_poses
 from loewner import Bodies, Body
 from loewner._base import _archives
+from loewner.bodies import CURVED as CURVED_KINDS
 from loewner.bodies import files
 from loewner.meshes.protrusion import Solid
 
@@ -488,7 +489,7 @@ REFUSED = {
     "kind -1": (_put("layout", (0, 0), -1), "layout: expected kinds"),
     "kind -4": (_put("layout", (0, 0), -4), "layout: expected kinds"),
     "a polytope called a surface": (_put("layout", (0, 0), -2), "layout: expected no planes of a surface"),
-    "kind 6": (_put("layout", (0, 0), 6), "layout: expected kinds"),
+    "no kind": (_put("layout", (0, 0), max(CURVED_KINDS) + 1), "layout: expected kinds"),
     "points from -1": (_put("layout", (0, 1), -1), "layout, points"),
     "points to 10**12": (_put("layout", (0, 2), 10**12), "layout, points"),
     "planes from the end": (_put("layout", (0, 3), 6), "layout, planes"),

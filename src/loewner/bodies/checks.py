@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from loewner._base._validate import Floats, Ints
 from loewner._kernels import columns, tolerances
 from loewner.bodies import surfaces
-from loewner.bodies.kinds import CURVED, KIND_NAMES
+from loewner.bodies.kinds import CURVED, KIND_NAMES, ROUND
 from loewner.bodies.layout import ARRAYS, LARGEST, Maps, PieceArrays, direction_maps, heights_of
 from loewner.bodies.pack import Packed
 from loewner.bodies.primitives import ellipsoids_in_frame
@@ -430,7 +430,7 @@ def _check_curved(arrays: dict[str, Any]) -> None:
         return
     kind, frames = kind[rows], arrays["frames"][rows]
     rounding, center, image = frames[:, 0], frames[:, 1:4], frames[:, 4:].reshape(-1, 3, 3)
-    round_kind = np.isin(kind, [number for number, known in CURVED.items() if known.core is not None])
+    round_kind = np.isin(kind, ROUND)
     _refuse((rounding > 0) != round_kind, "frames: expected a radius of capsules and spheres only", rounding, rows)
     _refuse(rounding < 0, "frames: expected a radius >= 0", rounding, rows)
 

@@ -15,7 +15,7 @@ from loewner._base._validate import Bools, Floats, Ints, Progress
 from loewner._kernels import columns
 from loewner._kernels.tolerances import FACE_WIDTH
 from loewner.bodies.elements import HEIGHT_ROUNDINGS, Elements
-from loewner.bodies.kinds import CURVED, ball
+from loewner.bodies.kinds import CURVED, ROUND, ball, inradius
 from loewner.bodies.pack import Packed
 from loewner.bodies.triangulated import of_piece
 from loewner.ellipsoids.polytopes import Polytope
@@ -47,9 +47,6 @@ DIVISIONS = 2
 
 # Triangles of elements for one search for the largest protrusion.
 FACES = 100_000
-
-# Inradius of the polygons of cylinders and cones.
-_POLYGON = (CURVED[columns.CONE].inradii or (1.0,))[0]
 
 OCTANTS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=float)
 
@@ -201,21 +198,13 @@ def _around(packed: Packed, i: int) -> tuple[Polytope, Floats, float]:
     """Make a polytope around a curved piece, and a center and factor that shrink its points into the piece."""
     kind, frame = CURVED[int(packed.layout[i, columns.KIND])], packed.frames[i]
     radius, center, factor = frame[0], frame[1:4], frame[4:].reshape(3, 3)
-    unit, triangles = kind.mesh()
-    if kind.mesh is ball:
-        a, b, c = unit[triangles].transpose(1, 0, 2)
-        normals = np.cross(b - a, c - a)
-        inradius = float((dot(normals, a) / lengths(normals)).min())
-    else:
-        inradius = _POLYGON
+    unit, _ = kind.mesh()
     if kind.core is not None:
-        half = kind.core * factor[:, 2]
-        around = unit * (radius * OUTWARD / inradius)
-        return Polytope.from_points(np.concatenate([center + half + around, center - half + around])), center, inradius
-    # A cone whose polygon is made wider is in the cone only if it shrinks twice as much.
-    unit = unit / ([inradius, inradius, 1.0] if not kind.is_ball else inradius)
-    shrink = inradius / (2 - inradius) if kind.inradii is not None else inradius
-    return Polytope.from_points(center + OUTWARD * unit @ factor.T), center, shrink
+        half, least = kind.core * factor[:, 2], inradius()
+        around = unit * (radius * OUTWARD / least)
+        return Polytope.from_points(np.concatenate([center + half + around, center - half + around])), center, least
+    unit = OUTWARD * unit / (kind.inradii or inradius())
+    return Polytope.from_points(center + unit @ factor.T), center, float(kind.share(unit).min())
 
 
 @dataclass
@@ -300,7 +289,7 @@ class _Proof:
             equal = (model.kind == kind) & (kind > columns.POLYTOPE)
             equal &= (model.radius == frames[i, 0]) & (model.center == frames[i, 1:4]).all(axis=1)
             equal &= (model.factor.reshape(-1, 9) == frames[i, 4:]).all(axis=1)
-            if kind in (columns.POINT, columns.SEGMENT):
+            if kind in ROUND:
                 far = frames[i, 4:].reshape(3, 3)[:, 2] * (kind == columns.SEGMENT)
                 corners, radius = frames[i, 1:4] + np.array([far, -far]), float(frames[i, 0]) + self.cells
             elif kind > columns.POLYTOPE:
@@ -577,7 +566,7 @@ def excess_of(target: Target, packed: Packed, model: Elements, tolerance: float)
     """
     n, ways = len(model), ball(DIVISIONS)[0]
     upper, points = np.full(n, np.inf), []
-    round_ = np.flatnonzero((model.kind == columns.POINT) | (model.kind == columns.SEGMENT))
+    round_ = np.flatnonzero(np.isin(model.kind, ROUND))
     if len(round_):
         upper[round_] = _round_excess(target, model, round_, tolerance)
     hulls: dict[int, Polytope] = dict(model.hulls)

@@ -7,7 +7,7 @@ import numpy as np
 from loewner._base._matrices import dot, lengths, product, singular_values
 from loewner._base._validate import Bools, Floats, Ints
 from loewner._kernels import columns
-from loewner.bodies.kinds import KIND_NAMES
+from loewner.bodies.kinds import CURVED, KIND_NAMES, ROUND
 from loewner.bodies.pack import Packed
 from loewner.ellipsoids.polytopes import Polytope
 from loewner.errors import GeometryError, InputError
@@ -31,8 +31,8 @@ class Elements:
 
     A height is at most zero inside the piece and positive outside, and two points' heights differ by no more than the
     points' distance. Outside, the height is therefore a lower bound on the distance. For a ball or a capsule, it is the
-    signed distance; for a polytope, the largest signed distance from a face's plane; for an ellipsoid, a cylinder or a
-    cone, the gauge of the unit shape, minus 1 and times the smallest semi-axis.
+    signed distance; for a polytope, the largest signed distance from a face's plane; for another curved piece, the
+    gauge of the unit shape, minus 1 and times the smallest semi-axis.
 
     Parameters
     ----------
@@ -65,7 +65,7 @@ class Elements:
         self.axis = np.ascontiguousarray(self.factor[:, :, 2])
         self.rounding, self.exact = np.empty(n), np.zeros(n, dtype=bool)
         self.hulls: dict[int, Polytope] = {}
-        round_ = (self.kind == columns.POINT) | (self.kind == columns.SEGMENT)
+        round_ = np.isin(self.kind, ROUND)
         far = np.where(self.kind == columns.SEGMENT, lengths(self.axis), 0.0)
         self.rounding[round_] = HEIGHT_ROUNDINGS * (self.radius + far)[round_]
         self._take_gauges()
@@ -78,8 +78,8 @@ class Elements:
         return len(self.kind)
 
     def _take_gauges(self) -> None:
-        """Prepare ellipsoids, cylinders and cones."""
-        these = np.flatnonzero(np.isin(self.kind, (columns.ELLIPSOID, columns.CYLINDER, columns.CONE)))
+        """Prepare curved pieces without a ball."""
+        these = np.flatnonzero((self.kind > columns.POLYTOPE) & ~np.isin(self.kind, ROUND))
         self.inverse, self.sigma = np.zeros_like(self.factor), np.zeros(len(self.kind))
         if len(these) == 0:
             return
@@ -151,9 +151,9 @@ class Elements:
         if kind == columns.SEGMENT:
             axis = self.axis[element]
             arm = arm - np.clip(dot(arm, axis) / dot(axis, axis), -1.0, 1.0)[:, None] * axis
-        if kind in (columns.POINT, columns.SEGMENT):
+        if kind in ROUND:
             return np.asarray(lengths(arm) - self.radius[element])
-        return np.asarray(self.sigma[element] * (_gauge(kind, dot(self.inverse[element], arm[:, None])) - 1.0))
+        return np.asarray(self.sigma[element] * (CURVED[kind].gauge(dot(self.inverse[element], arm[:, None])) - 1.0))
 
     def distances(self, points: Floats, element: Ints) -> Floats:
         """Compute upper bounds on the distances of points from their elements, 0 inside."""
@@ -169,13 +169,9 @@ class Elements:
             x, e = points[these], element[these]
             near = self._near(x - self.center[e], e)
             share = np.ones(len(e))
-            for kind in (columns.ELLIPSOID, columns.CYLINDER, columns.CONE):
+            for kind in np.unique(self.kind[e]).tolist():
                 its = np.flatnonzero(self.kind[e] == kind)
-                if len(its):
-                    # A convex function that is below zero at the center is at most zero at this share of the way.
-                    center = 1.0 - float(_gauge(kind, np.zeros((1, 3)))[0])
-                    above = np.maximum(_gauge(kind, dot(self.inverse[e[its]], near[its, None])) - 1.0, 0.0)
-                    share[its] = center / (center + above)
+                share[its] = CURVED[kind].share(dot(self.inverse[e[its]], near[its, None]))
             found[these] = lengths(x - self.center[e] - share[:, None] * near) + self.rounding[e]
         return found
 
@@ -196,9 +192,10 @@ class Elements:
             length = lengths(way)
             way /= np.where(length > 0, length, 1.0)[:, None]
             turned = dot(self.factor[e].transpose(0, 2, 1), way[:, None])
-            across, up = np.hypot(turned[:, 0], turned[:, 1]), turned[:, 2]
-            support = np.where(self.kind[e] == columns.ELLIPSOID, lengths(turned), across + np.abs(up))
-            support = np.where(self.kind[e] == columns.CONE, np.maximum(across - up, up), support)
+            support = np.empty(len(e))
+            for kind in np.unique(self.kind[e]).tolist():
+                its = np.flatnonzero(self.kind[e] == kind)
+                support[its] = CURVED[kind].support(turned[its])
             found[these] = np.maximum(found[these], dot(way, arm) - support - self.rounding[e])
         return found
 
@@ -216,8 +213,8 @@ class Elements:
         near = squares * unit / (squares + t[:, None])
         across = np.maximum(np.hypot(unit[:, 0], unit[:, 1]), 1.0)
         clipped = np.column_stack([unit[:, :2] / across[:, None], np.clip(unit[:, 2], -1.0, 1.0)])
+        near = np.where((kinds == columns.ELLIPSOID)[:, None], near, unit)
         near = np.where((kinds == columns.CYLINDER)[:, None], clipped, near)
-        near = np.where((kinds == columns.CONE)[:, None], unit, near)
         return dot(self.factor[element], near[:, None])
 
     def face_one_way(self, middles: Floats, reach: Floats, cell: Ints, element: Ints) -> Bools:
@@ -285,14 +282,3 @@ class Elements:
 
 def _right_angled(normals: Floats) -> bool:
     return len(normals) == 6 and bool((np.abs(np.abs(product(normals, normals.T)) - 0.5) > 0.5 - 1e-9).all())
-
-
-def _gauge(kind: int, unit: Floats) -> Floats:
-    """Compute gauges of the unit ball or cylinder; for the cone, a convex function with gradients of length 1."""
-    if kind == columns.ELLIPSOID:
-        return lengths(unit)
-    across, up = np.hypot(unit[:, 0], unit[:, 1]), unit[:, 2]
-    if kind == columns.CYLINDER:
-        return np.asarray(np.maximum(across, np.abs(up)))
-    # The apex is at height 1, and the base of radius 1 at height -1.
-    return np.asarray(1.0 + np.maximum(-1.0 - up, (2.0 * across + up - 1.0) / np.sqrt(5.0)))

@@ -25,13 +25,16 @@ from loewner._base._matrices import dot, lengths
 from loewner._base._rotations import quaternions_of, to_rpy
 from loewner._base._validate import Floats
 from loewner._kernels import columns
-from loewner.bodies.kinds import CURVED, Mesh, ball
+from loewner.bodies.kinds import CURVED, Mesh, ball, inradius
 from loewner.bodies.pack import Packed
 from loewner.bodies.triangulated import ellipsoids_of, of_pieces
 from loewner.errors import InputError
 from loewner.meshes.files.stl import FACETS
 
 ELLIPSOIDS = ("inner", "outer")
+
+# Names of curved pieces that are shapes of MJCF; others become meshes.
+MJCF = ("sphere", "cylinder", "capsule", "ellipsoid")
 
 # Divisions of the icosahedron that an ellipsoid becomes where a format has none: 320 triangles, which are within 4 % of
 # its semi-axes.
@@ -246,7 +249,7 @@ def enlarged(packed: Packed) -> str | None:
     for row, frame in zip(packed.layout[:, columns.KIND].tolist(), packed.frames, strict=True):
         if row > columns.POLYTOPE:
             kind, semi_axes = CURVED[row], np.linalg.norm(frame[4:].reshape(3, 3), axis=0)
-            if kind.inradii is not None or (kind.name == "ellipsoid" and semi_axes.min() < semi_axes.max()):
+            if kind.name not in MJCF or (kind.name == "ellipsoid" and semi_axes.min() < semi_axes.max()):
                 return kind.name
     return None
 
@@ -325,8 +328,8 @@ def _piece(packed: Packed, number: int, mesh: Mesh) -> Shape:
     radius, center, factor = float(frame[0]), frame[1:4], frame[4:].reshape(3, 3)
     lengths = np.linalg.norm(factor, axis=0)
     rotation = _proper(factor / lengths)
-    if kind.inradii is not None:
-        unit = np.linalg.solve(factor, (mesh[0] - center).T).T * (OUTWARD / np.array(kind.inradii))
+    if kind.name not in MJCF:
+        unit = np.linalg.solve(factor, (mesh[0] - center).T).T * (OUTWARD / np.array(kind.inradii or inradius()))
         return _mesh((unit @ factor.T + center, mesh[1]))
     return Shape(kind.name, tuple(kind.sizes(radius, lengths.tolist())), rotation, center)
 

@@ -11,13 +11,17 @@ from typing import NamedTuple
 import numpy as np
 
 from loewner._base import _elementary
+from loewner._base._matrices import dot, lengths
 from loewner._base._validate import Floats, Ints
 from loewner._kernels import columns
+from loewner.errors import InputError
 
 Mesh = tuple[Floats, Ints]
 # An ellipsoid for each of k pieces, in the frames of the pieces: the semi-axes, and the height of the center along the
 # third axis. It is computed from the radii of the balls, shape (k,), and the semi-axes of the images, shape (k, 3).
 Fit = Callable[[Floats, Floats], tuple[Floats, Floats | float]]
+# A function of points or directions, shape (k, 3).
+Function = Callable[[Floats], Floats]
 
 # Corners of the circles of cylinders and cones.
 SEGMENTS = 48
@@ -30,15 +34,24 @@ _CORNERS = np.array([[-1, _GOLDEN, 0], [1, _GOLDEN, 0], [-1, -_GOLDEN, 0], [1, -
 _ICOSAHEDRON = np.vstack([_CORNERS, np.roll(_CORNERS, 1, axis=1), np.roll(_CORNERS, 2, axis=1)])
 
 
+def _missing(_: Floats) -> Floats:
+    raise InputError("cover: expected pieces of kinds with a gauge and a support function, found another kind")
+
+
 class Kind(NamedTuple):
     """A kind of curved piece: the image of a unit shape, with a ball added (see `_kernels.pieces.shapes`).
 
     The `Body` constructor called `name` takes `sizes`, computed from the ball's radius and the image's semi-axes. Scene
-    files give them as separate fields, named by `size_names`, or as one vector if there are no names. `mesh`
-    triangulates the unit shape, with all corners on its surface. Divided by `inradii`, this mesh contains the unit
-    shape, for formats that lack the shape; None if MJCF has a shape called `name`. `inner` and `outer` are the optimal
-    ellipsoids. If a ball is added, `core` is half the length of the unit segment to which it is added (0 for a point),
-    and `mesh` triangulates the unit ball. `is_ball` marks kinds that are their own ellipsoids.
+    files give them as separate fields, named by `size_names`, or as one vector if there are no names. `is_ball` marks
+    kinds that are their own ellipsoids.
+
+    `mesh` triangulates the unit shape, with all corners on its surface. Divided by `inradii`, this mesh contains the
+    unit shape; None if it is `ball`. `inner` and `outer` are the optimal ellipsoids. `gauge` is a convex function of
+    points, with gradients no longer than 1: at most 1 in the unit shape and nowhere else, and less at the origin.
+    `support` is the support function. Covers refuse kinds without these two functions.
+
+    If a ball is added, neither is needed, `core` is half the length of the unit segment to which it is added (0 for a
+    point), and `mesh` triangulates the unit ball.
     """
 
     name: str
@@ -46,10 +59,20 @@ class Kind(NamedTuple):
     mesh: Callable[[], Mesh]
     inner: Fit
     outer: Fit
+    gauge: Function = _missing
+    support: Function = _missing
     size_names: tuple[str, ...] = ("radius", "length")
     inradii: tuple[float, float, float] | None = None
     core: float | None = None
     is_ball: bool = False
+
+    def share(self, points: Floats) -> Floats:
+        """Compute a share of the way from the origin to each point, at which the way is still in the unit shape.
+
+        A convex function that is below zero at the origin is at most zero at this share of the way.
+        """
+        center = 1.0 - float(self.gauge(np.zeros((1, 3)))[0])
+        return np.asarray(center / (center + np.maximum(self.gauge(points) - 1.0, 0.0)))
 
 
 @lru_cache(maxsize=4)
@@ -67,6 +90,14 @@ def ball(subdivisions: int = 3) -> Mesh:
     for array in (vertices, triangles):
         array.setflags(write=False)
     return vertices, triangles
+
+
+def inradius(subdivisions: int = 3) -> float:
+    """Compute the radius of the ball about the origin that touches the nearest triangle of `ball`."""
+    vertices, triangles = ball(subdivisions)
+    a, b, c = np.moveaxis(vertices[triangles], 1, 0)
+    across = np.cross(b - a, c - a)
+    return float((dot(across, a) / lengths(across)).min())
 
 
 def _faces(corners: Floats) -> Ints:
@@ -90,6 +121,11 @@ def revolved(*profile: tuple[float, float]) -> Mesh:
                  (bottom, after[:SEGMENTS], at[:SEGMENTS]), (lid, above[-SEGMENTS:], top[-SEGMENTS:])]  # fmt: skip
     ends = [[0, 0, profile[0][1]], [0, 0, profile[-1][1]]]
     return np.vstack([*rings, ends]), np.concatenate([np.column_stack(t) for t in triangles])
+
+
+def _around_axis(function: Callable[[Floats, Floats], Floats]) -> Function:
+    """Make a function of points, or directions, of one of their distances from the third axis and their heights."""
+    return lambda x: np.asarray(function(np.hypot(x[:, 0], x[:, 1]), x[:, 2]))
 
 
 def _upright(_: float, axes: Sequence[float]) -> Sequence[float]:
@@ -137,15 +173,26 @@ for _ in range(4):
 
 # Indexed by the numbers used in kernels and files.
 CURVED = {
-    columns.ELLIPSOID: Kind("ellipsoid", lambda _, axes: axes, ball, _UNIT, _UNIT, (), is_ball=True),
-    columns.CYLINDER: Kind("cylinder", _upright, lambda: revolved((1, -1), (1, 1)), _UNIT, _AROUND_CYLINDER),
-    columns.CONE: Kind(
-        "cone", _upright, lambda: revolved((1, -1), (0, 1)), _IN_CONE, _AROUND_CONE, inradii=(_POLYGON, _POLYGON, 1.0)
+    columns.ELLIPSOID: Kind("ellipsoid", lambda _, axes: axes, ball, _UNIT, _UNIT, lengths, lengths, (), is_ball=True),
+    columns.CYLINDER: Kind(
+        "cylinder", _upright, lambda: revolved((1, -1), (1, 1)), _UNIT, _AROUND_CYLINDER,
+        _around_axis(lambda r, z: np.maximum(r, np.abs(z))), _around_axis(lambda r, z: r + np.abs(z)),
+        inradii=(_POLYGON, _POLYGON, 1.0),
+    ),
+    columns.CONE: Kind(  # the apex is at height 1, and the base of radius 1 at height -1
+        "cone", _upright, lambda: revolved((1, -1), (0, 1)), _IN_CONE, _AROUND_CONE,
+        _around_axis(lambda r, z: 1.0 + np.maximum(-1.0 - z, (2.0 * r + z - 1.0) / np.sqrt(5.0))),
+        _around_axis(lambda r, z: np.maximum(r - z, z)), inradii=(_POLYGON, _POLYGON, 1.0),
     ),
     columns.SEGMENT: Kind(
         "capsule", lambda radius, axes: (radius, 2 * axes[2]), ball, _in_capsules, _around_capsules, core=1.0
     ),
-    columns.POINT: Kind("sphere", lambda radius, _: (radius,), ball, _same, _same, ("radius",), core=0.0, is_ball=True),
-}
+    columns.POINT: Kind(
+        "sphere", lambda radius, _: (radius,), ball, _same, _same, size_names=("radius",), core=0.0, is_ball=True
+    ),
+}  # fmt: skip
+# Numbers of kinds that are their own ellipsoids, and of kinds with a ball.
+BALLS = [number for number, kind in CURVED.items() if kind.is_ball]
+ROUND = [number for number, kind in CURVED.items() if kind.core is not None]
 FLAT = {columns.SOLID: "solid", columns.SURFACE: "surface", columns.POLYTOPE: "polytope"}
 KIND_NAMES = FLAT | {number: kind.name for number, kind in CURVED.items()}

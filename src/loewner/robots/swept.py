@@ -24,7 +24,7 @@ from loewner._kernels import columns
 from loewner._kernels.tolerances import STRETCH
 from loewner._native import entries
 from loewner.bodies import CURVED, Body, Packed, body_of_polytopes, packed_of
-from loewner.bodies.kinds import ball
+from loewner.bodies.kinds import ball, inradius
 from loewner.bodies.surface_trees import SurfaceTree
 from loewner.ellipsoids.polytopes import Polytope
 from loewner.errors import GeometryError, InputError
@@ -276,10 +276,7 @@ def _cut(vertices: Floats, triangles: Ints, solid: bool, room: float) -> list[tu
 def _grown_ball(radius: float, room: float) -> tuple[Floats, float]:
     """Return the corners of a polytope around a ball about the origin, and how far it sticks out."""
     for level in range(4):
-        unit, triangles = ball(level)
-        a, b, c = np.moveaxis(unit[triangles], 1, 0)
-        across = np.cross(b - a, c - a)
-        inside = float((dot(across, a) / lengths(across)).min()) * (1 - ROUNDINGS)
+        unit, inside = ball(level)[0], inradius(level) * (1 - ROUNDINGS)
         out = radius * (1 / inside - 1)
         if out <= room:
             break
@@ -298,8 +295,8 @@ def _around(kind: int, radius: float, center: Floats, factor: Floats, room: floa
         corners, out = _grown_ball(1.0, room / size)
         return image(factor, corners * up) + center, (out + ROUNDINGS) * size
     unit, _ = known.mesh()
-    inradius = math.cos(math.pi / 48) * (1 - ROUNDINGS)
-    return image(factor, unit * [1 / inradius, 1 / inradius, 1.0] * up) + center, size * (1 / inradius - 1 + ROUNDINGS)
+    wider = up * unit / (known.inradii or inradius())
+    return image(factor, wider) + center, size * (float(lengths(wider - unit).max()) + ROUNDINGS)
 
 
 def _thinned(points: Floats, room: float) -> tuple[Floats, float]:

@@ -17,8 +17,8 @@ from loewner._base import _pictures
 from loewner._base._rotations import quaternions_of
 from loewner._base._validate import Floats
 from loewner._kernels import columns
-from loewner.bodies import CURVED, Body, packed_of
-from loewner.bodies.kinds import Mesh, ball
+from loewner.bodies import Body, packed_of
+from loewner.bodies.kinds import BALLS, Mesh, ball
 from loewner.bodies.pack import Packed
 from loewner.bodies.triangulated import MANY_PIECES, ellipsoids_of, joined, of_ellipsoids, of_piece, of_pieces
 from loewner.queries.pairs import VERDICTS, Verdict
@@ -288,7 +288,7 @@ def parts(body: Body) -> list[Part]:
     packed = packed_of(body)
     kinds = packed.layout[:, columns.KIND]
     clouds = [number for number in np.flatnonzero(kinds == columns.SURFACE).tolist() if _is_cloud(packed, number)]
-    round_ones = np.isin(kinds, [number for number, kind in CURVED.items() if kind.is_ball])
+    round_ones = np.isin(kinds, BALLS)
     copied = np.flatnonzero(round_ones) if round_ones.sum() > MANY_PIECES else np.array([], dtype=np.int64)
     others = np.setdiff1d(np.arange(len(kinds)), [*clouds, *copied])
     made: list[Part] = []

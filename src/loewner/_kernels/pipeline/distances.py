@@ -58,6 +58,8 @@ SETTLED = 1e-9
 # and two witnesses, and is never less than the true one.
 SETTLED_CURVED = 1e-3
 
+NEVER = -1.0  # a tolerance at which no distance is settled
+
 # Allowed difference between a depth and its witnesses, relative to the same lengths.
 WITNESSES = 1e-5
 
@@ -120,6 +122,27 @@ class Round(NamedTuple):
     distance: Any
     gap: Any
     result: Any
+
+
+class Measured(NamedTuple):
+    """The distance of two pieces, or minus their depth.
+
+    Attributes
+    ----------
+    value : float
+    gap : float
+        How far the bounds on it are apart.
+    tolerance : float
+        The largest gap at which it is settled, relative to the lengths involved.
+    radius_a, radius_b : float
+        Rounding radii by which the witnesses are to be moved.
+    """
+
+    value: Any
+    gap: Any
+    tolerance: Any
+    radius_a: Any
+    radius_b: Any
 
 
 class Late(NamedTuple):
@@ -266,64 +289,94 @@ def _measure_round(count, operands, work, distance):
             store(found.result, c * QUEUED + first, result[c])
 
 
+@inline
+def _of_eight(eight, lane, result):
+    """What `_measure_round` found of two ellipsoids."""
+    for c in range(9):
+        result[c] = eight.result[c, lane]
+    return Measured(eight.distance[lane], eight.gap[lane], SETTLED, 0.0, 0.0)
+
+
+@inline
+def _of_surfaces(A, B, lane, queue, known, searches):
+    """Distance of a surface and another piece, if it is less than the one that is `known` of their bodies."""
+    ra, rb, size, above = radius(A), radius(B), queue.size[lane], queue.above[lane]
+    limit = above if above < known else known
+    # Slightly more than the ellipsoids' bounds, for the bounds' rounding; they stretch with poses, and radii do not.
+    limit = max(limit, 0.0) * (1.0 + SETTLED) + SETTLED * size + swollen_radii(A, B)
+    value, gap = surface_distance(
+        A, B, _column(queue.normal, lane), limit, searches.faces, searches.edges, searches.surfaces, searches.result
+    )
+    if value == np.inf and not known <= above:
+        return Measured(np.inf, np.inf, NEVER, ra, rb)  # the ellipsoids prove that something is nearer
+    value = value - ra - rb
+    if value < 0.0:  # a depth is a lower bound in spite of rounding
+        value = min(value + position_error(size, UNIT_ROUNDOFF), 0.0)
+    return Measured(value, gap, SETTLED, ra, rb)
+
+
+@inline
+def _of_balls(A, B, lane, queue, result):
+    """Distance of two ellipsoids or balls that are not among eight."""
+    value, gap = round_distance(A, B, _column(queue.normal, lane), queue.size[lane], result)
+    return Measured(value, gap, SETTLED, 0.0, 0.0)
+
+
+@inline
+def _of_overlap(A, B, n, faces, edges, result):
+    """Whether two polytopes overlap for sure, and then their depth."""
+    searched, shallow, deep = overlap_depth(A, B, n, faces, edges, result)
+    return searched == DEPTH_FOUND, Measured(-deep, deep - shallow, SETTLED, 0.0, 0.0)
+
+
+@inline
+def _of_cores(A, B, lane, queue, searches):
+    """Distance of any other pieces, after its status: NEAREST, or OVERLAPPING or another one if it is not found."""
+    shift, n, size = _column(queue.shift, lane), _column(queue.normal, lane), queue.size[lane]
+    plain = not (_is_curved(A) or _is_curved(B))
+    if plain and queue.contact[lane] < 1.0:  # they overlap, by the look of it
+        settled, depth = _of_overlap(A, B, n, searches.faces, searches.edges, searches.result)
+        if settled:
+            return NEAREST, depth
+    error = position_error(size, UNIT_ROUNDOFF)
+    ends = begin(A, B, shift, searches.vertices)
+    status, below, above = measure(A, B, shift, searches.vertices, ends, n, error, -np.inf, np.inf, searches.result)
+    ra, rb = radius(A), radius(B)
+    # Cores that inner ellipsoids prove to overlap are not apart: what a search found between them was rounding.
+    if status == NEAREST and not above - ra - rb <= queue.above[lane] + SETTLED * size:
+        status = UNSETTLED
+    return status, Measured(above - ra - rb, above - below, SETTLED, ra, rb)
+
+
 @njit()
 def measure_near(count, operands, work, exact):
     """Exact distances of the queued pairs by the fast searches; returns how many they leave, which are listed."""
     a, b = pieces_of(operands.a), pieces_of(operands.b)
     Ta, Tb = borrowed(operands.poses_a), borrowed(operands.poses_b)
-    queue, found, left, searches = queue_of(queued_at(work)), round_of(work), late_of(work), searches_of(work)
+    queue, eight, left, searches = queue_of(queued_at(work)), round_of(work), late_of(work), searches_of(work)
     pairs, distance, result = queue.pairs, borrowed(exact.distance), searches.result
-    vertices, faces, edges = searches.vertices, searches.faces, searches.edges
     _measure_round(count, operands, work, distance)
     late = 0
     for lane in range(count):
         if lane + AHEAD < count:
             prefetch_points(a.layout, a.points, pairs.piece_a[lane + AHEAD])
             prefetch_points(b.layout, b.points, pairs.piece_b[lane + AHEAD])
-        if not queue.below[lane] < distance[pairs.pair[lane]]:
-            continue
-        if found.gap[lane] < np.inf:
-            for c in range(9):
-                result[c] = found.result[c, lane]
-            _record(lane, queue, Ta, found.distance[lane], found.gap[lane], SETTLED, 0.0, 0.0, result, exact)
+        known = distance[pairs.pair[lane]]
+        if not queue.below[lane] < known:
             continue
         A = placed(a, pairs.piece_a[lane], Ta, pairs.pose_a[lane])
         B = placed(b, pairs.piece_b[lane], Tb, pairs.pose_b[lane])
-        shift, n = _column(queue.shift, lane), _column(queue.normal, lane)
-        size = queue.size[lane]
-        if is_surface(A) or is_surface(B):
-            ra, rb = radius(A), radius(B)
-            k, above = pairs.pair[lane], queue.above[lane]
-            limit = above if above < distance[k] else distance[k]
-            # Slightly more than the ellipsoids' bounds, for the bounds' rounding; they stretch with poses, and radii do
-            # not.
-            limit = max(limit, 0.0) * (1.0 + SETTLED) + SETTLED * size + swollen_radii(A, B)
-            value, gap = surface_distance(A, B, n, limit, faces, edges, searches.surfaces, result)
-            if value == np.inf and not distance[k] <= above:
-                exact.status[k] = NOT_SETTLED  # the ellipsoids prove that something is nearer
-                continue
-            value = value - ra - rb
-            if value < 0.0:  # a depth is a lower bound in spite of rounding
-                value = min(value + position_error(size, UNIT_ROUNDOFF), 0.0)
-            _record(lane, queue, Ta, value, gap, SETTLED, ra, rb, result, exact)
-            continue
-        if is_round(A) and is_round(B):
-            value, gap = round_distance(A, B, n, size, result)
-            _record(lane, queue, Ta, value, gap, SETTLED, 0.0, 0.0, result, exact)
-            continue
-        plain = not (_is_curved(A) or _is_curved(B))
-        if plain and queue.contact[lane] < 1.0:  # they overlap, by the look of it
-            searched, shallow, deep = overlap_depth(A, B, n, faces, edges, result)
-            if searched == DEPTH_FOUND:
-                _record(lane, queue, Ta, -deep, deep - shallow, SETTLED, 0.0, 0.0, result, exact)
-                continue
-        error = position_error(size, UNIT_ROUNDOFF)
-        ends = begin(A, B, shift, vertices)
-        status, below, above = measure(A, B, shift, vertices, ends, n, error, -np.inf, np.inf, result)
-        ra, rb = radius(A), radius(B)
-        # Cores that inner ellipsoids prove to overlap are not apart: what a search found between them was rounding.
-        if status == NEAREST and above - ra - rb <= queue.above[lane] + SETTLED * size:
-            _record(lane, queue, Ta, above - ra - rb, above - below, SETTLED, ra, rb, result, exact)
+        status = NEAREST
+        if eight.gap[lane] < np.inf:
+            measured = _of_eight(eight, lane, result)
+        elif is_surface(A) or is_surface(B):
+            measured = _of_surfaces(A, B, lane, queue, known, searches)
+        elif is_round(A) and is_round(B):
+            measured = _of_balls(A, B, lane, queue, result)
+        else:
+            status, measured = _of_cores(A, B, lane, queue, searches)
+        if status == NEAREST:
+            _record(lane, queue, Ta, measured, result, exact)
         else:
             left.place[late], left.inside[late] = lane, status == OVERLAPPING
             late += 1
@@ -348,26 +401,28 @@ def measure_late(late, operands, queued, left, exact):
         error = position_error(queue.size[lane], UNIT_ROUNDOFF)
         curved = _is_curved(A) or _is_curved(B)
         if inside and not curved:
-            searched, shallow, deep = overlap_depth(A, B, n, faces, edges, result)
-            if searched == DEPTH_FOUND:
-                _record(lane, queue, Ta, -deep, deep - shallow, SETTLED, 0.0, 0.0, result, exact)
+            settled, depth = _of_overlap(A, B, n, faces, edges, result)
+            if settled:
+                _record(lane, queue, Ta, depth, result, exact)
                 continue
         value, gap = _distance_with_care(A, B, shift, n, error, inside, work, result)
         tolerance = SETTLED_CURVED if curved and value < 0.0 else SETTLED
         ra, rb = radius(A), radius(B)
-        if value < 0.0 and not _miss(result, value + ra + rb) <= WITNESSES * queue.size[lane]:
-            tolerance = -1.0  # a depth whose witnesses do not bear it out
-        _record(lane, queue, Ta, value, gap, tolerance, ra, rb, result, exact)
+        missed = _miss(result, value + ra + rb)
+        if np.isnan(missed) or (value < 0.0 and missed > WITNESSES * queue.size[lane]):
+            tolerance = NEVER  # a depth whose witnesses do not bear it out, or pieces whose points are no numbers
+        _record(lane, queue, Ta, Measured(value, gap, tolerance, ra, rb), result, exact)
 
 
 @inline
-def _record(lane, queue, Ta, value, gap, tolerance, ra, rb, result, exact):
-    """Merge the exact distance of two pieces, and how far the bounds on it are apart, into the result of their pair.
+def _record(lane, queue, Ta, measured, result, exact):
+    """Merge the exact distance of two pieces into the result of their pair.
 
-    `result` holds the normal and the witnesses, relative to a's translation and without the rounding radii ra and rb.
+    `result` holds the normal and the witnesses, relative to a's translation and without the rounding radii.
     """
     pairs = queue.pairs
     k, ka = pairs.pair[lane], pairs.pose_a[lane]
+    value, gap, tolerance, ra, rb = measured
     # The ellipsoids' own bound may be the better one. A value far below it is none, whatever its own bounds say.
     gap = min(gap, abs(value - queue.below[lane]))
     if not gap <= tolerance * queue.size[lane]:

@@ -55,12 +55,11 @@ from loewner._kernels.pipeline.workspace import (
 from loewner._kernels.simd.vectors import SINGLE_LANES, prefetch
 from loewner._kernels.trees import piece_tree
 
-# Results of `_flush` for a block, which may change how the next one starts: mostly pairs far apart; mostly pairs that
-# single precision could not settle; or a pose that is not a rigid motion.
+# Hints of one block for the next one, and flags of `_flush`: mostly pairs far apart; mostly pairs that single precision
+# could not settle.
 FAR, CLOSE = 1, 2
-FAULTY = -1
 
-# Flags for `_flush`.
+# Further flags of `_flush`.
 DISTINCT = 4  # no pair of bodies is listed twice, since each body is one piece
 CONSECUTIVE = 8  # the listed pairs are consecutive
 PREFETCHING = 16  # the list `ahead` contains the entries of a later block
@@ -121,7 +120,7 @@ def is_identity(T):
 
 @njit()
 def _culled(query, flags, count, single, work):
-    """Drop listed pairs whose bounding spheres are apart; return the number left, or FAULTY for a faulty pose."""
+    """Drop listed pairs whose bounding spheres are apart; return whether poses are rigid, and the number left."""
     a, b = pieces_of(query.a), pieces_of(query.b)
     listed, ahead, tier = listed_of(work), ahead_of(work), tier_of(work)
     prefetching = flags & PREFETCHING != 0
@@ -133,13 +132,13 @@ def _culled(query, flags, count, single, work):
         count, query.margin, prefetching, a.hot, query.poses_a, query.moved_a, b.hot, query.poses_b, query.moved_b,
         listed, ahead, tier,
     )  # fmt: skip
-    if not done:
-        return FAULTY
     left = 0
+    if not done:
+        return False, left
     for lane in range(count):
         pair_list.copy(listed, left, listed, lane)
         left += tier[lane] != BY_SPHERE
-    return left
+    return True, left
 
 
 @njit()
@@ -281,29 +280,31 @@ def _flush(query, flags, count, work, out, tally):
 
     Returns
     -------
-    int
-        FAR | CLOSE, which determine how the next block starts, or FAULTY.
+    rigid : bool
+        Whether all poses are rigid motions.
+    hints : int
+        FAR | CLOSE, which determine how the next block starts.
     """
     a, b = pieces_of(query.a), pieces_of(query.b)
     Ta, Tb = borrowed(query.poses_a), borrowed(query.poses_b)
     listed, tier, carried = listed_of(work), tier_of(work), carried_of(work)
-    total = count
+    total, hints = count, flags & (FAR | CLOSE)
     fill(listed, count)
     single = len(a.single) > 0 and len(b.single) > 0 and flags & CLOSE == 0
     if flags & FAR:
-        count = _culled(query, flags, count, single, work)
-        if count == FAULTY:
-            return FAULTY
+        rigid, count = _culled(query, flags, count, single, work)
+        if not rigid:
+            return False, hints
         if count == 0:
             tally[BY_SPHERE] += total
-            return flags & (FAR | CLOSE)
+            return True, hints
         fill(listed, count)
     unsure = 0
     if query.margin > 0.0 or flags & BEST:
         if not certificate.certify_best(
             count, query.margin, a.hot, Ta, query.moved_a, b.hot, Tb, query.moved_b, listed, tier, normals_of(work)
         ):
-            return FAULTY
+            return False, hints
     else:
         prefetching = flags & (PREFETCHING | FAR) == PREFETCHING
         done = single and certificate.single_certify(
@@ -315,14 +316,14 @@ def _flush(query, flags, count, work, out, tally):
             normals_of(work),
         )  # fmt: skip
         if not done:
-            return FAULTY
+            return False, hints
         for lane in range(count):
             unsure += tier[lane] == UNSURE
         if flags & DISTINCT and carried[N_UNSURE] + unsure <= BLOCK:
             if unsure > 0:
                 carried[N_UNSURE] = _put_aside(count, listed, tier, carried[N_UNSURE], unsure_of(work))
         elif unsure > 0 and not _improved(query, count, work):
-            return FAULTY
+            return False, hints
 
     if query.mode == CERTIFY and (has_parts(a) or has_parts(b)):
         for lane in range(count):
@@ -353,10 +354,10 @@ def _flush(query, flags, count, work, out, tally):
             verdict = np.int8(COLLIDING) * (tier[lane] == BY_INNER) + unsettled * (tier[lane] == OPEN)
             before = out[k]
             out[k] = before if (before == COLLIDING) | (verdict == FREE) else verdict
-    found = FAR * (2 * far > total) | CLOSE * ((2 * unsure > count) | (flags & CLOSE != 0))
+    hints = FAR * (2 * far > total) | CLOSE * ((2 * unsure > count) | (flags & CLOSE != 0))
     if query.mode != EXACT:
         tally[OPEN] += left
-        return found
+        return True, hints
     turn = 1 - carried[HALF]
     held = _hold(a, b, count, turn, work)
     if flags & DISTINCT:
@@ -364,7 +365,7 @@ def _flush(query, flags, count, work, out, tally):
         carried[N_HELD], carried[HALF] = held, turn
     elif held > 0:
         _search(query, turn, held, 0, 1, work, out, tally)
-    return found
+    return True, hints
 
 
 @inline
@@ -473,7 +474,7 @@ def settle_range(mode, margin, start, stop, plan, rows, pack_a, Ta, pack_b, Tb, 
         listed, ahead, carried = listed_of(work), ahead_of(work), carried_of(work)
         last = shape.shape[0] - 1
         step = body_a[last], body_b[last], pose_a[last], pose_b[last]
-        found = 0
+        hints = 0
         k = start
         while k < stop:
             count = 0
@@ -493,9 +494,9 @@ def settle_range(mode, margin, start, stop, plan, rows, pack_a, Ta, pack_b, Tb, 
                 count += more
                 k += more
             out[k - count : k] = FREE
-            flags = found | DISTINCT | CONSECUTIVE | PREFETCHING * (k + LEAD <= stop)
-            found = _flush(query, flags, count, work, out, tally)
-            if found == FAULTY:
+            flags = hints | DISTINCT | CONSECUTIVE | PREFETCHING * (k + LEAD <= stop)
+            rigid, hints = _flush(query, flags, count, work, out, tally)
+            if not rigid:
                 return False
             waiting = carried[N_UNSURE]
             if waiting >= ENOUGH or (waiting > 0 and k == stop):
@@ -503,7 +504,7 @@ def settle_range(mode, margin, start, stop, plan, rows, pack_a, Ta, pack_b, Tb, 
                 carried[N_UNSURE] = 0
                 for lane in range(waiting):
                     pair_list.copy(listed, lane, unsure_of(work), lane)
-                if _flush(query, DISTINCT | BEST, waiting, work, out, tally) == FAULTY:
+                if not _flush(query, DISTINCT | BEST, waiting, work, out, tally)[0]:
                     return False
         if carried[N_HELD] + carried[N_WALKING] > 0:
             _search(query, carried[HALF], carried[N_HELD], 0, 1, work, out, tally)
@@ -514,7 +515,7 @@ def settle_range(mode, margin, start, stop, plan, rows, pack_a, Ta, pack_b, Tb, 
     numbers = np.empty(piece_tree.NUMBERS)
     found_a = np.empty(BLOCK, np.int64)
     found_b = np.empty(BLOCK, np.int64)
-    flags, filled = 0, 0
+    hints, filled = 0, 0
     for k in range(start, stop):
         ia, ib, ka, kb = rows_of(k, shape, rows, body_a, body_b, pose_a, pose_b)
         # The trees may leave no piece pair at all; the poses would then remain unchecked.
@@ -530,8 +531,8 @@ def settle_range(mode, margin, start, stop, plan, rows, pack_a, Ta, pack_b, Tb, 
                 pair_list.put(listed_of(work), filled, k, found_a[c], found_b[c], ka, kb)
                 filled += 1
                 if filled == BLOCK:
-                    flags = _flush(query, flags, filled, work, out, tally)
-                    if flags == FAULTY:
+                    rigid, hints = _flush(query, hints, filled, work, out, tally)
+                    if not rigid:
                         return False
                     filled = 0
-    return filled == 0 or _flush(query, flags, filled, work, out, tally) != FAULTY
+    return filled == 0 or _flush(query, hints, filled, work, out, tally)[0]

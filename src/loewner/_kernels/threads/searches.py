@@ -12,6 +12,7 @@ import numpy as np
 from loewner._kernels._jit import inline
 from loewner._kernels.codes import APART, TOUCHING, UNSETTLED
 from loewner._kernels.columns import (
+    CONE,
     CORE_CENTER,
     CORE_FACTOR,
     CORE_INTEGERS,
@@ -130,12 +131,14 @@ def _farthest_of_curve(core, n):
     if core.kind == ELLIPSOID:
         around = 1.0 / sqrt(maximum(dot(m, m), tiny))
         along = around * m[2]
-    elif core.kind != SEGMENT:
+    elif core.kind == CYLINDER or core.kind == CONE:
         length = sqrt(maximum(m[0] * m[0] + m[1] * m[1], tiny))
         around = 1.0 / length
-        if core.kind != CYLINDER:  # the base of a cone and its apex compete: |xy| - z against z
+        if core.kind == CONE:  # its base circle and its apex compete: |xy| - z against z
             apex = m[2] > length - m[2]
             around, along = select(apex, nought, around), select(apex, lane_of(1.0), lane_of(-1.0))
+    elif core.kind != SEGMENT:
+        along = lane_of(np.nan)  # a kind without a branch: the search proves nothing, and the CPU settles the pair
     return image(F, center, (around * m[0], around * m[1], along))
 
 

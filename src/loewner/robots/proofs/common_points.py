@@ -165,12 +165,11 @@ class _Piece:
         u = back @ (x - self.points[0])
         across = np.append(u[:2], 0.0) / np.hypot(*u[:2]) if u[:2].any() else np.eye(3)[0]
         up = np.eye(3)[2]
-        if self.kind == columns.ELLIPSOID:
-            rows = [u / np.linalg.norm(u) if u.any() else up]
-        elif self.kind == columns.CYLINDER:
-            rows = [across, up, -up]
-        else:
-            rows = [2.0 * across + up, -up]
+        rows = {
+            columns.ELLIPSOID: [u / np.linalg.norm(u) if u.any() else up],
+            columns.CYLINDER: [across, up, -up],
+            columns.CONE: [2.0 * across + up, -up],
+        }[self.kind]  # written proofs refuse other kinds
         return _turned(np.column_stack([rows, 1.0 - rows @ u]), back)
 
     def vertices_about(self, point: Floats) -> Iterator[tuple[int, ...]]:

@@ -28,6 +28,7 @@ from loewner._kernels import codes
 from loewner._kernels import columns as kernel_columns
 from loewner._kernels.records import Tree
 from loewner.bodies import Packed
+from loewner.bodies.kinds import ROUND
 from loewner.errors import InputError
 from loewner.robots.checking import distances, verdicts
 from loewner.robots.checking.checked_pairs import prepared
@@ -65,9 +66,6 @@ UP = 1.0 + 1e-5
 # the size of curved pieces. The last one covers searches that stop beside the best direction: their error was measured
 # as 7.1e-6 at most, where cylinders have a common axis.
 OF_DEPTH, OF_LENGTHS, OF_CURVED = 1e-6, 1e-12, 1e-4
-
-# Kinds of pieces whose cores are curved.
-CURVED = (kernel_columns.ELLIPSOID, kernel_columns.CYLINDER, kernel_columns.CONE)
 
 # Verdicts that more boxes may change.
 UNDECIDED = (PairVerdict.CAN, PairVerdict.OPEN)
@@ -119,7 +117,8 @@ class _Question:
         self.levers, travel = _levers(self.ready, 0, self.lower, self.upper)
         packed = self.ready.packed
         sizes = packed.kernel.table[:, kernel_columns.OUTER_RADIUS]
-        curved = np.isin(packed.layout[:, kernel_columns.KIND], CURVED)
+        kinds = packed.layout[:, kernel_columns.KIND]
+        curved = (kinds > kernel_columns.POLYTOPE) & ~np.isin(kinds, ROUND)
         lengths = self.ready.chain[1] + travel + packed.kernel.table[:, kernel_columns.REACH].max()
         self.rounding = OF_LENGTHS * float(lengths) + OF_CURVED * float(sizes[curved].max(initial=0.0))
 

@@ -21,14 +21,18 @@ from loewner._base._validate import Bools, Floats, Ints
 from loewner._kernels import columns
 from loewner._kernels.records import Tree
 from loewner.bodies import Packed
+from loewner.bodies.kinds import KIND_NAMES
 from loewner.bodies.pack import join
 from loewner.errors import InputError
 from loewner.robots.checking.problem import Problem
 
 # Kinds of joints and of pieces in the format.
 STAYS, TURNS, SLIDES = 0, 1, 2
-HULL, BALL, CYLINDER, CONE = 0, 1, 2, 3
-_CURVED = {columns.ELLIPSOID: BALL, columns.CYLINDER: CYLINDER, columns.CONE: CONE}
+HULL = 0
+# What kernels call the kinds of pieces, from HULL on, and how far the points of their unit shapes are from the origin.
+# Pieces with a ball are hulls of their cores.
+KINDS = columns.POLYTOPE, columns.ELLIPSOID, columns.CYLINDER, columns.CONE
+FARTHEST = 0.0, 1.0, np.sqrt(2.0), np.sqrt(2.0)
 
 # Where rules allow contact: at the start of motions, at their end, or at both (the sum).
 AT_START, AT_END = 1, 2
@@ -304,17 +308,19 @@ def pieces_of(packed: Packed) -> Pieces:
     kinds, corners = [], []
     for row, frame in zip(packed.layout.tolist(), packed.frames, strict=True):
         kind = row[columns.KIND]
-        kinds.append(_CURVED.get(kind, HULL))
+        kinds.append(KINDS.index(kind) if kind in KINDS else HULL)
         center, factor = frame[1:4], frame[4:].reshape(3, 3)
-        if kind in _CURVED:
+        if kinds[-1] != HULL:
             corners.append(np.vstack([center, factor]))
         elif kind == columns.POINT:
             corners.append(center[None])
         elif kind == columns.SEGMENT:
             corners.append(np.stack([center - factor[:, 2], center + factor[:, 2]]))
-        else:
+        elif kind <= columns.POLYTOPE:
             own = packed.points[row[columns.POINTS_FROM] : row[columns.POINTS_TO]]
             corners.append(np.unique(own + 0.0, axis=0) if kind <= columns.SURFACE else own)
+        else:
+            raise InputError(f"proof: expected pieces of a kind that the format has, found a {KIND_NAMES[kind]}")
     return Pieces(packed.piece_start, np.array(kinds, dtype=np.int64), packed.frames[:, 0], corners)
 
 

@@ -16,12 +16,12 @@ import numpy as np
 from loewner._base._rotations import rotations_of
 from loewner._base._validate import Bools, Floats, Ints
 from loewner._kernels import columns as kernel_columns
-from loewner.bodies import Body, bodies_of
+from loewner.bodies import CURVED, Body, bodies_of
 from loewner.bodies.pack import some
 from loewner.errors import ConvergenceError, InputError
 from loewner.queries import pairs as queries
 from loewner.robots.checking.problem import Problem
-from loewner.robots.proofs.proof_models import BALL, CONE, CYLINDER, HULL, LARGEST, SLIDES, STAYS, TURNS, Links, Model
+from loewner.robots.proofs.proof_models import FARTHEST, HULL, KINDS, LARGEST, SLIDES, STAYS, TURNS, Links, Model
 from loewner.robots.proofs.written_proofs import FARTHEST_TURN, RANGES, VERSION, Proof, assembled
 
 # Files are not larger [bytes], and take checkers fewer products of a point and a normal.
@@ -218,9 +218,8 @@ class _Shape:
             (points if kind == HULL else points[:1]) @ M.T + s for kind, points in zip(self.kind, own, strict=True)
         ]
         self.factor = [None if kind == HULL else M @ points[1:] for kind, points in zip(self.kind, own, strict=True)]
-        wide = {HULL: 0.0, BALL: 1.0, CYLINDER: np.sqrt(2.0), CONE: np.sqrt(2.0)}
         radii = np.concatenate([
-            np.full(len(points), r + (0.0 if G is None else wide[int(kind)] * np.linalg.norm(G)))
+            np.full(len(points), r + (0.0 if G is None else FARTHEST[kind] * np.linalg.norm(G)))
             for points, r, kind, G in zip(self.points, self.radius, self.kind, self.factor, strict=True)
         ])  # fmt: skip
         points = np.concatenate(self.points)
@@ -247,13 +246,7 @@ class _Shape:
         for k in range(*part):
             far, G = (n @ self.points[k].T).max(axis=1) + self.radius[k] * norm, self.factor[k]
             if G is not None:
-                g = n @ G
-                flat, along = np.hypot(g[:, 0], g[:, 1]), g[:, 2]
-                kind = int(self.kind[k])
-                if kind == BALL:
-                    far += np.linalg.norm(g, axis=1)
-                else:
-                    far += flat + np.abs(along) if kind == CYLINDER else np.maximum(along, flat - along)
+                far += CURVED[KINDS[self.kind[k]]].support(n @ G)
             np.maximum(best, far, out=best)
         return best
 

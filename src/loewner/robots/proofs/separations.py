@@ -17,13 +17,13 @@ from numpy.typing import NDArray
 from loewner._base._rotations import rotations_of
 from loewner._base._validate import Floats, Ints
 from loewner._kernels import records
-from loewner._kernels.columns import BLOCK, CONE, CYLINDER, ELLIPSOID, KIND, POLYTOPE, SURFACE
+from loewner._kernels.columns import BLOCK, KIND, SURFACE
 from loewner._native import entries
 from loewner.errors import ConvergenceError
 from loewner.robots.checking.problem import Problem
 from loewner.robots.proofs import contacts
 from loewner.robots.proofs.courses import between, configurations
-from loewner.robots.proofs.proof_models import AT_END, AT_START, HULL, SLIDES, Model
+from loewner.robots.proofs.proof_models import AT_END, AT_START, HULL, KINDS, SLIDES, Model
 
 # Tokens of the trees whose planes have normals of 16 bits a coordinate, and of doubles; 3 refers to the last plane.
 NORMAL, DOUBLES = 16, 18
@@ -42,9 +42,6 @@ MOST_HALVED = 15
 
 # Least distances below 0 are raised by this share for the search, which adds room for rounding to sums in proportion.
 DEPTH_ROOM = 4e-9
-
-# The number that kernels use for each kind of piece in the format.
-_KINDS = np.array([POLYTOPE, ELLIPSOID, CYLINDER, CONE])
 
 # The model of two bodies that do not move has no joints of a robot.
 _NONE = np.empty(0, dtype=np.int64)
@@ -384,7 +381,7 @@ def clusters_of(model: Model) -> Clusters:
     points = records.aligned(4 * len(rows))
     points[:] = np.column_stack([placed, pieces.radius[piece]]).reshape(-1, BLOCK, 4).transpose(0, 2, 1).ravel()
     table = np.zeros((len(counts), 14))
-    table[:, 0], table[:, 1] = _KINDS[pieces.kind], pieces.radius
+    table[:, 0], table[:, 1] = np.array(KINDS)[pieces.kind], pieces.radius
     at = np.flatnonzero(curved)
     if len(at):
         own, M = np.stack([pieces.points[k] for k in at]), model.turn[body_of[at]]
