@@ -252,62 +252,6 @@ static void add_link(State *state, int64_t number, const Body *body, const Tree 
                (double *)state->tree.constants + LINK_CONSTANTS * number);
 }
 
-/* List the joints between the world and each link, in the form of `records.MotionTables`. */
-static loewner_status list_paths(State *state)
-{
-    const Tree *tree = &state->tree;
-    int64_t total = 0, *count = room(state, tree->links, 8);
-    state->path_start = room(state, tree->links + 1, 8);
-    if (count == NULL || state->path_start == NULL)
-        return no_memory();
-    for (int64_t k = 0; k < tree->links; k++) {
-        count[k] = (tree->parent[k] >= 0 ? count[tree->parent[k]] : 0) + (tree->kind[k] != FIXED);
-        total += count[k];
-        state->path_start[k + 1] = total;
-    }
-    state->path_link = room(state, total, 8);
-    if (state->path_link == NULL)
-        return no_memory();
-    for (int64_t k = 0; k < tree->links; k++) {
-        int64_t at = state->path_start[k + 1];
-        for (int64_t link = k; link >= 0; link = tree->parent[link])
-            if (tree->kind[link] != FIXED)
-                state->path_link[--at] = link;
-    }
-    return LOEWNER_OK;
-}
-
-static int64_t depth_of(const State *state, int64_t link)
-{
-    return state->path_start[link + 1] - state->path_start[link];
-}
-
-/* How far the product of all rotations departs from orthonormality, see `motion_tables.py`. */
-static double bend_of(const Tree *tree)
-{
-    const double diagonal = sqrt(0.5); /* of eighths of a turn */
-    const double cosines[8] = {1, diagonal, 0, -diagonal, -1, -diagonal, 0, diagonal};
-    double total = 0;
-    for (int64_t link = 0; link < tree->links; link++) {
-        const double *row = tree->constants + LINK_CONSTANTS * link;
-        int turns = tree->kind[link] == REVOLUTE || tree->kind[link] == PLANAR;
-        double worst = 0;
-        for (int step = 0; step < 8; step++) {
-            double sine = turns ? cosines[(step + 6) % 8] : 0, cosine = turns ? cosines[step] : 1, R[9], squares = 0;
-            for (int k = 0; k < 9; k++)
-                R[k] = row[k] + sine * row[SINE + k] + cosine * row[COSINE + k];
-            for (int a = 0; a < 3; a++)
-                for (int b = 0; b < 3; b++) {
-                    double off = R[a] * R[b] + R[3 + a] * R[3 + b] + R[6 + a] * R[6 + b] - (a == b);
-                    squares += off * off;
-                }
-            worst = fmax(worst, sqrt(squares));
-        }
-        total += 2 * worst;
-    }
-    return total;
-}
-
 /* -- pairs --------------------------------------------------------------------------------------------------------- */
 
 static const Rule *rule_of(const loewner_checker *checker, int32_t a, int32_t b)
@@ -318,76 +262,13 @@ static const Rule *rule_of(const loewner_checker *checker, int32_t a, int32_t b)
     return NULL;
 }
 
-/* The number of a pair of bodies in the file, a < b; -1 if it is not checked there. */
-static int64_t listed_pair(const File *file, int64_t a, int64_t b)
+/* The row of a table that begins with two bodies, a < b; -1 if there is none. */
+static int64_t row_of(const int64_t *rows, int64_t count, int64_t width, int64_t a, int64_t b)
 {
-    int64_t low = 0, high = file->pairs;
-    while (low < high) {
-        int64_t middle = (low + high) / 2;
-        const int64_t *pair = file->pair_list + 2 * middle;
-        if (pair[0] < a || (pair[0] == a && pair[1] < b))
-            low = middle + 1;
-        else
-            high = middle;
-    }
-    const int64_t *pair = file->pair_list + 2 * low;
-    return low < file->pairs && pair[0] == a && pair[1] == b ? low : -1;
-}
-
-/* The number of the file's rule for two static bodies, a < b; -1 if there is none. */
-static int64_t rule_of_file(const File *file, int32_t a, int32_t b)
-{
-    for (int64_t k = 0; k < file->rule_count; k++)
-        if (file->rules[3 * k] == a && file->rules[3 * k + 1] == b)
+    for (int64_t k = 0; k < count; k++)
+        if (rows[width * k] == a && rows[width * k + 1] == b)
             return k;
     return -1;
-}
-
-/* Whether an attached body may touch another one: the own body of one of its touch links. */
-static int touches(const loewner_checker *checker, const Body *body, const Body *other)
-{
-    int is_of_robot = other->link >= 0 && !other->is_attached;
-    int is_own = is_of_robot && strcmp(other->name, loewner_checker_link_name(checker, (int32_t)other->link)) == 0;
-    for (size_t k = 0; body->is_attached && is_own && k < body->touch_count; k++)
-        if (body->touch[k] == other->link)
-            return 1;
-    return 0;
-}
-
-/* Whether two bodies are checked against each other, and how far apart they have to stay. */
-static int is_checked(const loewner_checker *checker, int32_t x, int32_t y, double *margin)
-{
-    int32_t a = x < y ? x : y, b = x < y ? y : x;
-    const File *file = checker->file;
-    const Body *one = checker->bodies + a, *other = checker->bodies + b;
-    const Rule *rule = rule_of(checker, a, b);
-    int is = 1, is_lowered = 0;
-    *margin = 0;
-    for (int side = 0; side < 2; side++) { /* `_margins` of checked_pairs.py, for pairs with at most one link */
-        int32_t body = side == 0 ? a : b;
-        if (body < file->bodies) {
-            *margin = fmax(*margin, file->own[body]);
-            is_lowered |= file->lowered[body] != 0;
-        }
-    }
-    *margin = is_lowered ? *margin : fmax(*margin, file->margin);
-    /* For a body that moves in the file, the file lists all pairs. */
-    if (a < file->moving && b < file->bodies) {
-        int64_t pair = listed_pair(file, a, b);
-        is = pair >= 0;
-        if (is)
-            *margin = file->margins[pair];
-    }
-    int64_t known = rule_of_file(file, a, b);
-    if (known >= 0) {
-        is = !file->rules[3 * known + 2];
-        *margin = file->rule_margins[known] >= 0 ? file->rule_margins[known] : *margin;
-    }
-    if (rule != NULL && rule->has_allowed)
-        is = !rule->allowed;
-    if (rule != NULL && rule->has_margin)
-        *margin = rule->margin;
-    return is && !touches(checker, one, other) && !touches(checker, other, one);
 }
 
 /* Whether the bodies are exactly the bodies of the file, all present, with its pairs. */
@@ -399,98 +280,105 @@ static int is_as_saved(const loewner_checker *checker)
     return is;
 }
 
-/* Choose the pairs; returns how many, or -1 where memory is short. Called with no arrays first, to count. */
-static int64_t choose_pairs(const loewner_checker *checker, const State *state, int64_t *pairs, double *margins)
+enum { RULE = 4 };
+
+/* Rules for pairs, as `list_pairs` takes them. */
+typedef struct {
+    int64_t *rows, count;
+    double *margins;
+} Rules;
+
+/* Append a rule for two bodies: `touch` is -1 if it is about the margin only, and `margin` if it has none. */
+static void add_rule(const State *state, Rules *rules, int64_t a, int64_t b, int64_t touch, double margin)
 {
-    int64_t count = 0, bodies = state->moving + state->standing;
-    for (int64_t i = 0; i < state->moving; i++) {
-        int64_t thing = rigid_link(&state->tree, state->link[i]);
-        for (int64_t j = i + 1; j < bodies; j++) {
-            double margin;
-            if ((j < state->moving && rigid_link(&state->tree, state->link[j]) == thing) ||
-                !is_checked(checker, state->body[i], state->body[j], &margin))
-                continue;
-            if (pairs != NULL) {
-                pairs[2 * count] = i;
-                pairs[2 * count + 1] = j;
-                margins[count] = margin;
-            }
-            count++;
-        }
-    }
-    return count;
+    const int64_t row[RULE] = {state->place[a], state->place[b], touch, 1};
+    memcpy(rules->rows + RULE * rules->count, row, sizeof row);
+    rules->margins[rules->count++] = margin;
 }
 
-/* List the pairs of each moving body with static ones in groups of eight, filled up with repeats: `pairs_in_groups`. */
-static loewner_status list_groups(State *state)
+/* Rules of the file, of the user, and of attached bodies, which may touch the own bodies of their touch links. */
+static void list_rules(const loewner_checker *checker, const State *state, Rules *rules)
 {
-    int64_t count = state->pairs, at = 0;
-    for (int64_t body = 0, k = 0; body < state->moving; body++) {
-        int64_t filled = 0;
-        for (; k < count && state->rows[k] == body; k++)
-            filled += state->rows[count + k] >= state->moving;
-        state->group_start[body + 1] = state->group_start[body] + (filled + LANES - 1) / LANES;
+    const File *file = checker->file;
+    int64_t at = 0;
+    for (int64_t a = 0; a < file->moving; a++) /* of a body that moves in the file, the file lists all pairs */
+        for (int64_t b = a + 1; b < file->bodies; b++) {
+            const int64_t *pair = file->pair_list + 2 * at;
+            int is_listed = at < file->pairs && pair[0] == a && pair[1] == b;
+            add_rule(state, rules, a, b, !is_listed, is_listed ? file->margins[at] : -1);
+            at += is_listed;
+        }
+    for (int64_t k = 0; k < file->rule_count; k++) {
+        const int64_t *rule = file->rules + 3 * k;
+        add_rule(state, rules, rule[0], rule[1], rule[2], file->rule_margins[k]);
     }
-    state->groups = state->group_start[state->moving];
-    state->group_pairs = room(state, LANES * state->groups, 8);
-    if (state->group_pairs == NULL)
+    for (const Rule *its = checker->rules; its < checker->rules + checker->rule_count; its++)
+        add_rule(state, rules, its->a, its->b, its->has_allowed ? its->allowed : -1, its->has_margin ? its->margin : -1);
+    for (int32_t b = 0; b < checker->body_count; b++)
+        for (size_t k = 0; k < checker->bodies[b].touch_count; k++) {
+            int32_t link = checker->bodies[b].touch[k];
+            int32_t other = loewner_checker_find_body(checker, loewner_checker_link_name(checker, link));
+            if (other >= 0 && checker->bodies[other].link == link && !checker->bodies[other].is_attached)
+                add_rule(state, rules, b, other, 1, -1);
+        }
+}
+
+/* Choose the pairs among all that contain a moving body, for which there is room. */
+static loewner_status choose_pairs(const loewner_checker *checker, State *state, int64_t most)
+{
+    const File *file = checker->file;
+    int64_t bodies = state->moving + state->standing, count = file->moving * file->bodies + file->rule_count;
+    count += (int64_t)checker->rule_count;
+    for (int32_t b = 0; b < checker->body_count; b++)
+        count += (int64_t)checker->bodies[b].touch_count;
+    double *own = calloc((size_t)(5 * bodies + (RULE + 1) * count) + 1, sizeof *own);
+    if (own == NULL)
         return no_memory();
-    for (int64_t body = 0, k = 0; body < state->moving; body++) {
-        for (; k < count && state->rows[k] == body; k++)
-            if (state->rows[count + k] >= state->moving)
-                state->group_pairs[at++] = k;
-        for (; at < LANES * state->group_start[body + 1]; at++)
-            state->group_pairs[at] = state->group_pairs[at - 1];
-    }
-    return LOEWNER_OK;
+    int64_t *marks = (int64_t *)(own + 2 * bodies);
+    Rules rules = {marks + 3 * bodies, 0, (double *)(marks + 3 * bodies + RULE * count)};
+    for (int64_t k = 0; k < bodies; k++)
+        if (state->body[k] < file->bodies) {
+            own[2 * k] = file->own[state->body[k]];
+            marks[3 * k + 1] = file->lowered[state->body[k]];
+        }
+    list_rules(checker, state, &rules);
+    const Tree *tree = &state->tree;
+    loewner_status outcome = CALL(
+        list_pairs, &state->pairs, .parent = {tree->parent, tree->links}, .kind = {tree->kind, tree->links},
+        .link = {state->link, state->moving}, .marks = {marks, bodies, 3}, .own = {own, bodies, 2},
+        .least = {&file->margin, 1}, .rules = {rules.rows, rules.count, RULE},
+        .rule_margins = {rules.margins, rules.count}, .pairs = {state->pair_list, most, 2},
+        .margins = {state->margins, most});
+    free(own);
+    return outcome;
 }
 
 static loewner_status list_pairs(const loewner_checker *checker, State *state)
 {
     const File *file = checker->file;
-    int64_t count = state->pairs = state->is_as_saved ? file->pairs : choose_pairs(checker, state, NULL, NULL);
-    state->pair_list = room(state, 2 * count, 8);
-    state->margins = room(state, count, 8);
-    state->order = room(state, count, 8);
-    state->motion_order = room(state, count, 8);
-    state->rows = room(state, 2 * count, 8);
-    state->group_start = room(state, state->moving + 1, 8);
-    if (state->pair_list == NULL || state->margins == NULL || state->order == NULL || state->motion_order == NULL ||
-        state->rows == NULL || state->group_start == NULL)
+    int64_t bodies = state->moving + state->standing;
+    int64_t most = state->is_as_saved ? file->pairs : state->moving * (2 * bodies - state->moving - 1) / 2;
+    state->pair_list = room(state, 2 * most, 8);
+    state->margins = room(state, most, 8);
+    state->order = room(state, most, 8);
+    state->rows = room(state, 2 * most, 8);
+    if (state->pair_list == NULL || state->margins == NULL || state->order == NULL || state->rows == NULL)
         return no_memory();
+    state->pairs = most;
     if (state->is_as_saved) {
-        memcpy(state->pair_list, file->pair_list, (size_t)count * 16);
-        memcpy(state->margins, file->margins, (size_t)count * 8);
-        memcpy(state->order, file->order, (size_t)count * 8);
-    } else {
-        choose_pairs(checker, state, state->pair_list, state->margins);
-        for (int64_t k = 0; k < count; k++)
-            state->order[k] = k;
-    }
-    for (int64_t k = 0; k < count; k++) {
+        memcpy(state->pair_list, file->pair_list, (size_t)most * 16);
+        memcpy(state->margins, file->margins, (size_t)most * 8);
+    } else
+        TRY(choose_pairs(checker, state, most));
+    for (int64_t k = 0; k < state->pairs; k++) {
+        state->order[k] = state->is_as_saved ? file->order[k] : k;
         state->rows[k] = state->pair_list[2 * k];
-        state->rows[count + k] = state->pair_list[2 * k + 1];
+        state->rows[state->pairs + k] = state->pair_list[2 * k + 1];
     }
-    /* Proofs of motions begin with the bodies far out on the robot: a stable sort by counting. */
-    int64_t deepest = 0, at = 0;
-    for (int64_t k = 0; k < state->moving; k++)
-        deepest = depth_of(state, state->link[k]) > deepest ? depth_of(state, state->link[k]) : deepest;
-    for (int64_t depth = deepest; depth >= 0; depth--)
-        for (int64_t k = 0; k < count; k++)
-            if (depth_of(state, state->link[state->rows[k]]) == depth)
-                state->motion_order[at++] = k;
-    return list_groups(state);
+    return LOEWNER_OK;
 }
 
 /* -- halves -------------------------------------------------------------------------------------------------------- */
-
-/* How long a chain of links is, from the world's origin to the origin of one: at most the sum of its translations. */
-static double length_of(const Tree *tree, int64_t link)
-{
-    const double *shift = tree->constants + LINK_CONSTANTS * link + TRANSLATION;
-    double own = sqrt(shift[0] * shift[0] + shift[1] * shift[1] + shift[2] * shift[2]);
-    return own + (tree->parent[link] >= 0 ? length_of(tree, tree->parent[link]) : 0);
-}
 
 /* Place the static bodies that have moved where they are, since no other thread may query this checker meanwhile. */
 static loewner_status place(const State *state, Half *half)
@@ -520,72 +408,32 @@ static loewner_status measure(const loewner_checker *checker, Half *half, int is
 static loewner_status make_half(const loewner_checker *checker, State *state, Cutting cutting, int is_for_motions)
 {
     Half *half = state->halves + cutting;
-    int64_t bodies = state->moving + state->standing, links = state->tree.links, pairs = state->pairs;
+    const Tree *tree = &state->tree;
+    int64_t links = tree->links, pairs = state->pairs;
     if (state->is_as_saved)
         half->pack = checker->file->packs[cutting];
     else
         TRY(join(checker, state, cutting, half));
     half->pieces = table_of(&half->pack);
-    int64_t pieces = half->pack.piece_start[bodies] - half->pack.piece_start[state->moving];
-    half->ball = room(state, 5 * state->moving, 8);
-    half->chain = room(state, 3, 8);
-    if (half->ball == NULL || half->chain == NULL)
-        return no_memory();
-    int64_t deepest = 0;
-    double longest = 0;
-    for (int64_t k = 0; k < state->moving; k++) {
-        double far = 0;
-        for (int64_t p = half->pack.piece_start[k]; p < half->pack.piece_start[k + 1]; p++)
-            far = fmax(far, half->pack.table[COLUMNS * p + REACH]);
-        longest = fmax(longest, length_of(&state->tree, state->link[k]) + far);
-        deepest = depth_of(state, state->link[k]) > deepest ? depth_of(state, state->link[k]) : deepest;
-    }
-    half->chain[0] = (double)(1 + deepest);
-    half->chain[1] = longest * STRETCH;
-    half->chain[2] = bend_of(&state->tree);
-    /* Words of the arrays that depend on poses; the last one starts as NaN, which differs from all poses. */
-    const int64_t sizes[] = {
-        bodies * links, pieces * HOT, state->standing, 8 * LANES * state->groups, state->standing * BOUNDS / 2,
-        pieces * HOT / 2, 16 * state->standing,
-    };
-    int64_t next = sizeof(Tables) / 8, words = next + CACHE_LINE / 8;
-    double *at[7];
-    for (int k = 0; k < 7; k++)
-        words += sizes[k];
-    half->block_words = words;
-    size_t bytes = ((size_t)words * 8 + CACHE_LINE - 1) / CACHE_LINE * CACHE_LINE;
-    double *block = half->block = aligned_alloc(CACHE_LINE, bytes);
-    if (block == NULL)
-        return no_memory();
-    memset(block, 0, (size_t)words * 8);
-    for (int k = 0; k < 7; k++) {
-        at[k] = block + next;
-        next += sizes[k];
-    }
-    for (int64_t k = 0; k < sizes[6]; k++)
-        at[6][k] = NAN;
-    const Tree *tree = &state->tree;
-    const struct problem problem = {
+    const struct problem given = {
         .parent = {tree->parent, links, 1}, .kind = {tree->kind, links, 1}, .column = {tree->column, links, 1},
         .multiplier = {tree->multiplier, links, 1}, .offset = {tree->offset, links, 1},
         .constants = {tree->constants, links, LINK_CONSTANTS}, .link = {state->link, state->moving, 1},
-        .ball = {half->ball, state->moving, 5}, .pairs = {state->pair_list, pairs, 2},
-        .margins = {state->margins, pairs, 1}, .order = {state->order, pairs, 1},
-        .standing = {at[4], state->standing, BOUNDS}, .standing_rows = {at[5], pieces, HOT},
-        .standing_poses = {at[6], state->standing, 16},
+        .pairs = {state->pair_list, pairs, 2}, .margins = {state->margins, pairs, 1},
+        .order = {state->order, pairs, 1},
     };
-    const struct motion_tables motions = {
-        .path_start = {state->path_start, links + 1, 1}, .path_link = {state->path_link, state->path_start[links], 1},
-        .reach = {at[0], bodies, links}, .standing_rows = {at[1], pieces, HOT}, .sizes = {at[2], state->standing, 1},
-        .order = {state->motion_order, pairs, 1}, .group_start = {state->group_start, state->moving + 1, 1},
-        .group_pairs = {state->group_pairs, LANES * state->groups, 1}, .groups = {at[3], 8 * LANES * state->groups, 1},
-        .chain = {half->chain, 3, 1},
-    };
-    Tables *tables = (Tables *)block;
-    *tables = (Tables){problem, motions};
-    half->handle = (int64_t)block;
-    TRY(CALL(measure_moving, NULL, .pack = (int64_t)&half->pieces, .problem_handle = half->handle,
-             .tables_handle = (int64_t)&tables->motions));
+    struct lay_out asked = {.pack = (int64_t)&half->pieces, .handle = (int64_t)&given};
+    struct lay_out_results made;
+    TRY(call(kernels()->lay_out, &asked, &made));
+    double *lasting = room(state, made.lasting_words, 8);
+    half->block_words = made.block_words;
+    half->block = aligned_alloc(CACHE_LINE, ((size_t)made.block_words * 8 + CACHE_LINE - 1) / CACHE_LINE * CACHE_LINE);
+    if (lasting == NULL || half->block == NULL)
+        return no_memory();
+    asked.lasting = (Array1){lasting, made.lasting_words};
+    asked.block = (Array1){half->block, made.block_words};
+    TRY(call(kernels()->lay_out, &asked, &made));
+    half->handle = made.made;
     TRY(place(state, half));
     return measure(checker, half, is_for_motions);
 }
@@ -643,7 +491,6 @@ static loewner_status assemble(const loewner_checker *checker, State *state)
         if (body->is_attached)
             add_link(state, state->link[k], body, &checker->file->tree);
     }
-    TRY(list_paths(state));
     TRY(list_pairs(checker, state));
     int has_cut = 0;
     for (int64_t k = 0; k < state->moving + state->standing; k++) {
@@ -1108,12 +955,13 @@ loewner_status loewner_checker_allow(loewner_checker *checker, int32_t a, int32_
     Rule *rule;
     TRY(its_rule(checker, a, b, &rule));
     const File *file = checker->file;
-    if (!allowed && rule->a < file->moving && rule->b < file->bodies && listed_pair(file, rule->a, rule->b) < 0)
+    if (!allowed && rule->a < file->moving && rule->b < file->bodies &&
+        row_of(file->pair_list, file->pairs, 2, rule->a, rule->b) < 0)
         return fail(LOEWNER_BAD_ARGUMENT,
                     "expected a pair that was checked when the file was saved, found %.100s and %.100s",
                     checker->bodies[rule->a].name, checker->bodies[rule->b].name);
     /* Pairs are checked unless the file excludes them; it may do so by a rule for two static bodies. */
-    rule->has_allowed = allowed || rule_of_file(file, rule->a, rule->b) >= 0;
+    rule->has_allowed = allowed || row_of(file->rules, file->rule_count, 3, rule->a, rule->b) >= 0;
     rule->allowed = allowed != 0;
     return LOEWNER_OK;
 }

@@ -53,7 +53,8 @@ ENTRIES = {
         Entry("robots.wrenches", "link_jacobians", "I1 I1 I1 F1 F1 F2 F2 i i i F1 F3", ""),
         Entry("robots.plane_trees", "measure_model", "i", ""),
         Entry("robots.plane_trees", "plane_trees", "i i F2 F2 f F2 U1 F2", "i i i f f"),
-        Entry("robots.standing", "measure_moving", "i i i", ""),
+        Entry("robots.pair_lists", "list_pairs", "I1 I1 I1 I2 F2 F1 I2 F1 I2 F1", "i"),
+        Entry("robots.pair_lists", "lay_out", "i i F1 F1", "i i i"),
         Entry("robots.standing", "place_static", "i i F1 F2", "i"),
         # -- distances
         Entry("pipeline.distances", "distance_range", "b i i I2 I2 i F3 i F3 i F2 F3 B1", "I2 F2"),
