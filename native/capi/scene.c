@@ -11,66 +11,29 @@ static _Atomic uint64_t serials = 1;
 
 /* -- memory of a state --------------------------------------------------------------------------------------------- */
 
-/* Memory that lives as long as the state; NULL if there is none. */
-static void *room(State *state, int64_t count, size_t size)
+/* Memory that lives as long as the state; its address is written to `field`. */
+static loewner_status room(State *state, void *field, int64_t count, size_t size)
 {
     size_t bytes = ((size_t)count * size + CACHE_LINE) / CACHE_LINE * CACHE_LINE; /* at least one line */
     void *made = aligned_alloc(CACHE_LINE, bytes);
     if (made == NULL || state->memory_count == (int)(sizeof state->memory / sizeof *state->memory)) {
         free(made);
-        return NULL;
+        return no_memory();
     }
     memset(made, 0, bytes);
+    memcpy(field, &made, sizeof made);
     state->memory[state->memory_count++] = made;
-    return made;
-}
-
-static void leave_half(Half *half)
-{
-    free(half->joined);
-    free(half->block);
+    return LOEWNER_OK;
 }
 
 static void leave_state(State *state)
 {
-    for (int k = 0; k < CUTTINGS; k++)
-        leave_half(state->halves + k);
     for (int k = 0; k < state->memory_count; k++)
         free(state->memory[k]);
     memset(state, 0, sizeof *state);
 }
 
 /* -- packs of chosen bodies ---------------------------------------------------------------------------------------- */
-
-typedef struct {
-    int64_t bodies, pieces, numbers, groups, parts;
-} Counts;
-
-/* Where the arrays of one body begin in its pack, and how long they are. */
-static void range_of(const Pack *pack, int64_t which, Counts *from, Counts *count)
-{
-    int64_t first = pack->piece_start[which], last = pack->piece_start[which + 1];
-    from->pieces = first;
-    count->pieces = last - first;
-    from->numbers = first < pack->pieces ? 3 * pack->layout[LAYOUT * first + POINTS_FROM] : pack->numbers;
-    int64_t end = last < pack->pieces ? 3 * pack->layout[LAYOUT * last + POINTS_FROM] : pack->numbers;
-    count->numbers = end - from->numbers;
-    count->groups = pack->roots[which] < 0 ? 0 : groups_of(last - first);
-    from->groups = pack->roots[which] + 1 - count->groups;
-    count->parts = 0;
-    for (int64_t p = first; pack->has_parts && p < last; p++)
-        count->parts += pack->part_start[PARTS * p + 2] - pack->part_start[PARTS * p];
-}
-
-/* Whether pieces of a body are solids. */
-static int is_solid(const Body *body)
-{
-    const Pack *pack = body->file->packs + WHOLE;
-    for (int64_t p = pack->piece_start[body->which]; p < pack->piece_start[body->which + 1]; p++)
-        if (pack->layout[LAYOUT * p + KIND_OF] == SOLID)
-            return 1;
-    return 0;
-}
 
 /* The first link with which one is rigidly joined; -1 is the world. */
 static int64_t rigid_link(const Tree *tree, int64_t link)
@@ -91,107 +54,25 @@ static const Pack *pack_of(const State *state, const Body *body, int64_t k, Cutt
     return body->file->packs + (is_whole ? WHOLE : cutting);
 }
 
-/* Append one body; `at` is where its arrays begin. */
-static void append(Pack *made, const Pack *pack, int64_t which, Counts *at)
-{
-    Counts from, count;
-    range_of(pack, which, &from, &count);
-    int64_t first = from.pieces, q = at->pieces, shift = (at->numbers - from.numbers) / 3;
-#define COPY(array, width, from_row, to_row, rows)                                                                     \
-    memcpy((void *)(made->array + (width) * (to_row)), pack->array + (width) * (from_row),                             \
-           (size_t)((width) * (rows)) * sizeof *made->array)
-    COPY(table, COLUMNS, first, q, count.pieces);
-    COPY(hot, HOT, first, q, count.pieces);
-    COPY(points, 1, from.numbers, at->numbers, count.numbers);
-    if (made->is_single && count.pieces > 0) {
-        COPY(single, HOT, first, q, count.pieces);
-        COPY(vertices, 1, from.numbers, at->numbers, count.numbers);
-    }
-    COPY(tree_groups, 48, from.groups, at->groups, count.groups);
-#undef COPY
-    int64_t *layout = (int64_t *)made->layout, *children = (int64_t *)made->children;
-    int64_t *part_start = (int64_t *)made->part_start;
-    double *part_rows = (double *)made->part_rows;
-    for (int64_t p = 0; p < count.pieces; p++) {
-        int64_t *row = layout + LAYOUT * (q + p);
-        memcpy(row, pack->layout + LAYOUT * (first + p), sizeof(int64_t) * LAYOUT);
-        row[POINTS_FROM] += shift;
-        row[POINTS_TO] += shift;
-        if (!made->has_parts)
-            continue;
-        const int64_t none[PARTS] = {0, 0, 0}, *rows = pack->has_parts ? pack->part_start + PARTS * (first + p) : none;
-        for (int k = 0; k < PARTS; k++)
-            part_start[PARTS * (q + p) + k] = rows[2] > rows[0] ? at->parts + rows[k] - rows[0] : 0;
-        memcpy(part_rows + HOT * at->parts, pack->part_rows + HOT * rows[0],
-               sizeof(double) * (size_t)(HOT * (rows[2] - rows[0])));
-        at->parts += rows[2] - rows[0];
-    }
-    for (int64_t c = 0; c < WIDE * count.groups; c++) {
-        int64_t child = pack->children[WIDE * from.groups + c];
-        children[WIDE * at->groups + c] = child >= 0                 ? child - from.groups + at->groups
-                                          : child == -1 && first > 0 ? -1
-                                                                     : ~(~child - first + q);
-    }
-    ((int64_t *)made->roots)[at->bodies] = count.groups == 0 ? -1 : at->groups + count.groups - 1;
-    at->bodies++;
-    at->pieces += count.pieces;
-    at->numbers += count.numbers;
-    at->groups += count.groups;
-    ((int64_t *)made->piece_start)[at->bodies] = at->pieces;
-}
-
 /* Make one pack of the bodies of a state. */
-static loewner_status join(const loewner_checker *checker, const State *state, Cutting cutting, Half *half)
+static loewner_status join(const loewner_checker *checker, State *state, Cutting cutting, Half *half)
 {
-    int64_t bodies = state->moving + state->standing;
-    Pack *made = &half->pack;
-    Counts total = {0}, at = {0};
-    *made = (Pack){.bodies = bodies, .is_single = 1};
+    int64_t bodies = state->moving + state->standing, *chosen, words;
+    struct pieces *packs;
+    TRY(room(state, &packs, bodies, sizeof *packs));
+    TRY(room(state, &chosen, 2 * bodies, 8));
     for (int64_t k = 0; k < bodies; k++) {
         const Body *body = checker->bodies + state->body[k];
-        const Pack *pack = pack_of(state, body, k, cutting);
-        Counts from, count;
-        range_of(pack, body->which, &from, &count);
-        total.pieces += count.pieces;
-        total.numbers += count.numbers;
-        total.groups += count.groups;
-        total.parts += count.parts;
-        made->is_single &= pack->is_single || count.pieces == 0;
-        made->has_parts |= pack->has_parts;
+        packs[k] = table_of(pack_of(state, body, k, cutting));
+        chosen[2 * k] = (int64_t)(packs + k);
+        chosen[2 * k + 1] = body->which;
     }
-    made->is_single &= total.pieces > 0;
-    made->pieces = total.pieces;
-    made->numbers = total.numbers;
-    made->groups = total.groups;
-    made->parts = total.parts;
-    int64_t starts = made->has_parts ? PARTS * total.pieces : 0;
-    const void **const arrays[] = {
-        (const void **)&made->table,       (const void **)&made->layout,    (const void **)&made->points,
-        (const void **)&made->piece_start, (const void **)&made->hot,       (const void **)&made->single,
-        (const void **)&made->tree_groups, (const void **)&made->children,  (const void **)&made->roots,
-        (const void **)&made->vertices,    (const void **)&made->part_rows, (const void **)&made->part_start,
-    };
-    const int64_t sizes[] = {
-        8 * COLUMNS * total.pieces, 8 * LAYOUT * total.pieces, 8 * total.numbers,
-        8 * (bodies + 1),           8 * HOT * total.pieces,    4 * HOT * total.pieces,
-        8 * 48 * total.groups,      8 * WIDE * total.groups,   8 * bodies,
-        4 * total.numbers,          8 * HOT * total.parts,     8 * starts,
-    };
-    int64_t bytes = 0;
-    for (int k = 0; k < PACK_ARRAYS; k++)
-        bytes += (sizes[k] + 2 * CACHE_LINE - 1) / CACHE_LINE * CACHE_LINE;
-    char *memory = half->joined = aligned_alloc(CACHE_LINE, (size_t)bytes);
-    if (memory == NULL)
-        return no_memory();
-    for (int k = 0; k < PACK_ARRAYS; k++) {
-        *arrays[k] = memory;
-        memory += (sizes[k] + 2 * CACHE_LINE - 1) / CACHE_LINE * CACHE_LINE;
-    }
-    ((int64_t *)made->piece_start)[0] = 0;
-    for (int64_t k = 0; k < bodies; k++) {
-        const Body *body = checker->bodies + state->body[k];
-        append(made, pack_of(state, body, k, cutting), body->which, &at);
-    }
+    struct join_bodies asked = {.chosen = {chosen, bodies, 2}};
+    TRY(call(kernels()->join_bodies, &asked, &words));
+    asked.block.length = words;
+    TRY(room(state, &asked.block.data, words, 8));
+    TRY(call(kernels()->join_bodies, &asked, &words));
+    memcpy(&half->pieces, asked.block.data, sizeof half->pieces);
     return LOEWNER_OK;
 }
 
@@ -217,50 +98,34 @@ static void place_link(const double *constants, const double *pose, double *made
 /* The robot's links, then a fixed one for each attached body. */
 static loewner_status grow_tree(const loewner_checker *checker, State *state)
 {
+    static const double at_link[LINK_CONSTANTS] = {1, 0, 0, 0, 1, 0, 0, 0, 1};
     const Tree *given = &checker->file->tree;
-    int64_t more = 0, links = given->links;
-    for (int32_t b = 0; b < checker->body_count; b++)
-        more += checker->bodies[b].is_attached && checker->bodies[b].is_present;
-    state->tree = *given;
-    if (more == 0)
-        return LOEWNER_OK;
-    state->tree.links = links + more;
-    const void **const arrays[] = {
-        (const void **)&state->tree.parent, (const void **)&state->tree.kind,
-        (const void **)&state->tree.column, (const void **)&state->tree.multiplier,
-        (const void **)&state->tree.offset, (const void **)&state->tree.constants,
-    };
+    const void *const from[] = {given->parent,     given->kind,   given->column,
+                                given->multiplier, given->offset, given->constants};
+    void *arrays[6];
+    int64_t links = given->links;
     for (int k = 0; k < 6; k++) {
         size_t size = k < 5 ? 8 : 8 * LINK_CONSTANTS;
-        void *made = room(state, links + more, size);
-        if (made == NULL)
-            return no_memory();
-        memcpy(made, *arrays[k], (size_t)links * size);
-        *arrays[k] = made;
+        TRY(room(state, arrays + k, links + state->attached, size));
+        memcpy(arrays[k], from[k], (size_t)links * size);
     }
+    int64_t *parent = arrays[0], *kind = arrays[1];
+    double *multiplier = arrays[3], *constants = arrays[5];
+    for (int64_t k = state->moving - state->attached; k < state->moving; k++) {
+        const Body *body = checker->bodies + state->body[k];
+        int is_fixed = kind[body->link] == FIXED;
+        parent[links] = rigid_link(given, body->link);
+        kind[links] = FIXED;
+        multiplier[links] = 1;
+        place_link(is_fixed ? constants + LINK_CONSTANTS * body->link : at_link, body->pose,
+                   constants + LINK_CONSTANTS * links);
+        state->link[k] = links++;
+    }
+    state->tree = (Tree){links, parent, kind, arrays[2], multiplier, arrays[4], constants};
     return LOEWNER_OK;
 }
 
-static void add_link(State *state, int64_t number, const Body *body, const Tree *given)
-{
-    static const double at_link[LINK_CONSTANTS] = {1, 0, 0, 0, 1, 0, 0, 0, 1};
-    int is_fixed = given->kind[body->link] == FIXED;
-    ((int64_t *)state->tree.parent)[number] = rigid_link(given, body->link);
-    ((int64_t *)state->tree.kind)[number] = FIXED;
-    ((double *)state->tree.multiplier)[number] = 1;
-    place_link(is_fixed ? given->constants + LINK_CONSTANTS * body->link : at_link, body->pose,
-               (double *)state->tree.constants + LINK_CONSTANTS * number);
-}
-
 /* -- pairs --------------------------------------------------------------------------------------------------------- */
-
-static const Rule *rule_of(const loewner_checker *checker, int32_t a, int32_t b)
-{
-    for (size_t k = 0; k < checker->rule_count; k++)
-        if (checker->rules[k].a == a && checker->rules[k].b == b)
-            return checker->rules + k;
-    return NULL;
-}
 
 /* The row of a table that begins with two bodies, a < b; -1 if there is none. */
 static int64_t row_of(const int64_t *rows, int64_t count, int64_t width, int64_t a, int64_t b)
@@ -313,7 +178,7 @@ static void list_rules(const loewner_checker *checker, const State *state, Rules
         add_rule(state, rules, rule[0], rule[1], rule[2], file->rule_margins[k]);
     }
     for (const Rule *its = checker->rules; its < checker->rules + checker->rule_count; its++)
-        add_rule(state, rules, its->a, its->b, its->has_allowed ? its->allowed : -1, its->has_margin ? its->margin : -1);
+        add_rule(state, rules, its->a, its->b, its->touch, its->margin);
     for (int32_t b = 0; b < checker->body_count; b++)
         for (size_t k = 0; k < checker->bodies[b].touch_count; k++) {
             int32_t link = checker->bodies[b].touch[k];
@@ -331,9 +196,8 @@ static loewner_status choose_pairs(const loewner_checker *checker, State *state,
     count += (int64_t)checker->rule_count;
     for (int32_t b = 0; b < checker->body_count; b++)
         count += (int64_t)checker->bodies[b].touch_count;
-    double *own = calloc((size_t)(5 * bodies + (RULE + 1) * count) + 1, sizeof *own);
-    if (own == NULL)
-        return no_memory();
+    double *own;
+    TRY(room(state, &own, 5 * bodies + (RULE + 1) * count, 8));
     int64_t *marks = (int64_t *)(own + 2 * bodies);
     Rules rules = {marks + 3 * bodies, 0, (double *)(marks + 3 * bodies + RULE * count)};
     for (int64_t k = 0; k < bodies; k++)
@@ -343,27 +207,22 @@ static loewner_status choose_pairs(const loewner_checker *checker, State *state,
         }
     list_rules(checker, state, &rules);
     const Tree *tree = &state->tree;
-    loewner_status outcome = CALL(
+    return CALL(
         list_pairs, &state->pairs, .parent = {tree->parent, tree->links}, .kind = {tree->kind, tree->links},
         .link = {state->link, state->moving}, .marks = {marks, bodies, 3}, .own = {own, bodies, 2},
         .least = {&file->margin, 1}, .rules = {rules.rows, rules.count, RULE},
         .rule_margins = {rules.margins, rules.count}, .pairs = {state->pair_list, most, 2},
         .margins = {state->margins, most});
-    free(own);
-    return outcome;
 }
 
 static loewner_status list_pairs(const loewner_checker *checker, State *state)
 {
     const File *file = checker->file;
-    int64_t bodies = state->moving + state->standing;
-    int64_t most = state->is_as_saved ? file->pairs : state->moving * (2 * bodies - state->moving - 1) / 2;
-    state->pair_list = room(state, 2 * most, 8);
-    state->margins = room(state, most, 8);
-    state->order = room(state, most, 8);
-    state->rows = room(state, 2 * most, 8);
-    if (state->pair_list == NULL || state->margins == NULL || state->order == NULL || state->rows == NULL)
-        return no_memory();
+    int64_t most = state->is_as_saved ? file->pairs : state->moving * (state->moving + 2 * state->standing - 1) / 2;
+    TRY(room(state, &state->pair_list, 2 * most, 8));
+    TRY(room(state, &state->margins, most, 8));
+    TRY(room(state, &state->order, most, 8));
+    TRY(room(state, &state->rows, 2 * most, 8));
     state->pairs = most;
     if (state->is_as_saved) {
         memcpy(state->pair_list, file->pair_list, (size_t)most * 16);
@@ -383,38 +242,22 @@ static loewner_status list_pairs(const loewner_checker *checker, State *state)
 /* Place the static bodies that have moved where they are, since no other thread may query this checker meanwhile. */
 static loewner_status place(const State *state, Half *half)
 {
-    TRY(CALL(place_static, &half->handle, .pack = (int64_t)&half->pieces, .handle = half->handle,
-             .block = {half->block, half->block_words}, .poses = {state->poses, state->standing, 16}));
-    half->motions = half->handle + (int64_t)offsetof(Tables, motions);
-    return LOEWNER_OK;
+    return CALL(place_static, &half->handle, .pack = (int64_t)&half->pieces, .handle = half->handle,
+                .block = {half->block, half->block_words}, .poses = {state->poses, state->standing, 16});
 }
 
-/* Bytes that the queries of a set of bodies write to. */
-static loewner_status measure(const loewner_checker *checker, Half *half, int is_for_motions)
-{
-    const Kernels *known = kernels();
-    const struct memory_size arguments = {(int64_t)&half->pieces, half->handle, checker->file->dof};
-    const Kernel sizes[] = {known->memory_size, known->memory_of_nearest, known->memory_of_clearances,
-                            known->motion_memory};
-    half->memory = known->settle_memory;
-    for (int k = 0; k < 3 + is_for_motions; k++) {
-        int64_t size = 0;
-        TRY(call(sizes[k], &arguments, &size));
-        half->memory = size > half->memory ? size : half->memory;
-    }
-    return LOEWNER_OK;
-}
-
-static loewner_status make_half(const loewner_checker *checker, State *state, Cutting cutting, int is_for_motions)
+static loewner_status make_half(const loewner_checker *checker, State *state, Cutting cutting)
 {
     Half *half = state->halves + cutting;
     const Tree *tree = &state->tree;
     int64_t links = tree->links, pairs = state->pairs;
     if (state->is_as_saved)
-        half->pack = checker->file->packs[cutting];
+        half->pieces = table_of(checker->file->packs + cutting);
     else
         TRY(join(checker, state, cutting, half));
-    half->pieces = table_of(&half->pack);
+    const int64_t *layout = half->pieces.layout.data;
+    for (int64_t p = 0; p < half->pieces.layout.rows; p++)
+        state->starts_matter |= layout[LAYOUT * p + KIND_OF] == SOLID;
     const struct problem given = {
         .parent = {tree->parent, links, 1}, .kind = {tree->kind, links, 1}, .column = {tree->column, links, 1},
         .multiplier = {tree->multiplier, links, 1}, .offset = {tree->offset, links, 1},
@@ -425,17 +268,27 @@ static loewner_status make_half(const loewner_checker *checker, State *state, Cu
     struct lay_out asked = {.pack = (int64_t)&half->pieces, .handle = (int64_t)&given};
     struct lay_out_results made;
     TRY(call(kernels()->lay_out, &asked, &made));
-    double *lasting = room(state, made.lasting_words, 8);
-    half->block_words = made.block_words;
-    half->block = aligned_alloc(CACHE_LINE, ((size_t)made.block_words * 8 + CACHE_LINE - 1) / CACHE_LINE * CACHE_LINE);
-    if (lasting == NULL || half->block == NULL)
-        return no_memory();
-    asked.lasting = (Array1){lasting, made.lasting_words};
-    asked.block = (Array1){half->block, made.block_words};
+    asked.lasting.length = made.lasting_words;
+    asked.block.length = half->block_words = made.block_words;
+    TRY(room(state, &asked.lasting.data, made.lasting_words, 8));
+    TRY(room(state, &half->block, made.block_words, 8));
+    asked.block.data = half->block;
     TRY(call(kernels()->lay_out, &asked, &made));
     half->handle = made.made;
+    half->motions = half->handle + (int64_t)offsetof(Tables, motions);
     TRY(place(state, half));
-    return measure(checker, half, is_for_motions);
+    /* Bytes that queries write to; motions are proven with surfaces in parts. */
+    const Kernels *known = kernels();
+    const struct memory_size sized = {(int64_t)&half->pieces, half->handle, checker->file->dof};
+    const Kernel sizes[] = {known->memory_size, known->memory_of_nearest, known->memory_of_clearances,
+                            known->motion_memory};
+    half->memory = known->settle_memory;
+    for (int k = 0; k < 3 + (cutting == (state->has_cut ? CUT : WHOLE)); k++) {
+        int64_t size = 0;
+        TRY(call(sizes[k], &sized, &size));
+        half->memory = size > half->memory ? size : half->memory;
+    }
+    return LOEWNER_OK;
 }
 
 /* -- states -------------------------------------------------------------------------------------------------------- */
@@ -443,34 +296,27 @@ static loewner_status make_half(const loewner_checker *checker, State *state, Cu
 /* Order the bodies: the robot's own, then attached ones, then static ones. */
 static loewner_status arrange(const loewner_checker *checker, State *state)
 {
-    int32_t count = checker->body_count;
-    state->body = room(state, count, sizeof(int32_t));
-    state->place = room(state, count, sizeof(int32_t));
-    if (state->body == NULL || state->place == NULL)
-        return no_memory();
+    int32_t count = checker->body_count, at = 0;
+    TRY(room(state, &state->body, count, sizeof *state->body));
+    TRY(room(state, &state->place, count, sizeof *state->place));
+    memset(state->place, -1, (size_t)count * sizeof *state->place);
     for (int group = 0; group < 3; group++)
         for (int32_t b = 0; b < count; b++) {
             const Body *body = checker->bodies + b;
-            int its = body->link < 0 ? 2 : body->is_attached;
-            if (its != group)
+            if (!body->is_present || (body->link < 0 ? 2 : body->is_attached) != group)
                 continue;
-            state->place[b] = -1;
-            if (!body->is_present)
-                continue;
-            state->place[b] = (int32_t)(state->moving + state->standing);
-            state->body[state->place[b]] = b;
-            *(group < 2 ? &state->moving : &state->standing) += 1;
+            state->place[b] = at;
+            state->body[at++] = b;
+            state->moving += group < 2;
+            state->attached += group == 1;
             state->growing += body->has_bounds;
+            state->has_cut |= body->file->has_cut;
         }
-    state->link = room(state, state->moving, 8);
-    state->poses = room(state, 16 * state->standing, 8);
-    if (state->link == NULL || state->poses == NULL)
-        return no_memory();
-    int64_t next = checker->file->links;
-    for (int64_t k = 0; k < state->moving; k++) {
-        const Body *body = checker->bodies + state->body[k];
-        state->link[k] = body->is_attached ? next++ : body->link;
-    }
+    state->standing = at - state->moving;
+    TRY(room(state, &state->link, state->moving, 8));
+    TRY(room(state, &state->poses, 16 * state->standing, 8));
+    for (int64_t k = 0; k < state->moving; k++)
+        state->link[k] = checker->bodies[state->body[k]].link;
     return LOEWNER_OK;
 }
 
@@ -486,23 +332,9 @@ static loewner_status assemble(const loewner_checker *checker, State *state)
     TRY(arrange(checker, state));
     copy_poses(checker, state);
     TRY(grow_tree(checker, state));
-    for (int64_t k = 0; k < state->moving; k++) {
-        const Body *body = checker->bodies + state->body[k];
-        if (body->is_attached)
-            add_link(state, state->link[k], body, &checker->file->tree);
-    }
     TRY(list_pairs(checker, state));
-    int has_cut = 0;
-    for (int64_t k = 0; k < state->moving + state->standing; k++) {
-        const Body *body = checker->bodies + state->body[k];
-        has_cut |= body->file->has_cut;
-        state->starts_matter |= is_solid(body);
-    }
-    TRY(make_half(checker, state, WHOLE, !has_cut));
-    if (has_cut) {
-        TRY(make_half(checker, state, CUT, 1));
-        TRY(make_half(checker, state, OPEN_CUT, 0));
-    }
+    for (int cutting = WHOLE; cutting < (state->has_cut ? CUTTINGS : CUT); cutting++)
+        TRY(make_half(checker, state, cutting));
     return LOEWNER_OK;
 }
 
@@ -555,11 +387,6 @@ void loewner_workspace_free(loewner_workspace *workspace)
     free(workspace);
 }
 
-typedef struct {
-    void **field;
-    size_t size;
-} Part;
-
 static loewner_status bind(const loewner_checker *checker, loewner_workspace *workspace)
 {
     const State *state = &checker->state;
@@ -569,7 +396,7 @@ static loewner_status bind(const loewner_checker *checker, loewner_workspace *wo
     size_t memory = 0;
     for (int k = 0; k < CUTTINGS; k++)
         memory = (size_t)state->halves[k].memory > memory ? (size_t)state->halves[k].memory : memory;
-    const Part parts[] = {
+    const struct { void **field; size_t size; } parts[] = {
         {(void **)&workspace->memory, memory},
         {(void **)&workspace->validator, (size_t)half->memory},
         {(void **)&workspace->order, 8 * pairs},
@@ -673,34 +500,27 @@ loewner_status loewner_checker_open(const char *path, loewner_checker **checker)
         return LOEWNER_NO_KERNELS;
     File *file;
     TRY(open_file(path, &file));
-    loewner_status outcome = LOEWNER_OK;
     loewner_checker *made = calloc(1, sizeof *made);
-    if (made != NULL)
-        made->bodies = calloc((size_t)file->bodies + 1, sizeof *made->bodies);
-    if (made == NULL || made->bodies == NULL)
-        outcome = no_memory();
-    else if (file->moving == 0 || file->dof == 0)
-        outcome = fail(LOEWNER_BAD_FILE, "%.300s: expected a robot that CollisionChecker.save wrote, found bodies only",
-                       path);
-    if (outcome != LOEWNER_OK) {
-        if (made != NULL)
-            free(made->bodies);
+    Body *bodies = calloc((size_t)file->bodies + 1, sizeof *bodies);
+    int is_robot = file->moving > 0 && file->dof > 0;
+    if (made == NULL || bodies == NULL || !is_robot) {
         free(made);
+        free(bodies);
         leave_file(file);
-        return outcome;
+        return is_robot ? no_memory()
+                        : fail(LOEWNER_BAD_FILE,
+                               "%.300s: expected a robot that CollisionChecker.save wrote, found bodies only", path);
     }
+    *made = (loewner_checker){.file = file, .bodies = bodies, .body_count = (int32_t)file->bodies, .is_stale = 2};
     pthread_mutex_init(&made->lock, NULL);
-    atomic_init(&made->is_stale, 2);
-    made->file = file;
-    made->body_count = (int32_t)file->bodies;
     for (int32_t b = 0; b < made->body_count; b++) {
-        Body *body = made->bodies + b;
-        *body = (Body){.name = (char *)file->names[b], .file = file, .which = b, .link = -1, .is_present = 1};
+        bodies[b] = (Body){.name = (char *)file->names[b], .file = file, .which = b, .link = -1, .is_present = 1};
         if (b < file->moving)
-            body->link = file->link[b];
+            bodies[b].link = file->link[b];
         else
-            memcpy(body->pose, file->poses + 16 * (b - file->moving), sizeof body->pose);
+            memcpy(bodies[b].pose, file->poses + 16 * (b - file->moving), sizeof bodies[b].pose);
     }
+    loewner_status outcome;
     if (check_poses(file->poses, (size_t)(file->bodies - file->moving), "poses") != LOEWNER_OK)
         outcome = fail(LOEWNER_BAD_FILE, "%.300s: the file is damaged: poses", path);
     else
@@ -937,15 +757,16 @@ static loewner_status its_rule(loewner_checker *checker, int32_t a, int32_t b, R
     if (a == b)
         return fail(LOEWNER_BAD_ARGUMENT, "a, b: expected two bodies, found %d twice", a);
     int32_t low = a < b ? a : b, high = a < b ? b : a;
-    *rule = (Rule *)rule_of(checker, low, high);
-    if (*rule == NULL) {
+    int64_t known = row_of((const int64_t *)checker->rules, (int64_t)checker->rule_count, sizeof(Rule) / 8, low, high);
+    if (known < 0) {
         Rule *more = realloc(checker->rules, sizeof *more * (checker->rule_count + 1));
         if (more == NULL)
             return no_memory();
         checker->rules = more;
-        *rule = more + checker->rule_count++;
-        **rule = (Rule){.a = low, .b = high};
+        known = (int64_t)checker->rule_count++;
+        more[known] = (Rule){.a = low, .b = high, .touch = -1, .margin = -1};
     }
+    *rule = checker->rules + known;
     spoil(checker, 2);
     return LOEWNER_OK;
 }
@@ -961,8 +782,8 @@ loewner_status loewner_checker_allow(loewner_checker *checker, int32_t a, int32_
                     "expected a pair that was checked when the file was saved, found %.100s and %.100s",
                     checker->bodies[rule->a].name, checker->bodies[rule->b].name);
     /* Pairs are checked unless the file excludes them; it may do so by a rule for two static bodies. */
-    rule->has_allowed = allowed || row_of(file->rules, file->rule_count, 3, rule->a, rule->b) >= 0;
-    rule->allowed = allowed != 0;
+    int is_ruled = row_of(file->rules, file->rule_count, 3, rule->a, rule->b) >= 0;
+    rule->touch = allowed ? 1 : is_ruled ? 0 : -1;
     return LOEWNER_OK;
 }
 
@@ -992,7 +813,6 @@ loewner_status loewner_checker_set_margin(loewner_checker *checker, int32_t a, i
     if (!(margin >= 0 && margin <= 1e30))
         return fail(LOEWNER_BAD_ARGUMENT, "margin: expected a number >= 0, found %g", margin);
     TRY(its_rule(checker, a, b, &rule));
-    rule->has_margin = 1;
     rule->margin = margin;
     return LOEWNER_OK;
 }

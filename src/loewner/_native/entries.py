@@ -76,6 +76,7 @@ ENTRIES = {
         Entry("elementary", "elementary", "i F1 F1 F1", ""),
         # -- poses, crowds, trees
         Entry("pieces.rigid", "first_fault", "F3", "i i f"),
+        Entry("pieces.joining", "join_bodies", "I2 F1", "i"),
         Entry("pieces.directions", "direction_map", "F2", "I1 F2"),
         Entry("trees.piece_tree", "piece_trees", "cI1 cF2 cF2", "F1 I1 I1"),
         Entry("trees.triangle_tree", "triangle_tree", "cF2 cI2", "F1 I1 F1 F1 F1 I1"),

@@ -20,7 +20,7 @@ from loewner._kernels import columns, records
 from loewner._kernels.records import MOTION_ROWS, MOTION_WORDS, PROBLEM_ROWS, MotionTables
 from loewner._native import entries, singles
 from loewner.bodies import Bodies, Body, Packed, bodies_of
-from loewner.bodies.layout import arrays_of
+from loewner.bodies.layout import array_in, arrays_of
 from loewner.bodies.pack import join
 from loewner.bodies.parts import in_open_parts, in_parts, in_small_parts
 from loewner.queries.pose_paths import OFF_ROUNDINGS, PackedPaths, PoseBounds, PosePath
@@ -236,12 +236,10 @@ class Problem:
         return np.ndarray(shape, np.int64, self.block, self.handle - self.block.ctypes.data)
 
     def _view(self, row: int, word: str) -> Any:
-        """The array of a row of the table, of the type that a word describes, see `entries`."""
-        address, *shape = self._table[row].tolist()
-        memory = self.block if 0 <= address - self.block.ctypes.data < self.block.nbytes else self.lasting
-        kind = {"F": np.float64, "S": np.float32, "I": np.int64}[word[0]]
-        within = address - memory.ctypes.data if 0 not in shape else 0  # nothing has any address
-        return np.ndarray(shape[: int(word[1])], kind, memory, within)
+        """The array of a row of the table."""
+        entry = self._table[row].tolist()
+        is_placed = 0 <= entry[0] - self.block.ctypes.data < self.block.nbytes
+        return array_in(self.block if is_placed else self.lasting, entry, word)
 
     @kept
     def balls(self) -> Floats:
