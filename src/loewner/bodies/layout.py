@@ -40,7 +40,7 @@ TURN_ROUNDINGS = 128 * 2.0**-53
 AT_ONCE = 1_000_000
 
 # Types of the arrays of `records.Pieces`, in the words of `entries`.
-_WORDS = "F2 I2 F1 I1 F2 S2 F1 I1 I1 S1 F2 I1".split()
+_WORDS = ["F2", "I2", "F1", "I1", "F2", "S2", "F1", "I1", "I1", "S1", "F2", "I1"]
 
 # For each corner of a box, its end along each axis.
 _CORNERS = np.indices((2, 2, 2)).reshape(3, 8).T
