@@ -1,5 +1,5 @@
-/* The bodies of a checker, their poses, and the pairs to check, as kernels take them; by the rules of `Problem.of` in
-   `loewner/robots/checking/problem.py`. */
+/* The bodies of a checker, their poses, and the pairs to check, as kernels take them. The kernels of
+   `loewner/_kernels/robots/pair_lists.py` and `joining.py` do the same for Python. */
 
 #include "internal.h"
 
@@ -20,7 +20,6 @@ static loewner_status room(State *state, void *field, int64_t count, size_t size
         free(made);
         return no_memory();
     }
-    memset(made, 0, bytes);
     memcpy(field, &made, sizeof made);
     state->memory[state->memory_count++] = made;
     return LOEWNER_OK;
@@ -107,6 +106,7 @@ static loewner_status grow_tree(const loewner_checker *checker, State *state)
     for (int k = 0; k < 6; k++) {
         size_t size = k < 5 ? 8 : 8 * LINK_CONSTANTS;
         TRY(room(state, arrays + k, links + state->attached, size));
+        memset(arrays[k], 0, (size_t)(links + state->attached) * size);
         memcpy(arrays[k], from[k], (size_t)links * size);
     }
     int64_t *parent = arrays[0], *kind = arrays[1];
@@ -198,6 +198,7 @@ static loewner_status choose_pairs(const loewner_checker *checker, State *state,
         count += (int64_t)checker->bodies[b].touch_count;
     double *own;
     TRY(room(state, &own, 5 * bodies + (RULE + 1) * count, 8));
+    memset(own, 0, (size_t)bodies * 5 * 8);
     int64_t *marks = (int64_t *)(own + 2 * bodies);
     Rules rules = {marks + 3 * bodies, 0, (double *)(marks + 3 * bodies + RULE * count)};
     for (int64_t k = 0; k < bodies; k++)
@@ -439,8 +440,7 @@ static loewner_status bind(const loewner_checker *checker, loewner_workspace *wo
     memset(workspace->hits, 0, 8 * pairs);
     workspace->tables.problem.order.data = workspace->order;
     workspace->pack = (int64_t)&state->halves[WHOLE].pieces;
-    workspace->seen = 0;
-    workspace->is_ready = 0;
+    workspace->seen = workspace->is_ready = 0;
     workspace->next_look = FIRST_LOOK;
     workspace->serial = checker->serial;
     return LOEWNER_OK;

@@ -158,7 +158,7 @@ class MotionTables(NamedTuple):
     chain: Any
 
 
-# Types of these arrays, in the words of `entries`.
+# Types of the arrays of `MotionTables`, in the words of `entries`.
 MOTION_WORDS = "I1 I1 F2 F2 F1 I1 I1 I1 F1 F1"
 
 # Rows of the arrays where the table of `MotionTables` follows the table of a `Problem`; in bytes, where it begins; and

@@ -1,8 +1,8 @@
 """Which pairs of bodies are checked, and what kernels take of them besides bodies and poses: for Python and for C.
 
 `list_pairs` applies the rules of a scene. `lay_out` divides memory into the arrays of `records.Problem` and
-`records.MotionTables`, and writes those that depend neither on poses of static bodies nor on values of joints: paths
-and lengths of links, balls about moving bodies, groups of pairs, and the order in which proofs of motions take them.
+`records.MotionTables`, and writes what depends neither on poses of static bodies nor on values of joints: paths and
+lengths of links, balls about moving bodies, groups of pairs, and the order in which proofs of motions take them.
 """
 
 import math
@@ -51,7 +51,7 @@ def list_pairs(parent, kind, link, marks, own, least, rules, rule_margins, pairs
     Parameters
     ----------
     parent, kind : ndarray of int64
-        Of the links, see `records.Tree`: bodies on links that are rigidly joined cannot meet.
+        See `records.Tree`: bodies on links that are rigidly joined cannot meet.
     link : ndarray of int64, shape (moving bodies,)
         The links of the moving bodies, which come first; pairs of others are not listed.
     marks : ndarray of int64, shape (bodies, 3)
@@ -61,10 +61,10 @@ def list_pairs(parent, kind, link, marks, own, least, rules, rule_margins, pairs
     least : ndarray, shape (2,)
         Margins of all pairs, and of pairs of bodies of the robot.
     rules : ndarray of int64, shape (rules, 4)
-        Two bodies, of which -1 is absent; 1 if they may touch, 0 if not, -1 if the rule is about their margin only; and
+        Two bodies, -1 for an absent one; 1 if they may touch, 0 if not, -1 if the rule is about their margin only; and
         whether this margin overrides all others. Later rules override earlier ones.
     rule_margins : ndarray, shape (rules,)
-        Margins of these pairs; negative if a rule has none.
+        Margins of the pairs with rules; negative if a rule has none.
     pairs, margins : ndarray, shapes (most, 2) and (most,)
         Receive the pairs, in ascending order, and have room for all pairs with a moving body.
 

@@ -123,7 +123,7 @@ def _on_link(body: Body, held: Attachment) -> Packed:
 def _pairs(
     robot: Robot, scene: Scene, names: tuple[str, ...], link: Ints, skipped: Iterable[Pair]
 ) -> tuple[Ints, Floats]:
-    """Pair bodies, as indices into `names` of which the first one moves, and find their margins, in metres."""
+    """Pair bodies, as indices into `names` with the moving one first, and find their margins in metres."""
     moving, total = len(link), len(names)
     most = moving * (2 * total - moving - 1) // 2
     if most > MOST_PAIRS:
