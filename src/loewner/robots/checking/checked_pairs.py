@@ -132,9 +132,11 @@ def _pairs(
             f"against the others and against {total - moving} that stand; leave out bodies, or unite those that belong "
             "together (Body.union)"
         )
-    margins, lowered, place = scene.margins, scene.lowered, {name: k for k, name in enumerate(names)}
+    margins, lowered = scene.margins, scene.lowered
+    place: dict[str | None, int] = {name: k for k, name in enumerate(names)}
     touching = [(name, other) for name, held in scene.attachments.items() for other in held.touch_links]
     always = scene.allowed - scene.leaving - scene.reaching
+    ruled: list[tuple[tuple[str | None, ...], int, bool, float]]
     ruled = [(pair, 1, False, -1.0) for pair in (*skipped, *always, *touching)]
     ruled += [(key, -1, key in lowered, margin) for key, margin in margins.items()]
     rows = [
