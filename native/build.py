@@ -60,7 +60,7 @@ GROUPS = {
     "verdicts": ("pipeline.verdicts", "pipeline.fallback", "pipeline.workspace", "pipeline.bounds", "elementary"),
     "distances": ("pipeline.", "robots.nearest", "narrow.", "ellipsoids.", "trees.", "paper."),
     "robots": ("robots.configurations", "robots.motions", "robots.planning", "robots.shortening", "robots.standing",
-               "robots.kinematics", "low_discrepancy"),
+               "robots.pair_lists", "robots.kinematics", "low_discrepancy"),
     "paths": ("robots.",),
 }  # fmt: skip
 

@@ -19,7 +19,6 @@ from loewner._native.entries import ENTRIES, Entry
 from loewner.bodies import CURVED, native_files
 from loewner.planners import compiled, gates, joint_limits, judge
 from loewner.robots import checker
-from loewner.robots.checking import motion_tables
 from loewner.robots.checking.edges import NEARLY_WHOLE
 from loewner.robots.description import robot, watch
 from loewner.robots.proofs import contacts
@@ -86,7 +85,7 @@ def constants() -> dict[str, str]:
         "FILE_FORMAT": native_files.FORMAT, "FILE_HEADER": native_files.HEADER.size,
         "BEHIND_CHECKSUM": native_files.BEHIND_CHECKSUM,
         **{f"FILE_{name.upper()}": number for number, name in enumerate((*native_files.BEFORE, "packs"))},
-        "STRETCH": motion_tables.STRETCH, "LANES": motion_tables.LANES, "ROUNDED_VALUES": contacts.OFF,
+        "STRETCH": tolerances.CHAIN_STRETCH, "ROUNDED_VALUES": contacts.OFF,
         "FIRST_LOOK": checker.FIRST_LOOK, "LARGEST_VALUE": watch.LARGEST_VALUE, "NEARLY_WHOLE": NEARLY_WHOLE,
         "QUATERNION_TOLERANCE": robot.QUATERNION_TOLERANCE, "ROTATION_TOLERANCE": tolerances.ROTATION_TOLERANCE,
         "ON_LIMIT": joint_limits.ON_LIMIT, "PLAN_TOLERANCE": judge.TOLERANCE,

@@ -121,7 +121,7 @@ def empty_rates(robot):
 
 def rates(checker, course, width=1.0):
     """What the kernel makes of a course, or of a part: rates of joints, and what its poses may be off by."""
-    robot, tables, made = checker.robot, checker._ready().motions.tables, empty_rates(checker.robot)
+    robot, tables, made = checker.robot, checker._ready().tables, empty_rates(checker.robot)
     travel, angles, places = rates_of(robot.tree, course, width, made)
     return tables, made, uncertainty(tables, travel, angles, places)[0]
 

@@ -14,7 +14,6 @@ from gantry import RADIUS, gantry
 from loewner import Body, CollisionChecker, InputError, Robot, Scene, Verdict
 from loewner._kernels import columns
 from loewner._kernels.robots import motions, sweeps
-from loewner.robots.checking import motion_tables
 from loewner.robots.proofs import courses
 from loewner.robots.proofs import motions as robots_motions
 from motion_oracle import (
@@ -425,9 +424,9 @@ def test_threads(arms, rng):
             found.append(checker.certify_edges(Q, end))
     finally:
         loewner.set_num_threads(before)
-    prepared = checker._ready().motions
+    prepared = checker._ready().lasting
     checker.collide(checker.robot.random_configurations(2000))  # from which the order of pairs is learnt
-    assert checker._ready().motions is prepared
+    assert checker._ready().lasting is prepared
     found.append(copy.copy(checker).certify_edges(Q[::-1], end[::-1]))
     for other in found[1:]:
         order = slice(None, None, -1) if other is found[-1] else slice(None)
@@ -443,7 +442,7 @@ def test_reaches_from_a_base_that_is_not_quite_rigid(tmp_path):
     robot = replace(robot.placed(T), bodies={"table": Body.sphere(1e-5).transformed(translation(1e-4, 0.0, 100.0))})
     scene = Scene()
     scene.add("wall", Body.box([0.2, 1.0, 1.0]), translation(0.4, 0, 0))
-    reach = CollisionChecker(robot, scene)._ready().motions.tables.reach[0, robot.link_names.index("table")]
+    reach = CollisionChecker(robot, scene)._ready().tables.reach[0, robot.link_names.index("table")]
     assert 1.1e-4 <= reach < 1.2e-4
 
 
@@ -499,15 +498,12 @@ def test_work_is_bounded(arms, rng):
 # -- mutants ------------------------------------------------------------------------------------
 
 
-def without_sliding_joints(tree):
-    """Paths of links as if sliding joints stood still: a mistake of an early version."""
-    start, links = original_paths(tree)
-    paths = [links[i:j] for i, j in zip(start[:-1], start[1:], strict=True)]
-    kept = [path[tree.kind[path] != columns.PRISMATIC] for path in paths]
-    return np.cumsum([0, *map(len, kept)]).astype(np.int64), np.concatenate(kept).astype(np.int64)
-
-
-original_paths = motion_tables._paths
+def without_sliding_joints(ready):
+    """Shorten the paths of links as if sliding joints stood still: a mistake of an early version."""
+    start, links = ready.tables.path_start, ready.tables.path_link
+    kept = [path[ready.robot.tree.kind[path] != columns.PRISMATIC] for path in np.split(links, start[1:-1])]
+    start[1:] = np.cumsum(list(map(len, kept)))
+    links[: start[-1]] = np.concatenate(kept)
 
 
 def closing(tmp_path):
@@ -531,11 +527,12 @@ def false_free(checker, start, end):
     return int(refuted(checker, start[free], end[free], 500).sum())
 
 
-def test_sliding_joints_taken_for_still_are_noticed(tmp_path, monkeypatch):
+def test_sliding_joints_taken_for_still_are_noticed(tmp_path):
     """The tests of closing fingers would fail if what only slides were taken not to move."""
-    assert false_free(*closing(tmp_path)) == 0
-    monkeypatch.setattr(motion_tables, "_paths", without_sliding_joints)
-    assert false_free(*closing(tmp_path)) > 0
+    checker, start, end = closing(tmp_path)
+    assert false_free(checker, start, end) == 0
+    without_sliding_joints(checker._ready())
+    assert false_free(checker, start, end) > 0
 
 
 @pytest.mark.parametrize(("rows", "margin"), [(slice(3, 6), 0.0), (slice(6, 7), 0.2)])
@@ -547,14 +544,14 @@ def test_boxes_without_widths_or_margins_are_noticed(arms, rows, margin):
     scene.set_margin(margin)
     checker, start, end = CollisionChecker(arm, scene), start[:1000], end[:1000]
     assert false_free(checker, start, end) == 0
-    checker._ready().motions.tables.groups.reshape(-1, 8, 8)[:, rows] = 0.0
+    checker._ready().tables.groups.reshape(-1, 8, 8)[:, rows] = 0.0
     assert false_free(checker, start, end) > 0
 
 
 def test_groups_hold_every_pair(arms, rng):
     """Each pair with a static body is in a group of its moving body, with its box, its margin and its size."""
     ready = CollisionChecker(arms("panda"), ring(rng, 13, 0.3, 1.2, 0.3))._ready()
-    tables, moving = ready.motions.tables, len(ready.link)
+    tables, moving = ready.tables, len(ready.link)
     numbers, rows = tables.group_pairs.reshape(-1, 8), tables.groups.reshape(-1, 8, 8)
     assert set(numbers.ravel()) == set(np.flatnonzero(ready.pairs[:, 1] >= moving))
     assert (ready.pairs[numbers, 0] == np.repeat(np.arange(moving), np.diff(tables.group_start))[:, None]).all()
@@ -569,5 +566,5 @@ def test_ways_taken_for_straight_are_noticed(arms):
     checker, start, end = long_sweeps(arms("panda"))
     assert false_free(checker, start, end) == 0
     # The reach enters the curvature and the speed; speed decides nothing but when to give up.
-    checker._ready().motions.tables.reach[:] *= 1e-9
+    checker._ready().tables.reach[:] *= 1e-9
     assert false_free(checker, start, end) > 0

@@ -145,7 +145,7 @@ class View(NamedTuple):
 def case_of(checker, course, low=0.0, high=1.0):
     part, robot, ready, made = np.empty_like(course), checker.robot, checker._ready(), empty_rates(checker.robot)
     write_part(course, low, high, np.empty(len(course)), part)
-    tables = ready.motions.tables
+    tables = ready.tables
     # Twice for two bodies, and once more for the normal, which turns with one of them.
     off, _, turned = uncertainty(tables, *rates_of(robot.tree, course, 1.0, made))
     rates_of(robot.tree, part, high - low, made)

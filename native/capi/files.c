@@ -513,8 +513,8 @@ void leave_file(File *file)
 {
     if (file == NULL || atomic_fetch_sub(&file->users, 1) != 1)
         return;
-    free(file->owned[0]);
-    free(file->owned[1]);
+    for (int k = 0; k < CUTTINGS; k++)
+        free(file->owned[k]);
     free(file->surfaces);
     free(file->names);
     if (file->map != NULL)

@@ -158,17 +158,15 @@ typedef struct {
 
 /* Settings of a user for a pair. */
 typedef struct {
-    int32_t a, b; /* a < b */
-    int has_margin, has_allowed, allowed;
-    double margin;
+    int64_t a, b;  /* a < b */
+    int64_t touch; /* whether they may; -1 if the file decides */
+    double margin; /* -1 if the file decides */
 } Rule;
 
 /* All that kernels are given of one set of bodies. */
 typedef struct {
-    Pack pack;
-    void *joined; /* memory of the pack, unless it is a file's */
-    struct pieces pieces; /* its table */
-    double *ball, *chain, *block;
+    struct pieces pieces; /* the table of the bodies */
+    double *block;
     int64_t block_words;
     int64_t handle, motions;
     int64_t memory; /* bytes that any query writes to */
@@ -176,13 +174,13 @@ typedef struct {
 
 /* The pairs to check, derived from the bodies and the rules. */
 typedef struct {
-    int64_t moving, standing, pairs, groups;
+    int64_t moving, attached, standing, pairs; /* attached bodies move */
     int64_t growing; /* bodies with bounds */
-    int starts_matter, is_as_saved; /* the second: the bodies and pairs are the file's, and its arrays are used */
+    int has_cut, starts_matter, is_as_saved; /* the last: the bodies and pairs are the file's, and its arrays are used */
     int32_t *body;  /* the body at each place: first the moving ones */
     int32_t *place; /* of a body, -1 if it is absent */
     Tree tree;      /* with a link for each attached body */
-    int64_t *link, *pair_list, *rows, *order, *motion_order, *path_start, *path_link, *group_start, *group_pairs;
+    int64_t *link, *pair_list, *rows, *order;
     double *margins, *poses;
     Half halves[CUTTINGS]; /* without a block: there is none, and `half_of` returns the first one */
     void *memory[32];

@@ -252,13 +252,14 @@ loewner_status loewner_checker_link_poses(const loewner_checker *checker, const 
 
 /* -- distances ----------------------------------------------------------------------------------------------------- */
 
-/* The body of a piece of a pack. */
-static int64_t owner(const Pack *pack, int64_t piece)
+/* The body of a piece. */
+static int64_t owner(const struct pieces *pieces, int64_t piece)
 {
-    int64_t low = 0, high = pack->bodies;
+    const int64_t *start = pieces->piece_start.data;
+    int64_t low = 0, high = pieces->piece_start.rows - 1;
     while (high - low > 1) {
         int64_t middle = (low + high) / 2;
-        if (pack->piece_start[middle] <= piece)
+        if (start[middle] <= piece)
             low = middle;
         else
             high = middle;
@@ -301,7 +302,7 @@ loewner_status loewner_checker_distance(const loewner_checker *checker, loewner_
             write_distance(found, numbers, numbers + count, numbers + 2 * count, vectors, count, k, status[k] == 0);
             for (int side = 0; side < 2; side++) {
                 int64_t *piece = workspace->pieces + 2 * k + side;
-                *piece = status[k] == 0 ? owner(&state->halves[WHOLE].pack, *piece) : state->pair_list[side];
+                *piece = status[k] == 0 ? owner(&state->halves[WHOLE].pieces, *piece) : state->pair_list[side];
                 found->bodies[side] = state->body[*piece];
             }
         }
@@ -440,11 +441,13 @@ loewner_status certify(const loewner_checker *checker, loewner_workspace *worksp
    rounding (B69). */
 static double off_at(const loewner_checker *checker, int64_t place, double t, double late)
 {
-    const Pack *pack = &checker->state.halves[WHOLE].pack;
+    const struct pieces *pieces = &checker->state.halves[WHOLE].pieces;
+    const int64_t *start = pieces->piece_start.data;
+    const double *table = pieces->table.data;
     const loewner_bounds *bounds = &checker->bodies[checker->state.body[place]].bounds;
     double reach = 0, off;
-    for (int64_t p = pack->piece_start[place]; p < pack->piece_start[place + 1]; p++)
-        reach = fmax(reach, STRETCH * pack->table[COLUMNS * p + REACH]);
+    for (int64_t p = start[place]; p < start[place + 1]; p++)
+        reach = fmax(reach, STRETCH * table[COLUMNS * p + REACH]);
     off = bounds->metres + reach * bounds->radians;
     if (bounds->speed > 0 || bounds->turn > 0)
         off += (bounds->speed + reach * bounds->turn) * (fabs(t - bounds->since) + late);

@@ -1,5 +1,5 @@
-/* The bodies of a checker, their poses, and the pairs to check, as kernels take them; by the rules of `Problem.of` in
-   `loewner/robots/checking/problem.py`. */
+/* The bodies of a checker, their poses, and the pairs to check, as kernels take them. The kernels of
+   `loewner/_kernels/robots/pair_lists.py` and `joining.py` do the same for Python. */
 
 #include "internal.h"
 
@@ -11,66 +11,28 @@ static _Atomic uint64_t serials = 1;
 
 /* -- memory of a state --------------------------------------------------------------------------------------------- */
 
-/* Memory that lives as long as the state; NULL if there is none. */
-static void *room(State *state, int64_t count, size_t size)
+/* Memory that lives as long as the state; its address is written to `field`. */
+static loewner_status room(State *state, void *field, int64_t count, size_t size)
 {
     size_t bytes = ((size_t)count * size + CACHE_LINE) / CACHE_LINE * CACHE_LINE; /* at least one line */
     void *made = aligned_alloc(CACHE_LINE, bytes);
     if (made == NULL || state->memory_count == (int)(sizeof state->memory / sizeof *state->memory)) {
         free(made);
-        return NULL;
+        return no_memory();
     }
-    memset(made, 0, bytes);
+    memcpy(field, &made, sizeof made);
     state->memory[state->memory_count++] = made;
-    return made;
-}
-
-static void leave_half(Half *half)
-{
-    free(half->joined);
-    free(half->block);
+    return LOEWNER_OK;
 }
 
 static void leave_state(State *state)
 {
-    for (int k = 0; k < CUTTINGS; k++)
-        leave_half(state->halves + k);
     for (int k = 0; k < state->memory_count; k++)
         free(state->memory[k]);
     memset(state, 0, sizeof *state);
 }
 
 /* -- packs of chosen bodies ---------------------------------------------------------------------------------------- */
-
-typedef struct {
-    int64_t bodies, pieces, numbers, groups, parts;
-} Counts;
-
-/* Where the arrays of one body begin in its pack, and how long they are. */
-static void range_of(const Pack *pack, int64_t which, Counts *from, Counts *count)
-{
-    int64_t first = pack->piece_start[which], last = pack->piece_start[which + 1];
-    from->pieces = first;
-    count->pieces = last - first;
-    from->numbers = first < pack->pieces ? 3 * pack->layout[LAYOUT * first + POINTS_FROM] : pack->numbers;
-    int64_t end = last < pack->pieces ? 3 * pack->layout[LAYOUT * last + POINTS_FROM] : pack->numbers;
-    count->numbers = end - from->numbers;
-    count->groups = pack->roots[which] < 0 ? 0 : groups_of(last - first);
-    from->groups = pack->roots[which] + 1 - count->groups;
-    count->parts = 0;
-    for (int64_t p = first; pack->has_parts && p < last; p++)
-        count->parts += pack->part_start[PARTS * p + 2] - pack->part_start[PARTS * p];
-}
-
-/* Whether pieces of a body are solids. */
-static int is_solid(const Body *body)
-{
-    const Pack *pack = body->file->packs + WHOLE;
-    for (int64_t p = pack->piece_start[body->which]; p < pack->piece_start[body->which + 1]; p++)
-        if (pack->layout[LAYOUT * p + KIND_OF] == SOLID)
-            return 1;
-    return 0;
-}
 
 /* The first link with which one is rigidly joined; -1 is the world. */
 static int64_t rigid_link(const Tree *tree, int64_t link)
@@ -91,107 +53,25 @@ static const Pack *pack_of(const State *state, const Body *body, int64_t k, Cutt
     return body->file->packs + (is_whole ? WHOLE : cutting);
 }
 
-/* Append one body; `at` is where its arrays begin. */
-static void append(Pack *made, const Pack *pack, int64_t which, Counts *at)
-{
-    Counts from, count;
-    range_of(pack, which, &from, &count);
-    int64_t first = from.pieces, q = at->pieces, shift = (at->numbers - from.numbers) / 3;
-#define COPY(array, width, from_row, to_row, rows)                                                                     \
-    memcpy((void *)(made->array + (width) * (to_row)), pack->array + (width) * (from_row),                             \
-           (size_t)((width) * (rows)) * sizeof *made->array)
-    COPY(table, COLUMNS, first, q, count.pieces);
-    COPY(hot, HOT, first, q, count.pieces);
-    COPY(points, 1, from.numbers, at->numbers, count.numbers);
-    if (made->is_single && count.pieces > 0) {
-        COPY(single, HOT, first, q, count.pieces);
-        COPY(vertices, 1, from.numbers, at->numbers, count.numbers);
-    }
-    COPY(tree_groups, 48, from.groups, at->groups, count.groups);
-#undef COPY
-    int64_t *layout = (int64_t *)made->layout, *children = (int64_t *)made->children;
-    int64_t *part_start = (int64_t *)made->part_start;
-    double *part_rows = (double *)made->part_rows;
-    for (int64_t p = 0; p < count.pieces; p++) {
-        int64_t *row = layout + LAYOUT * (q + p);
-        memcpy(row, pack->layout + LAYOUT * (first + p), sizeof(int64_t) * LAYOUT);
-        row[POINTS_FROM] += shift;
-        row[POINTS_TO] += shift;
-        if (!made->has_parts)
-            continue;
-        const int64_t none[PARTS] = {0, 0, 0}, *rows = pack->has_parts ? pack->part_start + PARTS * (first + p) : none;
-        for (int k = 0; k < PARTS; k++)
-            part_start[PARTS * (q + p) + k] = rows[2] > rows[0] ? at->parts + rows[k] - rows[0] : 0;
-        memcpy(part_rows + HOT * at->parts, pack->part_rows + HOT * rows[0],
-               sizeof(double) * (size_t)(HOT * (rows[2] - rows[0])));
-        at->parts += rows[2] - rows[0];
-    }
-    for (int64_t c = 0; c < WIDE * count.groups; c++) {
-        int64_t child = pack->children[WIDE * from.groups + c];
-        children[WIDE * at->groups + c] = child >= 0                 ? child - from.groups + at->groups
-                                          : child == -1 && first > 0 ? -1
-                                                                     : ~(~child - first + q);
-    }
-    ((int64_t *)made->roots)[at->bodies] = count.groups == 0 ? -1 : at->groups + count.groups - 1;
-    at->bodies++;
-    at->pieces += count.pieces;
-    at->numbers += count.numbers;
-    at->groups += count.groups;
-    ((int64_t *)made->piece_start)[at->bodies] = at->pieces;
-}
-
 /* Make one pack of the bodies of a state. */
-static loewner_status join(const loewner_checker *checker, const State *state, Cutting cutting, Half *half)
+static loewner_status join(const loewner_checker *checker, State *state, Cutting cutting, Half *half)
 {
-    int64_t bodies = state->moving + state->standing;
-    Pack *made = &half->pack;
-    Counts total = {0}, at = {0};
-    *made = (Pack){.bodies = bodies, .is_single = 1};
+    int64_t bodies = state->moving + state->standing, *chosen, words;
+    struct pieces *packs;
+    TRY(room(state, &packs, bodies, sizeof *packs));
+    TRY(room(state, &chosen, 2 * bodies, 8));
     for (int64_t k = 0; k < bodies; k++) {
         const Body *body = checker->bodies + state->body[k];
-        const Pack *pack = pack_of(state, body, k, cutting);
-        Counts from, count;
-        range_of(pack, body->which, &from, &count);
-        total.pieces += count.pieces;
-        total.numbers += count.numbers;
-        total.groups += count.groups;
-        total.parts += count.parts;
-        made->is_single &= pack->is_single || count.pieces == 0;
-        made->has_parts |= pack->has_parts;
+        packs[k] = table_of(pack_of(state, body, k, cutting));
+        chosen[2 * k] = (int64_t)(packs + k);
+        chosen[2 * k + 1] = body->which;
     }
-    made->is_single &= total.pieces > 0;
-    made->pieces = total.pieces;
-    made->numbers = total.numbers;
-    made->groups = total.groups;
-    made->parts = total.parts;
-    int64_t starts = made->has_parts ? PARTS * total.pieces : 0;
-    const void **const arrays[] = {
-        (const void **)&made->table,       (const void **)&made->layout,    (const void **)&made->points,
-        (const void **)&made->piece_start, (const void **)&made->hot,       (const void **)&made->single,
-        (const void **)&made->tree_groups, (const void **)&made->children,  (const void **)&made->roots,
-        (const void **)&made->vertices,    (const void **)&made->part_rows, (const void **)&made->part_start,
-    };
-    const int64_t sizes[] = {
-        8 * COLUMNS * total.pieces, 8 * LAYOUT * total.pieces, 8 * total.numbers,
-        8 * (bodies + 1),           8 * HOT * total.pieces,    4 * HOT * total.pieces,
-        8 * 48 * total.groups,      8 * WIDE * total.groups,   8 * bodies,
-        4 * total.numbers,          8 * HOT * total.parts,     8 * starts,
-    };
-    int64_t bytes = 0;
-    for (int k = 0; k < PACK_ARRAYS; k++)
-        bytes += (sizes[k] + 2 * CACHE_LINE - 1) / CACHE_LINE * CACHE_LINE;
-    char *memory = half->joined = aligned_alloc(CACHE_LINE, (size_t)bytes);
-    if (memory == NULL)
-        return no_memory();
-    for (int k = 0; k < PACK_ARRAYS; k++) {
-        *arrays[k] = memory;
-        memory += (sizes[k] + 2 * CACHE_LINE - 1) / CACHE_LINE * CACHE_LINE;
-    }
-    ((int64_t *)made->piece_start)[0] = 0;
-    for (int64_t k = 0; k < bodies; k++) {
-        const Body *body = checker->bodies + state->body[k];
-        append(made, pack_of(state, body, k, cutting), body->which, &at);
-    }
+    struct join_bodies asked = {.chosen = {chosen, bodies, 2}};
+    TRY(call(kernels()->join_bodies, &asked, &words));
+    asked.block.length = words;
+    TRY(room(state, &asked.block.data, words, 8));
+    TRY(call(kernels()->join_bodies, &asked, &words));
+    memcpy(&half->pieces, asked.block.data, sizeof half->pieces);
     return LOEWNER_OK;
 }
 
@@ -217,177 +97,43 @@ static void place_link(const double *constants, const double *pose, double *made
 /* The robot's links, then a fixed one for each attached body. */
 static loewner_status grow_tree(const loewner_checker *checker, State *state)
 {
+    static const double at_link[LINK_CONSTANTS] = {1, 0, 0, 0, 1, 0, 0, 0, 1};
     const Tree *given = &checker->file->tree;
-    int64_t more = 0, links = given->links;
-    for (int32_t b = 0; b < checker->body_count; b++)
-        more += checker->bodies[b].is_attached && checker->bodies[b].is_present;
-    state->tree = *given;
-    if (more == 0)
-        return LOEWNER_OK;
-    state->tree.links = links + more;
-    const void **const arrays[] = {
-        (const void **)&state->tree.parent, (const void **)&state->tree.kind,
-        (const void **)&state->tree.column, (const void **)&state->tree.multiplier,
-        (const void **)&state->tree.offset, (const void **)&state->tree.constants,
-    };
+    const void *const from[] = {given->parent,     given->kind,   given->column,
+                                given->multiplier, given->offset, given->constants};
+    void *arrays[6];
+    int64_t links = given->links;
     for (int k = 0; k < 6; k++) {
         size_t size = k < 5 ? 8 : 8 * LINK_CONSTANTS;
-        void *made = room(state, links + more, size);
-        if (made == NULL)
-            return no_memory();
-        memcpy(made, *arrays[k], (size_t)links * size);
-        *arrays[k] = made;
+        TRY(room(state, arrays + k, links + state->attached, size));
+        memset(arrays[k], 0, (size_t)(links + state->attached) * size);
+        memcpy(arrays[k], from[k], (size_t)links * size);
     }
+    int64_t *parent = arrays[0], *kind = arrays[1];
+    double *multiplier = arrays[3], *constants = arrays[5];
+    for (int64_t k = state->moving - state->attached; k < state->moving; k++) {
+        const Body *body = checker->bodies + state->body[k];
+        int is_fixed = kind[body->link] == FIXED;
+        parent[links] = rigid_link(given, body->link);
+        kind[links] = FIXED;
+        multiplier[links] = 1;
+        place_link(is_fixed ? constants + LINK_CONSTANTS * body->link : at_link, body->pose,
+                   constants + LINK_CONSTANTS * links);
+        state->link[k] = links++;
+    }
+    state->tree = (Tree){links, parent, kind, arrays[2], multiplier, arrays[4], constants};
     return LOEWNER_OK;
-}
-
-static void add_link(State *state, int64_t number, const Body *body, const Tree *given)
-{
-    static const double at_link[LINK_CONSTANTS] = {1, 0, 0, 0, 1, 0, 0, 0, 1};
-    int is_fixed = given->kind[body->link] == FIXED;
-    ((int64_t *)state->tree.parent)[number] = rigid_link(given, body->link);
-    ((int64_t *)state->tree.kind)[number] = FIXED;
-    ((double *)state->tree.multiplier)[number] = 1;
-    place_link(is_fixed ? given->constants + LINK_CONSTANTS * body->link : at_link, body->pose,
-               (double *)state->tree.constants + LINK_CONSTANTS * number);
-}
-
-/* List the joints between the world and each link, in the form of `records.MotionTables`. */
-static loewner_status list_paths(State *state)
-{
-    const Tree *tree = &state->tree;
-    int64_t total = 0, *count = room(state, tree->links, 8);
-    state->path_start = room(state, tree->links + 1, 8);
-    if (count == NULL || state->path_start == NULL)
-        return no_memory();
-    for (int64_t k = 0; k < tree->links; k++) {
-        count[k] = (tree->parent[k] >= 0 ? count[tree->parent[k]] : 0) + (tree->kind[k] != FIXED);
-        total += count[k];
-        state->path_start[k + 1] = total;
-    }
-    state->path_link = room(state, total, 8);
-    if (state->path_link == NULL)
-        return no_memory();
-    for (int64_t k = 0; k < tree->links; k++) {
-        int64_t at = state->path_start[k + 1];
-        for (int64_t link = k; link >= 0; link = tree->parent[link])
-            if (tree->kind[link] != FIXED)
-                state->path_link[--at] = link;
-    }
-    return LOEWNER_OK;
-}
-
-static int64_t depth_of(const State *state, int64_t link)
-{
-    return state->path_start[link + 1] - state->path_start[link];
-}
-
-/* How far the product of all rotations departs from orthonormality, see `motion_tables.py`. */
-static double bend_of(const Tree *tree)
-{
-    const double diagonal = sqrt(0.5); /* of eighths of a turn */
-    const double cosines[8] = {1, diagonal, 0, -diagonal, -1, -diagonal, 0, diagonal};
-    double total = 0;
-    for (int64_t link = 0; link < tree->links; link++) {
-        const double *row = tree->constants + LINK_CONSTANTS * link;
-        int turns = tree->kind[link] == REVOLUTE || tree->kind[link] == PLANAR;
-        double worst = 0;
-        for (int step = 0; step < 8; step++) {
-            double sine = turns ? cosines[(step + 6) % 8] : 0, cosine = turns ? cosines[step] : 1, R[9], squares = 0;
-            for (int k = 0; k < 9; k++)
-                R[k] = row[k] + sine * row[SINE + k] + cosine * row[COSINE + k];
-            for (int a = 0; a < 3; a++)
-                for (int b = 0; b < 3; b++) {
-                    double off = R[a] * R[b] + R[3 + a] * R[3 + b] + R[6 + a] * R[6 + b] - (a == b);
-                    squares += off * off;
-                }
-            worst = fmax(worst, sqrt(squares));
-        }
-        total += 2 * worst;
-    }
-    return total;
 }
 
 /* -- pairs --------------------------------------------------------------------------------------------------------- */
 
-static const Rule *rule_of(const loewner_checker *checker, int32_t a, int32_t b)
+/* The row of a table that begins with two bodies, a < b; -1 if there is none. */
+static int64_t row_of(const int64_t *rows, int64_t count, int64_t width, int64_t a, int64_t b)
 {
-    for (size_t k = 0; k < checker->rule_count; k++)
-        if (checker->rules[k].a == a && checker->rules[k].b == b)
-            return checker->rules + k;
-    return NULL;
-}
-
-/* The number of a pair of bodies in the file, a < b; -1 if it is not checked there. */
-static int64_t listed_pair(const File *file, int64_t a, int64_t b)
-{
-    int64_t low = 0, high = file->pairs;
-    while (low < high) {
-        int64_t middle = (low + high) / 2;
-        const int64_t *pair = file->pair_list + 2 * middle;
-        if (pair[0] < a || (pair[0] == a && pair[1] < b))
-            low = middle + 1;
-        else
-            high = middle;
-    }
-    const int64_t *pair = file->pair_list + 2 * low;
-    return low < file->pairs && pair[0] == a && pair[1] == b ? low : -1;
-}
-
-/* The number of the file's rule for two static bodies, a < b; -1 if there is none. */
-static int64_t rule_of_file(const File *file, int32_t a, int32_t b)
-{
-    for (int64_t k = 0; k < file->rule_count; k++)
-        if (file->rules[3 * k] == a && file->rules[3 * k + 1] == b)
+    for (int64_t k = 0; k < count; k++)
+        if (rows[width * k] == a && rows[width * k + 1] == b)
             return k;
     return -1;
-}
-
-/* Whether an attached body may touch another one: the own body of one of its touch links. */
-static int touches(const loewner_checker *checker, const Body *body, const Body *other)
-{
-    int is_of_robot = other->link >= 0 && !other->is_attached;
-    int is_own = is_of_robot && strcmp(other->name, loewner_checker_link_name(checker, (int32_t)other->link)) == 0;
-    for (size_t k = 0; body->is_attached && is_own && k < body->touch_count; k++)
-        if (body->touch[k] == other->link)
-            return 1;
-    return 0;
-}
-
-/* Whether two bodies are checked against each other, and how far apart they have to stay. */
-static int is_checked(const loewner_checker *checker, int32_t x, int32_t y, double *margin)
-{
-    int32_t a = x < y ? x : y, b = x < y ? y : x;
-    const File *file = checker->file;
-    const Body *one = checker->bodies + a, *other = checker->bodies + b;
-    const Rule *rule = rule_of(checker, a, b);
-    int is = 1, is_lowered = 0;
-    *margin = 0;
-    for (int side = 0; side < 2; side++) { /* `_margins` of checked_pairs.py, for pairs with at most one link */
-        int32_t body = side == 0 ? a : b;
-        if (body < file->bodies) {
-            *margin = fmax(*margin, file->own[body]);
-            is_lowered |= file->lowered[body] != 0;
-        }
-    }
-    *margin = is_lowered ? *margin : fmax(*margin, file->margin);
-    /* For a body that moves in the file, the file lists all pairs. */
-    if (a < file->moving && b < file->bodies) {
-        int64_t pair = listed_pair(file, a, b);
-        is = pair >= 0;
-        if (is)
-            *margin = file->margins[pair];
-    }
-    int64_t known = rule_of_file(file, a, b);
-    if (known >= 0) {
-        is = !file->rules[3 * known + 2];
-        *margin = file->rule_margins[known] >= 0 ? file->rule_margins[known] : *margin;
-    }
-    if (rule != NULL && rule->has_allowed)
-        is = !rule->allowed;
-    if (rule != NULL && rule->has_margin)
-        *margin = rule->margin;
-    return is && !touches(checker, one, other) && !touches(checker, other, one);
 }
 
 /* Whether the bodies are exactly the bodies of the file, all present, with its pairs. */
@@ -399,195 +145,151 @@ static int is_as_saved(const loewner_checker *checker)
     return is;
 }
 
-/* Choose the pairs; returns how many, or -1 where memory is short. Called with no arrays first, to count. */
-static int64_t choose_pairs(const loewner_checker *checker, const State *state, int64_t *pairs, double *margins)
+enum { RULE = 4 };
+
+/* Rules for pairs, as `list_pairs` takes them. */
+typedef struct {
+    int64_t *rows, count;
+    double *margins;
+} Rules;
+
+/* Append a rule for two bodies: `touch` is -1 if it is about the margin only, and `margin` if it has none. */
+static void add_rule(const State *state, Rules *rules, int64_t a, int64_t b, int64_t touch, double margin)
 {
-    int64_t count = 0, bodies = state->moving + state->standing;
-    for (int64_t i = 0; i < state->moving; i++) {
-        int64_t thing = rigid_link(&state->tree, state->link[i]);
-        for (int64_t j = i + 1; j < bodies; j++) {
-            double margin;
-            if ((j < state->moving && rigid_link(&state->tree, state->link[j]) == thing) ||
-                !is_checked(checker, state->body[i], state->body[j], &margin))
-                continue;
-            if (pairs != NULL) {
-                pairs[2 * count] = i;
-                pairs[2 * count + 1] = j;
-                margins[count] = margin;
-            }
-            count++;
-        }
-    }
-    return count;
+    const int64_t row[RULE] = {state->place[a], state->place[b], touch, 1};
+    memcpy(rules->rows + RULE * rules->count, row, sizeof row);
+    rules->margins[rules->count++] = margin;
 }
 
-/* List the pairs of each moving body with static ones in groups of eight, filled up with repeats: `pairs_in_groups`. */
-static loewner_status list_groups(State *state)
+/* Rules of the file, of the user, and of attached bodies, which may touch the own bodies of their touch links. */
+static void list_rules(const loewner_checker *checker, const State *state, Rules *rules)
 {
-    int64_t count = state->pairs, at = 0;
-    for (int64_t body = 0, k = 0; body < state->moving; body++) {
-        int64_t filled = 0;
-        for (; k < count && state->rows[k] == body; k++)
-            filled += state->rows[count + k] >= state->moving;
-        state->group_start[body + 1] = state->group_start[body] + (filled + LANES - 1) / LANES;
+    const File *file = checker->file;
+    int64_t at = 0;
+    for (int64_t a = 0; a < file->moving; a++) /* of a body that moves in the file, the file lists all pairs */
+        for (int64_t b = a + 1; b < file->bodies; b++) {
+            const int64_t *pair = file->pair_list + 2 * at;
+            int is_listed = at < file->pairs && pair[0] == a && pair[1] == b;
+            add_rule(state, rules, a, b, !is_listed, is_listed ? file->margins[at] : -1);
+            at += is_listed;
+        }
+    for (int64_t k = 0; k < file->rule_count; k++) {
+        const int64_t *rule = file->rules + 3 * k;
+        add_rule(state, rules, rule[0], rule[1], rule[2], file->rule_margins[k]);
     }
-    state->groups = state->group_start[state->moving];
-    state->group_pairs = room(state, LANES * state->groups, 8);
-    if (state->group_pairs == NULL)
-        return no_memory();
-    for (int64_t body = 0, k = 0; body < state->moving; body++) {
-        for (; k < count && state->rows[k] == body; k++)
-            if (state->rows[count + k] >= state->moving)
-                state->group_pairs[at++] = k;
-        for (; at < LANES * state->group_start[body + 1]; at++)
-            state->group_pairs[at] = state->group_pairs[at - 1];
-    }
-    return LOEWNER_OK;
+    for (const Rule *its = checker->rules; its < checker->rules + checker->rule_count; its++)
+        add_rule(state, rules, its->a, its->b, its->touch, its->margin);
+    for (int32_t b = 0; b < checker->body_count; b++)
+        for (size_t k = 0; k < checker->bodies[b].touch_count; k++) {
+            int32_t link = checker->bodies[b].touch[k];
+            int32_t other = loewner_checker_find_body(checker, loewner_checker_link_name(checker, link));
+            if (other >= 0 && checker->bodies[other].link == link && !checker->bodies[other].is_attached)
+                add_rule(state, rules, b, other, 1, -1);
+        }
+}
+
+/* Choose the pairs among all that contain a moving body, for which there is room. */
+static loewner_status choose_pairs(const loewner_checker *checker, State *state, int64_t most)
+{
+    const File *file = checker->file;
+    int64_t bodies = state->moving + state->standing, count = file->moving * file->bodies + file->rule_count;
+    count += (int64_t)checker->rule_count;
+    for (int32_t b = 0; b < checker->body_count; b++)
+        count += (int64_t)checker->bodies[b].touch_count;
+    double *own;
+    TRY(room(state, &own, 5 * bodies + (RULE + 1) * count, 8));
+    memset(own, 0, (size_t)bodies * 5 * 8);
+    int64_t *marks = (int64_t *)(own + 2 * bodies);
+    Rules rules = {marks + 3 * bodies, 0, (double *)(marks + 3 * bodies + RULE * count)};
+    for (int64_t k = 0; k < bodies; k++)
+        if (state->body[k] < file->bodies) {
+            own[2 * k] = file->own[state->body[k]];
+            marks[3 * k + 1] = file->lowered[state->body[k]];
+        }
+    list_rules(checker, state, &rules);
+    const Tree *tree = &state->tree;
+    return CALL(
+        list_pairs, &state->pairs, .parent = {tree->parent, tree->links}, .kind = {tree->kind, tree->links},
+        .link = {state->link, state->moving}, .marks = {marks, bodies, 3}, .own = {own, bodies, 2},
+        .least = {&file->margin, 1}, .rules = {rules.rows, rules.count, RULE},
+        .rule_margins = {rules.margins, rules.count}, .pairs = {state->pair_list, most, 2},
+        .margins = {state->margins, most});
 }
 
 static loewner_status list_pairs(const loewner_checker *checker, State *state)
 {
     const File *file = checker->file;
-    int64_t count = state->pairs = state->is_as_saved ? file->pairs : choose_pairs(checker, state, NULL, NULL);
-    state->pair_list = room(state, 2 * count, 8);
-    state->margins = room(state, count, 8);
-    state->order = room(state, count, 8);
-    state->motion_order = room(state, count, 8);
-    state->rows = room(state, 2 * count, 8);
-    state->group_start = room(state, state->moving + 1, 8);
-    if (state->pair_list == NULL || state->margins == NULL || state->order == NULL || state->motion_order == NULL ||
-        state->rows == NULL || state->group_start == NULL)
-        return no_memory();
+    int64_t most = state->is_as_saved ? file->pairs : state->moving * (state->moving + 2 * state->standing - 1) / 2;
+    TRY(room(state, &state->pair_list, 2 * most, 8));
+    TRY(room(state, &state->margins, most, 8));
+    TRY(room(state, &state->order, most, 8));
+    TRY(room(state, &state->rows, 2 * most, 8));
+    state->pairs = most;
     if (state->is_as_saved) {
-        memcpy(state->pair_list, file->pair_list, (size_t)count * 16);
-        memcpy(state->margins, file->margins, (size_t)count * 8);
-        memcpy(state->order, file->order, (size_t)count * 8);
-    } else {
-        choose_pairs(checker, state, state->pair_list, state->margins);
-        for (int64_t k = 0; k < count; k++)
-            state->order[k] = k;
-    }
-    for (int64_t k = 0; k < count; k++) {
+        memcpy(state->pair_list, file->pair_list, (size_t)most * 16);
+        memcpy(state->margins, file->margins, (size_t)most * 8);
+    } else
+        TRY(choose_pairs(checker, state, most));
+    for (int64_t k = 0; k < state->pairs; k++) {
+        state->order[k] = state->is_as_saved ? file->order[k] : k;
         state->rows[k] = state->pair_list[2 * k];
-        state->rows[count + k] = state->pair_list[2 * k + 1];
+        state->rows[state->pairs + k] = state->pair_list[2 * k + 1];
     }
-    /* Proofs of motions begin with the bodies far out on the robot: a stable sort by counting. */
-    int64_t deepest = 0, at = 0;
-    for (int64_t k = 0; k < state->moving; k++)
-        deepest = depth_of(state, state->link[k]) > deepest ? depth_of(state, state->link[k]) : deepest;
-    for (int64_t depth = deepest; depth >= 0; depth--)
-        for (int64_t k = 0; k < count; k++)
-            if (depth_of(state, state->link[state->rows[k]]) == depth)
-                state->motion_order[at++] = k;
-    return list_groups(state);
+    return LOEWNER_OK;
 }
 
 /* -- halves -------------------------------------------------------------------------------------------------------- */
 
-/* How long a chain of links is, from the world's origin to the origin of one: at most the sum of its translations. */
-static double length_of(const Tree *tree, int64_t link)
-{
-    const double *shift = tree->constants + LINK_CONSTANTS * link + TRANSLATION;
-    double own = sqrt(shift[0] * shift[0] + shift[1] * shift[1] + shift[2] * shift[2]);
-    return own + (tree->parent[link] >= 0 ? length_of(tree, tree->parent[link]) : 0);
-}
-
 /* Place the static bodies that have moved where they are, since no other thread may query this checker meanwhile. */
 static loewner_status place(const State *state, Half *half)
 {
-    TRY(CALL(place_static, &half->handle, .pack = (int64_t)&half->pieces, .handle = half->handle,
-             .block = {half->block, half->block_words}, .poses = {state->poses, state->standing, 16}));
-    half->motions = half->handle + (int64_t)offsetof(Tables, motions);
-    return LOEWNER_OK;
+    return CALL(place_static, &half->handle, .pack = (int64_t)&half->pieces, .handle = half->handle,
+                .block = {half->block, half->block_words}, .poses = {state->poses, state->standing, 16});
 }
 
-/* Bytes that the queries of a set of bodies write to. */
-static loewner_status measure(const loewner_checker *checker, Half *half, int is_for_motions)
-{
-    const Kernels *known = kernels();
-    const struct memory_size arguments = {(int64_t)&half->pieces, half->handle, checker->file->dof};
-    const Kernel sizes[] = {known->memory_size, known->memory_of_nearest, known->memory_of_clearances,
-                            known->motion_memory};
-    half->memory = known->settle_memory;
-    for (int k = 0; k < 3 + is_for_motions; k++) {
-        int64_t size = 0;
-        TRY(call(sizes[k], &arguments, &size));
-        half->memory = size > half->memory ? size : half->memory;
-    }
-    return LOEWNER_OK;
-}
-
-static loewner_status make_half(const loewner_checker *checker, State *state, Cutting cutting, int is_for_motions)
+static loewner_status make_half(const loewner_checker *checker, State *state, Cutting cutting)
 {
     Half *half = state->halves + cutting;
-    int64_t bodies = state->moving + state->standing, links = state->tree.links, pairs = state->pairs;
+    const Tree *tree = &state->tree;
+    int64_t links = tree->links, pairs = state->pairs;
     if (state->is_as_saved)
-        half->pack = checker->file->packs[cutting];
+        half->pieces = table_of(checker->file->packs + cutting);
     else
         TRY(join(checker, state, cutting, half));
-    half->pieces = table_of(&half->pack);
-    int64_t pieces = half->pack.piece_start[bodies] - half->pack.piece_start[state->moving];
-    half->ball = room(state, 5 * state->moving, 8);
-    half->chain = room(state, 3, 8);
-    if (half->ball == NULL || half->chain == NULL)
-        return no_memory();
-    int64_t deepest = 0;
-    double longest = 0;
-    for (int64_t k = 0; k < state->moving; k++) {
-        double far = 0;
-        for (int64_t p = half->pack.piece_start[k]; p < half->pack.piece_start[k + 1]; p++)
-            far = fmax(far, half->pack.table[COLUMNS * p + REACH]);
-        longest = fmax(longest, length_of(&state->tree, state->link[k]) + far);
-        deepest = depth_of(state, state->link[k]) > deepest ? depth_of(state, state->link[k]) : deepest;
-    }
-    half->chain[0] = (double)(1 + deepest);
-    half->chain[1] = longest * STRETCH;
-    half->chain[2] = bend_of(&state->tree);
-    /* Words of the arrays that depend on poses; the last one starts as NaN, which differs from all poses. */
-    const int64_t sizes[] = {
-        bodies * links, pieces * HOT, state->standing, 8 * LANES * state->groups, state->standing * BOUNDS / 2,
-        pieces * HOT / 2, 16 * state->standing,
-    };
-    int64_t next = sizeof(Tables) / 8, words = next + CACHE_LINE / 8;
-    double *at[7];
-    for (int k = 0; k < 7; k++)
-        words += sizes[k];
-    half->block_words = words;
-    size_t bytes = ((size_t)words * 8 + CACHE_LINE - 1) / CACHE_LINE * CACHE_LINE;
-    double *block = half->block = aligned_alloc(CACHE_LINE, bytes);
-    if (block == NULL)
-        return no_memory();
-    memset(block, 0, (size_t)words * 8);
-    for (int k = 0; k < 7; k++) {
-        at[k] = block + next;
-        next += sizes[k];
-    }
-    for (int64_t k = 0; k < sizes[6]; k++)
-        at[6][k] = NAN;
-    const Tree *tree = &state->tree;
-    const struct problem problem = {
+    const int64_t *layout = half->pieces.layout.data;
+    for (int64_t p = 0; p < half->pieces.layout.rows; p++)
+        state->starts_matter |= layout[LAYOUT * p + KIND_OF] == SOLID;
+    const struct problem given = {
         .parent = {tree->parent, links, 1}, .kind = {tree->kind, links, 1}, .column = {tree->column, links, 1},
         .multiplier = {tree->multiplier, links, 1}, .offset = {tree->offset, links, 1},
         .constants = {tree->constants, links, LINK_CONSTANTS}, .link = {state->link, state->moving, 1},
-        .ball = {half->ball, state->moving, 5}, .pairs = {state->pair_list, pairs, 2},
-        .margins = {state->margins, pairs, 1}, .order = {state->order, pairs, 1},
-        .standing = {at[4], state->standing, BOUNDS}, .standing_rows = {at[5], pieces, HOT},
-        .standing_poses = {at[6], state->standing, 16},
+        .pairs = {state->pair_list, pairs, 2}, .margins = {state->margins, pairs, 1},
+        .order = {state->order, pairs, 1},
     };
-    const struct motion_tables motions = {
-        .path_start = {state->path_start, links + 1, 1}, .path_link = {state->path_link, state->path_start[links], 1},
-        .reach = {at[0], bodies, links}, .standing_rows = {at[1], pieces, HOT}, .sizes = {at[2], state->standing, 1},
-        .order = {state->motion_order, pairs, 1}, .group_start = {state->group_start, state->moving + 1, 1},
-        .group_pairs = {state->group_pairs, LANES * state->groups, 1}, .groups = {at[3], 8 * LANES * state->groups, 1},
-        .chain = {half->chain, 3, 1},
-    };
-    Tables *tables = (Tables *)block;
-    *tables = (Tables){problem, motions};
-    half->handle = (int64_t)block;
-    TRY(CALL(measure_moving, NULL, .pack = (int64_t)&half->pieces, .problem_handle = half->handle,
-             .tables_handle = (int64_t)&tables->motions));
+    struct lay_out asked = {.pack = (int64_t)&half->pieces, .handle = (int64_t)&given};
+    struct lay_out_results made;
+    TRY(call(kernels()->lay_out, &asked, &made));
+    asked.lasting.length = made.lasting_words;
+    asked.block.length = half->block_words = made.block_words;
+    TRY(room(state, &asked.lasting.data, made.lasting_words, 8));
+    TRY(room(state, &half->block, made.block_words, 8));
+    asked.block.data = half->block;
+    TRY(call(kernels()->lay_out, &asked, &made));
+    half->handle = made.made;
+    half->motions = half->handle + (int64_t)offsetof(Tables, motions);
     TRY(place(state, half));
-    return measure(checker, half, is_for_motions);
+    /* Bytes that queries write to; motions are proven with surfaces in parts. */
+    const Kernels *known = kernels();
+    const struct memory_size sized = {(int64_t)&half->pieces, half->handle, checker->file->dof};
+    const Kernel sizes[] = {known->memory_size, known->memory_of_nearest, known->memory_of_clearances,
+                            known->motion_memory};
+    half->memory = known->settle_memory;
+    for (int k = 0; k < 3 + (cutting == (state->has_cut ? CUT : WHOLE)); k++) {
+        int64_t size = 0;
+        TRY(call(sizes[k], &sized, &size));
+        half->memory = size > half->memory ? size : half->memory;
+    }
+    return LOEWNER_OK;
 }
 
 /* -- states -------------------------------------------------------------------------------------------------------- */
@@ -595,34 +297,27 @@ static loewner_status make_half(const loewner_checker *checker, State *state, Cu
 /* Order the bodies: the robot's own, then attached ones, then static ones. */
 static loewner_status arrange(const loewner_checker *checker, State *state)
 {
-    int32_t count = checker->body_count;
-    state->body = room(state, count, sizeof(int32_t));
-    state->place = room(state, count, sizeof(int32_t));
-    if (state->body == NULL || state->place == NULL)
-        return no_memory();
+    int32_t count = checker->body_count, at = 0;
+    TRY(room(state, &state->body, count, sizeof *state->body));
+    TRY(room(state, &state->place, count, sizeof *state->place));
+    memset(state->place, -1, (size_t)count * sizeof *state->place);
     for (int group = 0; group < 3; group++)
         for (int32_t b = 0; b < count; b++) {
             const Body *body = checker->bodies + b;
-            int its = body->link < 0 ? 2 : body->is_attached;
-            if (its != group)
+            if (!body->is_present || (body->link < 0 ? 2 : body->is_attached) != group)
                 continue;
-            state->place[b] = -1;
-            if (!body->is_present)
-                continue;
-            state->place[b] = (int32_t)(state->moving + state->standing);
-            state->body[state->place[b]] = b;
-            *(group < 2 ? &state->moving : &state->standing) += 1;
+            state->place[b] = at;
+            state->body[at++] = b;
+            state->moving += group < 2;
+            state->attached += group == 1;
             state->growing += body->has_bounds;
+            state->has_cut |= body->file->has_cut;
         }
-    state->link = room(state, state->moving, 8);
-    state->poses = room(state, 16 * state->standing, 8);
-    if (state->link == NULL || state->poses == NULL)
-        return no_memory();
-    int64_t next = checker->file->links;
-    for (int64_t k = 0; k < state->moving; k++) {
-        const Body *body = checker->bodies + state->body[k];
-        state->link[k] = body->is_attached ? next++ : body->link;
-    }
+    state->standing = at - state->moving;
+    TRY(room(state, &state->link, state->moving, 8));
+    TRY(room(state, &state->poses, 16 * state->standing, 8));
+    for (int64_t k = 0; k < state->moving; k++)
+        state->link[k] = checker->bodies[state->body[k]].link;
     return LOEWNER_OK;
 }
 
@@ -638,24 +333,9 @@ static loewner_status assemble(const loewner_checker *checker, State *state)
     TRY(arrange(checker, state));
     copy_poses(checker, state);
     TRY(grow_tree(checker, state));
-    for (int64_t k = 0; k < state->moving; k++) {
-        const Body *body = checker->bodies + state->body[k];
-        if (body->is_attached)
-            add_link(state, state->link[k], body, &checker->file->tree);
-    }
-    TRY(list_paths(state));
     TRY(list_pairs(checker, state));
-    int has_cut = 0;
-    for (int64_t k = 0; k < state->moving + state->standing; k++) {
-        const Body *body = checker->bodies + state->body[k];
-        has_cut |= body->file->has_cut;
-        state->starts_matter |= is_solid(body);
-    }
-    TRY(make_half(checker, state, WHOLE, !has_cut));
-    if (has_cut) {
-        TRY(make_half(checker, state, CUT, 1));
-        TRY(make_half(checker, state, OPEN_CUT, 0));
-    }
+    for (int cutting = WHOLE; cutting < (state->has_cut ? CUTTINGS : CUT); cutting++)
+        TRY(make_half(checker, state, cutting));
     return LOEWNER_OK;
 }
 
@@ -708,11 +388,6 @@ void loewner_workspace_free(loewner_workspace *workspace)
     free(workspace);
 }
 
-typedef struct {
-    void **field;
-    size_t size;
-} Part;
-
 static loewner_status bind(const loewner_checker *checker, loewner_workspace *workspace)
 {
     const State *state = &checker->state;
@@ -722,7 +397,7 @@ static loewner_status bind(const loewner_checker *checker, loewner_workspace *wo
     size_t memory = 0;
     for (int k = 0; k < CUTTINGS; k++)
         memory = (size_t)state->halves[k].memory > memory ? (size_t)state->halves[k].memory : memory;
-    const Part parts[] = {
+    const struct { void **field; size_t size; } parts[] = {
         {(void **)&workspace->memory, memory},
         {(void **)&workspace->validator, (size_t)half->memory},
         {(void **)&workspace->order, 8 * pairs},
@@ -765,8 +440,7 @@ static loewner_status bind(const loewner_checker *checker, loewner_workspace *wo
     memset(workspace->hits, 0, 8 * pairs);
     workspace->tables.problem.order.data = workspace->order;
     workspace->pack = (int64_t)&state->halves[WHOLE].pieces;
-    workspace->seen = 0;
-    workspace->is_ready = 0;
+    workspace->seen = workspace->is_ready = 0;
     workspace->next_look = FIRST_LOOK;
     workspace->serial = checker->serial;
     return LOEWNER_OK;
@@ -826,34 +500,27 @@ loewner_status loewner_checker_open(const char *path, loewner_checker **checker)
         return LOEWNER_NO_KERNELS;
     File *file;
     TRY(open_file(path, &file));
-    loewner_status outcome = LOEWNER_OK;
     loewner_checker *made = calloc(1, sizeof *made);
-    if (made != NULL)
-        made->bodies = calloc((size_t)file->bodies + 1, sizeof *made->bodies);
-    if (made == NULL || made->bodies == NULL)
-        outcome = no_memory();
-    else if (file->moving == 0 || file->dof == 0)
-        outcome = fail(LOEWNER_BAD_FILE, "%.300s: expected a robot that CollisionChecker.save wrote, found bodies only",
-                       path);
-    if (outcome != LOEWNER_OK) {
-        if (made != NULL)
-            free(made->bodies);
+    Body *bodies = calloc((size_t)file->bodies + 1, sizeof *bodies);
+    int is_robot = file->moving > 0 && file->dof > 0;
+    if (made == NULL || bodies == NULL || !is_robot) {
         free(made);
+        free(bodies);
         leave_file(file);
-        return outcome;
+        return is_robot ? no_memory()
+                        : fail(LOEWNER_BAD_FILE,
+                               "%.300s: expected a robot that CollisionChecker.save wrote, found bodies only", path);
     }
+    *made = (loewner_checker){.file = file, .bodies = bodies, .body_count = (int32_t)file->bodies, .is_stale = 2};
     pthread_mutex_init(&made->lock, NULL);
-    atomic_init(&made->is_stale, 2);
-    made->file = file;
-    made->body_count = (int32_t)file->bodies;
     for (int32_t b = 0; b < made->body_count; b++) {
-        Body *body = made->bodies + b;
-        *body = (Body){.name = (char *)file->names[b], .file = file, .which = b, .link = -1, .is_present = 1};
+        bodies[b] = (Body){.name = (char *)file->names[b], .file = file, .which = b, .link = -1, .is_present = 1};
         if (b < file->moving)
-            body->link = file->link[b];
+            bodies[b].link = file->link[b];
         else
-            memcpy(body->pose, file->poses + 16 * (b - file->moving), sizeof body->pose);
+            memcpy(bodies[b].pose, file->poses + 16 * (b - file->moving), sizeof bodies[b].pose);
     }
+    loewner_status outcome;
     if (check_poses(file->poses, (size_t)(file->bodies - file->moving), "poses") != LOEWNER_OK)
         outcome = fail(LOEWNER_BAD_FILE, "%.300s: the file is damaged: poses", path);
     else
@@ -1090,15 +757,16 @@ static loewner_status its_rule(loewner_checker *checker, int32_t a, int32_t b, R
     if (a == b)
         return fail(LOEWNER_BAD_ARGUMENT, "a, b: expected two bodies, found %d twice", a);
     int32_t low = a < b ? a : b, high = a < b ? b : a;
-    *rule = (Rule *)rule_of(checker, low, high);
-    if (*rule == NULL) {
+    int64_t known = row_of((const int64_t *)checker->rules, (int64_t)checker->rule_count, sizeof(Rule) / 8, low, high);
+    if (known < 0) {
         Rule *more = realloc(checker->rules, sizeof *more * (checker->rule_count + 1));
         if (more == NULL)
             return no_memory();
         checker->rules = more;
-        *rule = more + checker->rule_count++;
-        **rule = (Rule){.a = low, .b = high};
+        known = (int64_t)checker->rule_count++;
+        more[known] = (Rule){.a = low, .b = high, .touch = -1, .margin = -1};
     }
+    *rule = checker->rules + known;
     spoil(checker, 2);
     return LOEWNER_OK;
 }
@@ -1108,13 +776,14 @@ loewner_status loewner_checker_allow(loewner_checker *checker, int32_t a, int32_
     Rule *rule;
     TRY(its_rule(checker, a, b, &rule));
     const File *file = checker->file;
-    if (!allowed && rule->a < file->moving && rule->b < file->bodies && listed_pair(file, rule->a, rule->b) < 0)
+    if (!allowed && rule->a < file->moving && rule->b < file->bodies &&
+        row_of(file->pair_list, file->pairs, 2, rule->a, rule->b) < 0)
         return fail(LOEWNER_BAD_ARGUMENT,
                     "expected a pair that was checked when the file was saved, found %.100s and %.100s",
                     checker->bodies[rule->a].name, checker->bodies[rule->b].name);
     /* Pairs are checked unless the file excludes them; it may do so by a rule for two static bodies. */
-    rule->has_allowed = allowed || rule_of_file(file, rule->a, rule->b) >= 0;
-    rule->allowed = allowed != 0;
+    int is_ruled = row_of(file->rules, file->rule_count, 3, rule->a, rule->b) >= 0;
+    rule->touch = allowed ? 1 : is_ruled ? 0 : -1;
     return LOEWNER_OK;
 }
 
@@ -1144,7 +813,6 @@ loewner_status loewner_checker_set_margin(loewner_checker *checker, int32_t a, i
     if (!(margin >= 0 && margin <= 1e30))
         return fail(LOEWNER_BAD_ARGUMENT, "margin: expected a number >= 0, found %g", margin);
     TRY(its_rule(checker, a, b, &rule));
-    rule->has_margin = 1;
     rule->margin = margin;
     return LOEWNER_OK;
 }

@@ -96,10 +96,6 @@ class Problem(NamedTuple):
     standing_poses: Any
 
 
-# Where the table of `MotionTables` begins, in bytes, if it follows the table of a `Problem`.
-MOTIONS = 8 * ENTRIES * (len(Tree._fields) + len(Problem._fields) - 1)
-
-
 class KeptAxis(NamedTuple):
     """An axis of a link that stays within an angle of a direction of the world, for `robots.lines`.
 
@@ -203,6 +199,17 @@ class MotionTables(NamedTuple):
     group_pairs: Any
     groups: Any
     chain: Any
+
+
+# Types of the arrays of `MotionTables`, in the words of `entries`.
+MOTION_WORDS = "I1 I1 F2 F2 F1 I1 I1 I1 F1 F1"
+
+# Rows of the arrays where the table of `MotionTables` follows the table of a `Problem`; in bytes, where it begins; and
+# the words of both, whole cache lines.
+PROBLEM_ROWS = {name: row for row, name in enumerate((*Tree._fields, *Problem._fields[1:]))}
+MOTION_ROWS = {name: row for row, name in enumerate(MotionTables._fields, len(PROBLEM_ROWS))}
+MOTIONS = 8 * ENTRIES * len(PROBLEM_ROWS)
+TABLE = ENTRIES * (len(PROBLEM_ROWS) + len(MOTION_ROWS))
 
 
 class PlaneModel(NamedTuple):

@@ -38,6 +38,9 @@ OFF = POSITION_ERROR * SINGLE_ROUNDOFF  # derived 3, certified.md B7
 FACE_WIDTH = 1e-11
 FACE_ROUNDING = 64.0
 
+# An allowance for rounding, and for the stretching by poses of a base or a body that are accepted as rigid.
+CHAIN_STRETCH = 1.0 + 8.0 * ROTATION_TOLERANCE
+
 # Stretching of paths by poses accepted as rigid, and the few dozen roundings in the computation of rates and bounds.
 STRETCH = 1e-5  # derived 3.2e-6, certified.md B29
 

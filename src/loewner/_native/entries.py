@@ -55,7 +55,8 @@ ENTRIES = {
         Entry("robots.wrenches", "link_jacobians", "I1 I1 I1 F1 F1 F2 F2 i i i F1 F3", ""),
         Entry("robots.plane_trees", "measure_model", "i", ""),
         Entry("robots.plane_trees", "plane_trees", "i i F2 F2 f F2 U1 F2", "i i i f f"),
-        Entry("robots.standing", "measure_moving", "i i i", ""),
+        Entry("robots.pair_lists", "list_pairs", "I1 I1 I1 I2 F2 F1 I2 F1 I2 F1", "i"),
+        Entry("robots.pair_lists", "lay_out", "i i F1 F1", "i i i"),
         Entry("robots.standing", "place_static", "i i F1 F2", "i"),
         # -- distances
         Entry("pipeline.distances", "distance_range", "b i i I2 I2 i F3 i F3 i F2 F3 B1", "I2 F2"),
@@ -78,6 +79,7 @@ ENTRIES = {
         Entry("low_discrepancy", "irrationals", "F1 F1", ""),
         # -- poses, crowds, trees
         Entry("pieces.rigid", "first_fault", "F3", "i i f"),
+        Entry("pieces.joining", "join_bodies", "I2 F1", "i"),
         Entry("pieces.directions", "direction_map", "F2", "I1 F2"),
         Entry("trees.piece_tree", "piece_trees", "cI1 cF2 cF2", "F1 I1 I1"),
         Entry("trees.triangle_tree", "triangle_tree", "cF2 cI2", "F1 I1 F1 F1 F1 I1"),

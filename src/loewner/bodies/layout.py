@@ -39,6 +39,9 @@ TURN_ROUNDINGS = 128 * 2.0**-53
 # Number of products of directions and vertices formed at a time.
 AT_ONCE = 1_000_000
 
+# Types of the arrays of `records.Pieces`, in the words of `entries`.
+_WORDS = ["F2", "I2", "F1", "I1", "F2", "S2", "F1", "I1", "I1", "S1", "F2", "I1"]
+
 # For each corner of a box, its end along each axis.
 _CORNERS = np.indices((2, 2, 2)).reshape(3, 8).T
 
@@ -115,50 +118,26 @@ def kernel_arrays(p: PieceArrays, maps: Maps, trees: Trees) -> records.Pieces:
     return records.Pieces(table, layout, points, start, hot, single, *_trees(table, start), vertices, *_parts(p, trees))
 
 
-def joined_kernel(parts: Sequence[records.Pieces]) -> records.Pieces:
+def joined_kernel(packs: Sequence[Any]) -> records.Pieces:
     """Join the kernels' arrays of several packs, in order: what `kernel_arrays` makes of all of their pieces.
 
     Making them anew would take a hundred times as long for a cloud.
     """
-    sizes = [(len(p.table), len(p.points) // 3, len(p.children) // columns.WIDE, len(p.parts)) for p in parts]
-    pieces, points, groups, rows = zip(*[(0, 0, 0, 0), *np.cumsum(sizes, axis=0).tolist()], strict=True)
-    layout = [part.layout + np.array([0, first, first, 0]) for part, first in zip(parts, points, strict=False)]
-    start = [part.piece_start[1:] + first for part, first in zip(parts, pieces, strict=False)]
-    # A child is a group, or a piece if it is negative.
-    children = [
-        np.where(part.children < 0, part.children - piece, part.children + group)
-        for part, piece, group in zip(parts, pieces, groups, strict=False)
-    ]
-    roots = [np.where(part.roots < 0, -1, part.roots + group) for part, group in zip(parts, groups, strict=False)]
-    surfaces = any(len(part.part_start) for part in parts)
-    part_start = [
-        _moved_parts(part.part_start, row)
-        if len(part.part_start)
-        else np.zeros(columns.PARTS * len(part.table) * surfaces, np.int64)
-        for part, row in zip(parts, rows, strict=False)
-    ]
-    singles = all(len(part.single) or not len(part.table) for part in parts)
-    joined = {
-        name: np.concatenate([getattr(part, name) for part in parts]) for name in ("table", "hot", "groups", "parts")
-    }
-    return records.Pieces(
-        **joined,
-        layout=np.concatenate(layout),
-        points=_end_to_end([part.points for part in parts]),
-        piece_start=np.concatenate([[0], *start]).astype(np.int64),
-        single=np.concatenate([part.single for part in parts[: len(parts) * singles]] or [parts[0].single[:0]]),
-        children=np.concatenate(children),
-        roots=np.concatenate(roots),
-        vertices=_end_to_end([part.vertices for part in parts[: len(parts) * singles]] or [parts[0].vertices[:0]]),
-        part_start=np.concatenate(part_start),
-    )
+    counts = [len(pack.piece_start) - 1 for pack in packs]
+    numbers = np.concatenate([np.arange(count) for count in counts])
+    chosen = np.column_stack([np.repeat(np.array([pack.handle for pack in packs]), counts), numbers])
+    block = records.aligned(entries.join_bodies(chosen, np.zeros(0)))
+    entries.join_bodies(chosen, block)
+    table = block[: records.ENTRIES * len(_WORDS)].view(np.int64).reshape(-1, records.ENTRIES).tolist()
+    return records.Pieces(*(array_in(block, row, word) for row, word in zip(table, _WORDS, strict=True)))
 
 
-def _moved_parts(part_start: Ints, row: int) -> Ints:
-    """Shift the rows of surfaces; other pieces keep zeros, since kernels take any other end for a surface."""
-    rows = part_start.reshape(-1, columns.PARTS)
-    surface = rows[:, columns.PART_STOP] > rows[:, columns.PART_OUTER]
-    return np.asarray(np.where(surface[:, None], rows + row, 0).ravel())
+def array_in(memory: NDArray[Any], row: Sequence[int], word: str) -> Any:
+    """The array that a row of a table describes, in the memory that holds it, of the type of a word, see `entries`."""
+    address, *shape = row
+    within = address - memory.ctypes.data if 0 not in shape else 0  # nothing has any address
+    kind = {"F": np.float64, "S": np.float32, "I": np.int64}[word[0]]
+    return np.ndarray(shape[: int(word[1])], kind, memory, within)
 
 
 def one_body(kernel: records.Pieces) -> records.Pieces:

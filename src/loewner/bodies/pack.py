@@ -157,13 +157,13 @@ def empty() -> Packed:
 def join(parts: Sequence[Packed]) -> Packed:
     """Join all bodies of several packs, in order; the kernels' arrays are joined as well, and not made anew."""
     _memory.expect_place(_memory.KERNELS)
-    return Packed.with_kernel(joined(parts), joined_kernel([part.kernel for part in parts]))
+    return Packed.with_kernel(joined(parts), joined_kernel(parts))
 
 
 def as_one(parts: Sequence[Packed]) -> Packed:
     """Make one body of all pieces of several packs."""
     made = joined(parts)
-    kernel = one_body(joined_kernel([part.kernel for part in parts]))
+    kernel = one_body(joined_kernel(parts))
     return Packed.with_kernel(replace(made, piece_start=np.array([0, len(made.layout)])), kernel)
 
 

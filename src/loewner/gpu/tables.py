@@ -11,7 +11,6 @@ from loewner._base._validate import Floats, Ints
 from loewner._kernels import columns, tolerances
 from loewner.gpu.driver import Device, Memory
 from loewner.gpu.pairs import single_rows
-from loewner.robots.checking.motion_tables import chains_of
 from loewner.robots.checking.problem import Problem
 
 # A ball that is added to a core keeps its shape only under a pose that is so close to a rotation.
@@ -54,7 +53,7 @@ def tables_of(gpu: Device, ready: Problem) -> Tables:
     constants = np.zeros((len(tree.parent), columns.LINK_CONSTANTS))
     constants[:, : columns.CONSTANTS] = tree.constants
     constants[:, columns.MULTIPLIER], constants[:, columns.OFFSET] = tree.multiplier, tree.offset
-    constants[tree.parent < 0, columns.BENT] = chains_of(ready.robot).bend / tolerances.SINGLE_ROUNDOFF * tolerances.UP
+    constants[tree.parent < 0, columns.BENT] = ready.tables.chain[2] / tolerances.SINGLE_ROUNDOFF * tolerances.UP
 
     bodies = np.zeros((len(start) - 1, columns.BODY_INTEGERS), dtype=np.int32)
     bodies[:moving, columns.LINK_OF_BODY] = ready.link
@@ -139,7 +138,7 @@ class _Chains:
         return float(self._levers(upper, _joints_between(self._ready, upper, int(self._ready.link[lower]))).sum())
 
     def _levers(self, body: int, joints: Ints) -> Floats:
-        return np.asarray(self._ready.standing.reach[body, joints])
+        return np.asarray(self._ready.tables.reach[body, joints])
 
     def arrays(self) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int32], NDArray[np.float32]]:
         """Roles, chain_start, joints and levers of `threads.configurations.Cell`."""
@@ -157,7 +156,7 @@ class _Chains:
 
 def _joints_between(ready: Problem, body: int, lower: int) -> Ints:
     """Joints from a moving body to a link, or to the world (-1), by the links that they move."""
-    paths = chains_of(ready.robot)
+    paths = ready.tables
     up, down = (
         paths.path_link[slice(*paths.path_start[link : link + 2])] if link >= 0 else paths.path_link[:0]
         for link in (int(ready.link[body]), lower)

@@ -108,11 +108,10 @@ class Judge:
     def asked(self) -> tuple[Ints, Floats]:
         """Return the handles and lengths for `_kernels.robots.free_motions.judge_of`, for calls of this thread."""
         ready = self.ready if self.resolution else self.ready.in_parts
-        prepared = ready.motions
-        memory = workspace(max(prepared.memory, ready.memory))
+        memory = workspace(max(ready.memory_of_motions, ready.memory))
         error = 0 if self.joint_error is None else self.joint_error.ctypes.data
         kept = 0 if self.kept is None else self.kept.handle
-        handles = [ready.packed.handle, ready.handle, prepared.handle, memory, self.samples, error, kept]
+        handles = [ready.packed.handle, ready.handle, ready.handle_of_motions, memory, self.samples, error, kept]
         return np.array(handles, dtype=np.int64), np.array([TOLERANCE, self.resolution])
 
     def free(self, Q0: Floats, Q1: Floats) -> Bools:

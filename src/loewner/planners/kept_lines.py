@@ -14,7 +14,6 @@ from loewner._base._validate import Bools, Floats
 from loewner._kernels import columns, tolerances
 from loewner.errors import InputError
 from loewner.robots import Robot
-from loewner.robots.checking.motion_tables import STRETCH
 from loewner.robots.description.reaching import Chain, refuse_far
 from loewner.robots.description.robot import chain_to
 
@@ -229,7 +228,8 @@ class KeptLine:
         reach = length + lengths(self.start) + lengths(self.way)
         rounding = ROUNDINGS * self.joints * largest
         astray = np.stack([turn_off * length + slid + rounding * reach, np.sqrt(2) * turn_off + rounding], axis=1)
-        return STRETCH * bent, STRETCH * astray
+        stretch = tolerances.CHAIN_STRETCH
+        return stretch * bent, stretch * astray
 
 
 def kept_lines(line: Any, rows: Floats) -> list[Line]:

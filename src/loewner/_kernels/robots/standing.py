@@ -39,18 +39,16 @@ from loewner._kernels.columns import (
 )
 from loewner._kernels.linalg3 import apply, apply_transposed, dot, image, minus, one_norm, plus, rotated_shape, scaled
 from loewner._kernels.pieces.pack import motion_tables_of, pieces_of, problem_of
-from loewner._kernels.records import ENTRIES, MOTIONS, MotionTables
+from loewner._kernels.records import ENTRIES, MOTIONS, TABLE
 from loewner._kernels.simd.memory import held, integers_at
 from loewner._kernels.simd.vectors import LANES, broadcast, highest, load, lowest, maximum, minimum
-from loewner._kernels.tolerances import LEAST, OFF, ROTATION_TOLERANCE, SHAPE_ROUNDINGS, UP
+from loewner._kernels.tolerances import CHAIN_STRETCH, LEAST, OFF, ROTATION_TOLERANCE, SHAPE_ROUNDINGS, UP
 
 # An allowance for rounding, and for lengths that a pose accepted as rigid may stretch. Reaches are also stretched by
 # the pose of a base.
 STRETCH = 1.0 + 4.0 * ROTATION_TOLERANCE
-STRETCH_OF_REACHES = 1.0 + 8.0 * ROTATION_TOLERANCE
 
-# Words of a cache line, and rows of the two tables.
-LINE, ROWS = CACHE_LINE // 8, MOTIONS // (8 * ENTRIES) + len(MotionTables._fields)
+LINE = CACHE_LINE // 8  # words
 
 
 class _Box(NamedTuple):
@@ -181,7 +179,7 @@ def _write_reaches(tree, link, center, radius, reach, body, balls):
     while at < links:  # up: from each link to its parent
         R, t, axis = _joint(tree, at)
         far, c, r = _swept(tree.kind[at], _three(balls, at, 0), balls[at, 3], axis)
-        reach[body, at] = far * STRETCH_OF_REACHES
+        reach[body, at] = far * CHAIN_STRETCH
         at = tree.parent[at] if tree.parent[at] >= 0 else links
         _write(balls, at, 0, image(R, t, c))
         balls[at, 3] = r
@@ -191,7 +189,7 @@ def _write_reaches(tree, link, center, radius, reach, body, balls):
             continue
         R, t, axis = _joint(tree, k)
         far, c, r = _swept(tree.kind[k], apply_transposed(R, minus(_three(balls, above, 0), t)), balls[above, 3], axis)
-        reach[body, k] = far * STRETCH_OF_REACHES
+        reach[body, k] = far * CHAIN_STRETCH
         _write(balls, k, 0, c)
         balls[k, 3] = r
 
@@ -242,9 +240,9 @@ def place_static(pack, handle, block, poses):
     old, new = integers_at(handle, (words,)), integers_at(made, (words,))
     for k in range(words if made != handle else 0):
         new[k] = old[k]
-    for row in range(ROWS):
-        if handle <= new[ENTRIES * row] < handle + 8 * words:
-            new[ENTRIES * row] += made - handle
+    for at in range(0, TABLE, ENTRIES):
+        if handle <= new[at] < handle + 8 * words:
+            new[at] += made - handle
     pieces, problem, tables = pieces_of(pack), problem_of(made), motion_tables_of(made + MOTIONS)
     balls = np.empty((len(problem.tree.parent) + 1, 4))
     moving, anything = len(problem.link), False

@@ -11,10 +11,11 @@ import numpy as np
 from loewner._base import _validate
 from loewner._base._validate import Bools, Floats, Ints, Pair
 from loewner._kernels import columns
+from loewner._native import entries
 from loewner.bodies import Body, Packed, packed_of
 from loewner.errors import InputError, UnknownNameError
 from loewner.queries.pose_paths import PoseBounds
-from loewner.robots.checking.problem import Problem, rigid_with
+from loewner.robots.checking.problem import Problem
 from loewner.robots.description.assembly import with_moving_bodies
 from loewner.robots.description.robot import Robot
 from loewner.scenes.scene import Attachment, Scene, in_world
@@ -53,11 +54,10 @@ def prepared(robot: Robot, scene: Scene, skipped: Iterable[Pair], version: int, 
     poses, following, growing = in_world(scene)
     whole = with_moving_bodies(robot, tuple(following)) if following else robot
     names, packs, link = _bodies(robot, scene, list(following))
-    pairs = _pairs(whole, names, link, _allowed_pairs(scene, skipped))
-    pairs = pairs[link[pairs[:, 0]] < len(robot.link_names)]  # bodies of the scene are not checked against each other
+    on_links = link[link < len(robot.link_names)]  # bodies of the scene are not checked against each other
+    pairs, given = _pairs(robot, scene, names, on_links, skipped)
     leaving, reaching = (_of_rules(rules, names, pairs) for rules in (scene.leaving, scene.reaching))
     _check_convex(names, packs, pairs[leaving | reaching])
-    given = _margins(scene, names, pairs)
     bounds = scene.bounds
     errors = np.array([0.0 if name in growing or name not in bounds else bounds[name].off(0.0) for name in names])
     _check_known(names, pairs[leaving | reaching], bounds)
@@ -120,76 +120,48 @@ def _on_link(body: Body, held: Attachment) -> Packed:
     return known[1]
 
 
-def _allowed_pairs(scene: Scene, skipped: Iterable[Pair]) -> set[frozenset[str]]:
-    touching = {frozenset((name, link)) for name, held in scene.attachments.items() for link in held.touch_links}
-    always = scene.allowed - scene.leaving - scene.reaching
-    return {frozenset(pair) for pair in (*skipped, *always)} | touching
-
-
-def _pairs(robot: Robot, names: tuple[str, ...], link: Ints, may_touch: set[frozenset[str]]) -> Ints:
-    """Pair bodies, as indices into `names`; the first body of each pair moves."""
-    thing = rigid_with(robot)[link]
+def _pairs(
+    robot: Robot, scene: Scene, names: tuple[str, ...], link: Ints, skipped: Iterable[Pair]
+) -> tuple[Ints, Floats]:
+    """Pair bodies, as indices into `names` with the moving one first, and find their margins in metres."""
     moving, total = len(link), len(names)
-    others = total - 1 - np.arange(moving)  # each with all that come after it
-    if others.sum() > MOST_PAIRS:
+    most = moving * (2 * total - moving - 1) // 2
+    if most > MOST_PAIRS:
         raise InputError(
-            f"expected at most {MOST_PAIRS} pairs to check, found {others.sum()}: {moving} bodies that move, each "
+            f"expected at most {MOST_PAIRS} pairs to check, found {most}: {moving} bodies that move, each "
             f"against the others and against {total - moving} that stand; leave out bodies, or unite those that belong "
             "together (Body.union)"
         )
-    first = np.cumsum(others) - others  # place of each one's first pair
-    a = np.repeat(np.arange(moving), others)
-    b = np.arange(len(a)) - first[a] + a + 1
-    meet = np.ones(len(a), dtype=bool)
-    joined = np.flatnonzero(b < moving)
-    meet[joined] = thing[a[joined]] != thing[b[joined]]
-    place = {name: k for k, name in enumerate(names)}
-    for pair in may_touch:
-        at = sorted(place[name] for name in pair if name in place)
-        if len(at) == 2 and at[0] < moving:
-            meet[first[at[0]] + at[1] - at[0] - 1] = False
-    return np.stack([a[meet], b[meet]], axis=1).astype(np.int64)
-
-
-def _margins(scene: Scene, names: tuple[str, ...], pairs: Ints) -> Floats:
-    """Compute the margin of each pair, in metres, as `Scene.margin_of` does."""
-    a, b = pairs.T
-    is_link = np.array([name not in scene for name in names], dtype=bool)
-    rules, lowered = scene.margins, scene.lowered
-    margins = np.where(is_link[a] & is_link[b], rules.get((None, None), 0.0), scene.margin)
-    if not rules:
-        return margins
-    # Each one's own, those against links only for pairs with a link; one that is not there is as good as 0.
-    own = np.zeros(len(pairs))
-    lower = np.zeros(len(pairs), dtype=bool)
-    for one, holds in ((a, True), (b, True), (a, is_link[b]), (b, is_link[a])):
-        keys = [(name,) if holds is True else (name, None) for name in names]
-        own = np.fmax(own, np.where(holds, np.array([rules.get(key, 0.0) for key in keys])[one], 0.0))
-        lower |= holds & np.array([key in lowered for key in keys], dtype=bool)[one]
-    margins = np.fmax(own, np.where(lower, 0.0, margins))
-    for rule, found in zip(rules, _numbers(rules, names, pairs), strict=True):
-        if found >= 0:
-            margins[found] = rules[rule] if rule in lowered else max(rules[rule], margins[found])
-    return margins
-
-
-def _numbers(named: Iterable[tuple[str | None, ...]], names: tuple[str, ...], pairs: Ints) -> list[int]:
-    """Look up the indices of named pairs among the checked pairs; -1 for a pair that is not checked."""
-    place = {name: k for k, name in enumerate(names)}
-    number = pairs[:, 0] * len(names) + pairs[:, 1]  # ascending, as the pairs are
-    numbers = []
-    for pair in named:
-        at = sorted(place[name] for name in pair if name in place)
-        found = int(np.searchsorted(number, at[0] * len(names) + at[1])) if len(at) == 2 else len(pairs)
-        numbers.append(found if found < len(pairs) and pairs[found].tolist() == at else -1)
-    return numbers
+    margins, lowered = scene.margins, scene.lowered
+    place: dict[str | None, int] = {name: k for k, name in enumerate(names)}
+    touching = [(name, other) for name, held in scene.attachments.items() for other in held.touch_links]
+    always = scene.allowed - scene.leaving - scene.reaching
+    ruled: list[tuple[tuple[str | None, ...], int, bool, float]]
+    ruled = [(pair, 1, False, -1.0) for pair in (*skipped, *always, *touching)]
+    ruled += [(key, -1, key in lowered, margin) for key, margin in margins.items()]
+    rows = [
+        (place[pair[0]], place[pair[1]], *rule)
+        for pair, *rule in ruled
+        if len(set(pair)) == 2 and place.keys() >= set(pair)
+    ]
+    rules = np.array(rows, dtype=float).reshape(-1, 5)
+    marks = [(name not in scene, (name,) in lowered, (name, None) in lowered) for name in names]
+    own = [(margins.get((name,), 0.0), margins.get((name, None), 0.0)) for name in names]
+    pairs, found = np.empty((most, 2), dtype=np.int64), np.empty(most)
+    count = entries.list_pairs(
+        robot.tree.parent, robot.tree.kind, link, np.array(marks, dtype=np.int64).reshape(-1, 3),
+        np.array(own).reshape(-1, 2), np.array([scene.margin, margins.get((None, None), 0.0)]),
+        rules[:, :4].astype(np.int64), rules[:, 4].copy(), pairs, found,
+    )  # fmt: skip
+    return pairs[:count].copy(), found[:count].copy()
 
 
 def _of_rules(rules: Iterable[Pair], names: tuple[str, ...], pairs: Ints) -> Bools:
     """Mark the pairs that a rule names."""
-    ruled = np.zeros(len(pairs) + 1, dtype=bool)
-    ruled[_numbers(rules, names, pairs)] = True  # -1 is behind the last
-    return ruled[:-1]
+    place, ruled = {name: k for k, name in enumerate(names)}, np.zeros(len(pairs), dtype=bool)
+    for rule in rules:
+        ruled |= (pairs == sorted(place.get(name, -1) for name in rule)).all(axis=1)
+    return ruled
 
 
 def _check_known(names: tuple[str, ...], pairs: Ints, bounds: Mapping[str, PoseBounds]) -> None:

@@ -6,7 +6,6 @@ bodies in world coordinates, and the additional data for proofs of motions.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -18,14 +17,13 @@ from loewner._base import _archives
 from loewner._base._kept import kept
 from loewner._base._validate import Bools, Floats, Ints
 from loewner._kernels import columns, records
-from loewner._kernels.records import MotionTables
+from loewner._kernels.records import MOTION_ROWS, MOTION_WORDS, PROBLEM_ROWS, MotionTables
 from loewner._native import entries, singles
 from loewner.bodies import Bodies, Body, Packed, bodies_of
-from loewner.bodies.layout import arrays_of
+from loewner.bodies.layout import array_in, arrays_of
 from loewner.bodies.pack import join
 from loewner.bodies.parts import in_open_parts, in_parts, in_small_parts
 from loewner.queries.pose_paths import OFF_ROUNDINGS, PackedPaths, PoseBounds, PosePath
-from loewner.robots.checking.motion_tables import LANES, chains_of, pairs_in_groups
 from loewner.robots.description.robot import Robot, link_poses
 
 # Configurations a thread takes at a time, at least: about half a millisecond of work.
@@ -37,21 +35,7 @@ IN_TURN = 1024
 # Poses of bodies at most, of all those configurations together: 100 MB.
 POSES_AT_ONCE = 2**20 * 3 // 4
 
-# The row of the order of the pairs in the table of arrays, and how many numbers the table has: whole cache lines.
-_ORDER, _TABLE = 10, 72
-
-
-# Types and shapes of arrays that follow each other in memory.
-Shapes = list[tuple[type, tuple[int, ...]]]
-
-
-class PreparedMotions(NamedTuple):
-    """The additional input of the kernel that proves motions."""
-
-    tables: MotionTables
-    block: Floats  # where these arrays are
-    handle: int  # where their table is; valid as long as this object lives
-    memory: int  # scratch bytes
+_NONE = np.zeros(0)
 
 
 class OfMargin(NamedTuple):
@@ -64,48 +48,11 @@ class OfMargin(NamedTuple):
 
 
 class Standing(NamedTuple):
-    """What kernels write about bodies for their present poses.
+    """What kernels write about bodies for their present poses: `standing`, `standing_rows` and `standing_poses`."""
 
-    Attributes
-    ----------
-    reach, exact_rows, sizes, groups : ndarray
-        `reach`, `standing_rows`, `sizes` and `groups` of `records.MotionTables`.
-    bounds, rows, poses : ndarray
-        `standing`, `standing_rows` and `standing_poses` of `records.Problem`.
-    """
-
-    reach: Floats
-    exact_rows: Floats
-    sizes: Floats
-    groups: Floats
     bounds: NDArray[np.float32]
     rows: NDArray[np.float32]
     poses: Floats
-
-    @classmethod
-    def shapes(cls, packed: Packed, moving: int, links: int, groups: int) -> Shapes:
-        """Types and shapes of the arrays."""
-        bodies, pieces = len(packed.piece_start) - 1, int(packed.piece_start[-1] - packed.piece_start[moving])
-        static, f = bodies - moving, np.float32
-        return [
-            (float, (bodies, links)), (float, (pieces, columns.HOT)), (float, (static,)), (float, (groups,)),
-            (f, (static, columns.BOUNDS)), (f, (pieces, columns.HOT)), (float, (static, 16)),
-        ]  # fmt: skip
-
-    @classmethod
-    def at(cls, memory: Floats, shapes: Shapes) -> Standing:
-        """View them one after the other in memory."""
-        views: list[Any] = []
-        begin = 0
-        for kind, shape in shapes:
-            end = begin + _words(kind, shape)
-            views.append(memory[begin:end].view(kind).reshape(shape))
-            begin = end
-        return cls(*views)
-
-
-def _words(kind: type, shape: tuple[int, ...]) -> int:
-    return math.prod(shape) * np.dtype(kind).itemsize // 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,15 +71,15 @@ class Problem:
         The bodies in the same order; moving bodies in the frame of their link.
     moving, packed : Packed
         The moving bodies together, and all bodies together.
-    link, balls, pairs, margins, order
+    link, pairs, margins, order
         See `records.Problem`.
     leaving, reaching : ndarray of bool, shape (pairs,)
         Whether a pair may be in contact at the start, or at the end, of a motion: see `Scene.leave` and `Scene.reach`.
     hits : ndarray of int64, shape (pairs,)
         Number of collisions found for each pair; no other array changes. Threads may lose each other's counts, but
         these affect only the order of the pairs.
-    motion_order, group_start, group_pairs, chain : ndarray
-        `order`, `group_start`, `group_pairs` and `chain` of `records.MotionTables`.
+    lasting : ndarray
+        Memory of the other arrays of `records.Problem` and `records.MotionTables` that depend on no pose (`lay_out`).
     block : ndarray
         The table of addresses of the arrays of `records.Problem`, and then of `records.MotionTables`; behind it the
         arrays of `standing`. Another state of the scene has a block of its own (`place_static`).
@@ -154,17 +101,13 @@ class Problem:
     moving: Packed
     packed: Packed
     link: Ints
-    balls: Floats
     pairs: Ints
     margins: Floats
     leaving: Bools
     reaching: Bools
     order: Ints
     hits: Ints
-    motion_order: Ints
-    group_start: Ints
-    group_pairs: Ints
-    chain: Floats
+    lasting: Floats
     block: Floats
     handle: int
     paths: PackedPaths | None = None
@@ -192,30 +135,15 @@ class Problem:
         """
         moving = join(packs[: len(link)]) if moving is None else moving
         packed = join([moving, *packs[len(link) :]]) if packed is None else packed
-        chains, balls = chains_of(robot), np.empty((len(link), 5))
-        group_start, group_pairs = pairs_in_groups(len(link), pairs)
-        shapes = Standing.shapes(packed, len(link), len(robot.tree.parent), LANES * len(group_pairs))
-        size = _TABLE + sum(_words(*shape) for shape in shapes)
-        block = records.aligned(size + columns.CACHE_LINE // 8)  # with room to begin at a cache line elsewhere
-        block[:] = 0.0
-        standing = Standing.at(block[_TABLE:], shapes)
-        standing.poses[:] = np.nan  # which differs from all poses
-        order, chain = np.arange(len(pairs)), chains.chain(packed, link)
-        # Bodies far out on the robot move most, and collide most often.
-        motion_order = np.argsort(-chains.depth(link)[pairs[:, 0]], kind="stable")
-        arrays = (
-            *robot.tree, link, balls, pairs, margins, order, standing.bounds, standing.rows, standing.poses,
-            chains.path_start, chains.path_link, standing.reach, standing.exact_rows, standing.sizes, motion_order,
-            group_start, group_pairs, standing.groups, chain,
+        order, hits = np.arange(len(pairs)), np.zeros(len(pairs), dtype=np.int64)
+        given = records.table_of((*robot.tree, link, _NONE, pairs, margins, order, _NONE, _NONE, _NONE))
+        sizes = entries.lay_out(packed.handle, given.ctypes.data, _NONE, _NONE)
+        lasting, block = records.aligned(sizes[0]), np.empty(sizes[1])
+        handle = entries.lay_out(packed.handle, given.ctypes.data, lasting, block)[2]
+        return cls(
+            robot, *versions, names, tuple(packs), moving, packed, link, pairs, margins, leaving, reaching, order, hits,
+            lasting, block, handle,
         )  # fmt: skip
-        block[:_TABLE].view(np.int64).reshape(-1, records.ENTRIES)[:] = records.table_of(arrays)
-        made = cls(
-            robot, *versions, names, tuple(packs), moving, packed, link, balls, pairs, margins, leaving, reaching,
-            order, np.zeros(len(pairs), dtype=np.int64), motion_order, group_start, group_pairs, chain, block,
-            block.ctypes.data,
-        )  # fmt: skip
-        entries.measure_moving(packed.handle, made.handle, made.handle_of_motions)
-        return made
 
     # -- other problems with the same bodies --------------------------------------------------
 
@@ -235,8 +163,8 @@ class Problem:
     def with_order(self, order: Ints) -> Problem:
         """Set the order in which configurations test the pairs; proofs of motions have an order of their own."""
         ordered = self._placed(self.standing.poses, order=order)
-        ordered._from_handle[records.ENTRIES * _ORDER : _TABLE].view(np.int64)[0] = order.ctypes.data
-        for value in (Problem.cut, Problem.open_cut, Problem.motions):
+        ordered._table[PROBLEM_ROWS["order"], 0] = order.ctypes.data
+        for value in (Problem.cut, Problem.open_cut):
             value.hand_on(self, ordered)
         return ordered
 
@@ -302,15 +230,31 @@ class Problem:
         return self.handle + records.MOTIONS
 
     @property
-    def _from_handle(self) -> Floats:
-        """The block from the table on."""
-        return self.block[(self.handle - self.block.ctypes.data) // 8 :]
+    def _table(self) -> Ints:
+        """Addresses, rows and columns of all arrays, in the order of `records`."""
+        shape = records.TABLE // records.ENTRIES, records.ENTRIES
+        return np.ndarray(shape, np.int64, self.block, self.handle - self.block.ctypes.data)
+
+    def _view(self, row: int, word: str) -> Any:
+        """The array of a row of the table."""
+        entry = self._table[row].tolist()
+        is_placed = 0 <= entry[0] - self.block.ctypes.data < self.block.nbytes
+        return array_in(self.block if is_placed else self.lasting, entry, word)
+
+    @kept
+    def balls(self) -> Floats:
+        """The balls about moving bodies."""
+        return np.asarray(self._view(PROBLEM_ROWS["ball"], "F2"))
 
     @kept
     def standing(self) -> Standing:
         """What kernels wrote for the present poses."""
-        counts = len(self.link), len(self.robot.tree.parent), LANES * len(self.group_pairs)
-        return Standing.at(self._from_handle[_TABLE:], Standing.shapes(self.packed, *counts))
+        return Standing(*map(self._view, list(PROBLEM_ROWS.values())[-3:], ("S2", "S2", "F2")))
+
+    @kept
+    def tables(self) -> MotionTables:
+        """The additional input of the kernel that proves motions."""
+        return MotionTables(*map(self._view, MOTION_ROWS.values(), MOTION_WORDS.split()))
 
     @kept
     def names_of_pairs(self) -> NDArray[np.str_]:
@@ -348,18 +292,8 @@ class Problem:
         plain = self.robot._watch.range if self.robot.runs_straight else None
         return singles.configurations(
             self.packed.handle, self.handle, self.memory, self.piece_pairs, plain, self.hits,
-            (self.robot, self.link, self.balls, self.pairs, self.margins, self.order, self.block, self.packed),
+            (self.robot, self.link, self.lasting, self.pairs, self.margins, self.order, self.block, self.packed),
         )  # fmt: skip
-
-    @kept
-    def motions(self) -> PreparedMotions:
-        """The additional data for certifying motions."""
-        chains, standing = chains_of(self.robot), self.standing
-        tables = MotionTables(
-            chains.path_start, chains.path_link, standing.reach, standing.exact_rows, standing.sizes, self.motion_order,
-            self.group_start, self.group_pairs, standing.groups, self.chain,
-        )  # fmt: skip
-        return PreparedMotions(tables, self.block, self.handle_of_motions, self.memory_of_motions)
 
     # -- parts and subsets --------------------------------------------------------------------
 

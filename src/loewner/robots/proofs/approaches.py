@@ -355,7 +355,7 @@ class _Motion(NamedTuple):
 
     @classmethod
     def of(cls, ready: Problem, curve: Curve) -> _Motion:
-        tree, tables, moving = ready.robot.tree, ready.standing, len(ready.link)
+        tree, tables, moving = ready.robot.tree, ready.tables, len(ready.link)
         most = np.abs(curve.courses).max(axis=(0, 1)) + curve.off.max(axis=0)
         far, moved = np.zeros((2, len(tree.kind), moving + 1))
         slides = _slides(tree, most) + np.where(tree.kind == columns.PRISMATIC, np.abs(tree.offset), 0.0)
@@ -368,7 +368,7 @@ class _Motion(NamedTuple):
                 far[joint, body] = tables.reach[body, joint] + travel
                 moved[joint, body] = 1.0
                 travel += slides[joint]
-        longest = float(ready.chain[1]) + float(slides.sum())
+        longest = float(tables.chain[1]) + float(slides.sum())
         spread = longest + float(np.abs(ready.standing.poses.reshape(-1, 4, 4)[:, :3, 3]).sum(axis=1).max(initial=0.0))
         return cls(ready, far, moved, np.minimum(ready.pairs, moving).T, ROUNDINGS * spread)
 

@@ -413,7 +413,7 @@ def _reach(ready: Problem, pair: int, run: Run) -> float:
     # Several joints may follow one value, each some times as far.
     times = np.bincount(tree.column[moved], np.abs(tree.multiplier[moved]), len(values))
     far = (values * np.maximum(times, 1.0)).sum() + np.abs(tree.offset[moved]).sum()
-    return float(ready.motions.tables.chain[1] + far + np.abs(T[:3, 3]).sum())
+    return float(ready.tables.chain[1] + far + np.abs(T[:3, 3]).sum())
 
 
 class _Touched(NamedTuple):

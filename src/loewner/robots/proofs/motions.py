@@ -189,13 +189,12 @@ def settle(
     if limit is not None:
         full = first[:-1] < first[1:]
         found.work[first[:-1][full], STEPS] = np.maximum(np.broadcast_to(limit.steps, full.shape), 0)[full]
-    prepared = ready.motions
     strays = NO_STRAYS if off is None else off
 
     def share(begin: int, end: int) -> None:
         entries.certify_motions(
             first[begin], first[end], courses, strays, clear, tolerance, ready.packed.handle, ready.handle,
-            prepared.handle, *found, workspace(prepared.memory),
+            ready.handle_of_motions, *found, workspace(ready.memory_of_motions),
         )  # fmt: skip
 
     in_shares(share, len(first) - 1, LEAST_SHARE)

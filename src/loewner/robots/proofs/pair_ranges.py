@@ -119,7 +119,7 @@ class _Question:
         sizes = packed.kernel.table[:, kernel_columns.OUTER_RADIUS]
         kinds = packed.layout[:, kernel_columns.KIND]
         curved = (kinds > kernel_columns.POLYTOPE) & ~np.isin(kinds, ROUND)
-        lengths = self.ready.chain[1] + travel + packed.kernel.table[:, kernel_columns.REACH].max()
+        lengths = self.ready.tables.chain[1] + travel + packed.kernel.table[:, kernel_columns.REACH].max()
         self.rounding = OF_LENGTHS * float(lengths) + OF_CURVED * float(sizes[curved].max(initial=0.0))
 
     # -- single configurations -------------------------------------------------------------------
@@ -374,7 +374,7 @@ def _levers(ready: Problem, body: int, lower: Floats, upper: Floats) -> tuple[Fl
 
     Also return the largest travel of all joints that slide [m].
     """
-    tree, reach = ready.robot.tree, ready.standing.reach[body]
+    tree, reach = ready.robot.tree, ready.tables.reach[body]
     slides, turns = [], []  # link, column, and multiplier
     for k in np.flatnonzero(tree.kind != kernel_columns.FIXED).tolist():
         at, by = int(tree.column[k]), abs(float(tree.multiplier[k]))
