@@ -5,7 +5,7 @@ triangles nearest in its own metric cut out a polytope, and the largest ellipsoi
 Planes are found with tolerances, since no proof depends on them: the result is shrunk until a proof holds.
 
 The proof has two parts. No triangle meets the ellipsoid: each is farther from its center, in its metric, than 1. The
-center is inside: the surface winds around it. Points are inside if their winding number is not zero, whatever its sign,
+center is inside: the surface winds around it. Points are inside if their winding number is not zero, of either sign,
 and it is the same for points without a triangle between them, so all of the ellipsoid is inside.
 """
 
@@ -37,7 +37,7 @@ MOST_ON = 512
 # is small enough if it would be smaller by less than the second factor; largest number of attempts to find it.
 ROUGH = 0.8
 PLACES = (1.0, 0.3)
-TOUCHING = 0.85
+TOUCHING = 0.87
 SHRINKS = 12
 
 # The least semi-axis, as a share of the mesh's size. Rounding grows with its inverse: see `prove`.
@@ -57,7 +57,7 @@ REACH = 6.0
 # Limit on the planes of a round. A plane represents all triangles beyond it, and triangles before it by up to a share
 # of its distance: CLOSE at first, doubled after every further STEP planes, so that their number stays bounded.
 MOST_PLANES = 120
-STEP = 30
+STEP = 20
 CLOSE = 0.01
 
 # A fit may meet triangles that a plane represents only nearly. They get their own planes, at most STEP, this many
@@ -210,7 +210,7 @@ def least_in(mesh, child, center, G, first, last):
     a, b, c = walk.corners_of(mesh.tree.blocks, leaf_of(child))
     a, b, c = minus(a, center), minus(b, center), minus(c, center)
     bits = (1 << size_of(child)) - 1
-    for k in range(last - 1, first - 1, -1):  # what was examined before is beyond new planes only
+    for k in range(last - 1, first - 1, -1):  # a leaf seen before is beyond new planes only
         n, edge = normal(mesh, k), mesh.edges[k]
         bits &= ~movemask((dot(a, n) >= edge) & (dot(b, n) >= edge) & (dot(c, n) >= edge))
         if bits == 0:
@@ -247,7 +247,7 @@ def nearest(mesh, center, G, limit, share):
 
 @inline
 def winds_around(mesh, p):
-    """Whether the surface is known to wind around a point."""
+    """Whether the surface winds around a point, as far as rays decide."""
     walk.left_of(mesh.memory)[0] = NO_LIMIT
     number = winding_number(mesh.tree, p, 3.0 * mesh.far, mesh.memory)
     return number != 0 and number != UNCOUNTED
@@ -272,7 +272,7 @@ def pushed(heap, count, key, code):
 
 @njit()
 def popped(heap, count):
-    """Remove the first of some entries, of which `count` stay, and return it."""
+    """Remove the first entry, so that `count` stay, and return it."""
     keys, codes = heap
     first, at, below = (keys[0], codes[0]), 0, 1
     while below < count:
@@ -546,7 +546,7 @@ def prove(mesh, origin, scale, center, factor):
     Let G be the computed inverse of the factor F as stored, in the tree's coordinates. A point z of the unit ball goes
     to c + F z, which y = G (x - c) takes to G F z, at most 1 + e from the origin with e >= |G F - 1|, computed with a
     bound on its rounding. So no triangle meets the ellipsoid if all of them, mapped by G, are farther from the origin.
-    docs/certified.md (B70) derives what rounding may add to the computed distance.
+    docs/certified.md (B70) derives how much rounding may add to the computed distance.
     """
     (x, y, z), _ = boxes.box_at(mesh.tree.boxes, 0)
     middle = (center[0] - origin[0]) * scale, (center[1] - origin[1]) * scale, (center[2] - origin[2]) * scale

@@ -309,7 +309,7 @@ def squared_gap(t, halves, half):
 
 @inline
 def gaps_from_box(boxes, node, query):
-    """Squared lower bounds on the distances of a node's boxes from a box and from what lies above planes.
+    """Squared lower bounds on the distances of a node's boxes from a box and from the far side of planes.
 
     Also returns the middles of the boxes, from the middle of the box, and their half widths.
     """

@@ -108,8 +108,8 @@ def next_in_box(tree, box, kept, far, memory, height):
 def nearing(gaps_of):
     """The walk through one tree from near boxes to far ones.
 
-    A function like `surface_boxes.gaps_from_box` returns squared lower bounds on the distances of a node's boxes, where
-    the middles of these are, and their half widths.
+    A function like `surface_boxes.gaps_from_box` returns squared lower bounds on the distances of a node's boxes, their
+    middles, and their half widths.
     """
 
     @inline
