@@ -79,7 +79,7 @@ OFF_CENTER = 0.0271, 0.0317, 0.0123
 POINTS = 128
 
 # Rounding in a distance from the center, relative to the metric: see `prove`.
-ROUNDINGS = 512.0 * UNIT_ROUNDOFF  # derived 276, certified.md B70
+ROUNDINGS = 512.0 * UNIT_ROUNDOFF  # derived 276, certified.md B71
 
 IDENTITY = (1.0, 0.0, 1.0, 0.0, 0.0, 1.0)
 
@@ -546,7 +546,7 @@ def prove(mesh, origin, scale, center, factor):
     Let G be the computed inverse of the factor F as stored, in the tree's coordinates. A point z of the unit ball goes
     to c + F z, which y = G (x - c) takes to G F z, at most 1 + e from the origin with e >= |G F - 1|, computed with a
     bound on its rounding. So no triangle meets the ellipsoid if all of them, mapped by G, are farther from the origin.
-    docs/certified.md (B70) derives how much rounding may add to the computed distance.
+    docs/certified.md (B71) derives how much rounding may add to the computed distance.
     """
     (x, y, z), _ = boxes.box_at(mesh.tree.boxes, 0)
     middle = (center[0] - origin[0]) * scale, (center[1] - origin[1]) * scale, (center[2] - origin[2]) * scale
