@@ -8,8 +8,11 @@ from scipy.spatial import ConvexHull
 
 import families
 from exact import rational
+from loewner import Body
+from loewner._kernels.tolerances import UNIT_ROUNDOFF
+from loewner._native import entries
 from loewner.errors import InputError
-from loewner.meshes.inscribed import inscribed_ellipsoids
+from loewner.meshes.inscribed import FAR, inscribed_ellipsoids
 from oracles import fibonacci_sphere
 
 Mesh = tuple[np.ndarray, np.ndarray]
@@ -215,6 +218,28 @@ def check(mesh: Mesh, centers: np.ndarray, factors: np.ndarray) -> None:
         assert (np.abs(numbers - np.round(numbers)) < 1e-3).all()
 
 
+def random_mesh(rng: np.random.Generator) -> Mesh:
+    """A mesh of one of seven kinds: hulls, bumps, rings, thin boxes, thin bars, near parts and shells, anywhere."""
+    kind, seed = rng.integers(7), int(rng.integers(2**31))
+    if kind == 0:
+        V, T = hull(rng.normal(size=(rng.integers(5, 40), 3)) * 10.0 ** rng.uniform(-3, 0, 3))
+    elif kind == 1:
+        V, T = star(seed)
+    elif kind == 2:
+        V, T = torus(int(rng.integers(4, 16)), int(rng.integers(3, 9)), rng.uniform(0.02, 0.8))
+    elif kind == 3:
+        V, T = box(*10.0 ** rng.uniform(-5, 0, 3))
+    elif kind == 4:
+        V, T = angle_bar()
+        V = V * 10.0 ** rng.uniform(-3, 0, 3)
+    elif kind == 5:
+        V, T = union(box(), moved(box(), (1 + 10.0 ** rng.uniform(-15, -1), rng.uniform(-1, 1), 0.0)))
+    else:
+        V, T = union(sphere(100), inverted(sphere(80, rng.uniform(0.2, 0.999))))
+    V = 10.0 ** rng.uniform(-3, 3) * V @ families.rotations(rng, 1)[0].T
+    return V + rng.uniform(-1, 1, 3) * 10.0 ** rng.uniform(-3, 5), T
+
+
 # -- laws
 
 
@@ -226,6 +251,52 @@ def test_ellipsoids_are_inside(name: str):
     centers, factors = inscribed_ellipsoids(*MESHES[name], 6)
     assert 1 <= len(centers) == len(factors) <= 6
     check(MESHES[name], centers, factors)
+
+
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.verify) for seed in range(1, 600))])
+def test_ellipsoids_are_inside_random_meshes(seed: int):
+    """The same for meshes at random, thin, nearly touching and far from the origin."""
+    rng = np.random.default_rng(seed)
+    for _ in range(5):
+        mesh = random_mesh(rng)
+        check(mesh, *inscribed_ellipsoids(*mesh, 4))
+
+
+@pytest.mark.parametrize("far", [0.0, 0.5, 2.0], ids=["near", "just near enough", "too far"])
+def test_ellipsoids_of_a_body_are_inside(far: float):
+    """A body's own tree gives ellipsoids inside as well: one far from the origin is replaced by another tree."""
+    V, T = star(9)
+    mesh = V + far * FAR * np.array([0.0, 1.0, 0.0]), T
+    tree = Body.from_surface(mesh)._packed.trees[0]
+    assert 1 <= len(tree.inner_center) <= 8
+    check(mesh, tree.inner_center, tree.inner_factor)
+
+
+def triangles_at_random(rng: np.random.Generator, count: int) -> np.ndarray:
+    """Triangles about a unit's distance from the origin: of any size, many of them slivers, points or needles."""
+    a = rng.normal(size=(count, 1, 3))
+    e, f = rng.normal(size=(2, count, 1, 3)) * 10.0 ** rng.uniform(-4, 5, (count, 1, 1))
+    share = np.where(
+        rng.random((count, 1, 1)) < 0.5, rng.uniform(-1, 2, (count, 1, 1)), rng.integers(0, 2, (count, 1, 1))
+    )
+    f = share * e + 10.0 ** rng.uniform(-18, 0, (count, 1, 1)) * f
+    found = np.concatenate([a, a + e, a + f], axis=1) - rng.uniform(0, 1, (count, 1, 1)) * e
+    return np.ascontiguousarray(
+        found[np.arange(count)[:, None], rng.permuted(np.tile(np.arange(3), (count, 1)), axis=1)]
+    )
+
+
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.verify) for seed in range(1, 40))])
+def test_distances_of_triangles_exceed_the_exact_ones_by_no_more_than_derived(seed: int):
+    """The computed distance of a triangle is at most D + 21uD + 117uL, as B71 needs, in rational arithmetic."""
+    T = triangles_at_random(np.random.default_rng(seed), 500)
+    squared = np.empty(len(T))
+    entries.squared_distances_of(np.zeros((len(T), 3)), T, squared)
+    u = Fraction(UNIT_ROUNDOFF)
+    for triangle, found in zip(T, np.sqrt(squared), strict=True):
+        longest = np.linalg.norm(triangle - np.roll(triangle, 1, axis=0), axis=1).max()
+        least = (Fraction(found) - 117 * u * Fraction(longest)) / (1 + 21 * u)
+        assert least <= 0 or least**2 <= exact_square(*rational(triangle))
 
 
 def test_any_pose_and_scale():

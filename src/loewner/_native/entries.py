@@ -71,6 +71,7 @@ ENTRIES = {
         Entry("narrow.mesh_points", "nearest_triangles", "i f cF2 F1 I1 i", ""),
         Entry("narrow.mesh_points", "winding_numbers", "i f cF2 I1 i", ""),
         Entry("narrow.mesh_points", "facing_one_way", "i f cF2 cF1 cF2 b f i T1 F2 i", ""),
+        Entry("narrow.inscribed", "inscribed_ellipsoids", "i f f F1 f F2 F3 i", "i"),
         # -- ellipsoids
         Entry("ellipsoids.contact_robust", "contact_of_pairs", "F2 F3 F3 F1", ""),
         Entry("ellipsoids.near_points", "near_points_of_pairs", "i F2 F3 F3 f F2 F2 F1 I1 I1", ""),
@@ -100,7 +101,6 @@ ENTRIES = {
         Entry("fits.mvce", "fit_outer", "F2 f f F1 F2", "i f i i f f"),
         Entry("fits.mvce", "enclose", "F2 F1 F2", "f"),
         Entry("fits.mvce", "outer_gap", "F2 I1 F1 i F1 F2 f", "f"),
-        Entry("fits.inscribed", "inscribed_ellipsoids", "F2 I2 F2 F3", "i"),
         Entry("fits.mvie", "solve_primal_dual", "F2 i i f F1 F2 F1", "f i"),
         # -- the paper
         Entry("paper.detectors", "detector_1", "F3 F4 F2 I1 F2 I1 U1 U1", ""),

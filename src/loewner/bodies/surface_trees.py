@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -59,10 +59,11 @@ class SurfaceTree:
         """Build the tree over one or more triangles; connected triangles share vertices."""
         boxes, children, blocks, diagonals, ellipsoids, _ = entries.triangle_tree(vertices, triangles)
         parts = vertices[entries.part_vertices(len(vertices), triangles)].ravel()
-        inside = np.zeros((0, 3)), np.zeros((0, 3, 3))
-        if solid and len(triangles) >= FEWEST_TRIANGLES:
-            inside = inscribed_ellipsoids(vertices, triangles, MOST_INSIDE)
-        return cls._at(boxes, children, blocks, parts, diagonals, ellipsoids, *inside)
+        tree = cls._at(boxes, children, blocks, parts, diagonals, ellipsoids, np.zeros((0, 3)), np.zeros((0, 3, 3)))
+        if not solid or len(triangles) < FEWEST_TRIANGLES:
+            return tree
+        center, factor = inscribed_ellipsoids(vertices, triangles, MOST_INSIDE, (tree.boxes, tree.table))
+        return replace(tree, inner_center=center, inner_factor=factor)
 
     @classmethod
     def _at(cls, boxes: Any, children: Any, blocks: Any, parts: Any, diagonals: Any, *others: Any) -> SurfaceTree:

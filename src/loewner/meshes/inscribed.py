@@ -2,22 +2,34 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from loewner._base import _validate
 from loewner._base._guard import guarded
-from loewner._base._validate import Floats
+from loewner._base._validate import Floats, Ints
+from loewner._base._workspaces import workspace
+from loewner._kernels.trees.triangle_tree import ROWS, WIDE
 from loewner._native import entries
 from loewner.ellipsoids.polytopes import writeable
 from loewner.errors import InputError
+from loewner.meshes.triangles import FramedTree
 
 # The smallest closed surface is a tetrahedron.
 FEWEST_TRIANGLES = 4
 
+# A tree in the mesh's own coordinates is used if the mesh is not farther from the origin than this many times its size,
+# since its boxes are stored in single precision, and if squares and cubes of lengths do not leave its range.
+FAR = 1e3
+SMALL, LARGE = 1e-10, 1e10
+
 
 @guarded
-def inscribed_ellipsoids(vertices: ArrayLike, triangles: ArrayLike, count: int) -> tuple[Floats, Floats]:
+def inscribed_ellipsoids(
+    vertices: ArrayLike, triangles: ArrayLike, count: int, tree: tuple[NDArray[Any], Ints] | None = None
+) -> tuple[Floats, Floats]:
     """Find a few ellipsoids that lie inside a closed mesh and together cover much of its volume.
 
     Parameters
@@ -30,6 +42,8 @@ def inscribed_ellipsoids(vertices: ArrayLike, triangles: ArrayLike, count: int) 
         triangles without area, and be inside out as a whole.
     count : int
         The largest number of ellipsoids.
+    tree : tuple of ndarray, optional
+        Boxes of a tree over these triangles, and the table of its arrays; a tree is built if it is missing.
 
     Returns
     -------
@@ -71,5 +85,21 @@ def inscribed_ellipsoids(vertices: ArrayLike, triangles: ArrayLike, count: int) 
         raise InputError(f"triangles: expected indices of {len(x)} vertices, found {corners.min()} to {corners.max()}")
     most = _validate.whole_number(count, "count", 1)
     centers, factors = np.zeros((most, 3)), np.zeros((most, 3, 3))
-    found = entries.inscribed_ellipsoids(x, corners, centers, factors)
+    origin, scale = np.zeros(3), 1.0
+    if tree is None or not _near(*_extent(tree[0])):
+        made = FramedTree.of(x[corners].reshape(-1, 3))
+        origin, scale, tree = made.origin, made.scale, (made.arrays[0], made.table)
+    size, far = _extent(tree[0])
+    memory = workspace(entries.points_memory())
+    found = entries.inscribed_ellipsoids(tree[1].ctypes.data, size, far, origin, scale, centers, factors, memory)
     return centers[:found].copy(), factors[:found].copy()
+
+
+def _extent(boxes: NDArray[Any]) -> tuple[float, float]:
+    """Return half the longest edge of the box around a tree, and the largest coordinate."""
+    middle, half = boxes[:ROWS:WIDE].astype(float).reshape(2, 3)
+    return float(half.max()), float((np.abs(middle) + half).max())
+
+
+def _near(size: float, far: float) -> bool:
+    return far <= FAR * size and SMALL < size < LARGE

@@ -13,11 +13,10 @@ from loewner._base._kept import kept
 from loewner._base._matrices import dot, lengths, product
 from loewner._base._validate import Bools, Floats, Ints
 from loewner._base._workspaces import workspace
-from loewner._kernels import records
 from loewner._kernels.codes import UNCOUNTED
 from loewner._native import entries
 from loewner.ellipsoids.polytopes import Polytope
-from loewner.meshes.triangles import cut, halved, longest_edges, squared_distances, unit_normals
+from loewner.meshes.triangles import FramedTree, cut, framed, halved, longest_edges, squared_distances, unit_normals
 
 # The search ends when the bound is this near to a value that was found: a share of the value, or of the diagonal of the
 # mesh's box.
@@ -66,9 +65,7 @@ class Solid:
 
     Notes
     -----
-    `rounding` bounds the errors of distances. Kernels receive the mesh relative to its center and scaled by a power of
-    two to a size near 1. Rounding is then relative to the size of the mesh, and single precision suffices for the boxes
-    of its tree.
+    `rounding` bounds the errors of distances.
     """
 
     def __init__(self, triangles: Floats, closed: bool, size: float | None = None) -> None:
@@ -78,24 +75,16 @@ class Solid:
         low, high = corners.min(axis=0), corners.max(axis=0)
         self.size = float(lengths(high - low)) if size is None else size
         self.rounding = ROUNDING * self.size + COORDINATES * float(np.abs(corners).max())
-        self._middle = low / 2 + high / 2
-        self._scale = 2.0 ** min(1000, -int(np.frexp((high - low).max())[1]))
-        framed = self._framed(corners)
-        boxes, children, blocks, diagonals, _, self._numbers = entries.triangle_tree(
-            framed, np.arange(len(corners)).reshape(-1, 3)
-        )
-        self._arrays = boxes.astype(np.float32), children, blocks, framed[0].copy(), diagonals.astype(np.float32)
-        self._tree = records.table_of(self._arrays)
-        self._normals = self.normals[self._numbers]
+        self._tree = FramedTree.of(corners)
+        self._normals = self.normals[self._tree.numbers]
 
     def _framed(self, points: Floats) -> Floats:
         """Convert points to the coordinates of the kernels."""
-        framed: Floats = (points - self._middle) * self._scale
-        return np.ascontiguousarray(framed)
+        return framed(points, self._tree.origin, self._tree.scale)
 
     def _asked(self, framed: Floats) -> tuple[int, float]:
         """Return the tree, and a sum of lengths that bounds all coordinates."""
-        return self._tree.ctypes.data, 3.0 * (1.0 + float(np.abs(framed).max(initial=0.0)))
+        return self._tree.table.ctypes.data, 3.0 * (1.0 + float(np.abs(framed).max(initial=0.0)))
 
     def signed_distances(self, points: Floats) -> tuple[Floats, Ints]:
         """Compute the distances of points to the surface, negative inside, and the triangle nearest to each point."""
@@ -105,11 +94,11 @@ class Solid:
             framed = self._framed(points[k : k + CHUNK])
             some = distances[k : k + CHUNK]
             entries.nearest_triangles(*self._asked(framed), framed, some, places[k : k + CHUNK], memory)
-        distances /= self._scale
+        distances /= self._tree.scale
         if self.closed:
             clear = np.flatnonzero(distances > self.rounding)  # on the surface, either sign is valid
             distances[clear[self.winding_numbers(points[clear]) != 0]] *= -1
-        return distances, self._numbers[places]
+        return distances, self._tree.numbers[places]
 
     def face_one_way(self, points: Floats, reach: Floats, outside: Bools) -> Bools:
         """Return whether all triangles within reach of a point face one half-space.
@@ -125,7 +114,7 @@ class Solid:
         for k in range(0, len(asked), CHUNK):
             some = asked[k : k + CHUNK]
             framed, found = self._framed(points[some]), np.empty(len(some), dtype=bool)
-            far = (reach[some] + self.rounding) * self._scale
+            far = (reach[some] + self.rounding) * self._tree.scale
             entries.facing_one_way(
                 *self._asked(framed), framed, far, self._normals, not self.closed, FACING, FACING_STEPS, found, near,
                 memory,

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import Any
+
 import numpy as np
 
 from loewner._base._matrices import dot, lengths, power
 from loewner._base._validate import Floats, Ints
+from loewner._kernels import records
 from loewner._native import entries
 
 # A triangle whose height is less than this share of its longest edge has no reliable normal: it is replaced by its
@@ -91,3 +95,45 @@ def squared_distances(points: Floats, triangles: Floats) -> Floats:
     squared = np.empty(len(points))
     entries.squared_distances_of(np.ascontiguousarray(points), np.ascontiguousarray(triangles), squared)
     return squared
+
+
+@dataclass(frozen=True, eq=False)
+class FramedTree:
+    """A tree over triangles, relative to the center of their box and scaled by a power of two to a size near 1.
+
+    Rounding is then relative to the size of the mesh, and single precision suffices for the boxes of the tree.
+
+    Attributes
+    ----------
+    origin : ndarray, shape (3,)
+    scale : float
+    arrays : tuple of ndarray
+        Boxes, children and blocks of the tree, a corner, and the diagonals.
+    numbers : ndarray of int64
+        The triangle at each place of the blocks.
+    table : ndarray of int64
+        Addresses of the arrays; kernels receive the address of this table.
+    """
+
+    origin: Floats
+    scale: float
+    arrays: tuple[Any, ...]
+    numbers: Ints
+    table: Ints
+
+    @classmethod
+    def of(cls, corners: Floats) -> FramedTree:
+        """Build the tree over triangles given by their corners, shape (3 t, 3)."""
+        low, high = corners.min(axis=0), corners.max(axis=0)
+        origin, scale = low / 2 + high / 2, 2.0 ** min(1000, -int(np.frexp((high - low).max())[1]))
+        points = framed(corners, origin, scale)
+        boxes, children, blocks, diagonals, _, numbers = entries.triangle_tree(
+            points, np.arange(len(corners)).reshape(-1, 3)
+        )
+        arrays = boxes.astype(np.float32), children, blocks, points[0].copy(), diagonals.astype(np.float32)
+        return cls(origin, scale, arrays, numbers, records.table_of(arrays))
+
+
+def framed(points: Floats, origin: Floats, scale: float) -> Floats:
+    """Convert points to the coordinates of a tree."""
+    return np.ascontiguousarray((points - origin) * scale)

@@ -15,7 +15,7 @@ import numpy as np
 from loewner._kernels._jit import inline
 from loewner._kernels.columns import KIND, OUTER_CENTER, OUTER_SHAPE, SOLID, SURFACE, SURFACE_AT
 from loewner._kernels.ellipsoids.contact import outward_width
-from loewner._kernels.linalg3 import apply, apply_transposed, dot, plus, product, scaled
+from loewner._kernels.linalg3 import apply, apply_transposed, dot, minus, plus, product, scaled
 from loewner._kernels.narrow.gjk_robust import off_orthonormal
 from loewner._kernels.pieces.shapes import placed_support, rotation_of
 from loewner._kernels.simd.memory import reader, record_kind
@@ -305,6 +305,18 @@ def squared_gap(t, halves, half):
     y = maximum(absolute(t[1]) - (halves[1] + half[1]), np.float32(0.0))
     z = maximum(absolute(t[2]) - (halves[2] + half[2]), np.float32(0.0))
     return x * x + y * y + z * z
+
+
+@inline
+def gaps_from_box(boxes, node, query):
+    """Squared lower bounds on the distances of a node's boxes from a box and from the far side of planes.
+
+    Also returns the middles of the boxes, from the middle of the box, and their half widths.
+    """
+    middle, half, planes, count = query
+    middles, halves = boxes_of(boxes, node)
+    t = minus(middles, middle)
+    return plane_gaps(middles, halves, planes, count, squared_gap(t, halves, half)), t, halves
 
 
 @inline

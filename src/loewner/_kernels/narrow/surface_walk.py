@@ -10,7 +10,7 @@ import numpy as np
 from loewner._kernels._jit import apart, inline
 from loewner._kernels.codes import NO_LIMIT
 from loewner._kernels.columns import COLUMNS, KIND, LAYOUT, POINTS_TO, POLYTOPE, REACH, ROUNDING
-from loewner._kernels.linalg3 import apply_transposed, dot, image, minus, negated, plus, scaled
+from loewner._kernels.linalg3 import apply_transposed, dot, image, negated, plus, scaled
 from loewner._kernels.narrow import gjk_fast
 from loewner._kernels.narrow import surface_boxes as boxes
 from loewner._kernels.pieces.shapes import placed_support, reach, rotation_of
@@ -105,22 +105,38 @@ def next_in_box(tree, box, kept, far, memory, height):
     return _next_in_box(tree, memory, height, (box, planes_of(memory), kept, far))
 
 
+def nearing(gaps_of):
+    """The walk through one tree from near boxes to far ones.
+
+    A function like `surface_boxes.gaps_from_box` returns squared lower bounds on the distances of a node's boxes, their
+    middles, and their half widths.
+    """
+
+    @inline
+    def next_leaf(tree, memory, height, best, query):
+        """The next leaf whose squared distance may be at most `best`, or 0 at the end, and the height of the stack."""
+        stack, bounds = stack_of(memory), bounds_of(memory)
+        while height > 0:
+            height -= 1
+            if bounds[height, 0] * BELIEVED > best:
+                continue
+            child = tree.children[stack[height, 0]]
+            if child < 0:
+                return child, height
+            gaps, t, halves = gaps_of(tree.boxes, child, query)
+            height = push_near(memory, height, gaps, t, halves, best, child, 0, True)
+        return 0, 0
+
+    return next_leaf
+
+
+_next_nearest = nearing(boxes.gaps_from_box)
+
+
 @inline
 def next_nearest(tree, middle, half, kept, best, memory, height):
     """The next leaf whose squared distance from a box, and from the far side of planes, may be at most `best`."""
-    stack, bounds, planes = stack_of(memory), bounds_of(memory), planes_of(memory)
-    while height > 0:
-        height -= 1
-        if bounds[height, 0] * BELIEVED > best:
-            continue
-        child = tree.children[stack[height, 0]]
-        if child < 0:
-            return child, height
-        middles, halves = boxes.boxes_of(tree.boxes, child)
-        t = minus(middles, middle)
-        gaps = boxes.plane_gaps(middles, halves, planes, kept, boxes.squared_gap(t, halves, half))
-        height = push_near(memory, height, gaps, t, halves, best, child, 0, True)
-    return 0, 0
+    return _next_nearest(tree, memory, height, best, (middle, half, planes_of(memory), kept))
 
 
 @inline

@@ -135,13 +135,13 @@ def triangle_tree(vertices, triangles):
         first, last, splits, slot = waiting[left, 0], waiting[left, 1], waiting[left, 2], waiting[left, 3]
         if last - first <= LEAF:
             if leaves == len(leaf_from):
-                leaf_from = _longer(leaf_from)
+                leaf_from = longer(leaf_from)
             children[slot] = ~(leaves << LEAF_BITS | (last - first - 1))
             leaf_from[leaves] = first
             leaves += 1
             continue
         if (nodes + 1) * WIDE > len(children):
-            boxes, children = _longer(boxes), _longer(children)
+            boxes, children = longer(boxes), longer(children)
         children[slot] = nodes
         enough = _enough(last - first)
         ranges[0] = (first, last, splits)
@@ -247,7 +247,7 @@ def _enough(count):
 
 
 @njit()
-def _longer(array):
+def longer(array):
     """A copy of the array with twice the room."""
     more = np.zeros(2 * len(array), array.dtype)
     for n in range(len(array)):
