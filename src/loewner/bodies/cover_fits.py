@@ -174,9 +174,7 @@ class Candidates:
         squares = dot(self.axes, self.axes)
         candidates[6, : len(radii)] = np.divide(1.0, squares, out=np.zeros(len(radii)), where=squares > 0)
         candidates[7], candidates[7, : len(radii)] = -1.0, radii
-        entries.find_held(
-            known - known % WORD, self.points, candidates.ravel(), self.by_point, self.by_candidate
-        )
+        entries.find_held(known - known % WORD, self.points, candidates.ravel(), self.by_point, self.by_candidate)
         self.known, self.radii = len(self.points), radii
         return np.asarray(~self.by_point[: len(self.points)].any(axis=1))
 

@@ -18,7 +18,7 @@ ROWS = 8
 # An exchange compares the candidates of one point by about this number of the points that are missed.
 SEEN = 128
 
-# Largest number of exchanges for each candidate that is chosen at first, and of those before one is dropped again.
+# Largest number of exchanges for each candidate that is chosen at first; and after how many one may be dropped again.
 STEPS_EACH, WAITS = 50, 3
 
 # A prime, by which steps go through the missed points.
@@ -35,8 +35,8 @@ def find_held(first, points, candidates, by_point, by_candidate):
     points : ndarray, shape (n, 4)
         Centers and radii.
     candidates : ndarray, shape (8 m,)
-        All x of the centers, then y and z; of half the axes, of which 0 is that of a ball; their inverse squared
-        lengths, 0 for a ball; and radii. The number m is a multiple of 64; radii of -1 hold nothing.
+        All x of the centers, then all y and z; the same of half the axes, 0 for a ball; inverse squared lengths of half
+        the axes, 0 for a ball; and radii. The number m is a multiple of 64; radii of -1 hold nothing.
     by_point, by_candidate : ndarray of int64, shapes (at least n, m / 64) and (m, at least n / 64)
         Receive the bits.
     """
@@ -76,7 +76,7 @@ def _held(points, p, candidates, m, at, round_):
 
 @inline
 def _transpose(tile):
-    """Transpose 64 words of 64 bits: exchange halves of words, then halves of these, down to single bits."""
+    """Transpose 64 words of 64 bits: exchange halves of words, then quarters, down to single bits."""
     step, low = 32, 0xFFFFFFFF
     while step > 0:
         for k in range(WORD):
@@ -111,7 +111,7 @@ def choose_few(count, steps, start, by_point, by_candidate, chosen):
     Returns
     -------
     int
-        Number of candidates; -1 if some point is held by none.
+        Number of candidates; -1 if some point is held by none of them.
     """
     missed = np.zeros(by_candidate.shape[1], np.int64)
     for p in range(count):
@@ -228,9 +228,7 @@ def _add(by_candidate, k, held, holder, weight, loss, missed):
 
 @njit()
 def _drop(by_candidate, now, used, last, step, waits, held, holder, weight, loss, missed):
-    """Drop the candidate whose loss is least, and one that changed a few steps ago only if all did; returns how many
-    are left.
-    """
+    """Drop the candidate with the least loss among all that did not change lately; returns how many are left."""
     at, least = 0, np.inf
     for j in range(used):
         k = now[j]
