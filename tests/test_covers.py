@@ -18,6 +18,7 @@ from loewner import (
     get_num_threads,
     set_num_threads,
 )
+from loewner._native import entries
 from loewner.bodies import packed_of
 
 ANNULUS = trimesh.creation.annulus(0.03, 0.04, 0.1)
@@ -54,6 +55,107 @@ def points_of_hull(points: np.ndarray, count: int, rng: np.random.Generator) -> 
     """Random convex combinations, some of them near the corners and the edges."""
     weights = rng.dirichlet(np.full(len(points), 0.2), size=count)
     return weights @ points
+
+
+def bits_of(words: np.ndarray, count: int) -> np.ndarray:
+    """The first bits of each row of words."""
+    return np.unpackbits(words.view(np.uint8), axis=1, count=count, bitorder="little").astype(bool)
+
+
+def held_by(points: np.ndarray, centers: np.ndarray, axes: np.ndarray, radii: np.ndarray) -> np.ndarray:
+    """Which capsules, in columns, hold balls about points: axes as 101 points each."""
+    far = np.full((len(points), len(centers)), np.inf)
+    for share in np.linspace(-1.0, 1.0, 101) if axes.any() else [0.0]:
+        far = np.minimum(far, np.linalg.norm(points[:, None, :3] - centers - share * axes, axis=2))
+    return far + points[:, 3:] <= radii
+
+
+def words_of(points: np.ndarray, centers: np.ndarray, axes: np.ndarray, radii: np.ndarray, at: int = 0) -> tuple:
+    """The kernel's bits by point and by candidate, where the points from one on are found in a second call."""
+    m = -(-len(radii) // 64) * 64
+    rows = np.zeros((8, m))
+    rows[:3, : len(radii)], rows[3:6, : len(radii)], rows[7], rows[7, : len(radii)] = centers.T, axes.T, -1, radii
+    squares = (axes * axes).sum(axis=1)
+    rows[6, : len(radii)] = np.where(squares > 0, 1 / np.where(squares > 0, squares, 1), 0)
+    by_point, by_candidate = np.zeros((len(points), m // 64), np.int64), np.zeros((m, len(points) // 64 + 1), np.int64)
+    entries.find_held(0, points[: at or len(points)].copy(), rows.ravel(), by_point, by_candidate)
+    entries.find_held(at // 64 * 64, points, rows.ravel(), by_point, by_candidate)
+    return by_point, by_candidate
+
+
+@pytest.mark.parametrize("axis", [0.0, 0.3])
+def test_bits_are_the_points_that_candidates_hold(axis: float):
+    """Bits by point and by candidate agree with distances, for balls and capsules, and for points found later."""
+    rng = np.random.default_rng(0)
+    points = np.column_stack([rng.uniform(size=(150, 3)), 0.2 * rng.uniform(size=150)])
+    centers, radii = rng.uniform(size=(70, 3)), 0.5 * rng.uniform(size=70)
+    axes = axis * rng.normal(size=(70, 3)) * (np.arange(70) >= 40)[:, None]
+    expected = held_by(points, centers, axes, radii)
+    assert 0.02 < expected.mean() < 0.9
+    # The nearest one of the points of an axis is farther away than the axis, by at most half their distance.
+    near = held_by(points, centers, axes, radii + 0.01 * np.linalg.norm(axes, axis=1))
+    for at in (0, 100):
+        by_point, by_candidate = words_of(points, centers, axes, radii, at)
+        found = bits_of(by_point, 128)
+        assert (found == bits_of(by_candidate, 150).T).all()
+        assert not found[:, 70:].any()
+        assert (expected <= found[:, :70]).all()
+        assert (found[:, :70] <= near).all()
+
+
+def naive_choice(holds: np.ndarray, start: list[int], steps: int) -> list[int]:
+    """The search of `choose_few`, which counts everything anew in each step."""
+    chosen: list[int] = []
+    for k in start:
+        if (holds[:, k] & ~holds[:, chosen].any(axis=1)).any():
+            chosen.append(k)
+    while not holds[:, chosen].any(axis=1).all():
+        chosen.append(int(holds[~holds[:, chosen].any(axis=1)].sum(axis=0).argmax()))
+    best, weight, last = list(chosen), np.ones(len(holds)), np.full(holds.shape[1], -10)
+
+    def drop(step: int, waits: int) -> None:
+        alone = holds[:, chosen].sum(axis=1) == 1
+        loss = [weight[holds[:, k] & alone].sum() + 1e9 * (last[k] > step - waits) for k in chosen]
+        last[chosen.pop(int(np.argmin(loss)))] = step
+
+    for step in range(min(steps, 50 * len(best))):
+        while holds[:, chosen].any(axis=1).all():
+            best = list(chosen)
+            if len(chosen) == 1:
+                return best
+            drop(step, 0)
+        if len(chosen) > 1:
+            drop(step, 3)
+        missed = np.flatnonzero(~holds[:, chosen].any(axis=1))
+        able, some = np.flatnonzero(holds[missed[step * 7919 % len(missed)]]), missed[:: -(-len(missed) // 128)]
+        gain = np.where(last[able] < step, weight[some] @ holds[np.ix_(some, able)], -1.0)
+        chosen.append(int(able[gain.argmax()]))
+        last[chosen[-1]] = step
+        weight[~holds[:, chosen].any(axis=1)] += 1.0
+    return best
+
+
+@pytest.mark.parametrize(("count", "radius", "start"), [(900, 0.45, []), (300, 0.3, [5, 5, 17, 80]), (70, 2.0, [])])
+def test_choice_is_that_of_a_naive_search(count: int, radius: float, start: list[int]):
+    """The kernel, which only updates, chooses the same candidates as a search that counts everything anew."""
+    rng = np.random.default_rng(count)
+    points = np.column_stack([rng.uniform(size=(count, 3)), np.zeros(count)])
+    centers = np.concatenate([points[:: count // 60, :3], rng.uniform(size=(40, 3))])
+    by_point, by_candidate = words_of(points, centers, np.zeros_like(centers), np.full(len(centers), radius))
+    holds, found = bits_of(by_point, len(centers)), np.empty(count, np.int64)
+    for steps in (0, 250):
+        n = entries.choose_few(count, steps, np.array(start, np.int64), by_point, by_candidate, found)
+        expected = naive_choice(holds, start, steps)
+        assert found[:n].tolist() == expected
+        assert holds[:, found[:n]].any(axis=1).all()
+
+
+def test_a_point_that_no_candidate_holds_is_no_choice():
+    """A point without a candidate gives no choice, whatever the others hold."""
+    points = np.column_stack([np.arange(3.0), np.zeros((3, 3))])
+    by_point, by_candidate = words_of(points, points[:2, :3], np.zeros((2, 3)), np.full(2, 0.5))
+    assert entries.choose_few(3, 9, np.empty(0, np.int64), by_point, by_candidate, np.empty(3, np.int64)) == -1
+    assert entries.choose_few(2, 9, np.empty(0, np.int64), by_point, by_candidate, np.empty(3, np.int64)) == 2
 
 
 @given(st.integers(0, 10**6), st.integers(1, 12), st.floats(0.02, 0.4))

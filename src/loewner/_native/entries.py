@@ -101,6 +101,8 @@ ENTRIES = {
         Entry("fits.mvce", "fit_outer", "F2 f f F1 F2", "i f i i f f"),
         Entry("fits.mvce", "enclose", "F2 F1 F2", "f"),
         Entry("fits.mvce", "outer_gap", "F2 I1 F1 i F1 F2 f", "f"),
+        Entry("fits.coverings", "find_held", "i F2 F1 I2 I2", ""),
+        Entry("fits.coverings", "choose_few", "i i I1 I2 I2 I1", "i"),
         Entry("fits.mvie", "solve_primal_dual", "F2 i i f F1 F2 F1", "f i"),
         # -- the paper
         Entry("paper.detectors", "detector_1", "F3 F4 F2 I1 F2 I1 U1 U1", ""),

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial.distance import cdist
 
 from loewner._base._low_discrepancy import points as even_points
-from loewner._base._matrices import lengths
+from loewner._base._matrices import dot, lengths
 from loewner._base._validate import Bools, Floats, Ints, Progress
 from loewner._kernels import columns
+from loewner._native import entries
 from loewner.bodies.boxes import least_box_axes
 from loewner.bodies.cover_proofs import OCTANTS, Target, excess_of, first_failures, prove
 from loewner.bodies.elements import Elements
@@ -37,11 +37,8 @@ STEPS, ROUNDS, MORE_ROUNDS, REPAIRS = 1000, 5, 8, 5
 # axis at which its depth is measured.
 PAIRS, FALL, AXIS_POINTS = 16_384, 0.7, 24
 
-# Limits on the steps of the local search for each ball, and on the points that one step compares.
-STEPS_EACH, SEEN = 50, 128
-
-# Points whose rows are treated at a time, so that they stay in the processor's cache.
-BLOCK = 256
+# Points and candidates are counted in words of this number of bits.
+WORD = 64
 
 # Halvings of the interval of protrusions for a number of balls, steps of the search in each, and steps of 3 % by which
 # the protrusion grows until the number is proven to suffice.
@@ -105,9 +102,11 @@ class Candidates:
         corners = corners[:: -(-len(corners) // CORNERS)]
         inside = target.low + even_points(4 * INSIDE, 3) * (target.high - target.low)
         inside = inside[target.holds(inside)][:INSIDE]
-        self.points = np.concatenate([surface, corners[:, :3], inside])
-        # Radii of balls about the points that have to be held as well, for surfaces with a radius.
-        self.around = np.concatenate([radius[at], corners[:, 3], np.zeros(len(inside))])
+        # Points, and radii of balls about them that have to be held as well, for surfaces with a radius.
+        self.points = np.empty((0, 4))
+        self.add_points(surface, radius[at])
+        self.add_points(corners[:, :3], corners[:, 3])
+        self.add_points(inside, np.zeros(len(inside)))
         middles = [(target.low / 2 + target.high / 2)[None], surface]
         if target.solids:
             normals = unit_normals(triangles)[at]
@@ -115,8 +114,9 @@ class Candidates:
         centers = np.concatenate(middles)
         centers = centers[:: -(-len(centers) // int(CANDIDATES * share))]
         self.centers, self.axes, self.depth = np.empty((0, 3)), np.empty((0, 3)), np.empty(0)
-        # Large arrays are used again and again, since new pages of memory cost more than the work on them.
-        self.rows = np.empty((0, 0), dtype=np.float32)
+        # Which candidates with these radii hold the first points, as bits.
+        self.radii, self.known = np.empty(0), 0
+        self.by_point, self.by_candidate = np.empty((0, 0), dtype=np.int64), np.empty((0, 0), dtype=np.int64)
         self.add_candidates(centers, np.zeros((1, 3)))
         if capsules:
             self._add_segments()
@@ -143,41 +143,40 @@ class Candidates:
             low, high = np.where(touches, middle, low), np.where(touches, high, middle)
         return points + low[:, None] * inward
 
-    def _find_far(self, point: int, candidate: int) -> None:
-        """Compute how far balls about points reach from the axes of candidates, both from a first one on."""
-        points, centers, axes = self.points[point:], self.centers[candidate:], self.axes[candidate:]
-        far, around = self.rows[point : len(self.points), candidate:], self.around[point:]
-        for k in range(0, len(points), BLOCK):
-            far[k : k + BLOCK] = cdist(points[k : k + BLOCK], centers) + around[k : k + BLOCK, None]
-        for k in np.flatnonzero(axes.any(axis=1)).tolist():
-            arm = points - centers[k]
-            share = np.clip(arm @ axes[k] / (axes[k] @ axes[k]), -1.0, 1.0)
-            far[:, k] = lengths(arm - share[:, None] * axes[k]) + around
-
     def chosen(self, protrusion: float, steps: int, start: Ints | None = None, reserve: float = RESERVE) -> Ints:
-        """Choose few candidates whose balls hold all points, greedily and then by exchanges.
-
-        Points that are missed again and again get weight, which leads the search out of local minima (Gao, Weise and
-        Li: An efficient local search heuristic with row weighting for the unicost set covering problem, 2015).
-        """
-        holds = self._held(protrusion, reserve)
-        missed = ~holds.any(axis=1)
-        if missed.any():
+        """Choose few candidates whose balls hold all points, greedily and then by exchanges."""
+        start = np.empty(0, dtype=np.int64) if start is None else start
+        for _ in range(2):
+            n = len(self.points)
+            missed = self._hold(self.depth + (1 - reserve) * protrusion)
+            if not missed.any():
+                found = np.empty(n, dtype=np.int64)
+                count = entries.choose_few(n, steps, start, self.by_point, self.by_candidate, found)
+                return found[:count]
             # Points that no ball holds get candidates of their own.
-            self.add_candidates(self.points[missed], np.zeros((1, 3)))
-            holds = self._held(protrusion, reserve)
-            if not holds.any(axis=1).all():
-                raise GeometryError(
-                    f"protrusion: expected more than {np.ptp(self.target.radius):g} m, by which radii of surfaces "
-                    f"differ, found {protrusion:g} m"
-                )
-        found = _greedy(holds, start)
-        return found if steps == 0 else _exchanged(holds, found, steps, self.columns)
+            self.add_candidates(self.points[missed, :3], np.zeros((1, 3)))
+        raise GeometryError(
+            f"protrusion: expected more than {np.ptp(self.target.radius):g} m, by which radii of surfaces differ, "
+            f"found {protrusion:g} m"
+        )
 
-    def _held(self, protrusion: float, reserve: float) -> Bools:
-        """Return which candidates, in columns, hold which points."""
-        n, limit = len(self.points), (self.depth + (1 - reserve) * protrusion).astype(np.float32)
-        return np.less_equal(self.rows[:n], limit, out=self.holds[:n])
+    def _hold(self, radii: Floats) -> Bools:
+        """Find which candidates with some radii hold which points, and return the points that none holds."""
+        n, m = -(-len(self.points) // WORD), -(-len(radii) // WORD)
+        known = self.known if np.array_equal(radii, self.radii) else 0
+        if m > self.by_point.shape[1] or n > self.by_candidate.shape[1]:
+            # Half of the memory is for points of later rounds.
+            self.by_point = np.empty((3 * n // 2 * WORD, m), dtype=np.int64)
+            self.by_candidate = np.zeros((m * WORD, 3 * n // 2), dtype=np.int64)
+            known = 0
+        candidates = np.zeros((8, m * WORD))
+        candidates[:3, : len(radii)], candidates[3:6, : len(radii)] = self.centers.T, self.axes.T
+        squares = dot(self.axes, self.axes)
+        candidates[6, : len(radii)] = np.divide(1.0, squares, out=np.zeros(len(radii)), where=squares > 0)
+        candidates[7], candidates[7, : len(radii)] = -1.0, radii
+        entries.find_held(known - known % WORD, self.points, candidates.ravel(), self.by_point, self.by_candidate)
+        self.known, self.radii = len(self.points), radii
+        return np.asarray(~self.by_point[: len(self.points)].any(axis=1))
 
     def add_candidates(self, centers: Floats, axes: Floats) -> None:
         """Add balls, or capsules whose axes have the given halves."""
@@ -186,27 +185,12 @@ class Candidates:
         depth, parts = np.full(len(centers), np.inf), 1 if not axes.any() else AXIS_POINTS
         for share in np.linspace(-1.0, 1.0, 2 * parts + 1)[1::2]:
             depth = np.minimum(depth, -self.target.far(centers + share * axes))
-        first = len(self.centers)
         self.centers, self.axes = np.concatenate([self.centers, centers]), np.concatenate([self.axes, axes])
         self.depth = np.concatenate([self.depth, depth - lengths(axes) / parts])
-        rows = self.rows[: len(self.points)] if first else np.empty((len(self.points), 0))
-        self._make_rows(3 * len(self.points) // 2)
-        self.rows[: len(self.points), :first] = rows
-        self._find_far(0, first)
 
     def add_points(self, points: Floats, around: Floats) -> None:
         """Add points that have to be held, with balls of some radii about them."""
-        first, rows = len(self.points), self.rows
-        self.points, self.around = np.concatenate([self.points, points]), np.concatenate([self.around, around])
-        if len(self.points) > len(rows):
-            self._make_rows(3 * len(self.points) // 2)
-            self.rows[:first] = rows[:first]
-        self._find_far(first, 0)
-
-    def _make_rows(self, count: int) -> None:
-        """Make room for a number of points: distances from candidates, and which candidates hold them."""
-        self.rows = np.empty((count, len(self.centers)), dtype=np.float32)
-        self.holds, self.columns = np.empty(self.rows.shape, dtype=bool), np.empty(self.rows.shape[::-1], dtype=bool)
+        self.points = np.concatenate([self.points, np.column_stack([points, around])])
 
     def made(self, chosen: Ints, protrusion: float) -> Packed:
         """Make a body of chosen candidates, whose radii are rounded down."""
@@ -245,86 +229,6 @@ class Candidates:
             if most is not None and round_ >= 1 and len(chosen) > most:
                 return None
         return packed
-
-
-def _greedy(holds: Bools, start: Ints | None) -> Ints:
-    """Take the candidate that holds most of the points that are left, until none is left."""
-    left, found = np.ones(len(holds), dtype=bool), []
-    for k in start.tolist() if start is not None else ():
-        if (holds[:, k] & left).any():
-            left &= ~holds[:, k]
-            found.append(k)
-    holds = holds[left]
-    counts = holds.sum(axis=0, dtype=np.int32)
-    while counts.any():
-        k = int(counts.argmax())
-        counts -= holds[holds[:, k]].sum(axis=0, dtype=np.int32)
-        holds = holds[~holds[:, k]]
-        found.append(k)
-    return np.array(found, dtype=np.int64)
-
-
-class _Exchange:
-    """A choice of candidates that changes by one at a time."""
-
-    def __init__(self, holds: Bools, found: Ints, columns: Bools) -> None:
-        self.columns, self.chosen, self.n = columns[:, : len(holds)], np.empty(len(found) + 2, dtype=np.int64), 0
-        for k in range(0, len(holds), BLOCK):
-            self.columns[:, k : k + BLOCK] = holds[k : k + BLOCK].T
-        # How many balls hold a point, and the sum of their numbers, which is the number of a single one.
-        self.count, self.holder = np.zeros(len(holds), dtype=np.int64), np.zeros(len(holds), dtype=np.int64)
-        # The weight of points, which are whole numbers; of the points that no other chosen candidate holds.
-        self.weight, self.loss = np.ones(len(holds)), np.zeros(len(self.columns))
-        self.last = np.full(len(self.columns), -10)
-        for k in found.tolist():
-            self.add(k, -10)
-
-    def add(self, k: int, step: int) -> None:
-        held = self.columns[k].nonzero()[0]
-        count, holder = self.count[held], self.holder[held]
-        once = count == 1
-        self.loss -= np.bincount(holder[once], self.weight[held[once]], len(self.loss))
-        self.loss[k] = self.weight[held[count == 0]].sum()
-        self.count[held], self.holder[held] = count + 1, holder + k
-        self.chosen[self.n], self.last[k] = k, step
-        self.n += 1
-
-    def drop(self, step: int, waits: int) -> None:
-        """Take away the candidate whose points have the least weight, and none that changed a few steps ago."""
-        chosen = self.chosen[: self.n]
-        at = int((self.loss[chosen] + 1e9 * (self.last[chosen] > step - waits)).argmin())
-        k = int(chosen[at])
-        chosen[at:-1] = chosen[at + 1 :]
-        self.n -= 1
-        self.last[k] = step
-        held = self.columns[k].nonzero()[0]
-        count, holder = self.count[held] - 1, self.holder[held] - k
-        self.count[held], self.holder[held] = count, holder
-        once = count == 1
-        self.loss += np.bincount(holder[once], self.weight[held[once]], len(self.loss))
-
-
-def _exchanged(holds: Bools, found: Ints, steps: int, columns: Bools) -> Ints:
-    """Replace candidates, to hold all points with fewer; `columns` is memory for the transposed matrix."""
-    search, best = _Exchange(holds, found, columns), found
-    for step in range(min(steps, STEPS_EACH * len(found))):
-        left = (search.count == 0).nonzero()[0]
-        while len(left) == 0:
-            best = search.chosen[: search.n].copy()
-            if search.n == 1:
-                return best
-            search.drop(step, 0)
-            left = (search.count == 0).nonzero()[0]
-        if search.n > 1:
-            search.drop(step, 3)
-            left = (search.count == 0).nonzero()[0]
-        able = holds[left[step * 7919 % len(left)]].nonzero()[0]
-        left = left[:: -(-len(left) // SEEN)]
-        gain = search.weight[left] @ holds[left].take(able, axis=1)
-        gain[search.last[able] == step] = -1.0
-        search.add(int(able[gain.argmax()]), step)
-        search.weight[search.count == 0] += 1.0
-    return best
 
 
 def _round(target: Target, kind: str, n: int | None, protrusion: float | None, report: Progress) -> Packed:

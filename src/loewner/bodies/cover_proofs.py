@@ -29,9 +29,10 @@ RESOLUTION = 1e-4
 # Roundings of the corners of cells, relative to the largest coordinate: 2 for each halving; there are few.
 CELL_ROUNDINGS = 256 * 2.0**-53
 
-# Limits on the number of cells that are halved at a time, on pairs of cells and elements formed at a time, and on cells
-# at which a hole smaller than the tolerance is looked for, over this number of halvings.
-WORK, AT_ONCE, LOOKED_INTO, LOOKS = 200_000, 2_000_000, 128, 60
+# Limits on the number of cells that are halved at a time, on pairs of cells and elements formed at a time, so that they
+# stay in the processor's cache, and on cells at which a hole smaller than the tolerance is looked for, over this number
+# of halvings.
+WORK, AT_ONCE, LOOKED_INTO, LOOKS = 200_000, 100_000, 128, 60
 
 # The search for the largest distance ends when the bound is this near to a distance that was found, as a ratio.
 RELATIVE = 0.01

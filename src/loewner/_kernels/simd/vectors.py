@@ -761,6 +761,16 @@ def lowest_bit(typingctx, x):
     return signature(types.int64, types.int64), generate
 
 
+@intrinsic
+def bits_set(typingctx, x):
+    """How many bits of an integer are set."""
+
+    def generate(context, builder, sig, args):
+        return builder.ctpop(args[0])
+
+    return signature(types.int64, types.int64), generate
+
+
 @inline
 def next_lane(bits):
     """The lowest bit set of an integer other than 0, and the other bits: one round of a loop over lanes."""
