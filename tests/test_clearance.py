@@ -1,6 +1,7 @@
 """Smooth clearances of robots: lower bounds, soft minima of the gaps of all pairs, gradients beside differences."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,6 +13,14 @@ from loewner import Body, CollisionChecker, ConvergenceError, InputError, Robot,
 from test_gradients import nudged
 
 SEEDS = st.integers(0, 2**32 - 1)
+
+
+def told(checker: CollisionChecker, name: str, Q: Any) -> tuple[Any, Any]:
+    """What the checker itself says."""
+    if name == "clearance":
+        return checker.clearance(Q, gradient=True)
+    found = checker.distance(Q, exact=True, gradient=True)
+    return found.distance, found.gradient
 
 
 def random_checker(rng: np.random.Generator, folder: Path, pieces: int = 1) -> CollisionChecker:

@@ -14,8 +14,8 @@ import pytest
 import trimesh
 
 import loewner
-from gantry import gantry, wall
-from loewner import Body, CollisionChecker, InputError, Robot, Verdict, cli, cluster, planners
+from gantry import gantry_robot, wall
+from loewner import Body, CollisionChecker, InputError, Verdict, cli, cluster, planners
 from loewner._base import _threads
 from loewner._base._plausible import told_to
 
@@ -445,8 +445,7 @@ def test_without_dask(tmp_path, monkeypatch):
 
 def gantry_checker(folder: Path) -> CollisionChecker:
     """A small robot before a wall."""
-    urdf, srdf = gantry(folder)
-    return CollisionChecker(Robot.from_urdf(urdf, srdf=srdf), wall())
+    return CollisionChecker(gantry_robot(folder), wall())
 
 
 @pytest.fixture

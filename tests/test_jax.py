@@ -10,7 +10,7 @@ import pytest
 
 import loewner.jax
 from loewner import Body, CollisionChecker, InputError, Scene
-from test_clearance import cube_on_a_leash, random_checker
+from test_clearance import cube_on_a_leash, random_checker, told
 
 os.environ.setdefault("JAX_PLATFORMS", "cpu")  # what other platforms lack is no matter here
 jax = pytest.importorskip("jax")
@@ -35,27 +35,6 @@ def wide() -> Iterator[None]:
     """JAX with its 64-bit numbers."""
     with jax.enable_x64(True):
         yield
-
-
-@pytest.fixture
-def calls(monkeypatch: pytest.MonkeyPatch) -> list[tuple[tuple[int, ...], bool]]:
-    """Shapes that the checker is asked about, and whether with gradients."""
-    seen, ask = [], CollisionChecker.clearance
-
-    def counted(self: Any, Q: Any, **options: Any) -> Any:
-        seen.append((Q.shape, options["gradient"]))
-        return ask(self, Q, **options)
-
-    monkeypatch.setattr(CollisionChecker, "clearance", counted)
-    return seen
-
-
-def told(checker: CollisionChecker, name: str, Q: Any) -> tuple[Any, Any]:
-    """What the checker itself says."""
-    if name == "clearance":
-        return checker.clearance(Q, gradient=True)
-    found = checker.distance(Q, exact=True, gradient=True)
-    return found.distance, found.gradient
 
 
 @pytest.mark.parametrize("name", MEASURES)

@@ -14,8 +14,8 @@ from hypothesis.extra.numpy import arrays
 from scipy.interpolate import BPoly, CubicHermiteSpline
 
 from families import translation
-from gantry import RADIUS, gantry
-from loewner import Body, CollisionChecker, FileError, InputError, Robot, Scene, UnknownNameError, Verdict
+from gantry import RADIUS
+from loewner import Body, CollisionChecker, FileError, InputError, Scene, UnknownNameError, Verdict
 from loewner.planners import ControllerPoints, JointLimits, Trajectory, plan, trajectory
 from loewner.planners.jerk_limited import JerkLimited
 from loewner.planners.joint_limits import limits_of
@@ -28,18 +28,6 @@ from motion_oracle import FINGERS, example, free_configurations, ring, steps, wr
 from test_trajectories import dense, in_blend, limits, off_polyline, paths
 
 jerks = arrays(np.float64, 3, elements=st.floats(0.05, 5e3))
-
-
-@pytest.fixture(scope="module")
-def robot(tmp_path_factory):
-    urdf, srdf = gantry(tmp_path_factory.mktemp("gantry"))
-    return Robot.from_urdf(urdf, srdf=srdf)
-
-
-@pytest.fixture(scope="module")
-def alone(robot):
-    """The robot with nothing around it."""
-    return CollisionChecker(robot)
 
 
 def extremes(times, knots, rates):

@@ -14,7 +14,6 @@ from loewner import (
     CollisionChecker,
     MissingExtraError,
     PlanningError,
-    Robot,
     Scene,
     UnknownNameError,
     Verdict,
@@ -27,12 +26,6 @@ RESOLUTION = 0.02
 @pytest.fixture(autouse=True)
 def _ompl_is_there():
     pytest.importorskip("ompl")
-
-
-@pytest.fixture
-def robot(tmp_path):
-    urdf, srdf = gantry(tmp_path)
-    return Robot.from_urdf(urdf, srdf=srdf)
 
 
 @pytest.fixture

@@ -6,14 +6,13 @@ import numpy as np
 import pytest
 
 from families import translation
-from gantry import LEFT, RADIUS, RIGHT, UP, gantry, wall
+from gantry import LEFT, RADIUS, RIGHT, UP, gantry, gantry_robot, wall
 from loewner import (
     Body,
     CollisionChecker,
     InputError,
     PlanningError,
     PoseError,
-    Robot,
     Scene,
     UnknownNameError,
     Verdict,
@@ -29,8 +28,7 @@ BEHIND = np.array([0.5, -0.5, UP])
 
 @pytest.fixture
 def checker(tmp_path):
-    urdf, srdf = gantry(tmp_path)
-    return CollisionChecker(Robot.from_urdf(urdf, srdf=srdf), wall())
+    return CollisionChecker(gantry_robot(tmp_path), wall())
 
 
 def rod(checker, q):

@@ -9,7 +9,7 @@ import pytest
 
 import loewner.torch
 from loewner import Body, CollisionChecker, InputError, Scene
-from test_clearance import cube_on_a_leash, random_checker
+from test_clearance import cube_on_a_leash, random_checker, told
 
 torch = pytest.importorskip("torch")
 
@@ -27,27 +27,6 @@ def checker(tmp_path: Path) -> CollisionChecker:
 @pytest.fixture
 def Q(checker: CollisionChecker) -> np.ndarray:
     return checker.robot.random_configurations(6, seed=3).reshape(2, 3, -1)
-
-
-@pytest.fixture
-def calls(monkeypatch: pytest.MonkeyPatch) -> list[tuple[tuple[int, ...], bool]]:
-    """Shapes that the checker is asked about, and whether with gradients."""
-    seen, ask = [], CollisionChecker.clearance
-
-    def counted(self: Any, Q: Any, **options: Any) -> Any:
-        seen.append((Q.shape, options["gradient"]))
-        return ask(self, Q, **options)
-
-    monkeypatch.setattr(CollisionChecker, "clearance", counted)
-    return seen
-
-
-def told(checker: CollisionChecker, name: str, Q: Any) -> tuple[Any, Any]:
-    """What the checker itself says."""
-    if name == "clearance":
-        return checker.clearance(Q, gradient=True)
-    found = checker.distance(Q, exact=True, gradient=True)
-    return found.distance, found.gradient
 
 
 def leaf(Q: np.ndarray) -> Any:
