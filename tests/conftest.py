@@ -23,7 +23,7 @@ from loewner.robots.checking import pair_cache, verdicts
 sys.path[:0] = [str(Path(__file__).parent), str(Path(__file__).parent / "fuzz")]
 
 import long_cases  # noqa: E402  # beside this file, too
-from gantry import gantry_robot  # noqa: E402
+from gantry import gantry_robot, wall  # noqa: E402
 
 # The same examples every run: a red test must be red again on the next run.
 settings.register_profile(
@@ -130,6 +130,17 @@ def robot(tmp_path_factory):
 def alone(robot):
     """A robot with nothing around it."""
     return loewner.CollisionChecker(robot)
+
+
+@pytest.fixture
+def scene():
+    """The gantry's wall."""
+    return wall()
+
+
+@pytest.fixture
+def checker(robot, scene):
+    return loewner.CollisionChecker(robot, scene)
 
 
 @pytest.fixture

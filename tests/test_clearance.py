@@ -15,6 +15,21 @@ from test_gradients import nudged
 SEEDS = st.integers(0, 2**32 - 1)
 
 
+def expect_good_checkers(ask: Any, q: Any, folder: Path) -> None:
+    """Have a function of checkers refuse what is none at once, and one without pairs when it is asked."""
+    for bad in (None, "checker", CollisionChecker):
+        with pytest.raises(InputError, match=r"checker: expected loewner\.CollisionChecker, found"):
+            ask(bad)
+    scene = Scene()
+    function = ask(cube_on_a_leash(folder, scene))
+    with pytest.raises(
+        InputError, match=f"{ask.__name__}: expected a robot and a scene with pairs to check, found none"
+    ):
+        function(q)
+    scene.add("ball", Body.sphere(0.5))
+    assert function(q) > 1.0
+
+
 def told(checker: CollisionChecker, name: str, Q: Any) -> tuple[Any, Any]:
     """What the checker itself says."""
     if name == "clearance":

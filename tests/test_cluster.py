@@ -448,11 +448,6 @@ def gantry_checker(folder: Path) -> CollisionChecker:
     return CollisionChecker(gantry_robot(folder), wall())
 
 
-@pytest.fixture
-def checker(tmp_path):
-    return gantry_checker(tmp_path)
-
-
 @pytest.mark.parametrize("chunks", [(7, 3), (50, 1), (120, 2), pytest.param((1, 3), marks=pytest.mark.verify)])
 def test_arrays_are_answered_as_by_the_checker(client, checker, chunks):
     """Whatever the chunks, of configurations and of their entries: collisions and distances equal the checker's."""

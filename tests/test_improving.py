@@ -20,11 +20,6 @@ TURN = math.pi / 2 - (math.atan2(0.45, 1.0) - math.asin(RADIUS / REACH))
 SHORTEST = 2 * (math.sqrt(REACH**2 - RADIUS**2) + RADIUS * TURN) + 0.1
 
 
-@pytest.fixture
-def checker(robot):
-    return CollisionChecker(robot, wall())
-
-
 def proven(checker, path):
     return bool(np.all(checker.certify_edges(path[:-1], path[1:]).verdict == Verdict.FREE))
 

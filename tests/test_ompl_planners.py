@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from families import translation
-from gantry import LEFT, RIGHT, UP, clearance, gantry, wall
+from gantry import LEFT, RIGHT, UP, clearance, gantry
 from loewner import (
     Body,
     CollisionChecker,
@@ -26,16 +26,6 @@ RESOLUTION = 0.02
 @pytest.fixture(autouse=True)
 def _ompl_is_there():
     pytest.importorskip("ompl")
-
-
-@pytest.fixture
-def scene():
-    return wall()
-
-
-@pytest.fixture
-def checker(robot, scene):
-    return CollisionChecker(robot, scene)
 
 
 NAMES = (

@@ -44,16 +44,6 @@ GEARED = """<robot name="g"><link name="world"/>
   <axis xyz="0 0 1"/><mimic joint="turn" multiplier="0.5"/></joint></robot>"""
 
 
-@pytest.fixture
-def scene():
-    return wall()
-
-
-@pytest.fixture
-def checker(robot, scene):
-    return CollisionChecker(robot, scene)
-
-
 def length(path):
     return np.linalg.norm(np.diff(path, axis=0), axis=1).sum()
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from families import translation
-from gantry import LEFT, RADIUS, RIGHT, UP, gantry, gantry_robot, wall
+from gantry import LEFT, RADIUS, RIGHT, UP, gantry, wall
 from loewner import (
     Body,
     CollisionChecker,
@@ -24,11 +24,6 @@ from loewner.planners import PoseGoal, pose_goals
 from motion_oracle import example
 
 BEHIND = np.array([0.5, -0.5, UP])
-
-
-@pytest.fixture
-def checker(tmp_path):
-    return CollisionChecker(gantry_robot(tmp_path), wall())
 
 
 def rod(checker, q):

@@ -26,11 +26,6 @@ GAP = 0.01
 SLIDE = np.array([1.0, 1.0, 0.0])  # the gantry's sliding joints
 
 
-@pytest.fixture
-def checker(tmp_path):
-    return CollisionChecker(gantry_robot(tmp_path), wall())
-
-
 def proven(checker, path, error=0.0):
     return bool((checker.certify_edges(path[:-1], path[1:], joint_error=error).verdict == Verdict.FREE).all())
 

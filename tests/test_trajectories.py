@@ -237,7 +237,8 @@ def test_blends_of_an_arm(rng):
     assert free.sum() >= 0.9 * (~hit).sum()
 
 
-def test_a_blend_gets_smaller_or_becomes_a_stop(robot):
+@pytest.mark.parametrize("jerk", [None, 0.5])
+def test_a_blend_gets_smaller_or_becomes_a_stop(robot, jerk):
     """At a bead nearer and nearer to the path, inside its corner, blends get smaller, and none ever touches it."""
     turn = math.radians(20)
     path = np.array([[-1, 0, 0], [0, 0, 0], [math.cos(turn), math.sin(turn), 0]])
@@ -247,7 +248,7 @@ def test_a_blend_gets_smaller_or_becomes_a_stop(robot):
         scene = Scene()
         scene.add("bead", Body.sphere(0.001), translation(far * math.cos(across), far * math.sin(across)))
         checker = CollisionChecker(replace(robot, bodies={"ball": Body.sphere(RADIUS)}), scene)
-        moved = trajectory(checker.robot, path, velocity=1.0, acceleration=0.05, checker=checker)
+        moved = trajectory(checker.robot, path, velocity=1.0, acceleration=0.05, jerk=jerk, checker=checker)
         assert not checker.collide(moved.positions(dense(moved, 2000))).any()
         assert len(moved.blends) + len(moved.stops) == 1
         sizes.append(np.ptp(moved.blends) if len(moved.blends) else 0.0)

@@ -157,8 +157,7 @@ def part(self: R, name: str) -> Part[R]:
     parts: dict[str, Part[R]] = cast(Any, self)._parts
     if not parts and isinstance(name, str):
         raise UnknownNameError(f"part {name!r}: expected a robot that Robot.join has made, found another one")
-    _validate.known(name, "part", parts)
-    return parts[name]
+    return parts[_validate.known(name, "part", parts)]
 
 
 def add_base(self: R, kind: Literal["planar", "floating"], bounds: ArrayLike | None = None, *, name: str = "base") -> R:

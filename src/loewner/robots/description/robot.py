@@ -1710,8 +1710,7 @@ class Robot(KeepsReadOnly):
         array([0. , 0.5])
         """
         if isinstance(values, str):
-            _validate.known(values, "state", self.states)
-            values = self.states[values][1]
+            values = self.states[_validate.known(values, "state", self.states)][1]
         if values is not None and not isinstance(values, Mapping):
             raise InputError(
                 f"values: expected a dict by names of joints or the name of a state, found {_validate.short(values)}"
@@ -1727,8 +1726,7 @@ class Robot(KeepsReadOnly):
                     f"joint: expected one with a value of its own, found {name!r}: {name} mimics {followed}; "
                     f"set {followed!r}"
                 )
-            _validate.known(name, "joint", places)
-            at = places[name]
+            at = places[_validate.known(name, "joint", places)]
             given = np.atleast_1d(_validate.float_array(value, name))
             q[at] = _validate.finite_array(given, name, (at.stop - at.start,))
         return self.checked(q, "values")
@@ -1887,9 +1885,7 @@ def named_joints(robot: Robot, joints: str | Iterable[str] | None) -> list[str]:
         raise InputError(
             "joints: expected one or more, found none" + (f" in group {joints!r}" if isinstance(joints, str) else "")
         )
-    for name in names:
-        _validate.known(name, "joints", robot.joint_names)
-    return names
+    return [_validate.known(name, "joints", robot.joint_names) for name in names]
 
 
 def chain_to(robot: Robot, link: str, joints: str | Iterable[str] | None = None) -> reaching.Chain:
