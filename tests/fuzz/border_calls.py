@@ -1496,7 +1496,7 @@ CALLS: dict[str, Call] = {
     "planners.Search": Call(
         lambda **given: planners.Search(**given),
         {
-            "planner": arg(None, NONE),
+            "planner": arg(None, NONE, "function", skips=frozenset({"type"})),
             "certified": flag(),
             "resolution": positive(0.125),
             "max_iterations": count(1000, NONE),
@@ -1510,7 +1510,7 @@ CALLS: dict[str, Call] = {
             "seconds": arg(0.0, NONE, NUMBERS, ZERO),
             "iterations": count(1, "0", NONE),
             "weights": array([1.0, 0.5, 1.0], NONE),
-            "clearance": positive(0.125),
+            "clearance": positive(0.125, NONE),
         },
     ),
     "planners.Drive.of": Call(
