@@ -53,7 +53,7 @@ def main() -> None:
                 f"started at {t0:g} s: {' and '.join(contact.names)} touch at {contact.touching_at:.6f} s, "
                 f"free until {contact.free_until:.6f} s"
             )
-            among = planners.plan(checker, home, low, start_time=t0)
+            among = planners.plan_in_time(checker, home, low, t0)
             verdict = checker.certify_trajectory(among).verdict
             print(f"planned among the parts from {t0:g} s on: {among}, {verdict.name}")
             break

@@ -251,7 +251,7 @@ def sampled_paths(checker: loewner.CollisionChecker, lower: np.ndarray, upper: n
     broken, nearest = 0, np.inf
     for start in lower:
         for goal in upper:
-            way = planners.plan(checker, start, goal, certified=False, resolution=0.05)
+            way = planners.plan(checker, start, goal, search=planners.Search(certified=False, resolution=0.05))
             found = checker.certify_edges(way[:-1], way[1:])
             collides = found.verdict == Verdict.COLLIDING
             if collides.any():

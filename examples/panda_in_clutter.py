@@ -45,7 +45,8 @@ def main() -> None:
     start, goal = free[a[worst]], free[b[worst]]
 
     started = time.perf_counter()
-    path = planners.plan(checker, start, goal, planner=options.planner, seed=options.seed, timeout=20.0)
+    search = planners.Search(planner=options.planner, timeout=20.0)
+    path = planners.plan(checker, start, goal, search=search, seed=options.seed)
     seconds = time.perf_counter() - started
     length = robot.distances(path[:-1], path[1:]).sum()
     print(f"a path of {len(path)} configurations in {1e3 * seconds:.1f} ms")

@@ -23,6 +23,7 @@ from loewner.robots.checking import pair_cache, verdicts
 sys.path[:0] = [str(Path(__file__).parent), str(Path(__file__).parent / "fuzz")]
 
 import long_cases  # noqa: E402  # beside this file, too
+from gantry import gantry_robot, wall  # noqa: E402
 
 # The same examples every run: a red test must be red again on the next run.
 settings.register_profile(
@@ -117,6 +118,42 @@ def without_kernels(request: pytest.FixtureRequest) -> None:
 @pytest.fixture
 def rng() -> np.random.Generator:
     return np.random.default_rng(20240229)
+
+
+@pytest.fixture(scope="module")
+def robot(tmp_path_factory):
+    """The gantry, unless a file has another robot."""
+    return gantry_robot(tmp_path_factory.mktemp("gantry"))
+
+
+@pytest.fixture(scope="module")
+def alone(robot):
+    """A robot with nothing around it."""
+    return loewner.CollisionChecker(robot)
+
+
+@pytest.fixture
+def scene():
+    """The gantry's wall."""
+    return wall()
+
+
+@pytest.fixture
+def checker(robot, scene):
+    return loewner.CollisionChecker(robot, scene)
+
+
+@pytest.fixture
+def calls(monkeypatch):
+    """Shapes about which a checker's clearance is computed, and whether with gradients."""
+    seen, ask = [], loewner.CollisionChecker.clearance
+
+    def counted(self, Q, **options):
+        seen.append((Q.shape, options["gradient"]))
+        return ask(self, Q, **options)
+
+    monkeypatch.setattr(loewner.CollisionChecker, "clearance", counted)
+    return seen
 
 
 @pytest.fixture

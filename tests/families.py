@@ -320,3 +320,14 @@ def posed_near_contact(
     Ta, Tb = random_poses(rng, count, spread), np.tile(np.eye(4), (count, 1, 1))
     _place(*faces[:5], pair, toward, factor, gap, faces.size, Ta, Tb)
     return Ta, Tb
+
+
+def rotation(rng: np.random.Generator, n: int) -> np.ndarray:
+    """An orthogonal matrix."""
+    return np.linalg.qr(rng.normal(size=(n, n)))[0]
+
+
+def affine(rng: np.random.Generator, n: int) -> tuple[np.ndarray, np.ndarray]:
+    """An invertible map of condition up to 100, and a shift."""
+    stretch = np.exp(rng.uniform(-2.3, 2.3, size=n))
+    return rotation(rng, n) @ np.diag(stretch) @ rotation(rng, n), rng.uniform(-3, 3, size=n)

@@ -35,12 +35,17 @@ def gantry(folder: Path) -> tuple[Path, Path]:
     return paths
 
 
+def gantry_robot(folder: Path) -> Robot:
+    """Read the robot from files in this folder."""
+    urdf, srdf = gantry(folder)
+    return Robot.from_urdf(urdf, srdf=srdf)
+
+
 def beside_a_post(folder: Path) -> CollisionChecker:
     """The robot beside a post at x = 0.5."""
-    urdf, srdf = gantry(folder)
     scene = Scene()
     scene.add("post", Body.box([0.2, 0.2, 2.0]), translation(0.5))
-    return CollisionChecker(Robot.from_urdf(urdf, srdf=srdf), scene)
+    return CollisionChecker(gantry_robot(folder), scene)
 
 
 UP = np.pi / 2  # the rod beside the ball, along y

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from loewner import Body, CollisionChecker, InputError, LoewnerError, Robot, Scene, Verdict, planners
+from loewner import Body, CollisionChecker, InputError, LoewnerError, PlanningError, Robot, Scene, Verdict, planners
 from loewner.planners import steering
 from loewner.planners.drives import base_columns
 from loewner.robots.proofs.courses import configurations
@@ -303,6 +303,14 @@ def test_no_way_and_no_bounds_are_said():
             planners.Drive.of(base(), [0, 0, 0], motions)
     with pytest.raises(InputError, match="times from 0 to 1"):
         planners.Drive.of(base(), [0, 0, 0], [[1.0, 0.0]]).positions(1.5)
+
+
+@pytest.mark.parametrize("error", [1e308, [1e308, 0.0, 1e-3]])
+def test_errors_beyond_number_are_refused(error):
+    """Also where nothing is near: the search for the largest error that is proven ends."""
+    checker = CollisionChecker(base([[-2.0, 2.0], [-2.0, 2.0]]))
+    with pytest.raises(PlanningError, match=r"start: .* proven free within joint errors of 1e\+09, but not of 1e\+308"):
+        planners.plan_drive(checker, np.zeros(3), [1.0, 0.0, 0.0], "car", radius=0.5, joint_error=error)
 
 
 @pytest.mark.parametrize("motion", [[1.0, 1e9], [1e300, 1e300], [0.0, 1e300]])

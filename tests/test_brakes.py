@@ -9,14 +9,12 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from families import translation
-from gantry import gantry
 from loewner import (
     Body,
     CollisionChecker,
     InputError,
     LoewnerError,
     PlanningError,
-    Robot,
     Scene,
     UnknownNameError,
     Verdict,
@@ -36,18 +34,6 @@ moments = st.floats(0.0, 1.0)
 
 # Limits hold up to the rounding of pieces that are as short as a billionth of a brake.
 OF_LIMITS = 1e-5
-
-
-@pytest.fixture(scope="module")
-def robot(tmp_path_factory):
-    urdf, srdf = gantry(tmp_path_factory.mktemp("gantry"))
-    return Robot.from_urdf(urdf, srdf=srdf)
-
-
-@pytest.fixture(scope="module")
-def alone(robot):
-    """The robot with nothing around it."""
-    return CollisionChecker(robot)
 
 
 def long_enough(moved):

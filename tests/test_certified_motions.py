@@ -10,8 +10,8 @@ import pytest
 import loewner
 from checker_oracle import composed_bodies, random_robot, random_scene, simple_bodies
 from families import translation
-from gantry import RADIUS, gantry
-from loewner import Body, CollisionChecker, InputError, Robot, Scene, Verdict
+from gantry import RADIUS, gantry_robot
+from loewner import Body, CollisionChecker, InputError, Scene, Verdict
 from loewner._kernels import columns
 from loewner._kernels.robots import motions, sweeps
 from loewner.robots.proofs import courses
@@ -60,8 +60,7 @@ def arms():
 @pytest.fixture
 def machine(tmp_path):
     """The gantry alone: a ball that slides along x and y, and a rod that turns."""
-    urdf, srdf = gantry(tmp_path)
-    return Robot.from_urdf(urdf, srdf=srdf)
+    return gantry_robot(tmp_path)
 
 
 def ball_only(machine):

@@ -28,7 +28,7 @@ from checker_oracle import (
     simple_bodies,
 )  # fmt: skip
 from families import translation
-from gantry import gantry
+from gantry import gantry_robot
 from loewner import (
     Body,
     CollisionChecker,
@@ -583,8 +583,7 @@ def test_no_answers_of_another_scene_or_robot(bodies, tmp_path):
 
 def test_a_motion_alone_is_divided_as_in_a_batch(tmp_path):
     """Also where a length is a whole number of steps but for its rounding, and one step more would see a collision."""
-    urdf, srdf = gantry(tmp_path)
-    checker = CollisionChecker(Robot.from_urdf(urdf, srdf=srdf))
+    checker = CollisionChecker(gantry_robot(tmp_path))
     a, b = np.random.default_rng(5).uniform(-1, 1, size=(2, 2000, 3))
     for count in (3, 7, 10, 49):
         for x, y in zip(a, b, strict=True):

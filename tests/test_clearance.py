@@ -1,6 +1,7 @@
 """Smooth clearances of robots: lower bounds, soft minima of the gaps of all pairs, gradients beside differences."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,6 +13,29 @@ from loewner import Body, CollisionChecker, ConvergenceError, InputError, Robot,
 from test_gradients import nudged
 
 SEEDS = st.integers(0, 2**32 - 1)
+
+
+def expect_good_checkers(ask: Any, q: Any, folder: Path) -> None:
+    """Have a function of checkers refuse what is none at once, and one without pairs when it is asked."""
+    for bad in (None, "checker", CollisionChecker):
+        with pytest.raises(InputError, match=r"checker: expected loewner\.CollisionChecker, found"):
+            ask(bad)
+    scene = Scene()
+    function = ask(cube_on_a_leash(folder, scene))
+    with pytest.raises(
+        InputError, match=f"{ask.__name__}: expected a robot and a scene with pairs to check, found none"
+    ):
+        function(q)
+    scene.add("ball", Body.sphere(0.5))
+    assert function(q) > 1.0
+
+
+def told(checker: CollisionChecker, name: str, Q: Any) -> tuple[Any, Any]:
+    """What the checker itself says."""
+    if name == "clearance":
+        return checker.clearance(Q, gradient=True)
+    found = checker.distance(Q, exact=True, gradient=True)
+    return found.distance, found.gradient
 
 
 def random_checker(rng: np.random.Generator, folder: Path, pieces: int = 1) -> CollisionChecker:

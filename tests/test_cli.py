@@ -857,7 +857,7 @@ def test_plan_in_time(with_end, capsys):
         (["--arrive-by", "3.5"], 1, "no path: arrive_by: expected 4 s or later"),
         (["--arrive-by", "2"], 2, "arrive_by: expected a time after start_time, 3, found 2"),
         (["--velocity", "fast"], 2, "--velocity: expected numbers, found 'fast'"),
-        (["--improve-for", "1"], 2, "start_time: expected no improve_for with it"),
+        (["--improve-for", "1"], 2, "--improve-for: expected a plan that is not in time"),
         (
             ["--proof", "in_time.proof"],
             2,

@@ -14,8 +14,8 @@ import pytest
 import trimesh
 
 import loewner
-from gantry import gantry, wall
-from loewner import Body, CollisionChecker, InputError, Robot, Verdict, cli, cluster, planners
+from gantry import gantry_robot, wall
+from loewner import Body, CollisionChecker, InputError, Verdict, cli, cluster, planners
 from loewner._base import _threads
 from loewner._base._plausible import told_to
 
@@ -445,13 +445,7 @@ def test_without_dask(tmp_path, monkeypatch):
 
 def gantry_checker(folder: Path) -> CollisionChecker:
     """A small robot before a wall."""
-    urdf, srdf = gantry(folder)
-    return CollisionChecker(Robot.from_urdf(urdf, srdf=srdf), wall())
-
-
-@pytest.fixture
-def checker(tmp_path):
-    return gantry_checker(tmp_path)
+    return CollisionChecker(gantry_robot(folder), wall())
 
 
 @pytest.mark.parametrize("chunks", [(7, 3), (50, 1), (120, 2), pytest.param((1, 3), marks=pytest.mark.verify)])

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.interpolate import BPoly
 
-from gantry import LEFT, RIGHT, gantry
+from gantry import LEFT, RIGHT
 from loewner import CollisionChecker, FileError, InputError, Robot, UnknownNameError, Verdict, planners
 from loewner.planners import ControllerPoints, Trajectory, trajectory
 from test_plans_in_time import gate
@@ -24,17 +24,6 @@ NAMES = ("x", "y", "turn")
 
 numbers = st.floats(-1e3, 1e3).map(lambda x: x + 0.0)
 labels = st.text(st.characters(codec="utf-8", categories=("L", "N", "P", "S")), min_size=1, max_size=8)
-
-
-@pytest.fixture(scope="module")
-def robot(tmp_path_factory):
-    urdf, srdf = gantry(tmp_path_factory.mktemp("gantry"))
-    return Robot.from_urdf(urdf, srdf=srdf)
-
-
-@pytest.fixture(scope="module")
-def alone(robot):
-    return CollisionChecker(robot)
 
 
 @pytest.fixture(scope="module")

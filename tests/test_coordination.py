@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from families import translation
-from gantry import gantry
+from gantry import gantry_robot
 from loewner import CollisionChecker, InputError, PlanningError, Robot, Scene, UnknownNameError, Verdict, planners
 from motion_oracle import example
 
@@ -12,8 +12,7 @@ from motion_oracle import example
 @pytest.fixture(scope="module")
 def two(tmp_path_factory):
     """Two balls of radius 0.1 in one plane, each with a rod to its side."""
-    urdf, srdf = gantry(tmp_path_factory.mktemp("gantry"))
-    one = Robot.from_urdf(urdf, srdf=srdf)
+    one = gantry_robot(tmp_path_factory.mktemp("gantry"))
     return CollisionChecker(Robot.join({"a": one, "b": one}))
 
 

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from families import translation
-from gantry import RADIUS, gantry
-from loewner import Body, CollisionChecker, Robot, Scene, Verdict
+from gantry import RADIUS, gantry_robot
+from loewner import Body, CollisionChecker, Scene, Verdict
 from loewner._kernels import codes
 from loewner.robots.proofs import courses
 from loewner.robots.proofs.proofs import prove
@@ -82,8 +82,7 @@ def test_a_straight_motion_of_a_higher_degree(rng, degree):
 @pytest.fixture
 def ball(tmp_path):
     """A ball that slides along x and y."""
-    urdf, srdf = gantry(tmp_path)
-    return replace(Robot.from_urdf(urdf, srdf=srdf), bodies={"ball": Body.sphere(RADIUS)})
+    return replace(gantry_robot(tmp_path), bodies={"ball": Body.sphere(RADIUS)})
 
 
 @pytest.mark.parametrize("gap", [1e-2, 1e-3, 1e-5, -1e-9, -1e-5, -1e-3])

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from families import translation
-from gantry import gantry
+from gantry import gantry_robot
 from loewner import Body, CollisionChecker, FileError, InputError, Joint, Robot, UnknownNameError, cli, plots
 from loewner.bodies import packed_of
 from loewner.bodies.triangulated import of_pieces
@@ -34,8 +34,7 @@ TURN = np.array([[0.36, 0.48, -0.8, 0.1], [-0.8, 0.6, 0.0, -0.2], [0.48, 0.64, 0
 @pytest.fixture
 def robot(tmp_path):
     """A ball that slides and carries a rod that turns."""
-    urdf, srdf = gantry(tmp_path)
-    return Robot.from_urdf(urdf, srdf=srdf)
+    return gantry_robot(tmp_path)
 
 
 @pytest.fixture

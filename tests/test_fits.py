@@ -6,22 +6,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from exact import halfspaces_crossed, hull_planes, points_outside
-from families import polygon
+from families import affine, polygon, rotation
 from loewner import ConvergenceError, GeometryError, InputError, mvce, mvie
 from loewner.ellipsoids import fits, polytopes
 from loewner.paper import mvce_by_lifted_mvie
 
 TIGHT = 1e-9
-
-
-def rotation(rng: np.random.Generator, n: int) -> np.ndarray:
-    return np.linalg.qr(rng.normal(size=(n, n)))[0]
-
-
-def affine(rng: np.random.Generator, n: int) -> tuple[np.ndarray, np.ndarray]:
-    """An invertible map of condition up to 100, and a shift."""
-    stretch = np.exp(rng.uniform(-2.3, 2.3, size=n))
-    return rotation(rng, n) @ np.diag(stretch) @ rotation(rng, n), rng.uniform(-3, 3, size=n)
 
 
 def ball_points(rng: np.random.Generator, count: int, n: int = 3) -> np.ndarray:

@@ -8,8 +8,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from gantry import IN_WALL, LEFT, RADIUS, RIGHT, UP, clearance, gantry, wall
-from loewner import CollisionChecker, InputError, PlanningError, Robot, Scene, Verdict, planners
+from gantry import IN_WALL, LEFT, RADIUS, RIGHT, UP, clearance, wall
+from loewner import CollisionChecker, InputError, PlanningError, Scene, Verdict, planners
 from loewner.planners import compiled, improving
 from loewner.planners.clearing import Clearing
 from loewner.planners.judge import Judge
@@ -18,17 +18,6 @@ from loewner.planners.judge import Judge
 REACH = math.hypot(0.45, 1.0)
 TURN = math.pi / 2 - (math.atan2(0.45, 1.0) - math.asin(RADIUS / REACH))
 SHORTEST = 2 * (math.sqrt(REACH**2 - RADIUS**2) + RADIUS * TURN) + 0.1
-
-
-@pytest.fixture(scope="module")
-def robot(tmp_path_factory):
-    urdf, srdf = gantry(tmp_path_factory.mktemp("gantry"))
-    return Robot.from_urdf(urdf, srdf=srdf)
-
-
-@pytest.fixture
-def checker(robot):
-    return CollisionChecker(robot, wall())
 
 
 def proven(checker, path):
@@ -316,6 +305,25 @@ def test_unknown_options_are_refused_as_python_does(checker):
     """A misspelt option is a TypeError that names it."""
     with pytest.raises(TypeError, match=r"plan\(\) got an unexpected keyword argument 'improve_four'"):
         planners.plan(checker, LEFT, RIGHT, improve_four=1)
+
+
+def test_records_and_options_are_the_same(checker):
+    """What two records say, the options say one by one; an option replaces the field of a record."""
+    options = {"max_iterations": 900, "simplify": False, "improve_iterations": 4, "weights": [1.0, 1.0, 9.0]}
+    search = planners.Search(max_iterations=900, simplify=False)
+    improve = planners.Improve(iterations=4, weights=[1.0, 1.0, 9.0])
+    ways = [
+        planners.plan(checker, LEFT, RIGHT, seed=2, full=True, **options),
+        planners.plan(checker, LEFT, RIGHT, seed=2, full=True, search=planners.Search(simplify=False), **options),
+        planners.plan_full(checker, LEFT, RIGHT, improve, search=search, seed=2),
+    ]
+    assert len({plan.path.tobytes() for plan in ways}) == 1
+    assert len({(plan.cost, plan.bound, plan.iterations) for plan in ways}) == 1
+    with pytest.raises(PlanningError, match="within 1 iterations"):
+        planners.plan(checker, LEFT, RIGHT, search=search, max_iterations=1)
+    for given, message in (({"search": 5}, "search: expected planners.Search, found int"), ({"improve": 5}, "improve")):
+        with pytest.raises(InputError, match=message):
+            planners.plan_full(checker, LEFT, RIGHT, **given)
 
 
 def test_no_path_is_an_error_as_before(robot):

@@ -14,8 +14,7 @@ from hypothesis.extra.numpy import arrays
 from scipy.interpolate import BPoly, CubicHermiteSpline
 
 from families import translation
-from gantry import RADIUS, gantry
-from loewner import Body, CollisionChecker, FileError, InputError, Robot, Scene, UnknownNameError, Verdict
+from loewner import Body, CollisionChecker, FileError, InputError, Scene, UnknownNameError, Verdict
 from loewner.planners import ControllerPoints, JointLimits, Trajectory, plan, trajectory
 from loewner.planners.jerk_limited import JerkLimited
 from loewner.planners.joint_limits import limits_of
@@ -28,18 +27,6 @@ from motion_oracle import FINGERS, example, free_configurations, ring, steps, wr
 from test_trajectories import dense, in_blend, limits, off_polyline, paths
 
 jerks = arrays(np.float64, 3, elements=st.floats(0.05, 5e3))
-
-
-@pytest.fixture(scope="module")
-def robot(tmp_path_factory):
-    urdf, srdf = gantry(tmp_path_factory.mktemp("gantry"))
-    return Robot.from_urdf(urdf, srdf=srdf)
-
-
-@pytest.fixture(scope="module")
-def alone(robot):
-    """The robot with nothing around it."""
-    return CollisionChecker(robot)
 
 
 def extremes(times, knots, rates):
@@ -342,25 +329,6 @@ def test_jerk_out_of_range(robot, velocity, jerk):
 
 
 # -- proven blends ------------------------------------------------------------------------------
-
-
-def test_a_blend_gets_smaller_or_becomes_a_stop(robot):
-    """At a bead nearer and nearer to the path, inside its corner, blends get smaller, and none ever touches it."""
-    turn = math.radians(20)
-    path = np.array([[-1, 0, 0], [0, 0, 0], [math.cos(turn), math.sin(turn), 0]])
-    across, sizes = (math.pi + turn) / 2, []
-    for gap in (0.3, 0.03, 0.01, 0.003, 1e-4):
-        far = (RADIUS + 0.001 + gap) / math.cos(turn / 2)
-        scene = Scene()
-        scene.add("bead", Body.sphere(0.001), translation(far * math.cos(across), far * math.sin(across)))
-        checker = CollisionChecker(replace(robot, bodies={"ball": Body.sphere(RADIUS)}), scene)
-        moved = trajectory(checker.robot, path, velocity=1.0, acceleration=0.05, jerk=0.5, checker=checker)
-        assert not checker.collide(moved.positions(dense(moved, 2000))).any()
-        assert len(moved.blends) + len(moved.stops) == 1
-        sizes.append(np.ptp(moved.blends) if len(moved.blends) else 0.0)
-    assert sizes == sorted(sizes, reverse=True)
-    assert sizes[0] > 0
-    assert sizes[-1] == 0.0
 
 
 def test_blends_of_an_arm(rng):

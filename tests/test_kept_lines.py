@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from gantry import gantry
-from loewner import CollisionChecker, InputError, PlanningError, Robot, UnknownNameError
+from gantry import gantry_robot
+from loewner import CollisionChecker, InputError, PlanningError, UnknownNameError
 from loewner.planners import Line, kept_lines, straight, trajectory
 from motion_oracle import example
 from test_lines import ARMS, TIGHT, with_bodies
@@ -24,8 +24,7 @@ DENSE = np.linspace(0.0, 1.0, 401)
 @pytest.fixture(scope="module")
 def slides(tmp_path_factory):
     """A checker of a ball that slides along x and y."""
-    urdf, srdf = gantry(tmp_path_factory.mktemp("gantry"))
-    return CollisionChecker(Robot.from_urdf(urdf, srdf=srdf))
+    return CollisionChecker(gantry_robot(tmp_path_factory.mktemp("gantry")))
 
 
 @pytest.fixture(scope="module")

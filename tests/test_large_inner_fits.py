@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from exact import halfspaces_crossed, points_outside
+from families import affine, rotation
 from loewner import ConvergenceError, GeometryError, InputError, mvce, mvie
 from loewner.ellipsoids import fits
 from loewner.ellipsoids.large_fits import inner
@@ -15,16 +16,6 @@ from loewner.ellipsoids.large_fits import inner
 def always_large(monkeypatch: pytest.MonkeyPatch) -> None:
     """Every fit of half-spaces takes the way for many of them."""
     monkeypatch.setattr(fits, "MANY_HALFSPACES", 0.0)
-
-
-def rotation(rng: np.random.Generator, n: int) -> np.ndarray:
-    return np.linalg.qr(rng.normal(size=(n, n)))[0]
-
-
-def affine(rng: np.random.Generator, n: int) -> tuple[np.ndarray, np.ndarray]:
-    """An invertible map of condition up to 100, and a shift."""
-    stretch = np.exp(rng.uniform(-2.3, 2.3, size=n))
-    return rotation(rng, n) @ np.diag(stretch) @ rotation(rng, n), rng.uniform(-3, 3, size=n)
 
 
 def moved(A: np.ndarray, b: np.ndarray, M: np.ndarray, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

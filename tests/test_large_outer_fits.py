@@ -7,6 +7,7 @@ import pytest
 from scipy.linalg import hadamard
 
 from exact import points_outside
+from families import affine, rotation
 from loewner import ConvergenceError, GeometryError, InputError, mvce
 from loewner._native import entries
 from loewner.ellipsoids import fits
@@ -14,16 +15,6 @@ from loewner.ellipsoids.large_fits import outer
 from loewner.ellipsoids.polytopes import FLATNESS
 
 DIMENSIONS = (3, 10, 50, 100)
-
-
-def rotation(rng: np.random.Generator, n: int) -> np.ndarray:
-    return np.linalg.qr(rng.normal(size=(n, n)))[0]
-
-
-def affine(rng: np.random.Generator, n: int) -> tuple[np.ndarray, np.ndarray]:
-    """An invertible map of condition up to 100, and a shift."""
-    stretch = np.exp(rng.uniform(-2.3, 2.3, size=n))
-    return rotation(rng, n) @ np.diag(stretch) @ rotation(rng, n), rng.uniform(-3, 3, size=n)
 
 
 def on_sphere(rng: np.random.Generator, m: int, n: int) -> np.ndarray:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from families import translation
-from gantry import LEFT, gantry, wall
+from gantry import LEFT, gantry_robot, wall
 from interpreted_kernels import interpreted, source_of
 from loewner import CollisionChecker, InputError, PlanningError, PoseError, Robot, UnknownNameError, planners
 from loewner._kernels import codes
@@ -258,8 +258,7 @@ def test_one_joint():
 
 def test_what_is_in_the_way(tmp_path):
     """A collision is an error that states the fraction of the line and the bodies."""
-    urdf, srdf = gantry(tmp_path)
-    checker = CollisionChecker(Robot.from_urdf(urdf, srdf=srdf), wall())
+    checker = CollisionChecker(gantry_robot(tmp_path), wall())
     ball = checker.robot.forward_kinematics(LEFT)[checker.robot.link_names.index("ball")]
     ball[0, 3] += 1.0
     with pytest.raises(PlanningError, match=r"line: expected a free line of ball, .* wall .* at the fraction 0\.[3-6]"):

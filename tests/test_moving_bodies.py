@@ -10,7 +10,7 @@ from scipy.interpolate import CubicSpline, PPoly
 from scipy.spatial.transform import Rotation
 
 from families import translation
-from gantry import LEFT, gantry
+from gantry import LEFT, gantry_robot
 from loewner import (
     Body,
     CollisionChecker,
@@ -35,8 +35,7 @@ SAMPLES = 400
 @pytest.fixture(scope="module")
 def slider(tmp_path_factory):
     """A ball that slides along x and y, and a rod that turns beside it."""
-    urdf, srdf = gantry(tmp_path_factory.mktemp("gantry"))
-    return Robot.from_urdf(urdf, srdf=srdf)
+    return gantry_robot(tmp_path_factory.mktemp("gantry"))
 
 
 def turned(rng, count, near=0.3):

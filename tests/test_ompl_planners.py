@@ -8,13 +8,12 @@ import numpy as np
 import pytest
 
 from families import translation
-from gantry import LEFT, RIGHT, UP, clearance, gantry, wall
+from gantry import LEFT, RIGHT, UP, clearance, gantry
 from loewner import (
     Body,
     CollisionChecker,
     MissingExtraError,
     PlanningError,
-    Robot,
     Scene,
     UnknownNameError,
     Verdict,
@@ -27,22 +26,6 @@ RESOLUTION = 0.02
 @pytest.fixture(autouse=True)
 def _ompl_is_there():
     pytest.importorskip("ompl")
-
-
-@pytest.fixture
-def robot(tmp_path):
-    urdf, srdf = gantry(tmp_path)
-    return Robot.from_urdf(urdf, srdf=srdf)
-
-
-@pytest.fixture
-def scene():
-    return wall()
-
-
-@pytest.fixture
-def checker(robot, scene):
-    return CollisionChecker(robot, scene)
 
 
 NAMES = (

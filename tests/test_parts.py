@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from scipy.spatial import Delaunay
 
 from families import translation
-from gantry import RADIUS, gantry
+from gantry import RADIUS, gantry, gantry_robot
 from loewner import Body, CollisionChecker, InputError, PlanningError, Robot, Scene, Verdict, planners
 from loewner.bodies import layout, parts
 from loewner.bodies.flat_faces import flat_faces
@@ -26,8 +26,7 @@ FREE, COLLIDING = Verdict.FREE, Verdict.COLLIDING
 @pytest.fixture
 def machine(tmp_path):
     """A ball that slides along x and y, and a rod that turns beside it."""
-    urdf, srdf = gantry(tmp_path)
-    return Robot.from_urdf(urdf, srdf=srdf)
+    return gantry_robot(tmp_path)
 
 
 def bumpy(rng, size=1.0):

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from families import translation
-from gantry import IN_WALL, LEFT, RADIUS, RIGHT, UP, clearance, gantry, wall
+from gantry import IN_WALL, LEFT, RADIUS, RIGHT, UP, clearance, gantry_robot, wall
 from loewner import (
     Body,
     CollisionChecker,
@@ -42,22 +42,6 @@ GEARED = """<robot name="g"><link name="world"/>
 <joint name="turn" type="continuous"><parent link="world"/><child link="wheel"/><axis xyz="0 0 1"/></joint>
 <joint name="half" type="continuous"><parent link="world"/><child link="slow"/><origin xyz="0 0 1"/>
   <axis xyz="0 0 1"/><mimic joint="turn" multiplier="0.5"/></joint></robot>"""
-
-
-@pytest.fixture
-def robot(tmp_path):
-    urdf, srdf = gantry(tmp_path)
-    return Robot.from_urdf(urdf, srdf=srdf)
-
-
-@pytest.fixture
-def scene():
-    return wall()
-
-
-@pytest.fixture
-def checker(robot, scene):
-    return CollisionChecker(robot, scene)
 
 
 def length(path):
@@ -156,11 +140,10 @@ def test_trees_outgrow_their_memory(checker, monkeypatch):
 def test_no_path_of_a_random_world_collides(tmp_path_factory, seed, count):
     """Among boxes at random: a path has no configuration that collides, looked at in steps of a millimetre."""
     rng = np.random.default_rng(seed)
-    urdf, srdf = gantry(tmp_path_factory.mktemp("g"))
     scene = Scene()
     for k in range(count):
         scene.add(f"box {k}", Body.box(rng.uniform(0.01, 0.6, 3)), translation(*rng.uniform(-0.9, 0.9, 2)))
-    checker = CollisionChecker(Robot.from_urdf(urdf, srdf=srdf), scene)
+    checker = CollisionChecker(gantry_robot(tmp_path_factory.mktemp("g")), scene)
     Q = checker.robot.random_configurations(20, seed)
     Q = Q[~checker.collide(Q)]
     if len(Q) < 2:

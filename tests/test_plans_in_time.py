@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from families import translation
-from gantry import LEFT, RIGHT, gantry
+from gantry import LEFT, RIGHT, gantry_robot
 from loewner import Body, CollisionChecker, FileError, InputError, PlanningError, Robot, Scene, Verdict, planners
 from motion_oracle import AFLOAT
 from test_moving_bodies import moving_scene
@@ -19,8 +19,7 @@ SAMPLES = 1001
 @pytest.fixture(scope="module")
 def slider(tmp_path_factory):
     """A ball that slides along x and y, and a rod that turns beside it."""
-    urdf, srdf = gantry(tmp_path_factory.mktemp("gantry"))
-    return Robot.from_urdf(urdf, srdf=srdf)
+    return gantry_robot(tmp_path_factory.mktemp("gantry"))
 
 
 def gate(opens=2.0, margin=0.0):
@@ -224,7 +223,7 @@ def test_bad_input_is_refused(slider):
             planners.plan(checker, LEFT, RIGHT, **(good | change))
     with pytest.raises(TypeError, match="hurry"):
         planners.plan(checker, LEFT, RIGHT, hurry=True, **good)
-    with pytest.raises(InputError, match=r"follow motions \(gate\): .*planners.plan takes start_time="):
+    with pytest.raises(InputError, match=r"follow motions \(gate\): .*planners.plan_in_time plans"):
         planners.plan(checker, LEFT, RIGHT)
     robot = Robot.from_urdf(text=AFLOAT).with_body("bar", Body.box([1.0, 0.05, 0.05]), parent="hand", joint="fixed")
     afloat = CollisionChecker(robot)

@@ -9,13 +9,12 @@ from scipy.interpolate import CubicSpline, PPoly
 from scipy.spatial.transform import Rotation
 
 from families import translation
-from gantry import LEFT, gantry
+from gantry import LEFT, gantry_robot
 from loewner import (
     Body,
     CollisionChecker,
     InputError,
     PlanningError,
-    Robot,
     Scene,
     Verdict,
     load_scene,
@@ -33,8 +32,7 @@ SEEDS = pytest.mark.parametrize("seed", [*range(8), *(pytest.param(k, marks=pyte
 @pytest.fixture(scope="module")
 def slider(tmp_path_factory):
     """A ball that slides along x and y, and a rod that turns beside it."""
-    urdf, srdf = gantry(tmp_path_factory.mktemp("gantry"))
-    return Robot.from_urdf(urdf, srdf=srdf)
+    return gantry_robot(tmp_path_factory.mktemp("gantry"))
 
 
 def with_bounds(scene, rng, since=(-1.0, 3.0)):

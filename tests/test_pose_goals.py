@@ -13,7 +13,6 @@ from loewner import (
     InputError,
     PlanningError,
     PoseError,
-    Robot,
     Scene,
     UnknownNameError,
     Verdict,
@@ -25,12 +24,6 @@ from loewner.planners import PoseGoal, pose_goals
 from motion_oracle import example
 
 BEHIND = np.array([0.5, -0.5, UP])
-
-
-@pytest.fixture
-def checker(tmp_path):
-    urdf, srdf = gantry(tmp_path)
-    return CollisionChecker(Robot.from_urdf(urdf, srdf=srdf), wall())
 
 
 def rod(checker, q):

@@ -13,7 +13,7 @@ from scipy.spatial import KDTree
 
 import loewner
 from families import translation
-from gantry import RADIUS, gantry
+from gantry import IN_WALL, LEFT, RADIUS, RIGHT, UP
 from loewner import (
     Body,
     CollisionChecker,
@@ -30,16 +30,6 @@ from loewner._base import _archives
 from loewner.planners import roadmaps
 from loewner.planners.judge import TOLERANCE, Judge
 
-UP = np.pi / 2  # the rod beside the ball, along y
-LEFT, RIGHT = np.array([-0.5, -0.5, UP]), np.array([0.5, -0.5, UP])
-IN_WALL = np.array([0.0, -0.5, UP])
-
-
-@pytest.fixture
-def robot(tmp_path):
-    urdf, srdf = gantry(tmp_path)
-    return Robot.from_urdf(urdf, srdf=srdf)
-
 
 def wall(top=0.5):
     """A wall along y, 0.1 m thick, that ends at `top`."""
@@ -51,11 +41,6 @@ def scene():
     scene = Scene()
     scene.add("wall", Body.box([0.1, 4.0, 1.0]), wall())
     return scene
-
-
-@pytest.fixture
-def checker(robot, scene):
-    return CollisionChecker(robot, scene)
 
 
 @pytest.fixture
@@ -608,7 +593,7 @@ def test_the_old_file_or_the_new_one(made, saved, monkeypatch):
     with pytest.raises(KeyboardInterrupt):
         made.save(saved)
     assert saved.read_bytes() == before
-    assert sorted(entry.suffix for entry in saved.parent.iterdir()) == [".npz", ".srdf", ".urdf"]
+    assert sorted(entry.suffix for entry in saved.parent.iterdir()) == [".npz"]
 
 
 def test_a_scene_that_changes_while_it_is_saved(made, checker, scene, tmp_path, monkeypatch):

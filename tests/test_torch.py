@@ -9,7 +9,7 @@ import pytest
 
 import loewner.torch
 from loewner import Body, CollisionChecker, InputError, Scene
-from test_clearance import cube_on_a_leash, random_checker
+from test_clearance import cube_on_a_leash, expect_good_checkers, random_checker, told
 
 torch = pytest.importorskip("torch")
 
@@ -27,27 +27,6 @@ def checker(tmp_path: Path) -> CollisionChecker:
 @pytest.fixture
 def Q(checker: CollisionChecker) -> np.ndarray:
     return checker.robot.random_configurations(6, seed=3).reshape(2, 3, -1)
-
-
-@pytest.fixture
-def calls(monkeypatch: pytest.MonkeyPatch) -> list[tuple[tuple[int, ...], bool]]:
-    """Shapes that the checker is asked about, and whether with gradients."""
-    seen, ask = [], CollisionChecker.clearance
-
-    def counted(self: Any, Q: Any, **options: Any) -> Any:
-        seen.append((Q.shape, options["gradient"]))
-        return ask(self, Q, **options)
-
-    monkeypatch.setattr(CollisionChecker, "clearance", counted)
-    return seen
-
-
-def told(checker: CollisionChecker, name: str, Q: Any) -> tuple[Any, Any]:
-    """What the checker itself says."""
-    if name == "clearance":
-        return checker.clearance(Q, gradient=True)
-    found = checker.distance(Q, exact=True, gradient=True)
-    return found.distance, found.gradient
 
 
 def leaf(Q: np.ndarray) -> Any:
@@ -257,16 +236,7 @@ def test_bad_configurations(name: str, checker: CollisionChecker, Q: np.ndarray)
 @pytest.mark.parametrize("name", MEASURES)
 def test_bad_checkers(name: str, tmp_path: Path):
     """What is no checker is refused at once, one without pairs when it is asked: its scene may be filled by then."""
-    for bad in (None, "checker", CollisionChecker):
-        with pytest.raises(InputError, match=r"checker: expected loewner\.CollisionChecker, found"):
-            getattr(loewner.torch, name)(bad)
-    scene = Scene()
-    function = getattr(loewner.torch, name)(cube_on_a_leash(tmp_path, scene))
-    q = torch.tensor([3.0, 0, 0, 1, 0, 0, 0])
-    with pytest.raises(InputError, match=f"{name}: expected a robot and a scene with pairs to check, found none"):
-        function(q)
-    scene.add("ball", Body.sphere(0.5))
-    assert function(q) > 1.0
+    expect_good_checkers(getattr(loewner.torch, name), torch.tensor([3.0, 0, 0, 1, 0, 0, 0]), tmp_path)
 
 
 def test_softness(checker: CollisionChecker, Q: np.ndarray):

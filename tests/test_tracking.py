@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from families import translation
-from gantry import LEFT, RADIUS, RIGHT, UP, clearance, gantry, wall
+from gantry import LEFT, RADIUS, RIGHT, UP, clearance, gantry_robot, wall
 from loewner import Body, CollisionChecker, InputError, PlanningError, Robot, Scene, Verdict, planners
 from loewner._kernels import codes
 from loewner.robots.proofs import tracking
@@ -24,12 +24,6 @@ ARM = """<robot name="a"><link name="base"/>
   <limit lower="-1" upper="1"/></joint></robot>"""
 GAP = 0.01
 SLIDE = np.array([1.0, 1.0, 0.0])  # the gantry's sliding joints
-
-
-@pytest.fixture
-def checker(tmp_path):
-    urdf, srdf = gantry(tmp_path)
-    return CollisionChecker(Robot.from_urdf(urdf, srdf=srdf), wall())
 
 
 def proven(checker, path, error=0.0):
@@ -182,8 +176,7 @@ def test_a_gap_is_wide_enough_up_to_an_error(tmp_path):
     scene = Scene()
     for side in (-1, 1):
         scene.add(f"post {side}", Body.box([0.1, 2.0, 1.0]), translation(y=1.15 * side))
-    urdf, srdf = gantry(tmp_path)
-    checker = CollisionChecker(Robot.from_urdf(urdf, srdf=srdf), scene)
+    checker = CollisionChecker(gantry_robot(tmp_path), scene)
     ends = [-0.8, 0.0, 0.0], [0.8, 0.0, 0.0]  # the rod ahead of the ball
     across = np.array([0.0, 1.0, 0.0])
     path = planners.plan(checker, *ends, joints="slide", joint_error=0.048 * across)

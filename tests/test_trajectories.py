@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from families import translation
-from gantry import RADIUS, UP, gantry
+from gantry import RADIUS, UP, gantry, gantry_robot
 from loewner import Body, CollisionChecker, FileError, InputError, PlanningError, Robot, Scene, Verdict, planners
 from loewner.planners import Trajectory, trajectories, trajectory
 from loewner.planners.judge import Judge
@@ -25,18 +25,6 @@ OF_VELOCITY, OF_ACCELERATION = 1e-9, 1e-6
 values = st.floats(-1.0, 1.0).map(lambda x: round(x, 3))
 paths = st.integers(2, 7).flatmap(lambda k: arrays(np.float64, (k, 3), elements=values))
 limits = arrays(np.float64, 3, elements=st.floats(0.05, 20.0))
-
-
-@pytest.fixture(scope="module")
-def robot(tmp_path_factory):
-    urdf, srdf = gantry(tmp_path_factory.mktemp("gantry"))
-    return Robot.from_urdf(urdf, srdf=srdf)
-
-
-@pytest.fixture(scope="module")
-def alone(robot):
-    """The robot with nothing around it."""
-    return CollisionChecker(robot)
 
 
 @pytest.fixture
@@ -249,7 +237,8 @@ def test_blends_of_an_arm(rng):
     assert free.sum() >= 0.9 * (~hit).sum()
 
 
-def test_a_blend_gets_smaller_or_becomes_a_stop(robot):
+@pytest.mark.parametrize("jerk", [None, 0.5])
+def test_a_blend_gets_smaller_or_becomes_a_stop(robot, jerk):
     """At a bead nearer and nearer to the path, inside its corner, blends get smaller, and none ever touches it."""
     turn = math.radians(20)
     path = np.array([[-1, 0, 0], [0, 0, 0], [math.cos(turn), math.sin(turn), 0]])
@@ -259,7 +248,7 @@ def test_a_blend_gets_smaller_or_becomes_a_stop(robot):
         scene = Scene()
         scene.add("bead", Body.sphere(0.001), translation(far * math.cos(across), far * math.sin(across)))
         checker = CollisionChecker(replace(robot, bodies={"ball": Body.sphere(RADIUS)}), scene)
-        moved = trajectory(checker.robot, path, velocity=1.0, acceleration=0.05, checker=checker)
+        moved = trajectory(checker.robot, path, velocity=1.0, acceleration=0.05, jerk=jerk, checker=checker)
         assert not checker.collide(moved.positions(dense(moved, 2000))).any()
         assert len(moved.blends) + len(moved.stops) == 1
         sizes.append(np.ptp(moved.blends) if len(moved.blends) else 0.0)
@@ -585,8 +574,7 @@ def test_a_change_after_the_path_was_proven(tmp_path, monkeypatch):
 @pytest.mark.verify
 def test_thousands_of_corners(tmp_path, monkeypatch):
     """The effort grows with the number of corners, not with its square; what is chosen in parts is as good as ever."""
-    urdf, srdf = gantry(tmp_path)
-    checker = CollisionChecker(Robot.from_urdf(urdf, srdf=srdf))
+    checker = CollisionChecker(gantry_robot(tmp_path))
     x = np.linspace(-0.9, 0.9, 2002)
     path = np.stack([x, 0.01 * (np.arange(2002) % 2), np.full(2002, UP)], axis=1)
 

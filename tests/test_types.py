@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import loewner
+from loewner import planners
 
 Bools = NDArray[np.bool_]
 Verdicts = NDArray[np.int8]
@@ -52,6 +53,18 @@ scene = loewner.Scene()
 assert_type(scene.distance("a", "b").upper, float)
 assert_type(scene.distance("a", "b", exact=True).distance, float)
 assert_type(scene.collide(), bool)
+
+
+def planned(checker: loewner.CollisionChecker, a: Floats, b: Floats) -> None:
+    search, improve = planners.Search(timeout=1.0), planners.Improve(seconds=1.0)
+    assert_type(planners.plan(checker, a, b, search=search), Floats)
+    assert_type(planners.plan(checker, a, b, timeout=1.0, improve_for=1.0), Floats)
+    assert_type(planners.plan(checker, a, b, full=True, proof=True), planners.Plan)
+    assert_type(planners.plan_full(checker, a, b, improve), planners.Plan)
+    assert_type(planners.plan(checker, a, b, start_time=0.0, timeout=1.0), planners.Trajectory)
+    assert_type(planners.plan_in_time(checker, a, b, 0.0), planners.Trajectory)
+    assert_type(planners.plan(checker, a, b, base="car", radius=0.5), planners.Drive)
+    assert_type(planners.plan_drive(checker, a, b, "car", radius=0.5), planners.Drive)
 
 
 def asked(checker: loewner.CollisionChecker, q: Floats, exact: bool) -> loewner.Distance:

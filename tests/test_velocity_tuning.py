@@ -9,8 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from families import translation
-from gantry import LEFT, RIGHT, UP, gantry
-from loewner import Body, CollisionChecker, InputError, PlanningError, Robot, Scene, Verdict, planners
+from gantry import LEFT, RIGHT, UP, gantry_robot
+from loewner import Body, CollisionChecker, InputError, PlanningError, Scene, Verdict, planners
 from test_plans_in_time import gate
 
 SAMPLES = 1001
@@ -24,8 +24,7 @@ ROUNDED = 1e-9
 @pytest.fixture(scope="module")
 def slider(tmp_path_factory):
     """A ball that slides along x and y, and a rod that turns beside it."""
-    urdf, srdf = gantry(tmp_path_factory.mktemp("gantry"))
-    return Robot.from_urdf(urdf, srdf=srdf)
+    return gantry_robot(tmp_path_factory.mktemp("gantry"))
 
 
 def exact(array):

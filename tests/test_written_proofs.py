@@ -14,7 +14,7 @@ from scipy.interpolate import BPoly, CubicSpline
 import loewner
 from checker_oracle import composed_bodies, robot_of, simple_bodies
 from families import translation
-from gantry import LEFT, RIGHT, gantry, wall
+from gantry import LEFT, RIGHT, gantry, gantry_robot, wall
 from loewner import (
     Body,
     CollisionChecker,
@@ -175,8 +175,7 @@ def test_curves(tmp_path, rng):
 
 def test_plans(tmp_path):
     """The proof of a plan has a motion for each of the path's, and needs `full` and `certified`."""
-    urdf, srdf = gantry(tmp_path)
-    robot, scene = Robot.from_urdf(urdf, srdf=srdf), wall()
+    robot, scene = gantry_robot(tmp_path), wall()
     checker = CollisionChecker(robot, scene)
     found = planners.plan(checker, LEFT, RIGHT, full=True, proof=True, joint_error=1e-3)
     report = verify(found.proof.data)
@@ -211,8 +210,7 @@ def test_without_pairs_or_motions(tmp_path):
 
 def test_unproven_motions_have_no_proof(tmp_path):
     """A proof is written only on request, and only if all motions are free."""
-    urdf, srdf = gantry(tmp_path)
-    checker = CollisionChecker(Robot.from_urdf(urdf, srdf=srdf), wall())
+    checker = CollisionChecker(gantry_robot(tmp_path), wall())
     found = checker.certify_edges([LEFT, LEFT], [LEFT + 0.1, RIGHT], proof=True)
     assert found.verdict.tolist() == [Verdict.FREE, Verdict.COLLIDING]
     assert found.proof is None
@@ -439,8 +437,7 @@ def test_a_path_without_a_proof_is_written(tmp_path, capsys, monkeypatch):
 
 def test_paths_are_compared_exactly(tmp_path, capsys):
     """One row too few, the last bit of a number, another order and curves are different paths."""
-    urdf, srdf = gantry(tmp_path)
-    checker = CollisionChecker(Robot.from_urdf(urdf, srdf=srdf), wall())
+    checker = CollisionChecker(gantry_robot(tmp_path), wall())
     rows = np.array([LEFT, LEFT + 0.1, LEFT + 0.2])
     proof, other = str(tmp_path / "p.proof"), str(tmp_path / "other.npy")
     checker.certify_edges(rows[:-1], rows[1:], proof=True).proof.save(proof)
@@ -469,8 +466,7 @@ def test_paths_are_compared_exactly(tmp_path, capsys):
 
 def test_a_proof_without_motions_opens_for_no_path(tmp_path, capsys):
     """A file whose motions were cut out, with its checksum made good, is refused, and so is a path that has none."""
-    urdf, srdf = gantry(tmp_path)
-    checker = CollisionChecker(Robot.from_urdf(urdf, srdf=srdf), wall())
+    checker = CollisionChecker(gantry_robot(tmp_path), wall())
     whole = checker.certify_edges(LEFT, LEFT + 0.1, proof=True).proof
     cut, file, path = struct.pack("<3dI", 0, 0, 0, 0), tmp_path / "cut.proof", tmp_path / "one.csv"
     head = whole.data[:16] + struct.pack("<II", len(whole.model), len(cut)) + whole.model + cut

@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike
 
 from loewner._base import _json, _validate
 from loewner._base._archives import LARGEST_CONTENT
-from loewner._base._files import read_regular, replacing, shown
+from loewner._base._files import made_folder, read_regular, replacing, shown
 from loewner._base._guard import guarded
 from loewner._base._outcomes import TETRAHEDRON, Outcome, outcome_of
 from loewner._base._plausible import told_to
@@ -184,7 +184,7 @@ def fit(
     _validate.callback(progress, "progress")
     with _connected(client) as connected:
         for folder in dict.fromkeys(target.parent for target in targets.values()):
-            _make_folder(folder)
+            made_folder(folder)
         outcomes = _outcomes(connected, targets, options, progress)
     return _told(targets, outcomes)
 
@@ -255,13 +255,6 @@ def _below(mesh: Path, root: Path | None) -> Path:
 def _absolute(path: Path) -> Path:
     """Make a path absolute, so that it is valid for a process with a different working directory."""
     return Path(os.path.abspath(path))
-
-
-def _make_folder(folder: Path) -> None:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise FileError(f"{shown(folder)}: expected a folder, could not make it ({error.strerror or error})") from None
 
 
 # -- workers --------------------------------------------------------------------------------------

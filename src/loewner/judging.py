@@ -133,8 +133,8 @@ def hints(tried: Iterable[Convention]) -> tuple[str, ...]:
     return tuple(sentence for _, sentence in best.values())
 
 
-@dataclass(frozen=True, eq=False)
-class Judgement:
+@dataclass(frozen=True, eq=False, repr=False)
+class Judgement(_validate.Brief):
     """Proven findings about the answers of another program.
 
     Attributes
@@ -234,9 +234,6 @@ class Judgement:
         most = np.where(chosen, excess, -1.0).max(axis=1)
         order = np.argsort(-most, kind="stable")
         return order[most[order] >= 0.0]
-
-    def __repr__(self) -> str:
-        return _validate.brief(self)
 
 
 @guarded

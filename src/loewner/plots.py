@@ -99,8 +99,7 @@ def body(
     >>> ax.get_xlabel()
     'x, m'
     """
-    if not isinstance(body, Body):
-        raise InputError(f"body: expected loewner.Body, found {type(body).__name__}")
+    _validate.instance(body, "body", Body)
     T, ellipsoids = _validate.pose(T_world_body, "T_world_body"), _validate.flag(ellipsoids, "ellipsoids")
     ax = _axes(ax)
     _draw(ax, body, T, _colour(colour), ellipsoids)
@@ -153,8 +152,7 @@ def pair(
     'AMBIGUOUS, exact: free'
     """
     for operand, name in ((a, "a"), (b, "b")):
-        if not isinstance(operand, Body):
-            raise InputError(f"{name}: expected loewner.Body, found {type(operand).__name__}")
+        _validate.instance(operand, name, Body)
     Ta, Tb = _validate.pose(T_world_a, "T_world_a"), _validate.pose(T_world_b, "T_world_b")
     ellipsoids, near = _validate.flag(ellipsoids, "ellipsoids"), _validate.flag(near, "near")
     ax = _axes(ax)
@@ -206,8 +204,7 @@ def configuration(checker: CollisionChecker, q: ArrayLike, *, ax: Any = None) ->
     >>> plots.configuration(CollisionChecker(Robot.from_urdf("arm.urdf")), [0.5, 0.0]).get_title()
     'free'
     """
-    if not isinstance(checker, CollisionChecker):
-        raise InputError(f"checker: expected loewner.CollisionChecker, found {type(checker).__name__}")
+    _validate.instance(checker, "checker", CollisionChecker)
     robot, scene = checker.robot, checker.scene
     q = robot.checked_one(q)
     meeting = [pair for pair, meets in zip(checker.checked_pairs, checker.collide_by_pair(q), strict=True) if meets]
@@ -262,8 +259,7 @@ def cover(robot: Robot, model: Robot, q: ArrayLike | None = None, *, ax: Any = N
     'arm: no part of 3 links is outside'
     """
     for name, given in (("robot", robot), ("model", model)):
-        if not isinstance(given, Robot):
-            raise InputError(f"{name}: expected loewner.Robot, found {type(given).__name__}")
+        _validate.instance(given, name, Robot)
     if not robot.bodies:
         raise InputError("robot: expected one with bodies, found one without")
     q = first_shown(robot)[1] if q is None else robot.checked_one(q)
@@ -371,8 +367,7 @@ def trajectory(checker: CollisionChecker, curve: Any, *, joint_error: ArrayLike 
     >>> ax.get_title(), ax.get_lines()[0].get_label(), ax.get_lines()[-2].get_label()  # doctest: +ELLIPSIS
     ('COLLIDING', 'cart and post', '200 mm deep at ... s')
     """
-    if not isinstance(checker, CollisionChecker):
-        raise InputError(f"checker: expected loewner.CollisionChecker, found {type(checker).__name__}")
+    _validate.instance(checker, "checker", CollisionChecker)
     courses, found = curves.proven(checker, curve, joint_error)
     ticks, _, Q = curves.sampled(checker.robot, courses, found)
     near = None
@@ -709,8 +704,7 @@ def _tiers_of(group: Any, name: Any) -> dict[str, int]:
     """Return the counts of one group, by tier."""
     found = asdict(group) if isinstance(group, Settled) else dict(_named(group, f"counts[{name!r}]"))
     for tier, count in found.items():
-        if tier not in TIERS:
-            raise _validate.unknown_name(f"counts[{name!r}]", tier, TIERS)
+        _validate.known(tier, f"counts[{name!r}]", TIERS)
         _validate.whole_number(count, f"counts[{name!r}][{tier!r}]", 0)
     if not any(found.values()):
         raise InputError(f"counts[{name!r}]: expected counts above zero, found none")

@@ -385,8 +385,8 @@ def moved() -> planners.Trajectory:
     return planners.trajectory(robot(), PATH, velocity=1.0)
 
 
-def footprint() -> Robot:
-    return Robot.footprint([[0.5, 0.25], [-0.5, 0.25], [-0.5, -0.25], [0.5, -0.25]], height=0.5)
+def footprint(bounds: Any = None) -> Robot:
+    return Robot.footprint([[0.5, 0.25], [-0.5, 0.25], [-0.5, -0.25], [0.5, -0.25]], height=0.5, bounds=bounds)
 
 
 def driven() -> planners.Drive:
@@ -1425,6 +1425,7 @@ CALLS: dict[str, Call] = {
             "planner": arg("RRTConnect", NONE, skips=frozenset({"type"})),
             "certified": flag(),
             "joint_error": array([1e-3, 0.0, 1e-3], FINITE, NUMBERS, ZERO, "a number alone"),
+            "search": arg(planners.Search(), NONE),
             "resolution": positive(0.125),
             "max_iterations": count(1000, NONE),
             "timeout": arg(5.0, NUMBERS),
@@ -1444,6 +1445,73 @@ CALLS: dict[str, Call] = {
             "reverse": flag(True),
         },
         varies=True,
+    ),
+    "planners.plan_full": Call(
+        planners.plan_full,
+        {
+            "checker": arg(checker),
+            "start": array([-0.5, 0.25, 0.0], FINITE),
+            "goal": array([[-0.5, 0.5, 0.0]], FINITE),
+            "improve": arg(planners.Improve(), NONE),
+            "joints": arg("y", NONE),
+            "keep": arg(None, NONE),
+            "joint_error": array([1e-3, 0.0, 1e-3], FINITE, NUMBERS, ZERO, "a number alone"),
+            "search": arg(planners.Search(timeout=5.0), NONE),
+            "seed": count(1, "0"),
+            "proof": flag(),
+        },
+        varies=True,
+    ),
+    "planners.plan_in_time": Call(
+        planners.plan_in_time,
+        {
+            "checker": arg(checker),
+            "start": array([-0.5, 0.25, 0.0], FINITE),
+            "goal": array([[-0.5, 0.5, 0.0]], FINITE),
+            "start_time": arg(0.5, NUMBERS, ZERO, NEGATIVE),
+            "velocity": arg(0.5, NUMBERS),
+            "arrive_by": arg(9.0, NUMBERS, NONE),
+            "joints": arg("y", NONE),
+            "joint_error": array([1e-3, 0.0, 1e-3], FINITE, NUMBERS, ZERO, "a number alone"),
+            "search": arg(planners.Search(timeout=5.0), NONE),
+            "seed": count(1, "0"),
+        },
+        varies=True,
+    ),
+    "planners.plan_drive": Call(
+        planners.plan_drive,
+        {
+            "checker": arg(lambda: CollisionChecker(footprint([[-1.0, 2.0], [-1.0, 2.0]]))),
+            "start": array([0.0, 0.5, 0.25], FINITE),
+            "goal": array([0.5, 0.5, 0.25], FINITE),
+            "base": arg("car"),
+            "radius": positive(0.5),
+            "reverse": flag(),
+            "joint_error": array([1e-3, 0.0, 1e-3], FINITE, NUMBERS, ZERO, "a number alone"),
+            "search": arg(planners.Search(timeout=5.0), NONE),
+            "proof": flag(),
+        },
+        varies=True,
+    ),
+    "planners.Search": Call(
+        lambda **given: planners.Search(**given),
+        {
+            "planner": arg(None, NONE, "function", skips=frozenset({"type"})),
+            "certified": flag(),
+            "resolution": positive(0.125),
+            "max_iterations": count(1000, NONE),
+            "timeout": positive(5.0),
+            "simplify": flag(False),
+        },
+    ),
+    "planners.Improve": Call(
+        lambda **given: planners.plan_full(checker(), PATH[0], PATH[0], planners.Improve(**given)).path,
+        {
+            "seconds": arg(0.0, NONE, NUMBERS, ZERO),
+            "iterations": count(1, "0", NONE),
+            "weights": array([1.0, 0.5, 1.0], NONE),
+            "clearance": positive(0.125, NONE),
+        },
     ),
     "planners.Drive.of": Call(
         lambda **given: planners.Drive.of(**given),

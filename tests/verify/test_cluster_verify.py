@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from gantry import gantry, wall
-from loewner import Body, CollisionChecker, Robot, cluster
+from gantry import gantry_robot, wall
+from loewner import Body, CollisionChecker, cluster
 from loewner._base._plausible import told_to
 
 distributed = pytest.importorskip("distributed")
@@ -83,8 +83,7 @@ def test_a_corpus_survives_many_deaths(workers, client, tmp_path):
 
 def test_arrays_survive_a_death(workers, client, tmp_path):
     """A worker that has the checker and some chunks dies: the answers are the same."""
-    urdf, srdf = gantry(tmp_path)
-    checker = CollisionChecker(Robot.from_urdf(urdf, srdf=srdf), wall())
+    checker = CollisionChecker(gantry_robot(tmp_path), wall())
     Q = checker.robot.random_configurations(400_000, seed=1)
     lazy = cluster.collide(checker, da.from_array(Q, chunks=(1000, 3)))
     for seed in range(3):

@@ -117,6 +117,15 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
             temporary.unlink()
 
 
+def made_folder(folder: Path) -> Path:
+    """Make a folder with its parents, unless it is there."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise FileError(f"{shown(folder)}: expected a folder, could not make it ({error.strerror or error})") from None
+    return folder
+
+
 def _regular_or_new(path: Path, name: str) -> Path:
     """Path of a file that exists or will be created, with links resolved."""
     try:

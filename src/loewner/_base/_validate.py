@@ -11,7 +11,7 @@ from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import fields
 from functools import cache
 from pathlib import Path
-from typing import Any, NoReturn, TypeVar
+from typing import Any, NoReturn, TypeVar, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -33,8 +33,9 @@ BoolOrBools = bool | Bools
 # Likewise, for results that a type checker should accept as either.
 OneOrMany = Any
 
-# The values of a dict of names.
+# The values of a dict of names; a class of ours.
 Entry = TypeVar("Entry")
+Kind = TypeVar("Kind")
 
 # Names of two bodies or links.
 Pair = tuple[str, str]
@@ -250,6 +251,13 @@ def whole_number(x: Any, name: str, least: int, most: int = LARGEST_INTEGER) -> 
     return value
 
 
+def instance(x: Any, name: str, kind: type[Kind], home: str = "loewner") -> Kind:
+    """Check that `x` is of one of our classes, which `home` makes public."""
+    if isinstance(x, kind):
+        return x
+    raise InputError(f"{name}: expected {home}.{kind.__name__}, found {type(x).__name__}")
+
+
 def flag(x: Any, name: str) -> bool:
     """Check a choice between True and False; other values, such as the text 'no', are refused."""
     if x is True or x is False:
@@ -432,6 +440,13 @@ def unknown_name(what: str, name: Any, known: Iterable[str]) -> UnknownNameError
     )
 
 
+def known(x: Any, what: str, names: Collection[str]) -> str:
+    """Check that `x` is one of many names; the error lists the nearest ones."""
+    if isinstance(x, str) and x in names:
+        return x
+    raise unknown_name(what, x, names)
+
+
 class Named(dict[str, Entry]):
     """A dict of names for users: the error for an unknown name lists the known ones."""
 
@@ -443,18 +458,20 @@ class Named(dict[str, Entry]):
         raise unknown_name(self._what, name, self)
 
 
-def brief(record: Any) -> str:
-    """Write a result in a readable form: numbers in full, long arrays by their shapes, in a few lines."""
-    parts = []
-    for entry in fields(record):
-        value = getattr(record, entry.name)
-        if isinstance(value, np.ndarray) and (value.size > FEW or value.ndim > 1):
-            parts.append(f"{entry.name}=<{shape_text(value.shape)} {value.dtype}>")
-        elif isinstance(value, np.ndarray):
-            parts.append(f"{entry.name}={np.array2string(value, precision=6, separator=', ')}")
-        elif value is not None:
-            parts.append(f"{entry.name}={value!r}")
-    return f"{type(record).__name__}({', '.join(parts)})"
+class Brief:
+    """A dataclass that is shown in a few lines: numbers in full, long arrays by their shapes."""
+
+    def __repr__(self) -> str:
+        parts = []
+        for entry in fields(cast(Any, self)):
+            value = getattr(self, entry.name)
+            if isinstance(value, np.ndarray) and (value.size > FEW or value.ndim > 1):
+                parts.append(f"{entry.name}=<{shape_text(value.shape)} {value.dtype}>")
+            elif isinstance(value, np.ndarray):
+                parts.append(f"{entry.name}={np.array2string(value, precision=6, separator=', ')}")
+            elif value is not None:
+                parts.append(f"{entry.name}={value!r}")
+        return f"{type(self).__name__}({', '.join(parts)})"
 
 
 def fits_memory(needed: int, what: str) -> None:

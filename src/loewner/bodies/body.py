@@ -36,8 +36,8 @@ from loewner.meshes.coverage import Covering, CoverReport
 LARGEST_EXTENT = 1e9
 
 
-@dataclass(frozen=True, eq=False)
-class Piece(KeepsReadOnly):
+@dataclass(frozen=True, eq=False, repr=False)
+class Piece(_validate.Brief, KeepsReadOnly):
     """One piece of a body: convex, or a surface.
 
     Attributes
@@ -77,8 +77,6 @@ class Piece(KeepsReadOnly):
     outer: Ellipsoids
     inner_gap: float
     outer_gap: float
-
-    __repr__ = _validate.brief
 
 
 class _Unmade:
@@ -890,7 +888,7 @@ class Body(_Bodies):
         listed = _validate.listed(bodies, "bodies")
         if not listed:
             raise GeometryError("bodies: expected at least one body, found none")
-        return cls(as_one([_expect_body(b, "bodies")._packed for b in listed]))
+        return cls(as_one([_validate.instance(b, "bodies", Body)._packed for b in listed]))
 
     def transformed(self, T: ArrayLike) -> Body:
         """Return a copy of the body and its ellipsoids, moved by a rigid motion of shape (4, 4).
@@ -966,7 +964,7 @@ class Body(_Bodies):
         """
         from loewner.bodies.cover_proofs import prove
 
-        other = _expect_body(model, "model")
+        other = _validate.instance(model, "model", Body)
         length = None if tolerance is None else _validate.positive_scalar(tolerance, "tolerance")
         return prove(self._packed, other._packed, length, _validate.callback(progress, "progress"))
 
@@ -1226,7 +1224,7 @@ class Bodies(_Bodies):
     """
 
     def __init__(self, bodies: Iterable[Body]) -> None:
-        listed = [_expect_body(b, "bodies")._packed for b in _validate.listed(bodies, "bodies")]
+        listed = [_validate.instance(b, "bodies", Body)._packed for b in _validate.listed(bodies, "bodies")]
         self._packed = join(listed) if listed else empty()
 
     @classmethod
@@ -1353,12 +1351,6 @@ class Bodies(_Bodies):
 
 
 # -- making -----------------------------------------------------------------------------------
-
-
-def _expect_body(body: Any, name: str) -> Body:
-    if not isinstance(body, Body):
-        raise InputError(f"{name}: expected loewner.Body, found {type(body).__name__}")
-    return body
 
 
 def _rows_of_three(x: ArrayLike, name: str) -> Floats:

@@ -168,8 +168,7 @@ def _ordered(numbers: Floats, order: Sequence[str], names: Sequence[str]) -> Flo
 def _check_columns(order: Sequence[str], names: Sequence[str], path: Path) -> None:
     """Check that each column is named once."""
     for name in order:
-        if name not in names:
-            raise _validate.unknown_name(f"{path}, column", name, names)
+        _validate.known(name, f"{path}, column", names)
         if order.count(name) > 1:
             raise FileError(f"{path}: expected each column once, found {name} {order.count(name)} times")
     missing = [name for name in names if name not in order]

@@ -15,7 +15,7 @@ from typing import Any
 
 import loewner
 from loewner._base import _validate
-from loewner._base._files import replacing, shown
+from loewner._base._files import made_folder, replacing, shown
 from loewner._base._outcomes import TETRAHEDRON, Outcome, outcome_of
 from loewner._base._plausible import told_to
 from loewner._base._threads import MOST_THREADS
@@ -23,7 +23,7 @@ from loewner._base._validate import Progress
 from loewner.cli import inputs, jobs
 from loewner.cli.output import ERROR, model_text, new_table, print_table, progress_bar
 from loewner.ellipsoids.fits import DEFAULT_TOLERANCE
-from loewner.errors import FileError, GeometryError, InputError
+from loewner.errors import GeometryError, InputError
 
 EXAMPLES = """examples:
   loewner fit upper_arm.stl forearm.dae -o bodies
@@ -85,7 +85,7 @@ def _on_this_machine(options: argparse.Namespace, targets: list[Path]) -> int:
     count = 1 if options.jobs is None else _validate.whole_number(options.jobs, "--jobs", 1, MOST_THREADS)
     with told_to([]), suppress(GeometryError):  # a refused option need not be reported for each mesh
         _body(TETRAHEDRON, options, lambda *_: None)
-    _make_folder(options.out)
+    made_folder(_validate.path(options.out, "--out"))
     rows, failed = dict[int, list[str]](), dict[int, str]()
     # A process that is killed while writing leaves part of a file, in a temporary folder.
     with tempfile.TemporaryDirectory(prefix=".fit-", dir=options.out) as unfinished, progress_bar() as progress:
@@ -200,11 +200,3 @@ def _fit_row(body: loewner.Body) -> tuple[str, ...]:
         str(len(body.pieces)), str(vertices), f"{inner:.4g}", f"{outer:.4g}",
         f"{body.gaps.max():.1e}", model_text(body),
     )  # fmt: skip
-
-
-def _make_folder(folder: Path) -> None:
-    _validate.path(folder, "--out")
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise FileError(f"{folder}: expected a folder, could not make it ({error.strerror or error})") from None

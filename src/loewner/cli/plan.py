@@ -219,46 +219,32 @@ def _begin_in_time(options: argparse.Namespace, scene: loewner.Scene) -> None:
             f"--proof: plans in time have no proofs yet, and this is one by {found}; write the trajectory by --out, "
             "which loewner audit without --proof proves again"
         )
-    for name in ("leave", "reach"):
-        if getattr(options, name):
-            raise InputError(
-                f"--{name}: expected a plan that is not in time, found {found}; among moving bodies, all contact is a "
-                "collision"
-            )
+    contact = "among moving bodies, all contact is a collision"
+    for name, why in (("improve-for", "no trajectory is improved"), ("leave", contact), ("reach", contact)):
+        if getattr(options, name.replace("-", "_")):
+            raise InputError(f"--{name}: expected a plan that is not in time, found {found}; {why}")
 
 
 def _found(
     checker: loewner.CollisionChecker, start: Floats, goal: Floats | planners.PoseGoal, options: argparse.Namespace
 ) -> planners.Plan | planners.Trajectory:
     """Return the path with its cost and the seconds that it took to find, or the trajectory of a plan in time."""
-    given: dict[str, Any] = {name: getattr(options, name) for name in ("max_iterations", "resolution", "planner")}
-    given["joints"] = options.joints[0] if options.joints is not None and len(options.joints) == 1 else options.joints
-    if options.start_time is None:
-        given |= {
-            "full": True,
-            "proof": options.proof is not None,
-            "weights": options.weights and _numbers("--weights", options.weights),
-            "clearance": options.clearance,
-        }
-    else:
-        given |= {"start_time": options.start_time, "arrive_by": options.arrive_by}
-        given["velocity"] = options.velocity and _numbers("--velocity", options.velocity)
-    if options.start_time is None or options.improve_for:
-        given["improve_for"] = options.improve_for
+    given = {name: getattr(options, name) for name in ("planner", "max_iterations", "timeout", "resolution")}
+    given = {name: value for name, value in given.items() if value is not None}
+    search = planners.Search(certified=not options.sampled, simplify=not options.no_simplify, **given)
+    given = {"joint_error": options.joint_error, "search": search, "seed": options.seed, "joints": options.joints}
+    if options.joints is not None and len(options.joints) == 1:
+        given["joints"] = options.joints[0]
     with progress_bar() as progress:
         progress.add_task("searching", total=None)
-        found: planners.Plan | planners.Trajectory = planners.plan(
-            checker,
-            start,
-            goal,
-            certified=not options.sampled,
-            joint_error=options.joint_error,
-            timeout=options.timeout,
-            simplify=not options.no_simplify,
-            seed=options.seed,
-            **{name: value for name, value in given.items() if value is not None},
+        if options.start_time is None:
+            weights = options.weights and _numbers("--weights", options.weights)
+            improve = planners.Improve(options.improve_for, weights=weights, clearance=options.clearance)
+            return planners.plan_full(checker, start, goal, improve, proof=options.proof is not None, **given)
+        velocity = options.velocity and _numbers("--velocity", options.velocity)
+        return planners.plan_in_time(
+            checker, start, goal, options.start_time, velocity=velocity, arrive_by=options.arrive_by, **given
         )
-        return found
 
 
 def _numbers(name: str, text: str) -> list[float] | float:

@@ -153,8 +153,7 @@ def _carrying(given: list[str], scene: loewner.Scene, robot: loewner.Robot, coun
             raise InputError(f"--attach {text}: expected [PART:]BODY=LINK{parts}")
         if body not in scene:
             raise _validate.unknown_name(f"--attach {text}: body", body, scene.names)
-        if link not in robot.link_names:
-            raise _validate.unknown_name(f"--attach {text}: link", link, robot.link_names)
+        _validate.known(link, f"--attach {text}: link", robot.link_names)
         for part in found if not where else [found[int(where) - 1]]:
             if part.setdefault(body, link) != link:
                 raise InputError(f"--attach {text}: expected one link for {body}, found {part[body]} as well")

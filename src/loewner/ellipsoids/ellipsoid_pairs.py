@@ -23,8 +23,8 @@ from loewner.errors import ConvergenceError, GeometryError, InputError
 NEAR_POINT_METHODS = {"rimon-boyd": codes.RIMON_BOYD, "lin-han": codes.LIN_HAN, "center-line": codes.CENTER_LINE}
 
 
-@dataclass(frozen=True)
-class NearPoints:
+@dataclass(frozen=True, repr=False)
+class NearPoints(_validate.Brief):
     """The near points of pairs of ellipsoids.
 
     Attributes
@@ -50,9 +50,6 @@ class NearPoints:
     point_2: Floats
     distance: Floats
     iterations: Ints
-
-    def __repr__(self) -> str:
-        return _validate.brief(self)
 
 
 @guarded

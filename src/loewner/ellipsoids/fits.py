@@ -51,8 +51,8 @@ SMALLEST_TOLERANCE = 1e-12
 HIGH_DIMENSION, MIDDLE_DIMENSION, MANY_POINTS, MANY_HALFSPACES = 15, 5, 1.5e8, 4e5
 
 
-@dataclass(frozen=True, eq=False)
-class Fit(KeepsReadOnly):
+@dataclass(frozen=True, eq=False, repr=False)
+class Fit(_validate.Brief, KeepsReadOnly):
     """A fitted ellipsoid, with a bound on how far its volume is from the optimum.
 
     Attributes
@@ -79,9 +79,6 @@ class Fit(KeepsReadOnly):
     gap: float
     iterations: int
     weights: Floats | None = None
-
-    def __repr__(self) -> str:
-        return _validate.brief(self)
 
 
 @guarded

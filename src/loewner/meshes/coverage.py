@@ -74,8 +74,8 @@ class Covering:
     max_protrusion: float = float("nan")
 
 
-@dataclass(frozen=True, eq=False)
-class CoverReport:
+@dataclass(frozen=True, eq=False, repr=False)
+class CoverReport(_validate.Brief):
     """Whether the elements of a model hold a body, and how far they stick out of it; see `Body.covered_by`.
 
     Attributes
@@ -106,8 +106,6 @@ class CoverReport:
     depth: tuple[float, float]
     witness: Floats | None
     excess: tuple[float, float]
-
-    __repr__ = _validate.brief
 
 
 def covered(triangles: Floats, hulls: list[Polytope], size: float, *, grow: bool) -> tuple[list[Polytope], Covering]:

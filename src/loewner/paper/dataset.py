@@ -21,8 +21,8 @@ BYTES_PER_PAIR = 4 * 8 * (2 * POINTS_PER_BODY * 3 + 1)  # uniform numbers, and t
 DATA_SETS = {"radius": "radius uniform in [0, 1]", "volume": "uniform in the volume of the ball"}
 
 
-@dataclass(frozen=True)
-class DataSet:
+@dataclass(frozen=True, repr=False)
+class DataSet(_validate.Brief):
     """Pairs of point clouds.
 
     Attributes
@@ -48,8 +48,6 @@ class DataSet:
     points_1: Floats
     points_2: Floats
     shift: Floats
-
-    __repr__ = _validate.brief
 
     def __len__(self) -> int:
         return len(self.shift)

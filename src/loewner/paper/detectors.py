@@ -177,8 +177,7 @@ class Pairs:
         """
         _validate.choice(heuristic, "heuristic", HEURISTICS)
         for name, bodies in (("a", a), ("b", b)):
-            if not isinstance(bodies, Bodies):
-                raise InputError(f"{name}: expected loewner.Bodies, found {type(bodies).__name__}")
+            _validate.instance(bodies, name, Bodies)
         if len(a) != len(b):
             raise InputError(f"bodies: expected equally many on both sides, found {len(a)} and {len(b)}")
         faces_1, points_1 = _unpacked(a)
@@ -277,7 +276,7 @@ def detect(detector: int, pairs: Pairs, *, angle: float = PAPER_ANGLE) -> Answer
     >>> bool((answers.collides == found.truth)[~answers.ambiguous].all())
     True
     """
-    n = len(_expect_pairs(pairs))
+    n = len(_validate.instance(pairs, "pairs", Pairs, "loewner.paper"))
     collides, ambiguous = np.zeros(n, np.uint8), np.zeros(n, np.uint8)
     _bound(detector, pairs, angle, collides, ambiguous)()
     return Answers(collides.astype(bool), ambiguous.astype(bool))
@@ -289,7 +288,7 @@ def time_per_check(detector: int, pairs: Pairs, *, angle: float = PAPER_ANGLE) -
     The result is the median of at least three passes over the pairs. With fewer than about a hundred pairs, the call
     itself takes a noticeable share of the time.
     """
-    n = len(_expect_pairs(pairs))
+    n = len(_validate.instance(pairs, "pairs", Pairs, "loewner.paper"))
     if n == 0:
         return float("nan")
     call = _bound(detector, pairs, angle, np.zeros(n, np.uint8), np.zeros(n, np.uint8))
@@ -320,7 +319,7 @@ def estimate(pairs: Pairs) -> Answers:
     >>> bool((paper.estimate(found.pairs).collides == found.estimate.answers.collides).all())
     True
     """
-    _expect_pairs(pairs)
+    _validate.instance(pairs, "pairs", Pairs, "loewner.paper")
     F_inner = contact_function(pairs.inner_1, pairs.inner_2)
     F_outer = contact_function(pairs.outer_1, pairs.outer_2)
     ambiguous = (F_outer <= 1.0) & (F_inner > 1.0)
@@ -342,12 +341,6 @@ def shrunk(outer: Ellipsoids, faces: Faces, center: Floats) -> Ellipsoids:
     width = np.linalg.norm(np.einsum("kij,ki->kj", outer.factor[body], faces.normals), axis=1)
     scale = np.minimum.reduceat(slack / width, faces.start[:-1])
     return Ellipsoids(center, scale[:, None, None] * outer.factor)
-
-
-def _expect_pairs(pairs: Any) -> Pairs:
-    if not isinstance(pairs, Pairs):
-        raise InputError(f"pairs: expected loewner.paper.Pairs, found {type(pairs).__name__}")
-    return pairs
 
 
 def _bound(detector: int, pairs: Pairs, angle: float, collides: object, ambiguous: object) -> Callable[[], None]:

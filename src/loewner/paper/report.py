@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from loewner._base import _validate
-from loewner.errors import FileError
+from loewner._base._files import made_folder
 from loewner.paper import figures, sheets
 from loewner.paper.dataset import DATA_SETS
 from loewner.paper.results import Experiment, write_atomically
@@ -35,12 +35,7 @@ def prepare(folder: str | os.PathLike[str]) -> Path:
     FileError
     """
     figures.require_matplotlib()
-    target = _validate.path(folder, "out")
-    try:
-        target.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise FileError(f"{target}: expected a folder, could not make it ({error.strerror or error})") from None
-    return target
+    return made_folder(_validate.path(folder, "out"))
 
 
 def write(experiment: Experiment, folder: str | os.PathLike[str]) -> list[Path]:

@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import chdtrc
 
+from loewner._base import _validate
 from loewner._base._proportions import wilson
-from loewner.errors import InputError
 from loewner.paper.detectors import Confusion
 from loewner.paper.results import Experiment, Result
 
@@ -112,7 +112,7 @@ def homogeneity(counts: Sequence[int], others: Sequence[int]) -> float:
 
 def tables(experiment: Experiment) -> tuple[Table, ...]:
     """Make all tables: 1 (a), 1 (b) ... 4 (b), then (a) and (b) for the library's estimate."""
-    _expect_experiment(experiment)
+    _validate.instance(experiment, "experiment", Experiment, "loewner.paper")
     found: list[Table] = []
     fourth = experiment.detectors[3]
     for result in experiment.detectors:
@@ -140,7 +140,7 @@ def classes(experiment: Experiment) -> tuple[tuple[int, ...], float]:
         Counts in the order of `CLASSES`, determined by the estimate's checks, which are exact.
     p_value : float
     """
-    _expect_experiment(experiment)
+    _validate.instance(experiment, "experiment", Experiment, "loewner.paper")
     hard, truth = experiment.estimate.answers.ambiguous, experiment.truth
     inner = experiment.estimate.answers.collides & ~hard
     counts = tuple(int(c.sum()) for c in (inner, hard & truth, hard & ~truth, ~hard & ~inner))
@@ -164,11 +164,6 @@ def errors_outside(every: Confusion, ambiguous: Confusion) -> tuple[int, int]:
     (3, 0)
     """
     return every.fn - ambiguous.fn, every.fp - ambiguous.fp
-
-
-def _expect_experiment(experiment: object) -> None:
-    if not isinstance(experiment, Experiment):
-        raise InputError(f"experiment: expected loewner.paper.Experiment, found {type(experiment).__name__}")
 
 
 COLUMNS = ("table", "detector", *CELLS, "right", "consistent with the paper", "us per check", "paper, ms")

@@ -1,26 +1,29 @@
 """Plan paths whose motions are proven free from start to goal, and make trajectories from the paths.
 
-Users call `planning` (plans), `roadmaps`, `trajectories`, `velocity_tuning`, `coordination`, `gates`, `lines`,
-`pose_goals` and `controller_points`. `compiled` and `ompl_planners` search, in the joints of `space`; `improving` and
-`clearing` make paths better; `in_time` plans among bodies that move; `departures` leaves a contact. `judge` decides
-whether a motion is free. `bases` plans for mobile bases: `drives` are sequences of arcs and turns, and `steering`
-connects two poses. `straights`, `jerk_limited`, `profiles` and `brakes` are motions in time, `joint_limits` and
-`limit_use` their limits. `kept_axes` and `kept_lines` hold an axis or a line on curves; `trajectory_files`, `messages`
-and `controllers` read and write files.
+Users call `planning` (plans, with the options of `searches`), `roadmaps`, `trajectories`, `velocity_tuning`,
+`coordination`, `gates`, `lines`, `pose_goals` and `controller_points`. `compiled` and `ompl_planners` search, in the
+joints of `space`; `improving` and `clearing` make paths better; `in_time` plans among bodies that move; `departures`
+leaves a contact. `judge` decides whether a motion is free. `bases` plans for mobile bases: `drives` are sequences of
+arcs and turns, and `steering` connects two poses. `straights`, `jerk_limited`, `profiles` and `brakes` are motions in
+time, `joint_limits` and `limit_use` their limits. `kept_axes` and `kept_lines` hold an axis or a line on curves;
+`trajectory_files`, `messages` and `controllers` read and write files.
 """
 
+from loewner.planners.bases import plan_drive
 from loewner.planners.controller_points import ControllerPoints
 from loewner.planners.coordination import coordinate
 from loewner.planners.drives import Drive
 from loewner.planners.gates import Gate, GateAnswer, GateState
-from loewner.planners.improving import Plan
+from loewner.planners.improving import Improve, Plan
+from loewner.planners.in_time import plan_in_time
 from loewner.planners.joint_limits import JointLimits
 from loewner.planners.kept_lines import Line
 from loewner.planners.lines import straight
 from loewner.planners.ompl_planners import space_information
-from loewner.planners.planning import plan, shorten
+from loewner.planners.planning import plan, plan_full, shorten
 from loewner.planners.pose_goals import PoseGoal
 from loewner.planners.roadmaps import Roadmap, roadmap
+from loewner.planners.searches import Search
 from loewner.planners.trajectories import Trajectory, brake, trajectory
 from loewner.planners.velocity_tuning import time_path
 
@@ -30,15 +33,20 @@ __all__ = [
     "Gate",
     "GateAnswer",
     "GateState",
+    "Improve",
     "JointLimits",
     "Line",
     "Plan",
     "PoseGoal",
     "Roadmap",
+    "Search",
     "Trajectory",
     "brake",
     "coordinate",
     "plan",
+    "plan_full",
+    "plan_drive",
+    "plan_in_time",
     "roadmap",
     "shorten",
     "space_information",

@@ -12,20 +12,22 @@ import math
 import time
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any, Literal, NamedTuple, TypedDict
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from loewner._base import _validate
+from loewner._base._guard import guarded
 from loewner._base._validate import Bools, Floats, Ints
 from loewner._kernels import codes
 from loewner.errors import ConvergenceError, InputError, PlanningError
 from loewner.planners import steering
 from loewner.planners.drives import Drive, arcs_of, base_columns
 from loewner.planners.joint_limits import ON_LIMIT
-from loewner.planners.judge import TOLERANCE, Judge
+from loewner.planners.judge import TOLERANCE, Judge, checked_checker
 from loewner.planners.pose_goals import PoseGoal
+from loewner.planners.searches import Search, checked_search
 from loewner.planners.space import Space, checked_ends
 from loewner.planners.steering import Ways, driven, moved
 from loewner.queries.pairs import Verdict
@@ -74,14 +76,6 @@ NOTHING = 1e-10
 
 # A pass that saves less than this share is the last.
 GAIN = 0.01
-
-
-class Options(TypedDict, total=False):
-    """The options of `plan` for bases."""
-
-    base: Kind | None
-    radius: float | None
-    reverse: bool
 
 
 class Path(NamedTuple):
@@ -178,22 +172,73 @@ class Base:
         return found, np.take_along_axis(costs, order, axis=1) + CHANGE * self.step * _changes(found).sum(axis=-1)
 
 
-def plan_base(
+@guarded
+def plan_drive(
     checker: CollisionChecker,
     start: ArrayLike,
-    goal: ArrayLike | PoseGoal,
-    of_base: Options,
+    goal: ArrayLike,
+    base: Kind,
     *,
-    joint_error: ArrayLike,
-    max_iterations: int,
-    timeout: float,
-    simplify: bool,
-    proof: bool,
+    radius: float | None = None,
+    reverse: bool = True,
+    joint_error: ArrayLike = 0.0,
+    search: Search | None = None,
+    proof: bool = False,
 ) -> Drive:
-    """Plan the drive of a base; see `planning.plan`."""
-    begin = time.monotonic()
-    kind, radius, reverse = checked_options(of_base)
-    columns = base_columns(checker.robot)
+    """Plan for a mobile base that cannot drive sideways, on the joints x, y and theta of its robot.
+
+    Parameters
+    ----------
+    checker : CollisionChecker
+        Its robot has a base of `Robot.footprint` or `Robot.add_base`; at theta = 0, forwards is along x. The point that
+        drives is the origin of the base: put it midway between the driven wheels of a differential base, and in the
+        middle of the rear axle of a car.
+    start, goal : array_like, shape (dof,)
+        Nothing but the base moves, so the goal has the start's values of all other joints.
+    base : {"differential", "car"}
+    radius : float, optional
+        Least radius of a car's turns, in metres; required for a car.
+    reverse : bool
+        Whether the base may drive backwards. Without it, a car's arcs may turn by more than half a turn.
+    joint_error
+        As for `plan`.
+    search : Search, optional
+        Its `max_iterations`, `timeout` and `simplify` count; it has no `planner` and proves its motions.
+    proof : bool
+        Also write a `Proof` of the drive, as `CollisionChecker.certify_trajectory` does.
+
+    Returns
+    -------
+    Drive
+        Arcs, straight lines and turns in place, as a whole proven FREE. It ends at the goal, or whole turns from it.
+
+    Raises
+    ------
+    PlanningError, InputError
+        As for `plan`.
+    ConvergenceError
+        As for `certify_trajectory`, if a proof is requested. The drive without it is the error's `partial`.
+
+    Notes
+    -----
+    A* searches a lattice of arcs, lines and turns in place (hybrid A*: Dolgov et al., IJRR 2010) until one of its poses
+    is connected to the goal by a way of Reeds and Shepp, of Dubins if the base may not reverse, or by a turn, a line
+    and a turn. Then such ways replace parts of the path where they are shorter. Contact that `Scene.leave` or
+    `Scene.reach` would permit counts as a collision.
+
+    Examples
+    --------
+    >>> from loewner import CollisionChecker, Robot
+    >>> corners = [[-0.2, -0.2], [0.4, -0.2], [0.4, 0.2], [-0.2, 0.2]]
+    >>> cart = Robot.footprint(corners, height=0.3, bounds=[[-1, 3], [-1, 1]])
+    >>> plan_drive(CollisionChecker(cart), [0, 0, 0], [2, 0, 0], "car", radius=0.5).motions
+    array([[2., 0.]])
+    """
+    begin, search = time.monotonic(), checked_search(search)
+    search._refuse("base")
+    proof = _validate.flag(proof, "proof")
+    radius, reverse = _checked_options(base, radius, reverse)
+    columns = base_columns(checked_checker(checker).robot)
     if isinstance(goal, PoseGoal):
         raise InputError("goal: expected a configuration for a base, found a PoseGoal")
     judge = Judge.of(checker, 0.0, joint_error)
@@ -201,17 +246,17 @@ def plan_base(
     if len(goals) != 1:
         raise InputError(f"goal: expected one configuration for a base, found {len(goals)}")
     model = model_of(judge.ready) if proof else None
-    base = _base(judge, kind, radius, reverse, columns, q, goals, names)
+    drives = _base(judge, base, radius, reverse, columns, q, goals, names)
     here, there = q[list(columns)], goals[0, list(columns)]
-    path, iterations = _found(base, here, there, max_iterations, begin + timeout)
+    path, iterations = _found(drives, here, there, search._most, begin + search.timeout)
     ways = [path]
-    if simplify:
-        better = _shortened(base, path)
+    if search.simplify:
+        better = _shortened(drives, path)
         ways = [_merged(better), better, path]
     errors = np.zeros(len(q)) if judge.joint_error is None else judge.joint_error
     for way in ways:  # motions that are proven one by one are nearly always proven as a whole
         drive = replace(
-            _drive(checker.robot, base, way, there), iterations=iterations, seconds=time.monotonic() - begin
+            _drive(checker.robot, drives, way, there), iterations=iterations, seconds=time.monotonic() - begin
         )
         curve = curves.curve_of(checker.robot, drive, "drive")
         try:
@@ -223,21 +268,20 @@ def plan_base(
     raise PlanningError("expected a drive that is proven as a whole, found one that comes too near to contact")
 
 
-def checked_options(given: Options) -> tuple[Kind, float | None, bool]:
-    """Check the options of `plan` for bases: the kind, the radius of a car, and whether it may reverse."""
-    kind: Any = given.get("base")
-    _validate.choice(kind, "base", ("differential", "car"))
-    radius, reverse = given.get("radius"), _validate.flag(given.get("reverse", True), "reverse")
-    if kind == "car" and radius is None:
+def _checked_options(base: Kind, radius: float | None, reverse: bool) -> tuple[float | None, bool]:
+    """Check the kind of a base; return the radius of a car, and whether it may reverse."""
+    _validate.choice(base, "base", ("differential", "car"))
+    reverse = _validate.flag(reverse, "reverse")
+    if base == "car" and radius is None:
         raise InputError("radius: expected the least radius of a car's turns, found none")
-    if kind == "differential" and radius is not None:
+    if base == "differential" and radius is not None:
         raise InputError("radius: expected none for a differential base, which turns in place")
     if radius is None:
-        return kind, None, reverse
+        return None, reverse
     least = _validate.positive_scalar(radius, "radius")
     if not least <= LARGEST:
         raise InputError(f"radius: expected {LARGEST:g} m at most, found {least:g}")
-    return kind, least, reverse
+    return least, reverse
 
 
 def _base(

@@ -66,8 +66,7 @@ def columns_of(
             raise InputError("joints: expected points with names, found none")
         chosen = tuple(_validate.listed(joints, "joints", wanted="a list of names"))
         for name in chosen:
-            if not isinstance(name, str) or name not in held:
-                raise _validate.unknown_name("joints", name, held)
+            _validate.known(name, "joints", held)
         _expect_once("joints", chosen)
     columns = list(range(count)) if held is None or chosen is None else [held.index(name) for name in chosen]
     if names is None:

@@ -76,8 +76,8 @@ class GateState(IntEnum):
     INSIDE = 3
 
 
-@dataclass(frozen=True, eq=False)
-class GateAnswer:
+@dataclass(frozen=True, eq=False, repr=False)
+class GateAnswer(_validate.Brief):
     """How far a chunk of joint targets may run.
 
     Attributes
@@ -128,9 +128,6 @@ class GateAnswer:
     brake: Trajectory
     is_proven: bool
     work: int
-
-    def __repr__(self) -> str:
-        return _validate.brief(self)
 
 
 class _World(NamedTuple):

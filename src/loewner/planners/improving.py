@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import time
 from dataclasses import dataclass, replace
-from typing import TypedDict
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -23,6 +22,7 @@ from loewner.planners.clearing import Clearing
 from loewner.planners.compiled import Growth
 from loewner.planners.departures import Departures
 from loewner.planners.judge import Judge
+from loewner.planners.searches import Search
 from loewner.planners.space import Space
 from loewner.robots import Proof, Robot
 
@@ -55,18 +55,72 @@ LARGEST_WEIGHT = 1e9
 LEAST_CLEARANCE = 1e-9
 
 
-class Options(TypedDict, total=False):
-    """The options of `plan` that improve a path, all of them optional."""
+@dataclass(frozen=True, eq=False)
+class Improve:
+    """How `plan_full` improves a path: until one of two limits, or not at all if neither is given.
 
-    improve_for: float | None
-    improve_iterations: int | None
-    weights: ArrayLike | None
-    clearance: float | None
+    Parameters
+    ----------
+    seconds : float, optional
+        Improve until this time has passed since the call began; the first path is returned in any case. Default: the
+        timeout of the search.
+    iterations : int, optional
+        Limit on the number of rounds. Equal numbers and seeds give equal paths, unless the time is over before.
+    weights : array_like, shape (dof,), optional
+        Factors of the joint values in the cost, which improvement lowers: the cost of a motion is the Euclidean norm of
+        the weighted changes. They make metres and radians comparable; a joint with a large weight moves little.
+        Default: one for each value.
+    clearance : float, optional
+        Distance [m] that the path should keep from the bodies of the scene where it can, without being forced to:
+        nearer to them a motion costs up to ten times its length, and half of the rounds move the path away from them.
+        For a distance that must be kept everywhere, use `Scene.margin`.
+
+    Raises
+    ------
+    InputError
+        If a value is wrong, or a clearance is given without a limit.
+
+    Examples
+    --------
+    >>> from loewner import CollisionChecker, Robot
+    >>> from loewner.planners import Improve, plan_full
+    >>> checker = CollisionChecker(Robot.from_urdf("arm.urdf"))
+    >>> plan_full(checker, [0.0, 0.0], [1.0, 1.0], Improve(iterations=20, weights=[1.0, 0.1])).cost
+    1.004987562112089
+    """
+
+    seconds: float | None = None
+    iterations: int | None = None
+    weights: ArrayLike | None = None
+    clearance: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.seconds is not None:
+            self._set("seconds", _validate.positive_scalar(self.seconds, "seconds or improve_for", zero=True))
+        if self.iterations is not None:
+            self._set("iterations", _validate.whole_number(self.iterations, "iterations or improve_iterations", 0))
+        if self.clearance is not None:
+            clearance = _validate.positive_scalar(self.clearance, "clearance")
+            if clearance < LEAST_CLEARANCE:
+                raise InputError(f"clearance: expected at least {LEAST_CLEARANCE:g} m, found {clearance:g}")
+            if not self._wanted:
+                raise InputError(
+                    "clearance: expected improve_for or improve_iterations (seconds or iterations of Improve) with it"
+                )
+            self._set("clearance", clearance)
+
+    def _set(self, name: str, value: float) -> None:
+        object.__setattr__(self, name, value)
+
+    @property
+    def _wanted(self) -> bool:
+        """Whether the path is improved at all."""
+        return bool(self.seconds or self.iterations)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Plan(KeepsReadOnly):
-    """A path with its cost and a lower bound on the cost of every such path: the result of `plan` with `full=True`.
+    """A path with its cost and a lower bound on the cost of every such path: the result of `plan_full`.
 
     The cost is the sum over all motions of the Euclidean norm of the weighted changes of joint values. If a clearance
     was given, it is higher near obstacles.
@@ -98,8 +152,9 @@ class Plan(KeepsReadOnly):
     Examples
     --------
     >>> from loewner import CollisionChecker, Robot
-    >>> from loewner.planners import plan
-    >>> found = plan(CollisionChecker(Robot.from_urdf("arm.urdf")), [0.0, 0.0], [2.0, 0.0], joints="rail", full=True)
+    >>> from loewner.planners import Improve, plan_full
+    >>> checker = CollisionChecker(Robot.from_urdf("arm.urdf"))
+    >>> found = plan_full(checker, [0.0, 0.0], [2.0, 0.0], Improve(iterations=20), joints="rail")
     >>> found.cost, found.gap < 1e-12
     (2.0, True)
     """
@@ -151,34 +206,18 @@ class Improvement:
     clearance: float = 0.0
 
     @classmethod
-    def of(cls, robot: Robot, given: Options, full: bool, own_planner: bool, timeout: float) -> Improvement:
-        """Check a user's options; the call begins now."""
-        began = time.monotonic()
-        for name in given.keys() - Options.__optional_keys__:
-            raise TypeError(f"plan() got an unexpected keyword argument {name!r}")
-        seconds, most, weights = given.get("improve_for"), given.get("improve_iterations"), given.get("weights")
-        if seconds is not None:
-            seconds = _validate.positive_scalar(seconds, "improve_for", zero=True)
-        if most is not None:
-            most = _validate.whole_number(most, "improve_iterations", 0)
-        wanted = bool(seconds or most)
-        if wanted and not own_planner:
+    def of(cls, robot: Robot, improve: Improve, search: Search) -> Improvement:
+        """Check what depends on the robot and the search; the call begins now."""
+        began, most, seconds = time.monotonic(), improve.iterations, improve.seconds
+        if improve._wanted and search.planner is not None:
             raise InputError(
                 "planner: expected none with improve_for or improve_iterations, which use the compiled planner"
             )
-        if weights is not None and not (full or seconds is not None or most is not None):
-            raise InputError("weights: expected improve_for, improve_iterations or full=True with them")
-        if not wanted or seconds == 0:
+        if not improve._wanted or seconds == 0:
             most = 0
-        clearance = given.get("clearance")
-        if clearance is not None:
-            clearance = _validate.positive_scalar(clearance, "clearance")
-            if clearance < LEAST_CLEARANCE:
-                raise InputError(f"clearance: expected at least {LEAST_CLEARANCE:g} m, found {clearance:g}")
-            if not wanted:
-                raise InputError("clearance: expected improve_for or improve_iterations with it")
-        until = began + (timeout if seconds is None else seconds)
-        return cls(_checked_weights(robot, weights), 2**62 if most is None else most, began, until, clearance or 0.0)
+        until = began + (search.timeout if seconds is None else seconds)
+        weights = _checked_weights(robot, improve.weights)
+        return cls(weights, 2**62 if most is None else most, began, until, improve.clearance or 0.0)
 
     def clearing(self, judge: Judge) -> Clearing | None:
         """Return the cost near obstacles, if one was requested."""

@@ -9,20 +9,23 @@ as the proof of ten of them.
 from __future__ import annotations
 
 import time
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple, TypedDict
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from loewner._base import _validate
+from loewner._base._guard import guarded
 from loewner._base._validate import Bools, Floats, Ints
 from loewner._kernels import codes
 from loewner.errors import InputError, PlanningError
 from loewner.planners import compiled
 from loewner.planners.joint_limits import limits_of
-from loewner.planners.judge import TOLERANCE, Judge
-from loewner.planners.pose_goals import PoseGoal
+from loewner.planners.judge import TOLERANCE, Judge, checked_checker
+from loewner.planners.pose_goals import PoseGoal, joints_of
+from loewner.planners.searches import Search, checked_search, checked_seed
 from loewner.planners.space import Space, checked_ends, touching
 from loewner.planners.straights import BLEND_ROUNDINGS
 from loewner.planners.trajectories import Trajectory
@@ -74,14 +77,6 @@ LARGE = 2**22
 
 # Times at which waiting is proven for a message.
 SLOTS = 64
-
-
-class Times(TypedDict, total=False):
-    """The options of `plan` for plans in time."""
-
-    start_time: float
-    velocity: ArrayLike | None
-    arrive_by: float | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,21 +157,76 @@ class TimedJudge:
         )
 
 
+@guarded
 def plan_in_time(
     checker: CollisionChecker,
     start: ArrayLike,
     goal: ArrayLike | PoseGoal,
-    times: Times,
+    start_time: float,
     *,
-    joints: Any,
-    joint_error: ArrayLike,
-    max_iterations: int,
-    timeout: float,
-    simplify: bool,
-    seed: int,
+    velocity: ArrayLike | None = None,
+    arrive_by: float | None = None,
+    joints: str | Iterable[str] | None = None,
+    joint_error: ArrayLike = 0.0,
+    search: Search | None = None,
+    seed: int = 0,
 ) -> Trajectory:
-    """Find a trajectory from start to goal; see `planning.plan`."""
-    robot, still = checker.robot, without_motions(checker)
+    """Find a trajectory from start to goal among bodies that follow motions, as a whole proven free of collisions.
+
+    Parameters
+    ----------
+    checker, start, joints, joint_error, seed
+        As for `plan`.
+    goal : array_like, shape (dof,) or (goals, dof), or PoseGoal
+        As for `plan`; a `PoseGoal` has no approach or retreat.
+    start_time : float
+        Begin at this number of seconds on the clock of the motions (`Scene.follow`).
+    velocity : float or array_like, shape (dof,), optional
+        The largest velocity of each value [rad/s or m/s]. Default: the URDF's limits (`Robot.velocity`).
+    arrive_by : float, optional
+        The latest arrival [s], on the same clock as `start_time`. Default, and at most: four times as long as the
+        joints need to cross their ranges, after the end of all motions; of motions that repeat, two periods count.
+    search : Search, optional
+        Its `max_iterations`, `timeout` and `simplify` count; it has no `planner` and proves its motions.
+
+    Returns
+    -------
+    Trajectory
+        Between its times the robot moves straight at a constant rate, or waits. Its times count from its own
+        `start_time`, at which ``checker.certify_trajectory(found)`` proves it FREE. Every velocity is at most its
+        limit, up to two units of rounding.
+
+    Raises
+    ------
+    PlanningError
+        As for `plan`; also if the start collides at the start time (the message names pairs and depths), or no goal can
+        be reached by the latest arrival within the velocities.
+    InputError, UnknownNameError
+        As for `plan`.
+
+    See Also
+    --------
+    time_path : Assigns times to a path among bodies that move, which a drive can follow.
+
+    Notes
+    -----
+    The direct motion is tried first, and then the path through the scene without the moving bodies, at several starts
+    and speeds. If none of them is proven, two trees grow, forward in time from the start and backward from the goals at
+    several times of arrival (Grothe et al., "ST-RRT*", ICRA 2022). The result is shortened, but need not arrive as
+    early as possible. Contact that `Scene.leave` or `Scene.reach` would permit counts as a collision.
+
+    Examples
+    --------
+    >>> from loewner import CollisionChecker, Robot
+    >>> checker = CollisionChecker(Robot.from_urdf("arm.urdf"))
+    >>> plan_in_time(checker, [0.0, 0.0], [2.0, 0.0], 5.0, velocity=0.5)
+    Trajectory(4 s, 2 joints, 1 motion)
+    """
+    search, seed = checked_search(search), checked_seed(seed)
+    search._refuse("start_time")
+    max_iterations, timeout, simplify = search._most, search.timeout, search.simplify
+    robot, still = checked_checker(checker).robot, without_motions(checker)
+    joints = joints_of(goal, robot, joints)
     if not robot.runs_straight:
         raise InputError(
             f"start_time: expected a robot whose values run straight, found a floating or ball joint in {robot.name!r}"
@@ -185,7 +235,7 @@ def plan_in_time(
         raise InputError("goal: expected no approach or retreat in a plan in time, found one; plan them by themselves")
     q, goals, names, _ = checked_ends(still, start, goal, joints)
     space, judge_of_still = Space.of_start(still, joints, q, goals), Judge.of(still, 0.0, joint_error)
-    judge = _judge(checker, space, times, joint_error)
+    judge = _judge(checker, space, start_time, velocity, arrive_by, joint_error)
     first = np.append(q, 0.0)
     goals = space.unwound(q, space.checked_goals(q, goals, judge_of_still, names))
     if not judge.free_at(first[None])[0]:
@@ -222,19 +272,22 @@ def plan_in_time(
     return replace(made, spacing=made._shortest(judge.fastest))._read_only()
 
 
-def _judge(checker: CollisionChecker, space: Space, times: Times, joint_error: ArrayLike) -> TimedJudge:
+def _judge(
+    checker: CollisionChecker, space: Space, start_time: float, velocity: ArrayLike | None, arrive_by: float | None,
+    joint_error: ArrayLike,
+) -> TimedJudge:  # fmt: skip
     """Check the options of a plan in time."""
     robot, ready = checker.robot, prepared_of(checker, timed=True)
-    begin, last = _validate.real(times.get("start_time"), "start_time"), times.get("arrive_by")
+    begin = _validate.real(start_time, "start_time")
     moved = space.still.copy()
     moved[space.columns] = np.inf  # in any case elsewhere
-    fastest = limits_of(robot, np.stack([space.still, moved]), None, times.get("velocity"), None, None)[0]
+    fastest = limits_of(robot, np.stack([space.still, moved]), None, velocity, None, None)[0]
     crossing = float(((space.upper - space.lower) / fastest[space.columns]).max())
     if not crossing <= SLOWEST:
         raise InputError(f"velocity: expected joints that cross their ranges in {SLOWEST:g} s, found {crossing:g} s")
     limit = CROSSINGS * crossing + horizon_of(ready, begin)
-    if last is not None:
-        last = _validate.real(last, "arrive_by")
+    if arrive_by is not None:
+        last = _validate.real(arrive_by, "arrive_by")
         if not last > begin:
             raise InputError(f"arrive_by: expected a time after start_time, {begin:.15g}, found {last:.15g}")
         limit = min(limit, last - begin)

@@ -132,8 +132,7 @@ class JointLimits(KeepsReadOnly):
 
 def expect_robot(robot: Robot) -> None:
     """Raise an InputError for anything but a robot."""
-    if not isinstance(robot, Robot):
-        raise InputError(f"robot: expected loewner.Robot, found {type(robot).__name__}")
+    _validate.instance(robot, "robot", Robot)
 
 
 def limits_of(

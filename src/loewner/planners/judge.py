@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from loewner._base import _validate
 from loewner._base._validate import Bools, Floats, Ints, fits_memory
 from loewner._base._workspaces import workspace
 from loewner._kernels import codes
@@ -35,9 +36,7 @@ TOLERANCE = 1e-5
 
 def checked_checker(checker: Any) -> CollisionChecker:
     """Check that an argument is a collision checker."""
-    if not isinstance(checker, CollisionChecker):
-        raise InputError(f"checker: expected loewner.CollisionChecker, found {type(checker).__name__}")
-    return checker
+    return _validate.instance(checker, "checker", CollisionChecker)
 
 
 @dataclass(frozen=True, eq=False)

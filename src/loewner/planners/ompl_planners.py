@@ -88,9 +88,7 @@ def named(planner: str | Callable[[Any], Any]) -> Callable[[Any], Any]:
         for name, each in sorted(vars(geometric).items())
         if isinstance(each, type) and issubclass(each, base.Planner)
     }
-    if not isinstance(planner, str) or planner not in known:
-        raise _validate.unknown_name("planner", planner, known)
-    made: Callable[[Any], Any] = known[planner]
+    made: Callable[[Any], Any] = known[_validate.known(planner, "planner", known)]
     return made
 
 

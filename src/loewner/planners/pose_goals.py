@@ -408,8 +408,13 @@ def goals_of(
     return goal, None, None
 
 
-def joints_of(goal: PoseGoal, robot: Robot) -> list[str]:
-    """Return the names of the joints that move the link; `plan` moves these alone, unless it is given others."""
+def joints_of(goal: Any, robot: Robot, joints: str | Iterable[str] | None) -> str | Iterable[str] | None:
+    """Return the joints of a plan; for a pose they are the joints of its link, unless others are given.
+
+    Fingers that hold something then keep their places.
+    """
+    if joints is not None or not isinstance(goal, PoseGoal):
+        return joints
     chain = chain_to(robot, goal.link)
     moving = set(chain.columns[chain.moving].tolist())
     return [name for name in robot.joint_names if moving & set(range(robot.dof)[robot._columns[name]])]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
@@ -28,6 +27,9 @@ A_HAIR = 1e-4
 
 # Limit on the configurations and pairs that a message names.
 NAMED = 5
+
+# The largest joint error that is tried for a message [rad or m]: where nothing is near, larger ones only overflow.
+MOST_ERROR = 1e9
 
 
 @dataclass(frozen=True, eq=False)
@@ -192,7 +194,9 @@ class Space:
         """
         ready, at, size = judge.ready, q[None], error.max()
         weights = error / size
-        largest = tracking.largest(ready, at, at, weights, math.inf, TOLERANCE)
+        largest = tracking.largest(ready, at, at, weights, MOST_ERROR, TOLERANCE)
+        if largest >= MOST_ERROR:
+            return f"one that is proven free within joint errors of {largest:g}, but not of {size:g}"
         unproven = max(tracking.NEAR * largest, tracking.FIRST)
         pair = prove_by_rules(ready, at, at, TOLERANCE, unproven * weights).pairs
         nearest = distances.nearest(ready.only(pair), q, True, False)

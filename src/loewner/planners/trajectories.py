@@ -420,8 +420,7 @@ class Trajectory(KeepsReadOnly):
         (('rail', 'elbow'), array([0., 2.]))
         """
         known = dict.fromkeys(each[:k] for each in self.names for k, letter in enumerate(each) if letter == "/")
-        if not isinstance(name, str) or name not in known:
-            raise _validate.unknown_name("part", name, known)
+        _validate.known(name, "part", known)
         columns = [k for k, each in enumerate(self.names) if each.startswith(f"{name}/")]
         return self._of(columns, [self.names[k].removeprefix(f"{name}/") for k in columns])
 

@@ -37,8 +37,8 @@ DEPTH_BYTES = 16 + EXACT_BYTES
 MODES = {"exact": codes.EXACT, "certified": codes.CERTIFY}
 
 
-@dataclass(frozen=True, eq=False)
-class Overlaps:
+@dataclass(frozen=True, eq=False, repr=False)
+class Overlaps(_validate.Brief):
     """The pairs of bodies that meet, and their depths, one entry per pair.
 
     Distances, witnesses and normals are as computed by `distance` with ``exact=True``.
@@ -74,9 +74,6 @@ class Overlaps:
 
     def __len__(self) -> int:
         return len(self.pairs)
-
-    def __repr__(self) -> str:
-        return _validate.brief(self)
 
 
 # fmt: off

@@ -27,8 +27,8 @@ BYTES = 17  # per pair: two times and a verdict
 Motion = tuple[ArrayLike | None, ArrayLike | None] | ArrayLike | None
 
 
-@dataclass(frozen=True, eq=False)
-class FirstContact:
+@dataclass(frozen=True, eq=False, repr=False)
+class FirstContact(_validate.Brief):
     """When two moving bodies first touch, each of the batch's shape; times are fractions of the motion.
 
     Attributes
@@ -57,9 +57,6 @@ class FirstContact:
     verdict: VerdictOrVerdicts
     free_until: FloatOrFloats
     touching_at: FloatOrFloats
-
-    def __repr__(self) -> str:
-        return _validate.brief(self)
 
 
 @guarded

@@ -74,8 +74,8 @@ VERDICTS = tuple(Verdict)
 VerdictOrVerdicts = Verdict | Verdicts
 
 
-@dataclass(frozen=True, eq=False)
-class Distance(Generic[Number, Exact, Vector]):
+@dataclass(frozen=True, eq=False, repr=False)
+class Distance(_validate.Brief, Generic[Number, Exact, Vector]):
     """Signed distances of bodies, in metres, each of the batch's shape; negative values are penetration depths.
 
     All values refer to the nearest two pieces or, if the bodies overlap, to the deepest two. For bodies of several
@@ -140,9 +140,6 @@ class Distance(Generic[Number, Exact, Vector]):
         witness: Any = self.witness_b
         found: Any = None if normal is None else np.concatenate([normal, np.cross(witness, normal)], axis=-1)
         return found  # type: ignore[no-any-return]
-
-    def __repr__(self) -> str:
-        return _validate.brief(self)
 
 
 # Without and with ``exact=True``.

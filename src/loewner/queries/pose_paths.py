@@ -94,8 +94,8 @@ class PoseBounds:
             return np.fmin(found * (1.0 + OFF_ROUNDINGS), MOST_OFF)  # also if it is not a number
 
 
-@dataclass(frozen=True, eq=False)
-class PosePath(KeepsReadOnly):
+@dataclass(frozen=True, eq=False, repr=False)
+class PosePath(_validate.Brief, KeepsReadOnly):
     """How a body moves in time; see `Scene.follow`.
 
     Attributes
@@ -126,9 +126,6 @@ class PosePath(KeepsReadOnly):
     positions: Floats
     quaternions: Floats
     repeat: bool
-
-    def __repr__(self) -> str:
-        return _validate.brief(self)
 
     @kept
     def rests(self) -> bool:

@@ -109,8 +109,7 @@ class CollisionChecker:
         allowed: Iterable[Pair] = (),
         skip_adjacent: bool | None = None,
     ) -> None:
-        if not isinstance(robot, Robot):
-            raise InputError(f"robot: expected loewner.Robot, found {type(robot).__name__}")
+        _validate.instance(robot, "robot", Robot)
         if scene is not None and not isinstance(scene, Scene):
             raise InputError(f"scene: expected loewner.Scene or None, found {type(scene).__name__}")
         if not any(packed_of(body).piece_start[-1] > 0 for body in robot.bodies.values()):
@@ -875,7 +874,7 @@ class CollisionChecker:
             names = ", ".join(self._scene.following)
             raise InputError(
                 f"expected a time, since bodies of the scene follow motions ({names}): collide, classify, pairs and "
-                "distances take t=, certify_edges takes t0= and t1=, and planners.plan takes start_time=. Other "
+                "distances take t=, certify_edges takes t0= and t1=, and planners.plan_in_time plans. Other "
                 "queries and planners have no time and cannot be used while such bodies are in the scene; without "
                 "them, use a copy of the scene (scene.copy, scene.remove)"
             )

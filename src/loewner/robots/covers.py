@@ -163,8 +163,7 @@ def _of_number(robot: Robot, kind: Kind, n: int, progress: Progress | None) -> d
 
 def covered_by(self: Robot, model: Robot, tolerance: float | None, progress: Progress | None) -> dict[str, CoverReport]:
     """Answer `Robot.covered_by`, which has the defaults."""
-    if not isinstance(model, Robot):
-        raise InputError(f"model: expected loewner.Robot, found {type(model).__name__}")
+    _validate.instance(model, "model", Robot)
     _validate.callback(progress, "progress")
     found = {}
     for number, (link, body) in enumerate(self.bodies.items(), 1):

@@ -52,7 +52,10 @@ class Measure:
 
 def clearance(checker: Any, softness: Any) -> Measure:
     """`CollisionChecker.clearance` with this softness."""
-    checked, soft = _checker(checker), _validate.positive_scalar(softness, "softness")
+    checked, soft = (
+        _validate.instance(checker, "checker", CollisionChecker),
+        _validate.positive_scalar(softness, "softness"),
+    )
 
     def ask(Q: NDArray[Any], gradient: bool) -> tuple[Any, Any]:
         if gradient:
@@ -64,7 +67,7 @@ def clearance(checker: Any, softness: Any) -> Measure:
 
 def distance(checker: Any) -> Measure:
     """The exact distance of `CollisionChecker.distance`."""
-    checked = _checker(checker)
+    checked = _validate.instance(checker, "checker", CollisionChecker)
 
     def ask(Q: NDArray[Any], gradient: bool) -> tuple[Any, Any]:
         found = checked.distance(Q, exact=True, gradient=gradient)
@@ -78,9 +81,3 @@ def rounded_down(values: Any, dtype: np.dtype[Any]) -> NDArray[Any]:
     exact = np.asarray(values, dtype=np.float64)
     rounded = exact.astype(dtype)
     return np.where(rounded > exact, np.nextafter(rounded, np.array(-np.inf, dtype)), rounded)
-
-
-def _checker(x: Any) -> CollisionChecker:
-    if not isinstance(x, CollisionChecker):
-        raise InputError(f"checker: expected loewner.CollisionChecker, found {type(x).__name__}")
-    return x

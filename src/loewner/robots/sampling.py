@@ -65,8 +65,7 @@ def pairs_by_sampling(
     samples = _validate.whole_number(samples, "samples", 1)
     if not 0 < _validate.positive_scalar(always, "always") <= 1:
         raise InputError(f"always: expected a share above 0 and up to 1, found {always:g}")
-    if not isinstance(robot, Robot):
-        raise InputError(f"robot: expected loewner.Robot, found {type(robot).__name__}")
+    _validate.instance(robot, "robot", Robot)
     checker = CollisionChecker(replace(robot, disabled_pairs=frozenset()), skip_adjacent=False)
     counts = checker.collide_by_pair(robot.random_configurations(samples, seed)).sum(axis=0)
     known = robot.checked(np.empty((0, robot.dof)) if known_free is None else known_free, "known_free")

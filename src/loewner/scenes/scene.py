@@ -406,8 +406,7 @@ class Scene:
             Given once per scene.
         """
         _check_name(name, "name")
-        if not isinstance(body, Body):
-            raise InputError(f"body of {name!r}: expected loewner.Body, found {type(body).__name__}")
+        _validate.instance(body, f"body of {name!r}", Body)
         T = _validate.pose(T_world_body, f"T_world_body of {name!r}")
         keep = None if margin is None else _validate.positive_scalar(margin, f"margin of {name!r}", zero=True)
         bounds = _bounds_of(body, _error(error, f"error of {name!r}"))
@@ -483,8 +482,7 @@ class Scene:
         >>> scene.margins
         {('camera',): 0.02}
         """
-        if not isinstance(body, Body):
-            raise InputError(f"body of {_validate.short(name)}: expected loewner.Body, found {type(body).__name__}")
+        _validate.instance(body, f"body of {_validate.short(name)}", Body)
         with _CHANGING:
             self._bodies[self._known(name)] = body
             if name in self._bounds:

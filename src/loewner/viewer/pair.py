@@ -123,8 +123,7 @@ class PairViewer(Viewer):
         port: int,
     ) -> None:
         for body, name in ((a, "a"), (b, "b")):
-            if not isinstance(body, Body):
-                raise InputError(f"{name}: expected loewner.Body, found {type(body).__name__}")
+            _validate.instance(body, name, Body)
             if not body.pieces:
                 raise InputError(f"{name}: expected a body with pieces, found an empty one")
         self.a, self.b = a, b

@@ -207,8 +207,7 @@ class RobotViewer(Viewer):
         host: str,
         port: int,
     ) -> None:
-        if not isinstance(checker, CollisionChecker):
-            raise InputError(f"checker: expected loewner.CollisionChecker, found {type(checker).__name__}")
+        _validate.instance(checker, "checker", CollisionChecker)
         robot = checker.robot
         self.checker = checker
         self._way: Way | None = checked_way(robot, path, trajectory)

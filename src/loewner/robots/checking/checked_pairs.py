@@ -92,8 +92,7 @@ def _check_names(robot: Robot, scene: Scene) -> None:
     )
     for place, named in rules:
         for name in sorted({name for names in named for name in names if name is not None}):
-            if name not in all_names:
-                raise _validate.unknown_name(f"body or link in {place}", name, all_names)
+            _validate.known(name, f"body or link in {place}", all_names)
     for name in scene.names:
         if name in links:
             raise UnknownNameError(f"expected bodies with names of their own, found {name!r}, which is also a link")

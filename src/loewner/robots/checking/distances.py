@@ -20,8 +20,8 @@ from loewner.robots.checking.edges import flat
 from loewner.robots.checking.problem import LEAST_SHARE, Problem
 
 
-@dataclass(frozen=True, eq=False)
-class StateDistance(Generic[Exact, Vector]):
+@dataclass(frozen=True, eq=False, repr=False)
+class StateDistance(_validate.Brief, Generic[Exact, Vector]):
     """Signed distance of a robot from contact, in metres, at one or many configurations; a negative value is a depth.
 
     Attributes
@@ -56,12 +56,9 @@ class StateDistance(Generic[Exact, Vector]):
     normal: Vector = NOTHING
     gradient: Vector = NOTHING
 
-    def __repr__(self) -> str:
-        return _validate.brief(self)
 
-
-@dataclass(frozen=True, eq=False)
-class PairDistances:
+@dataclass(frozen=True, eq=False, repr=False)
+class PairDistances(_validate.Brief):
     """Pairs of bodies that are near each other, one entry per pair and configuration.
 
     Attributes
@@ -98,9 +95,6 @@ class PairDistances:
 
     def __len__(self) -> int:
         return len(self.distance)
-
-    def __repr__(self) -> str:
-        return _validate.brief(self)
 
 
 def nearest(ready: Problem, configurations: Floats, exact: bool, gradient: bool) -> StateDistance:

@@ -111,8 +111,7 @@ def joined(kind: type[R], parts: Mapping[str, R], poses: Mapping[str, ArrayLike 
     if poses is not None and not isinstance(poses, Mapping):
         raise InputError(f"poses: expected a mapping from names to poses, found {_validate.short(poses)}")
     for name in poses or ():
-        if name not in parts:
-            raise _validate.unknown_name("part in poses", name, parts)
+        _validate.known(name, "part in poses", parts)
     placed: dict[str, Any] = dict(parts)
     placed |= {name: placed[name].placed(T) for name, T in (poses or {}).items()}
     made = _combined([_Piece(f"{name}/", robot) for name, robot in placed.items()], " and ".join(parts))
@@ -158,9 +157,7 @@ def part(self: R, name: str) -> Part[R]:
     parts: dict[str, Part[R]] = cast(Any, self)._parts
     if not parts and isinstance(name, str):
         raise UnknownNameError(f"part {name!r}: expected a robot that Robot.join has made, found another one")
-    if not isinstance(name, str) or name not in parts:
-        raise _validate.unknown_name("part", name, parts)
-    return parts[name]
+    return parts[_validate.known(name, "part", parts)]
 
 
 def add_base(self: R, kind: Literal["planar", "floating"], bounds: ArrayLike | None = None, *, name: str = "base") -> R:
@@ -356,8 +353,7 @@ def with_body(
     """
     if not isinstance(name, str) or not name:
         raise InputError(f"name: expected a name, found {_validate.short(name)}")
-    if not isinstance(body, Body):
-        raise InputError(f"body of {name!r}: expected loewner.Body, found {type(body).__name__}")
+    _validate.instance(body, f"body of {name!r}", Body)
     _validate.choice(joint, "joint", [kind for kind in VALUES if kind != "ball"])
     robot: Any = self
     if parent is not None and (not isinstance(parent, str) or parent not in robot.link_names):
@@ -394,8 +390,7 @@ def _coupled(robot: Any, followed: str, multiplier: float, offset: float) -> Any
     """Let the last joint, which has one value, follow another joint of one value."""
     name = robot.joint_names[-1]
     one_value = [joint for joint, at in robot._columns.items() if at.stop - at.start == 1 and joint != name]
-    if followed not in one_value:
-        raise _validate.unknown_name("joint of one value of its own in mimic", followed, one_value)
+    _validate.known(followed, "joint of one value of its own in mimic", one_value)
     at, own = robot._columns[followed].start, robot.dof - 1
     limits = {key: getattr(robot, key)[:-1].copy() for key in LIMITS}
     if multiplier:

@@ -56,8 +56,7 @@ def drake_model(
     constants: dict[int, float] = {}
     joints = list(_joints(plant, state, elements, links, columns, constants))
     for joint in mimic:
-        if joint not in columns:
-            raise _validate.unknown_name("joint in mimic", joint, columns)
+        _validate.known(joint, "joint in mimic", columns)
     joints = [replace(joint, mimic=mimic[joint.name]) if joint.name in mimic else joint for joint in joints]
     joints.sort(key=lambda joint: min(columns.get(joint.name, (plant.num_positions(),))))
     geometries, shapes = _shapes(plant, inspector, links, tol)

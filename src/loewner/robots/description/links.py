@@ -115,13 +115,11 @@ def described(
     bounds: dict[str, tuple[Floats, Floats]] = {}
     above: dict[str, urdf.Joint] = {}
     for joint in listed:
-        if not isinstance(joint, Joint):
-            raise InputError(f"joints: expected loewner.Joint, found {type(joint).__name__}")
+        _validate.instance(joint, "joints", Joint)
         if _expect_name(joint.name, "a joint") in made:
             raise InputError(f"joints: expected names that differ, found {joint.name!r} twice")
         for end in (joint.parent, joint.child):
-            if not isinstance(end, str) or end not in links:
-                raise _validate.unknown_name(f"link of joint {joint.name!r}", end, links)
+            _validate.known(end, f"link of joint {joint.name!r}", links)
         if joint.child in above:
             raise InputError(
                 f"joints: expected a tree, found link {joint.child!r} below two joints, {above[joint.child].name!r} "

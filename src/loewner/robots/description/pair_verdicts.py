@@ -34,8 +34,8 @@ class PairVerdict(StrEnum):
 REASONS = {PairVerdict.NEVER: "Never", PairVerdict.ALWAYS: "Always"}
 
 
-@dataclass(frozen=True, eq=False)
-class ProvenPair:
+@dataclass(frozen=True, eq=False, repr=False)
+class ProvenPair(_validate.Brief):
     """An answer about one pair, over ranges of the joints between its bodies.
 
     Attributes
@@ -84,9 +84,6 @@ class ProvenPair:
     share: float = 0.0
     complete: bool = True
     reason: str = ""
-
-    def __repr__(self) -> str:
-        return _validate.brief(self)
 
     @property
     def range_text(self) -> str:

@@ -48,8 +48,8 @@ class Collides(Protocol):
         """Decide which configurations are in collision."""
 
 
-@dataclass(frozen=True, eq=False)
-class Reached:
+@dataclass(frozen=True, eq=False, repr=False)
+class Reached(_validate.Brief):
     """Configurations at which a link has given poses, as found by `Robot.reach`.
 
     Attributes
@@ -82,9 +82,6 @@ class Reached:
     residual: Floats
     solutions: Any = None
     free: Any = None
-
-    def __repr__(self) -> str:
-        return _validate.brief(self)
 
 
 class Chain(NamedTuple):

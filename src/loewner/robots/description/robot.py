@@ -1504,8 +1504,7 @@ class Robot(KeepsReadOnly):
         >>> robot.jacobian([0.0, 0.0], robot.link_names[-1]).shape
         (6, 2)
         """
-        if not isinstance(link, str) or link not in self.link_names:
-            raise _validate.unknown_name("link in jacobian", link, self.link_names)
+        _validate.known(link, "link in jacobian", self.link_names)
         x = np.zeros(3) if point is None else np.array(_validate.finite_array(point, "point", (3,)))
         checked = self.checked(Q)
         batch, number = checked.shape[:-1], self.link_names.index(link)
@@ -1711,9 +1710,7 @@ class Robot(KeepsReadOnly):
         array([0. , 0.5])
         """
         if isinstance(values, str):
-            if values not in self.states:
-                raise _validate.unknown_name("state", values, self.states)
-            values = self.states[values][1]
+            values = self.states[_validate.known(values, "state", self.states)][1]
         if values is not None and not isinstance(values, Mapping):
             raise InputError(
                 f"values: expected a dict by names of joints or the name of a state, found {_validate.short(values)}"
@@ -1729,9 +1726,7 @@ class Robot(KeepsReadOnly):
                     f"joint: expected one with a value of its own, found {name!r}: {name} mimics {followed}; "
                     f"set {followed!r}"
                 )
-            if name not in places:
-                raise _validate.unknown_name("joint", name, places)
-            at = places[name]
+            at = places[_validate.known(name, "joint", places)]
             given = np.atleast_1d(_validate.float_array(value, name))
             q[at] = _validate.finite_array(given, name, (at.stop - at.start,))
         return self.checked(q, "values")
@@ -1890,16 +1885,12 @@ def named_joints(robot: Robot, joints: str | Iterable[str] | None) -> list[str]:
         raise InputError(
             "joints: expected one or more, found none" + (f" in group {joints!r}" if isinstance(joints, str) else "")
         )
-    for name in names:
-        if not isinstance(name, str) or name not in robot.joint_names:
-            raise _validate.unknown_name("joints", name, robot.joint_names)
-    return names
+    return [_validate.known(name, "joints", robot.joint_names) for name in names]
 
 
 def chain_to(robot: Robot, link: str, joints: str | Iterable[str] | None = None) -> reaching.Chain:
     """Return the joints that place a link, in the form that `Robot.reach` takes; its arguments are checked here."""
-    if not isinstance(link, str) or link not in robot.link_names:
-        raise _validate.unknown_name("link", link, robot.link_names)
+    _validate.known(link, "link", robot.link_names)
     moving = named_joints(robot, joints)
     key = link, tuple(moving)
     if key not in robot._chains:

@@ -52,8 +52,8 @@ ROUNDINGS = 1e-9
 TURNS, NEAR_TURNS, MOST_TURN = 2.1, 0.5, 2.0
 
 
-@dataclass(frozen=True, eq=False)
-class ClosestApproach:
+@dataclass(frozen=True, eq=False, repr=False)
+class ClosestApproach(_validate.Brief):
     """How near a robot comes to contact on each piece of a curve.
 
     Attributes
@@ -98,9 +98,6 @@ class ClosestApproach:
     def close(self) -> NDArray[np.bool_]:
         """Whether the two bounds of a piece differ by at most a hundredth of the distance, or by 10 µm."""
         return np.asarray(self.distance - self.lower <= _allowed(self.distance) * (1 + 1e-9))
-
-    def __repr__(self) -> str:
-        return _validate.brief(self)
 
     @pictured
     def _repr_html_(self) -> str:

@@ -28,8 +28,8 @@ MOST_CUTS = 17  # after which two fractions of a piece may be the same number
 FOR_PROOF = 0.25
 
 
-@dataclass(frozen=True, eq=False)
-class TrajectoryContact:
+@dataclass(frozen=True, eq=False, repr=False)
+class TrajectoryContact(_validate.Brief):
     """When a robot on a curve first touches something.
 
     Attributes
@@ -63,9 +63,6 @@ class TrajectoryContact:
     free_until: float
     touching_at: float
     names: tuple[str, str]
-
-    def __repr__(self) -> str:
-        return _validate.brief(self)
 
 
 @overload

@@ -67,8 +67,8 @@ class Curve(NamedTuple):
     carried: tuple[tuple[str, str], ...] = ()
 
 
-@dataclass(frozen=True, eq=False)
-class CertifiedTrajectory:
+@dataclass(frozen=True, eq=False, repr=False)
+class CertifiedTrajectory(_validate.Brief):
     """Whether a curve is free of collisions at every instant.
 
     Attributes
@@ -107,9 +107,6 @@ class CertifiedTrajectory:
     times: Floats
     segments: CertifiedMotions
     proof: Any = None
-
-    def __repr__(self) -> str:
-        return _validate.brief(self)
 
     @pictured
     def _repr_html_(self) -> str:

@@ -29,8 +29,8 @@ NO_STRAYS = np.empty((0, 0))
 NO_CLEARANCES = np.empty(0)
 
 
-@dataclass(frozen=True, eq=False)
-class CertifiedMotions:
+@dataclass(frozen=True, eq=False, repr=False)
+class CertifiedMotions(_validate.Brief):
     """Whether motions are free of collisions everywhere along the motion.
 
     Attributes
@@ -71,9 +71,6 @@ class CertifiedMotions:
     searches: Any
     steps: Any
     proof: Any = None
-
-    def __repr__(self) -> str:
-        return _validate.brief(self)
 
     @pictured
     def _repr_html_(self) -> str:

@@ -11,7 +11,7 @@ from loewner._base import _validate
 from loewner._base._guard import guarded
 from loewner.bodies import Body, packed_of
 from loewner.bodies.parts import in_small_parts
-from loewner.errors import ConvergenceError, FileError, InputError
+from loewner.errors import ConvergenceError, FileError
 from loewner.queries import pairs as queries
 from loewner.robots.proofs import common_points, separations
 from loewner.robots.proofs.proof_models import Model, model_of_pair
@@ -63,8 +63,7 @@ def prove(
     """
     keep = _validate.positive_scalar(margin, "margin", zero=True)
     for name, body in (("a", a), ("b", b)):
-        if not isinstance(body, Body):
-            raise InputError(f"{name}: expected loewner.Body, found {type(body).__name__}")
+        _validate.instance(body, name, Body)
     poses = np.stack([_validate.pose(T_world_a, "T_world_a"), _validate.pose(T_world_b, "T_world_b")])
     packs = packed_of(a), packed_of(b)
     cut = in_small_parts(packs)

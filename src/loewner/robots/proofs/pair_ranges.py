@@ -645,8 +645,7 @@ def _expect_value(whole: Robot, name: Any, argument: str) -> None:
         raise InputError(
             f"{argument}: expected joints with values of their own, found {name!r}, which follows {other!r}"
         )
-    if not isinstance(name, str) or name not in whole.configuration_names:
-        raise _validate.unknown_name(argument, name, whole.configuration_names)
+    _validate.known(name, argument, whole.configuration_names)
 
 
 def _asked(whole: Robot, every: Problem, pairs: Iterable[Pair] | None) -> list[tuple[int, int]]:

@@ -20,7 +20,7 @@ from loewner._base._rotations import from_quaternion, from_rpy
 from loewner._base._validate import Floats
 from loewner._kernels import columns
 from loewner.bodies import ARRAYS, CURVED, Body, body_of_file, checksum_of, packed_of
-from loewner.errors import FileError, InputError
+from loewner.errors import FileError
 from loewner.scenes.files.mjcf_scenes import MJCF_SUFFIXES, mjcf_scene
 from loewner.scenes.files.schema import BODY, SCHEMA, keys_in, keys_of
 from loewner.scenes.files.sensor_shapes import SENSOR_SHAPES
@@ -164,8 +164,7 @@ def save_scene(scene: Scene, path: str | PathLike[str]) -> None:
     0.01
     """
     yaml = yaml_package()
-    if not isinstance(scene, Scene):
-        raise InputError(f"scene: expected loewner.Scene, found {type(scene).__name__}")
+    _validate.instance(scene, "scene", Scene)
     file = _validate.path(path, "path")
     document, saved = _document(scene.snapshot(), file)
     text = yaml.safe_dump(document, sort_keys=False, default_flow_style=None, allow_unicode=True, width=120)

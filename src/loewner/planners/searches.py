@@ -1,0 +1,107 @@
+"""Define `Search`: how a path is searched for, in one record for all functions that plan."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from loewner._base import _validate
+from loewner.errors import InputError
+from loewner.planners import compiled, ompl_planners
+
+# Plans by searches of their own, by the option that chooses them.
+OF_ITS_OWN = {"start_time": "plans in time are proven and shortened", "base": "drives are proven"}
+
+
+@dataclass(frozen=True)
+class Search:
+    """How `plan`, `plan_full`, `plan_in_time` and `plan_drive` search.
+
+    Parameters
+    ----------
+    planner : str or callable, optional
+        Default: the compiled RRT-Connect. Otherwise the name of a class of ``ompl.geometric``, such as "BITstar" or
+        "PRM"; or a function that takes the ``SpaceInformation`` and returns an OMPL planner that you have set up.
+    certified : bool
+        Prove every motion free with `CollisionChecker.certify_edges`; otherwise sample motions in steps.
+    resolution : float
+        For motions that are not proven, the largest Euclidean distance between two successive checked configurations,
+        in the units of the joints. OMPL planners that divide motions themselves always use it.
+    max_iterations : int, optional
+        Number of random configurations that the compiled planner draws before it gives up; for a drive, of poses from
+        which the search goes on. Default: no limit, so that only the timeout ends the search.
+    timeout : float
+        Time limit of the search, in seconds; simplifying takes additional time. OMPL planners that seek a shortest path
+        always use the whole time.
+    simplify : bool
+        Shorten the path. Paths of OMPL planners are also smoothed, by OMPL's path simplifier.
+
+    Raises
+    ------
+    InputError
+        If a value is wrong.
+    UnknownNameError
+        If OMPL has no such planner.
+    MissingExtraError
+        If one of OMPL's planners is requested and OMPL is not installed.
+
+    Examples
+    --------
+    >>> from loewner import CollisionChecker, Robot
+    >>> from loewner.planners import Search, plan
+    >>> quick = Search(max_iterations=1000, timeout=0.5)
+    >>> plan(CollisionChecker(Robot.from_urdf("arm.urdf")), [0.0, 0.0], [2.0, 0.0], joints="rail", search=quick)
+    array([[0., 0.],
+           [2., 0.]])
+    """
+
+    planner: str | Callable[[Any], Any] | None = None
+    certified: bool = True
+    resolution: float = 0.05
+    max_iterations: int | None = None
+    timeout: float = 10.0
+    simplify: bool = True
+
+    def __post_init__(self) -> None:
+        checked = {
+            "resolution": _validate.positive_scalar(self.resolution, "resolution"),
+            "timeout": _validate.positive_scalar(self.timeout, "timeout"),
+            "simplify": _validate.flag(self.simplify, "simplify"),
+            "certified": _validate.flag(self.certified, "certified"),
+        }
+        if self.max_iterations is not None:
+            most = _validate.whole_number(self.max_iterations, "max_iterations", 1, compiled.UNLIMITED)
+            checked["max_iterations"] = most
+        if self.planner is not None:
+            ompl_planners.named(self.planner)
+        for name, value in checked.items():
+            object.__setattr__(self, name, value)
+
+    @property
+    def _step(self) -> float:
+        """Distance between samples of a motion; 0 if motions are proven."""
+        return 0.0 if self.certified else self.resolution
+
+    @property
+    def _most(self) -> int:
+        """Number of iterations."""
+        return compiled.UNLIMITED if self.max_iterations is None else self.max_iterations
+
+    def _refuse(self, name: str, others: Sequence[str] = ()) -> None:
+        """Beside the option that chooses another kind of plan, refuse options that only paths have."""
+        refused = ["planner"] * (self.planner is not None) + ["certified=False"] * (not self.certified) + [*others]
+        if refused:
+            raise InputError(
+                f"{name}: expected no {' or '.join(refused)} with it; {OF_ITS_OWN[name]}, by a search of their own"
+            )
+
+
+def checked_search(search: Search | None) -> Search:
+    """Check the argument `search`."""
+    return _validate.instance(Search() if search is None else search, "search", Search, "planners")
+
+
+def checked_seed(seed: int) -> int:
+    """Check the argument `seed`."""
+    return _validate.whole_number(seed, "seed", 0, 2**32 - 2)
