@@ -1,4 +1,4 @@
-"""`loewner plan --base`: drives on maps, with the library's numbers, written so that none is read as a straight path."""
+"""`loewner plan --base`: drives on maps, with the library's numbers, and none is read as a straight path."""
 
 import csv
 import json
