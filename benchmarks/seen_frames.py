@@ -1,6 +1,6 @@
 """Ray-cast frames of robots in random worlds: points of the robot that stay, points lost, plans into unseen cells.
 
-    python benchmarks/seen_frames.py [--frames 10000] [--plans 1000] [--seed 0]
+    python benchmarks/seen_frames.py [--frames 10000] [--plans 1000] [--after 1 3] [--seed 0]
 
 Ten frames of each world, of 64 x 48 pixels, are cast by formulas of boxes, balls, capsules, cylinders and triangles,
 which share nothing with the library; nor do the distances, the cells that rays have passed, and the poses of the robots
@@ -343,10 +343,13 @@ class World:
         self.truth, self.checker = CollisionChecker(arm.robot, truth), CollisionChecker(arm.robot, scene)
         self.Q = Q[~self.truth.collide(Q)][:FRAMES]
 
-    def run(self, counts: Counts, plans: int) -> None:
-        for k, q in enumerate(self.Q):
+    def run(self, counts: Counts, frames: int, plans: int, after: list[int]) -> None:
+        """Cast frames, and plan after those of the given numbers, counted from 1."""
+        for k, q in enumerate(self.Q, 1):
+            if k > max(after) and counts.frames >= frames:
+                return
             cloud = self.see(q, counts, 0.1 * k)
-            if k % 5 == 4 and len(cloud) and counts.plans < plans:
+            if k in after and len(cloud) and counts.plans < plans:
                 self.plan(q, cloud, counts)
 
     def see(self, q: Array, counts: Counts, now: float) -> Array:
@@ -441,6 +444,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--frames", type=int, default=10_000)
     parser.add_argument("--plans", type=int, default=1000)
+    parser.add_argument("--after", type=int, nargs="+", default=[1, 3], help="frames of a world after which to plan")
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args(arguments)
     began, busy, counts, world = time.perf_counter(), time.process_time(), Counts(), 0
@@ -448,7 +452,8 @@ def main(arguments: list[str] | None = None) -> int:
     files = [Arm.known(sample.robot) for sample in (panda(), ur5)]
     while counts.frames < options.frames or counts.plans < options.plans:
         rng = np.random.default_rng([options.seed, world])
-        World(rng, Arm.random(rng) if world % 4 else files[world // 4 % 2]).run(counts, options.plans)
+        arm = Arm.random(rng) if world % 4 else files[world // 4 % 2]
+        World(rng, arm).run(counts, options.frames, options.plans, options.after)
         world += 1
     print(f"worlds: {world:,}; frames: {counts.frames:,}; cells seen in one, at most: {counts.seen:,}")
     print(f"points of the robot: {counts.mine:,}; that stay: {counts.left}")
