@@ -105,12 +105,22 @@ def test_lengths_are_a_distance():
     assert (there >= np.linalg.norm((b - a)[:, :2], axis=1) - 1e-9).all()
 
 
-def test_shortest_ways_turn_by_half_a_turn_at_most():
-    """No motion of a shortest way with reversing turns farther, for cars and for differential bases."""
+def test_ways_turn_by_half_a_turn_at_most():
+    """No motion of any way turns farther, except for those of cars that may not reverse."""
     a, b = random_poses(1000), random_poses(1000, 1)
-    for ways in (steering.car(a, b, 1.0), steering.differential(a, b)):
-        best = ways.costs.argmin(axis=1)
-        assert np.abs(ways.turns[np.arange(1000), best]).max() <= math.pi
+    for ways in (steering.car(a, b, 1.0), steering.differential(a, b), steering.differential(a, b, False)):
+        assert np.nanmax(np.abs(ways.turns)) <= math.pi
+
+
+def test_farther_turns_are_shortest_ways():
+    """Where nothing stands, a car that may not reverse turns by more than half a turn only if its shortest way does."""
+    checker, poses = CollisionChecker(base([[-9, 9], [-9, 9]]), Scene()), random_poses(16, 3)
+    farthest = 0.0
+    for a, b in zip(poses[:8], poses[8:], strict=True):
+        drive = planners.plan(checker, a, b, base="car", radius=1.0, reverse=False)
+        assert drive.length <= shortest(a[None], b[None], 1.0, False)[0] + 1e-9
+        farthest = max(farthest, np.abs(drive.motions[:, 1]).max())
+    assert farthest > math.pi
 
 
 @pytest.mark.parametrize("space", ["ReedsSheppStateSpace", "DubinsStateSpace"])
@@ -287,6 +297,48 @@ def test_what_is_refused(options, found):
     given = {"start": [-1.7, -1.0, 1.0], "goal": [1.7, 0.5, -1.5], **options}
     with pytest.raises(LoewnerError, match=found):
         planners.plan(room(), given.pop("start"), given.pop("goal"), **given)
+
+
+def walls(x, y, a, b):
+    """Four walls around a rectangle of a x b."""
+    sides = [(a + 0.2, 0.1, 0.0, b / 2 + 0.05), (0.1, b, a / 2 + 0.05, 0.0)]
+    return [(Body.box([w, h, 1.0]), at(x + s * dx, y + s * dy)) for w, h, dx, dy in sides for s in (-1, 1)]
+
+
+# Bodies around a base of 0.6 m x 0.4 m in a room of 5 m x 4 m, its two ends, and how far the search comes.
+NO_WAYS = {
+    "start in a box": (walls(-1, 0, 1.2, 1.0), [-1, 0, 0], [1.2, 0, 0], "from the start, .* m and .* of the goal"),
+    "goal in a box": (walls(1, 0, 1.2, 1.0), [-1.2, 0, 0], [1, 0, 0], "from the goal, .* m and .* of the start"),
+    "a narrow corridor": (
+        walls(0, 0, 4.8, 0.6),
+        [-1, 0, 0],
+        [1, 0, math.pi],
+        "within .* m and 1[5-8].* degrees of the",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", NO_WAYS)
+@pytest.mark.parametrize("options", [{"base": "car", "radius": 1.0}, {"base": "differential"}], ids=lambda o: o["base"])
+@pytest.mark.parametrize("limit", [{"max_iterations": 200}, {"timeout": 0.05}], ids=lambda o: next(iter(o)))
+def test_where_there_is_no_way_the_search_ends(case, options, limit):
+    """It ends at its limit, and the error says how near to the other end it came."""
+    bodies, start, goal, found = NO_WAYS[case]
+    scene = Scene()
+    for k, (body, T) in enumerate(bodies):
+        scene.add(f"wall {k}", body, T)
+    message = f"from 2[0-9][0-9] poses; .*{found}" if "max_iterations" in limit else "in time; from the "
+    with pytest.raises(PlanningError, match=message):
+        planners.plan(CollisionChecker(base(), scene), start, goal, **options, **limit)
+
+
+def test_a_base_that_cannot_move_has_tried_all():
+    """Where even the finest motions collide, the search ends by itself."""
+    scene = Scene()
+    for k, (body, T) in enumerate(walls(0.1, 0, 0.62, 0.42)):
+        scene.add(f"wall {k}", body, T)
+    with pytest.raises(PlanningError, match="from .* poses, which are all; from the start, the search came within 1"):
+        planners.plan(CollisionChecker(base(), scene), [0, 0, 0], [1.5, 0, 0], base="car", radius=0.5)
 
 
 def test_no_way_and_no_bounds_are_said():

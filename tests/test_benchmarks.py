@@ -37,6 +37,7 @@ import robot_samples
 import robots
 import run
 import samples
+import seen_frames
 import singles
 import stops
 import surface_samples
@@ -46,6 +47,7 @@ import threads
 import trajectories
 from gpu_stand_in import StandIn, put_in
 from loewner import paper
+from loewner.depth import SeenSpace
 from loewner.gpu import driver
 from loewner.robots.proofs import courses, curves
 
@@ -198,6 +200,21 @@ def test_a_camera_leaves_no_point_of_the_robot(capsys: pytest.CaptureFixture[str
     out = capsys.readouterr().out
     assert "points of the robot that stay: 0; points of boxes lost beyond 0.03 m: 0" in out
     assert "in a cell that no ray has passed: 0" in out
+
+
+@pytest.mark.verify
+def test_seen_frames_by_formulas(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    """Random robots and worlds: no point of a robot stays, none is lost, and plans enter only cells with rays."""
+    few = ["--frames", "30", "--plans", "6", "--seed", "7"]
+    assert seen_frames.main(few) == 0
+    out = capsys.readouterr().out
+    assert "that stay: 0" in out
+    assert "farther than `clear`: 0" in out
+    see = SeenSpace.see
+    monkeypatch.setattr(
+        SeenSpace, "see", lambda space, image, *given, **named: see(space, image + 0.3, *given, **named)
+    )
+    assert seen_frames.main(few) == 1  # depths that are too large are noticed
 
 
 @pytest.mark.slow("plans, with proofs and samples")

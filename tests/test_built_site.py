@@ -29,7 +29,8 @@ SHOWN = [
     "howto/first-use",
     "howto/two-robots",
 ]
-SHOWN += ["reference/queries", "sections/robots"]
+SHOWN += ["reference/queries", "sections/robots", "howto/mobile-bases", "howto/sensor-data", "howto/covers"]
+SHOWN += ["howto/judge", "howto/questions", "howto/limits", "assumptions", "answers/drake-24964"]
 WIDTHS = (1280, 400)
 
 # What people look for: words that links to it contain, and the page.

@@ -18,6 +18,7 @@ CASES = {
     "loewner report robot arm.urdf --model h": ["hull"],
     "loewner --print-completion ": ["bash", "fish", "zsh"],
     "loewner plan --proo": ["--proof"],
+    "loewner plan --base ": ["car", "differential"],
 }
 
 # What bash does at a tab; a word after the last blank is empty.

@@ -253,6 +253,13 @@ def test_depths_in_millimetres_cause_a_warning():
         points_of(np.full((4, 4), 1500.0), K)
 
 
+@pytest.mark.parametrize("matrix", [K / [[32], [24], [1]], np.linalg.inv(K)], ids=["normalised", "inverse"])
+def test_matrices_of_other_conventions_cause_a_warning(matrix):
+    """A normalised matrix, or the inverse one, would make a camera that sees nearly a half-space."""
+    with pytest.warns(UserWarning, match="of 640 x 480 pixels wider than 170 degrees; is the matrix normalised"):
+        points_of(np.ones((480, 640)), matrix)
+
+
 # -- bad input ------------------------------------------------------------------------------------
 
 
@@ -284,10 +291,15 @@ def test_depths_in_millimetres_cause_a_warning():
             "checker: expected a CollisionChecker, found",
         ),
         (lambda: SeenSpace([0, 0, 0], (1, 1, 1), 0.1).see(np.ones((4, 4)), K, time="now"), InputError, "time"),
+        (lambda: SeenSpace([0, 0, 0], (1, 1, 1), 0.1).see(np.ones((4, 4)), K, time=np.nan), InputError, "time: .*nan"),
         (lambda: points_of(np.ones(4), K), InputError, "image: .* found float64 of shape \\(4,\\)"),
         (lambda: points_of(np.ones((4, 4)), np.eye(4)), InputError, "K: expected shape"),
         (lambda: points_of(np.ones((4, 4)), -K), InputError, "K: expected an intrinsic matrix"),
         (lambda: points_of(np.ones((4, 4)), K.T), InputError, "K: expected an intrinsic matrix"),
+        (lambda: points_of(np.ones((4, 4)), 0 * K), InputError, "K: expected an intrinsic matrix"),
+        (lambda: points_of(np.ones((4, 4)), 2 * K), InputError, "K: expected an intrinsic matrix"),
+        (lambda: points_of(np.ones((4, 4)), [40, 40, 15, 11]), InputError, "K: expected shape .3, 3., found"),
+        (lambda: points_of(np.ones((4, 4)), np.nan * K), InputError, "K: expected finite numbers"),
         (lambda: points_of(np.ones((4, 4)), K, 2 * np.eye(4)), PoseError, "T_world_camera"),
         (lambda: points_of(np.ones((4, 4)), K, [np.eye(4)] * 2), InputError, "T_world_camera: expected one pose"),
         (lambda: SeenSpace([0, 0], (1, 1, 1), 0.1), InputError, "low: expected shape"),

@@ -106,6 +106,12 @@ def test_a_turned_origin_turns_the_map(tmp_path):
     assert not hits(scene, 1.75, 2.25)
 
 
+def test_an_origin_in_degrees_causes_a_warning(tmp_path):
+    """No map is turned by more than a whole turn."""
+    with pytest.warns(UserWarning, match=r"turns the map by 90 rad, more than a whole turn; is this in degrees\?"):
+        read_map(written(tmp_path, [[BLACK]], yaw=90.0))
+
+
 @pytest.mark.parametrize("negate", [0, 1])
 def test_thresholds(tmp_path, negate):
     """Dark is occupied, light is free, and grey is unknown, which counts as occupied unless the caller decides else."""
@@ -171,14 +177,21 @@ def test_png_as_pgm(tmp_path):
     coloured = np.repeat(pixels[..., None], 3, axis=2)
     coloured[0, 0, 0] = 99
     image.fromarray(coloured).save(tmp_path / "colour.png")
-    with pytest.raises(FileError, match="expected a grey image"):
-        read_map(written(tmp_path, pixels, image="colour.png"))
+    (tmp_path / "colour.ppm").write_bytes(b"P6 1 1 255\n\x01\x02\x03")
+    for name in ("colour.png", "colour.ppm"):
+        with pytest.raises(FileError, match="expected a grey image"):
+            read_map(written(tmp_path, pixels, image=name))
 
 
 @pytest.mark.parametrize(
     ("change", "text"),
     [
         (("map.pgm", "none.pgm"), "none.pgm"),
+        (("map.pgm", "."), "expected the image of a map, found a directory"),
+        (("image: map.pgm\n", ""), "expected the key image"),
+        (("[-1.0, 2.0, 0.0]", "[.nan, 2.0, 0.0]"), "origin.*expected a finite number"),
+        (("[-1.0, 2.0, 0.0]", "north"), "origin: expected a sequence of 3 .x, y, yaw., found 'north'"),
+        (("[-1.0, 2.0, 0.0]", "[1, 2, 0, 0]"), "origin: .* found a sequence of 4"),
         (("resolution: 0.5", "resolution: 0"), "resolution"),
         (("resolution: 0.5", "resolution: .nan"), "resolution"),
         (("resolution: 0.5\n", ""), "resolution"),

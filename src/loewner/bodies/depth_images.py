@@ -17,6 +17,9 @@ SMALLEST, LARGEST = 1e-3, 1e9
 # A camera that sees this far, in metres, is probably one that counts millimetres.
 FARTHEST = 100.0
 
+# An image this many times as wide or as high as the focal length, 170 degrees, probably has another matrix.
+WIDEST = 23.0
+
 
 @guarded
 def points_of(image: ArrayLike, K: ArrayLike, T_world_camera: ArrayLike | None = None) -> Floats:
@@ -68,6 +71,12 @@ def camera_of(image: ArrayLike, K: ArrayLike, T_world_camera: ArrayLike | None) 
     """Check a depth image, in which pixels without an echo become NaN, its intrinsic matrix and the camera's pose."""
     depths = _depths(image)
     matrix = _intrinsics(K)
+    height, width = depths.shape
+    if width > WIDEST * matrix[0, 0] or height > WIDEST * matrix[1, 1]:
+        warn(
+            f"K: focal lengths of {matrix[0, 0]:.3g} and {matrix[1, 1]:.3g} pixels make an image of {width} x {height} "
+            "pixels wider than 170 degrees; is the matrix normalised, or the inverse one?"
+        )
     T = _validate.poses(T_world_camera, "T_world_camera")
     if T.shape != (4, 4):
         raise InputError(f"T_world_camera: expected one pose, found shape {_validate.shape_text(T.shape)}")

@@ -2,8 +2,9 @@
 
 The commands are `fit`, `check`, `clearance`, `robot`, `clash`, `cover`, `judge`, `plan`, `verify`, `audit`, `swept`,
 `view`, `compile`, `info`, `paper` and `report`. They share `inputs`, `configurations`, `trajectories`, `jobs` and
-`output`; `pair_tables`, `cover_tables`, `judge_answers` and `judge_configurations` read and print tables. `completion`
-writes completions for shells, and `compilation` compiles kernels ahead of their first use.
+`output`; `pair_tables`, `cover_tables`, `judge_answers` and `judge_configurations` read and print tables. `drives` are
+plans for mobile bases, `completion` writes completions for shells, and `compilation` compiles kernels ahead of their
+first use.
 """
 
 from loewner.cli.main import main

@@ -17,7 +17,7 @@ from loewner._base import _archives, _tables
 from loewner._base._files import read_regular, shown
 from loewner._base._rotations import from_quaternion
 from loewner._base._validate import Floats
-from loewner.cli import configurations, inputs
+from loewner.cli import configurations, drives, inputs
 from loewner.cli.output import (
     AMBIGUOUS,
     COLLIDING,
@@ -43,6 +43,7 @@ EXAMPLES = """examples:
   loewner plan panda.urdf --srdf panda.srdf --start ready --goal above --proof plan.proof
   loewner plan panda.urdf --srdf panda.srdf --scene belt.yaml --start ready --goal above --arrive-by 4 -o plan.csv
   loewner plan gantry.urdf --scene wall.yaml --start "-0.5 -0.5 1.57" --goal "0.5 -0.5 1.57" --seed 7 --json
+  loewner plan cart.urdf --base car --radius 0.8 --map map.yaml 1.0 --start "1 0.5 0" --goal "3 2.5 3.14" -o drive.csv
 
 configurations: the name of a state of the SRDF; a .npy, .csv or .json file, as for loewner robot check; or the
   numbers themselves. A file may contain several goals, and reaching any one is enough. A named goal keeps the
@@ -55,6 +56,11 @@ bodies that follow motions: the plan is in time then, from --start-time on. Each
   among the moving bodies; velocities are constant on a motion, and within the limits. --out writes the trajectory,
   whose times count from --start-time. --planner, --sampled and --improve-for have no plans in time,
   and --proof, --leave and --reach are refused.
+
+bases: with --base, the plan is a drive of arcs, lines and turns in place, proven free as a whole. A robot without a
+  planar base gets one that stays within the map; its configurations begin with x, y and theta. Three numbers are a
+  pose of the base, while all other joints keep their values. --out writes where each motion begins, its length and its
+  turn; do not join these poses by straight motions.
 
 Every motion of the path is proven free at every one of its configurations. With --sampled, motions are sampled
 in steps while the planner searches; the path is certified afterwards, and printed and written in any case.
@@ -121,12 +127,16 @@ def add(commands: Any) -> None:
     plan.add_argument(
         "--planner", metavar="NAME", help="a planner of OMPL, such as BITstar (RRT-Connect, compiled, without OMPL)"
     )
+    drives.add_options(plan)
     plan.add_argument("--json", action="store_true", help="print JSON")
     plan.set_defaults(run=_run)
 
 
 def _run(options: argparse.Namespace) -> int:
     _refuse_unused(options)
+    drives.refuse_unused(options)
+    if options.base is not None:
+        return drives.run(options)
     scene = loewner.Scene() if options.scene is None else loewner.load_scene(options.scene)
     _begin_in_time(options, scene)
     remove_older_proof(options.proof)

@@ -330,10 +330,10 @@ def _found(base: Base, start: Floats, goal: Floats, most: int, until: float) -> 
     room = base.free(np.repeat(ends, len(steps), axis=0), np.tile(steps, (2, 1))[:, None]).reshape(2, -1).sum(axis=1)
     swapped = base.reverse and bool(room[1] < room[0])
     begin, end = (goal, start) if swapped else (start, goal)
-    spent, grid = 0, Grid.of(base, end)
+    spent, nearest, grid = 0, (math.inf, math.inf, math.inf), Grid.of(base, end)
     for finest in range(LEVELS):
-        path, taken = _search(base, grid, begin, end, finest, most - spent, until)
-        spent += taken
+        path, taken, gap = _search(base, grid, begin, end, finest, most - spent, until)
+        spent, nearest = spent + taken, min(nearest, gap)
         if path is not None:
             return (_along(start, -path.motions[::-1]) if swapped else path), spent
         if spent >= most or time.monotonic() > until:
@@ -341,15 +341,21 @@ def _found(base: Base, start: Floats, goal: Floats, most: int, until: float) -> 
     why = (
         "in time" if time.monotonic() > until else f"from {spent} poses" + ("" if spent >= most else ", which are all")
     )
-    raise PlanningError(f"expected a way of the base from start to goal, found none {why}")
+    here, there = ("goal", "start") if swapped else ("start", "goal")
+    raise PlanningError(
+        f"expected a way of the base from start to goal, found none {why}; from the {here}, the search came within "
+        f"{nearest[1]:.3g} m and {math.degrees(nearest[2]):.3g} degrees of the {there}"
+    )
 
 
 def _search(
     base: Base, grid: Grid, start: Floats, goal: Floats, finest: int, most: int, until: float
-) -> tuple[Path | None, int]:
+) -> tuple[Path | None, int, tuple[float, float, float]]:
     """Search the lattice from the start until a way from one of its poses to the goal is proven.
 
-    Finer motions, by powers of `FINER`, lead to finer cells, and cost as much as others.
+    Finer motions, by powers of `FINER`, lead to finer cells, and cost as much as others. The way is followed by the
+    number of poses from which the search went on, and by the least cost of a pose's distance and turn from the goal,
+    with these two.
     """
     fine, coarse = FINER ** np.arange(finest + 1.0), base.lattice()
     steps, costs = np.concatenate([coarse / scale for scale in fine]), np.tile(_costs(coarse), finest + 1)
@@ -374,7 +380,7 @@ def _search(
         if batches % SHOOTING == 1 or not queue:
             shot = _shot(base, grid, a, goal, np.array([reached[node] for node in batch]))
         if shot is not None:
-            return _path(poses, parents, taken, steps, batch[shot[0]], shot[1]), iterations
+            return _path(poses, parents, taken, steps, batch[shot[0]], shot[1]), iterations, (0.0, 0.0, 0.0)
         if iterations >= most or time.monotonic() > until:
             break
         count = len(steps)
@@ -409,7 +415,12 @@ def _search(
                 taken.append(k % count)
                 keys.append(found[k])
                 heapq.heappush(queue, (g + GREED * estimate, len(poses) - 1))
-    return None, iterations
+    offsets = np.array(poses) - goal
+    gaps = np.hypot(offsets[:, 0], offsets[:, 1])
+    turns = np.abs(np.remainder(offsets[:, 2] + math.pi, 2.0 * math.pi) - math.pi)
+    sums = gaps + base.radius * turns
+    k = int(sums.argmin())
+    return None, iterations, (float(sums[k]), float(gaps[k]), float(turns[k]))
 
 
 def _shot(base: Base, grid: Grid, a: Floats, goal: Floats, reached: Floats) -> tuple[int, Floats] | None:

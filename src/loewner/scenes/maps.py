@@ -15,6 +15,7 @@ from loewner._base import _files, _validate
 from loewner._base._nodes import YamlNode, read_yaml
 from loewner._base._plausible import warn
 from loewner._base._validate import Bools, Floats, Ints
+from loewner.bodies import Body
 from loewner.errors import FileError, MissingExtraError, installing
 
 # Largest files, and an image's largest number of pixels.
@@ -63,6 +64,8 @@ def read_map(path: str | os.PathLike[str]) -> Map:
     top = read_yaml(_files.read_regular(file, "a map", LARGEST_YAML), file, "a map")
     values = top.mapping(KEYS, REQUIRED)
     resolution, origin = values["resolution"].length(), np.array(values["origin"].numbers(3, "x, y, yaw"))
+    if abs(origin[2]) > 2.0 * math.pi:
+        warn(f"{file}: the origin turns the map by {origin[2]:g} rad, more than a whole turn; is this in degrees?")
     if not resolution > 0.0:
         raise values["resolution"].error(f"expected a length above 0, found {resolution:g}")
     negate = values["negate"].number()
@@ -106,6 +109,24 @@ def rectangles(cells: Bools) -> Ints:
     first = np.flatnonzero(new)
     last = np.append(first[1:], len(i)) - 1
     return np.stack([i[first], j0[first], i[last] + 1, j1[first]], axis=1) if len(i) else np.empty((0, 4), np.int64)
+
+
+def body_of(grid: Map, height: float, *, unknown: bool) -> Body | None:
+    """Make boxes of the occupied cells, in the frame of the map's lowest corner; None if there are none."""
+    cells = rectangles(grid.occupied | grid.unknown if unknown else grid.occupied)
+    if len(cells) == 0:
+        return None
+    low, high = (grid.resolution * cells[:, ends] for ends in (slice(0, 2), slice(2, 4)))
+    centers = np.column_stack([(low + high) / 2.0, np.full(len(low), height / 2.0)])
+    return Body.boxes(centers, np.column_stack([high - low, np.full(len(low), height)]))
+
+
+def bounds_of(grid: Map) -> Floats:
+    """Compute the least and the largest x and y of a map in the world, shape (2, 2), a row for each axis."""
+    corners = grid.resolution * np.array(grid.occupied.shape) * [[0, 0], [0, 1], [1, 0], [1, 1]]
+    T = corner(grid)
+    places = corners @ T[:2, :2].T + T[:2, 3]
+    return np.stack([places.min(axis=0), places.max(axis=0)], axis=1)
 
 
 def _share(node: YamlNode) -> float:

@@ -360,12 +360,9 @@ class Scene:
         counted = _validate.flag(unknown, "unknown")
         grid = _maps.read_map(path)
         scene = cls(margin=margin)
-        rectangles = _maps.rectangles(grid.occupied | grid.unknown if counted else grid.occupied)
-        if len(rectangles):
-            low, high = (grid.resolution * rectangles[:, ends] for ends in (slice(0, 2), slice(2, 4)))
-            centers = np.column_stack([(low + high) / 2.0, np.full(len(low), top / 2.0)])
-            edges = np.column_stack([high - low, np.full(len(low), top)])
-            scene.add("map", Body.boxes(centers, edges), _maps.corner(grid))
+        body = _maps.body_of(grid, top, unknown=counted)
+        if body is not None:
+            scene.add("map", body, _maps.corner(grid))
         return scene
 
     def add(

@@ -1,0 +1,201 @@
+"""``loewner plan --base``: find a drive of a mobile base, on a map of ROS's map server if one is given."""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import loewner
+from loewner import planners
+from loewner._base import _tables
+from loewner._base._files import replacing, shown
+from loewner._base._validate import Floats, finite_array, positive_scalar
+from loewner.cli import configurations, inputs
+from loewner.cli.output import FREE, NO_PATH, new_table, print_table, progress_bar, remove_older_proof
+from loewner.errors import InputError, PlanningError
+from loewner.planners.drives import base_columns
+from loewner.scenes import maps
+
+# Number of configurations per motion, including its ends, at which the distance of the nearest pair is measured.
+MEASURED = 33
+
+# Options of other plans, which drives have no use for, and options of drives.
+OF_OTHERS = (
+    "goal_pose", "joints", "leave", "reach", "sampled", "planner", "resolution", "improve_for", "weights", "clearance",
+    "start_time", "arrive_by", "velocity",
+)  # fmt: skip
+OF_DRIVES = ("radius", "no_reverse", "map")
+
+
+def add_options(plan: argparse.ArgumentParser) -> None:
+    """Add the options of drives to `loewner plan`."""
+    plan.add_argument(
+        "--base", choices=("differential", "car"), help="plan for a mobile base that cannot drive sideways"
+    )
+    plan.add_argument("--radius", type=float, metavar="R", help="with --base car: least radius of its turns in metres")
+    plan.add_argument("--no-reverse", action="store_true", help="with --base: do not drive backwards")
+    plan.add_argument(
+        "--map", nargs=2, metavar=("FILE", "H"), help="with --base: a map of ROS's map server, H metres high (.yaml)"
+    )
+
+
+def refuse_unused(options: argparse.Namespace) -> None:
+    """Refuse options of drives without a base, and with one the options that only other plans take."""
+    wrong, wanted = (OF_DRIVES, "expected --base with it") if options.base is None else (OF_OTHERS, "")
+    for name in wrong:
+        if getattr(options, name):
+            because = wanted or "expected no --base with it; drives are proven, by a search of their own"
+            raise InputError(f"--{name.replace('_', '-')}: {because}")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Plan a drive, print and write it."""
+    scene = loewner.Scene() if options.scene is None else loewner.load_scene(options.scene)
+    remove_older_proof(options.proof)
+    robot = _on_a_base(inputs.robot(options), _add_map(scene, options))
+    checker = loewner.CollisionChecker(robot, scene)
+    start = robot.checked_one(_end(options.start, "--start", options, robot, robot.configuration()), "--start")
+    goal = _end(options.goal, "--goal", options, robot, start)
+    inputs.refuse_no_pairs(checker, options.urdf)
+    limits: dict[str, Any] = {} if options.max_iterations is None else {"max_iterations": options.max_iterations}
+    try:
+        with progress_bar() as progress:
+            progress.add_task("searching", total=None)
+            drive = planners.plan(
+                checker, start, goal, base=options.base, radius=options.radius, reverse=not options.no_reverse,
+                joint_error=options.joint_error, timeout=options.timeout, simplify=not options.no_simplify,
+                proof=options.proof is not None, **limits,
+            )  # fmt: skip
+    except PlanningError as error:
+        print(f"loewner: no path: {error}", file=sys.stderr)
+        return NO_PATH
+    if options.out is not None:
+        _write(options.out, drive)
+    if drive.proof is not None:
+        drive.proof.save(options.proof)
+    answer = _answer(checker, drive, options)
+    if options.json:
+        print(json.dumps(answer, indent=2))
+    else:
+        _print_answer(answer)
+    return FREE
+
+
+def _add_map(scene: loewner.Scene, options: argparse.Namespace) -> Floats | None:
+    """Add the occupied and the unknown cells of the map to the scene, and return the bounds of the map."""
+    if options.map is None:
+        return None
+    file, text = options.map
+    try:
+        height = positive_scalar(_tables.number(text), "--map, height")
+    except ValueError:  # our errors as well
+        raise InputError(f"--map, height: expected metres above 0, found {text!r}") from None
+    grid = maps.read_map(file)
+    body = maps.body_of(grid, height, unknown=True)
+    if body is not None:
+        scene.add("map", body, maps.corner(grid))
+    return maps.bounds_of(grid)
+
+
+def _on_a_base(robot: loewner.Robot, bounds: Floats | None) -> loewner.Robot:
+    """Return the robot if it has a planar base, or put it on one that stays within the bounds of the map."""
+    try:
+        base_columns(robot)
+    except InputError:
+        if bounds is None:
+            raise InputError(
+                "--base: expected a robot whose root slides along x and y and turns, or --map, within which a base is "
+                f"added, found the joints {', '.join(robot.joint_names) or 'none'} and no map"
+            ) from None
+        return robot.add_base("planar", bounds)
+    return robot
+
+
+def _end(text: str, name: str, options: argparse.Namespace, robot: loewner.Robot, others: Floats) -> Floats:
+    """Read a configuration; three numbers are a pose of the base, with the other joints as given."""
+    try:
+        pose = finite_array(_tables.row(text), name, (3,))
+    except ValueError:  # of another length, or no numbers
+        return configurations.given(text, name, options, robot, others)
+    q = others.copy()
+    q[list(base_columns(robot))] = pose
+    return q
+
+
+def _write(path: Path, drive: planners.Drive) -> None:
+    """Write the configurations at which motions begin, with lengths and turns; the last row has no motion."""
+    motions = np.concatenate([drive.motions, np.zeros((1, 2))])
+    with replacing(path) as temporary, open(temporary, "w", encoding="utf-8", newline="") as file:
+        if path.suffix.lower() == ".csv":
+            rows = np.concatenate([drive.path, motions], axis=1).tolist()
+            csv.writer(file, lineterminator="\n").writerows([[*drive.names, "length", "turn"], *rows])
+        else:
+            content = {"names": list(drive.names), "configurations": drive.path.tolist()}
+            file.write(json.dumps(content | {"motions": drive.motions.tolist()}, indent=1) + "\n")
+
+
+def _answer(checker: loewner.CollisionChecker, drive: planners.Drive, options: argparse.Namespace) -> dict[str, Any]:
+    """Make the full report on a drive."""
+    shares = np.linspace(0.0, 1.0, MEASURED)
+    t = drive.times[:-1, None] * (1.0 - shares) + drive.times[1:, None] * shares
+    measured = checker.distance(drive.positions(np.clip(t, drive.times[0], drive.times[-1])), exact=True)
+    least = measured.distance.argmin(axis=1)
+    motions = [
+        {
+            "length": length,
+            "turn": turn,
+            "nearest": float(measured.distance[k, least[k]]),
+            "nearest_pair": measured.names[k, least[k]].tolist(),
+        }
+        for k, (length, turn) in enumerate(drive.motions.tolist())
+    ]
+    return {
+        "robot": checker.robot.name,
+        "verdict": "FREE",
+        "base": options.base,
+        "radius": options.radius,
+        "joint_error": options.joint_error,
+        "names": list(drive.names),
+        "configurations": drive.path.tolist(),
+        "motions": motions,
+        "length": drive.length,
+        "turn": drive.turn,
+        "reversals": drive.reversals,
+        "measured": MEASURED,
+        "checked_pairs": len(checker.checked_pairs),
+        "poses": drive.iterations,
+        "seconds": drive.seconds,
+        "out": None if options.out is None else str(options.out),
+        "proof": None if drive.proof is None else str(options.proof),
+    }
+
+
+def _print_answer(answer: dict[str, Any]) -> None:
+    motions, changes = answer["motions"], answer["reversals"]
+    error = f", with every value up to {answer['joint_error']:g} off" if answer["joint_error"] else ""
+    count = "1 motion" if len(motions) == 1 else f"{len(motions)} motions"
+    print(f"FREE  {count} from start to goal, proven free as they are driven{error}")
+    table = new_table(
+        "motion", "length, m", "turn, degrees", "nearest, mm", "body", "other body",
+        title=f"{answer['robot']}, {answer['checked_pairs']} pairs checked",
+    )  # fmt: skip
+    for k, motion in enumerate(motions):
+        table.add_row(
+            str(k), f"{motion['length']:.4g}", f"{np.rad2deg(motion['turn']):.4g}", f"{1e3 * motion['nearest']:z.3f}",
+            *motion["nearest_pair"],
+        )  # fmt: skip
+    print_table(table)
+    print(
+        f"length    {answer['length']:.6g} m, {np.rad2deg(answer['turn']):.4g} degrees, {changes} "
+        f"change{'s' * (changes != 1)} of direction"
+    )
+    print(f"found in  {1e3 * answer['seconds']:.3g} ms, from {answer['poses']:,} poses, this machine, this run")
+    for name in ("out", "proof"):
+        if answer[name] is not None:
+            print(f"written   {shown(answer[name])}")
