@@ -208,9 +208,8 @@ def _write_paths(tree, tables):
 @njit()
 def _write_order(depths, problem, tables):
     """Order the pairs, stably, by their bodies' depths: the ones far out on the robot move most, and collide most."""
-    at, depth = 0, len(depths)
-    while at < len(problem.pairs):
-        depth -= 1
+    at = 0
+    for depth in range(len(depths), -1, -1):
         for k in range(len(problem.pairs)):
             if depths[problem.link[problem.pairs[k, 0]]] == depth:
                 tables.order[at] = k
