@@ -1,8 +1,8 @@
 """Clearances and distances of a checker with their gradients, in the caller's number type.
 
-This is the common part of `loewner.jax` and `loewner.torch`: NumPy arrays of float32 or float64 in, the same out. The
-checker computes in float64, and every float32 number is also a float64 number, so the answer belongs to exactly the
-given configuration.
+It is the common part of `loewner.jax` and `loewner.torch`: it takes NumPy arrays of float32 or float64 and returns the
+same type. The checker computes in float64, and every float32 number is also a float64 number, so the answer belongs to
+exactly the given configuration.
 """
 
 from __future__ import annotations

@@ -135,9 +135,9 @@ def _set_margin(scene: Scene, entry: YamlNode) -> None:
 def save_scene(scene: Scene, path: str | PathLike[str]) -> None:
     """Write a scene to YAML, so that `load_scene` returns a scene with the same verdicts.
 
-    Boxes, spheres, cylinders, capsules, cones and ellipsoids are written by their sizes. Any other body is saved
-    next to the file, as ``STEM-NAME-DIGEST.npz``; a body that several names share is saved once. The scene file
-    contains the SHA-256 of each saved body, whose first digits are the digest, and refuses any other body.
+    Boxes, spheres, cylinders, capsules, cones and ellipsoids are written by their sizes. Any other body is saved next
+    to the file, as ``STEM-NAME-DIGEST.npz``; a body that several names share is saved once. The scene file contains the
+    SHA-256 of each saved body, whose first digits are the digest; reading refuses any other body.
 
     Parameters
     ----------
