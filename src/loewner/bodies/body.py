@@ -1093,8 +1093,8 @@ class Body(_Bodies):
         ----------
         path : path
             It may have any extension; its stem names both the robot and its link. The mesh files are written first;
-            then the URDF is written under a temporary name and renamed. No file of another content is replaced, so an
-            older URDF, or a copy of it, keeps its meshes.
+            then the URDF is written under a temporary name and renamed. A file with different content is never
+            replaced, so an older URDF, or a copy of it, keeps its meshes.
         ellipsoids : {"inner", "outer"}, optional
             Write these ellipsoids instead of the pieces.
         mesh_prefix : str

@@ -563,8 +563,8 @@ def excess_of(target: Target, packed: Packed, model: Elements, tolerance: float)
     """Bound how far the elements of a model stick out of a body.
 
     A ball around a point at a certain depth in the body sticks out by no more than its radius minus this depth; a
-    capsule is a union of balls. Other elements, and those for which this bound is not near the distance of a point that
-    was found, are replaced by polytopes around them, which `protrusion` bounds.
+    capsule is a union of balls. Other elements are replaced by polytopes around them, which `protrusion` bounds. So are
+    balls and capsules whose bound is not close to the distance of a known point.
     """
     n, ways = len(model), ball(DIVISIONS)[0]
     upper, points = np.full(n, np.inf), []

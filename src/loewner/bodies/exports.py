@@ -245,7 +245,8 @@ def save_texts(texts: dict[Path, str]) -> None:
 
 
 def enlarged(packed: Packed) -> str | None:
-    """Return the name of a kind of piece that URDF has no shape for, so that a larger polytope is written; or None."""
+    """Return the name of the piece's kind if URDF has no shape for it, so that a larger polytope is written; otherwise
+    None."""
     for row, frame in zip(packed.layout[:, columns.KIND].tolist(), packed.frames, strict=True):
         if row > columns.POLYTOPE:
             kind, semi_axes = CURVED[row], np.linalg.norm(frame[4:].reshape(3, 3), axis=0)

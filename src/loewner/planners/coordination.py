@@ -68,7 +68,7 @@ def coordinate(
     checker : CollisionChecker
         Its robot was made by `Robot.join`.
     paths : mapping from str to array_like, shape (k, dof of the part) or (dof of the part,)
-        For each part (`Robot.part`) the configurations of its path, with straight motions between them; or the one
+        For each part (`Robot.part`), the configurations of its path, with straight motions between them, or the single
         configuration at which it waits.
     steps : int
         Number of steps into which the path with the longest duration is divided. At each step, a robot may wait.

@@ -42,7 +42,7 @@ Ends = tuple[tuple[float, float], tuple[float, float]]
 
 
 class Use(NamedTuple):
-    """The largest value of one joint on a curve, beside its limit.
+    """The largest value of one joint on a curve, next to its limit.
 
     Attributes
     ----------

@@ -210,7 +210,7 @@ def pair_verdicts(ready: Problem, T: Floats, off: Floats | None = None) -> NDArr
 def collisions_by_pair(ready: Problem, Q: Floats, t: Floats | None = None) -> Bools:
     """Return whether each pair collides at each configuration, shape (N, pairs); ConvergenceError if unsettled.
 
-    Bodies that follow motions may deviate as far as at the times t, shape (N,).
+    Bodies that follow motions may deviate by the amounts for the times t, shape (N,).
     """
     _validate.fits_memory(len(Q) * len(ready.pairs), f"{len(Q)} configurations of {len(ready.pairs)} pairs of bodies")
     out = np.empty((len(Q), len(ready.pairs)), dtype=bool)

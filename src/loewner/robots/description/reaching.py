@@ -55,7 +55,7 @@ class Reached(_validate.Brief):
     Attributes
     ----------
     configuration : ndarray, shape (..., dof)
-        A solution, or else the configuration that came nearest. With a checker, it is free if any solution is.
+        A solution, or otherwise the configuration that came nearest. With a checker, it is free if any solution is.
     reached : bool or ndarray, shape (...)
         Whether it is a solution; with a checker, only a free configuration counts.
     residual : ndarray, shape (..., 2)
@@ -187,7 +187,7 @@ def _axis(constants: Floats) -> Floats:
 
 
 def seeded(chain: Chain, count: int) -> Floats:
-    """Make the table of seeds, shape (count, K), or return the one that was made before."""
+    """Make the table of seeds, shape (count, K), or return an existing one."""
     if count in chain.kept:
         return chain.kept[count]
     how, moving = chain.ranges[columns.HOW], np.flatnonzero(chain.moving)

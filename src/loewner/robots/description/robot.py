@@ -1981,7 +1981,7 @@ def on_the_way(robot: Robot, a: Floats, b: Floats) -> Floats:
 
 
 def unlimited(robot: Robot) -> tuple[Bools, Bools, Bools]:
-    """Mark the columns without a lower limit, those without an upper limit, and angles without any limit.
+    """Mark the columns without a lower limit, the columns without an upper limit, and angles without any limit.
 
     Some programs write 1e16 or the largest number for "no limit"; such values count as no limit.
     """

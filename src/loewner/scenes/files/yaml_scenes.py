@@ -142,10 +142,10 @@ def save_scene(scene: Scene, path: str | PathLike[str]) -> None:
     Parameters
     ----------
     scene : Scene
-        The scene as it is at one instant, even if other threads change it meanwhile.
+        The scene as it is at one instant, even if other threads change it at the same time.
     path : path
         The files of the bodies are written first; then this file is written under a temporary name and renamed. Files
-        of an older scene are neither changed nor removed, except the one of this name.
+        of an older scene are neither changed nor removed, except a file with this name.
 
     Raises
     ------
