@@ -7,10 +7,10 @@ whole numbers of units of 2^-72. Rounding has these bounds, in units, for the no
 the sum of squares); lengths that multiply them are in metres.
 
 - In each entry, the rounding error of a double, a fixed rotation and an axis is less than 1. The error of a sine or
-  cosine is less than 2: a tenth for the angle, a thousandth for the series, and 1 for the result. In a joint's rotation c + s e
-  + (1 - c) e e, the terms have errors below 2, 3 and 4 in each entry, and the sum adds 1, so the matrix has an error
-  below 30. Multiplying by the fixed rotation and by the parent's rotation increases this to 41 for each link of the
-  chain: ``TURN``.
+  cosine is less than 2: a tenth for the angle, a thousandth for the series, and 1 for the result. In a joint's rotation
+  c + s e + (1 - c) e e, the terms have errors below 2, 3 and 4 in each entry, and the sum adds 1, so the matrix has an
+  error below 30. Multiplying by the fixed rotation and by the parent's rotation increases this to 41 for each link of
+  the chain: ``TURN``.
 - A link is at its parent's position plus a rotated step of length l. The step has an error below 3 l + 8, the parent's
   rotation adds its error times l, and rounding adds 2. With E = TURN (links of the chain + 1) and the length L of the
   chain, the error is at most E (L + 1).
@@ -72,14 +72,15 @@ class Report:
         The usual margin, and the number of pairs with another margin; each value's name, and how far the value may
         deviate.
     left_out, uncovered : tuple of (str, str), and of str
-        Pairs that the model exempts; bodies with an interior that their pieces do not cover, which are not excluded.
+        Pairs that the model exempts; bodies whose pieces do not cover their interior, so that the interior is not
+        excluded.
     points, motions : tuple of tuple of tuple of float, and tuple of (int, bool, bool, int)
         For each motion: its control points; its degree; whether it starts where the previous motion ends; whether its
         control points are within the limits of the values; and the number of its configurations at which planes were
         checked.
     tightest, common : (str, str, int, Fraction, Fraction, float, Fraction) or None, and (str, str) or None
-        The check with the least to spare: two bodies, a motion, an interval, the margin, and how much is left; two
-        bodies with a common point, if this is the claim of the file.
+        The check with the least room to spare: two bodies, a motion, an interval, the margin, and the remaining room.
+        If the file claims a common point, `common` names the two bodies that have it.
     rules, contacts : tuple of (str, str, int), and of (str, str, int, Fraction, Fraction, float)
         Pairs that may be in contact at the start (1) or at the end (2) of motions, or at both (3). For each contact:
         two bodies, a motion, an interval, and their least distance in metres, negative for an overlap.

@@ -206,8 +206,8 @@ def protrusions(
     combination of outward normals of triangles at its nearest point.
 
     The inside is searched in cubes. A cube has no such maximum if all triangles within reach face one half-space. For
-    any other cube, the first bound above is used, or the cube is divided. This applies to
-    all cubes if the solid is on the outer side of some triangles of the mesh, for instance where a cavity extends beyond
+    any other cube, the first bound above is used, or the cube is divided. This applies to all
+    cubes if the solid is on the outer side of some triangles of the mesh, for instance where a cavity extends beyond
     its part.
     """
     cells = np.concatenate([hull.vertices[hull.simplices] for hull in hulls])

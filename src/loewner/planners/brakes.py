@@ -354,7 +354,7 @@ def brake_limits(
     ----------
     moves : ndarray of bool, shape (dof,)
     known : Robot or None
-        Supplies the acceleration and jerk limits of joints without other limits.
+        Its acceleration and jerk limits are used for joints without other limits.
     """
     if limits is not None and not (isinstance(limits, JointLimits) and limits.names == names):
         found = ", ".join(limits.names) if isinstance(limits, JointLimits) else type(limits).__name__

@@ -79,7 +79,7 @@ class Model:
     ignored : frozenset of pairs of str, or None
         The pairs that the file's program does not check; None if the file has no rules on pairs.
     notes : list of str
-        Contents of the file that its program, or this reader, does not use.
+        Contents of the file that neither its program nor this reader uses.
     """
 
     bodies: dict[str, Body] = field(default_factory=dict)

@@ -835,9 +835,9 @@ class Robot(KeepsReadOnly):
         poses, and a `CollisionChecker` checks the same pairs. A root link "world" is added if the robot has several
         roots or is placed. Links fixed to it can be adjacent through it, so do not pass ``skip_adjacent=True`` in this
         case. Visual geometry, masses and efforts are not written. Limits that are narrower than `hard_lower` and
-        `hard_upper` become soft limits. Without the SRDF, pairs may be exempt that this robot checks, so pass it to
-        `from_urdf`, too. Solids are written as their triangles, which some other programs replace by their convex
-        hulls. Existing files are replaced.
+        `hard_upper` become soft limits. Pass the SRDF to `from_urdf`, too: without it, pairs that this robot checks may
+        be exempt. Solids are written as their triangles, which some other programs replace by their convex hulls.
+        Existing files are replaced.
 
         Parameters
         ----------

@@ -73,7 +73,8 @@ def load_scene(path: str | PathLike[str]) -> Scene:
     FileError
         If the file, or a file that it names, is missing or malformed. The message gives the line and the key.
     MissingExtraError
-        If PyYAML is not installed, or MuJoCo if the file is a model, or a package that a mesh needs.
+        If PyYAML is not installed; if MuJoCo is not installed and the file is a model; or if a package that a mesh
+        needs is not installed.
     InputError, GeometryError
         As for `Robot.from_mjcf`, if a colliding geom of a model cannot be read.
 
