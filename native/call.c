@@ -1,9 +1,9 @@
-/* How Python calls the native library: `Library` opens one, `Kernel` calls one function of it. `pairs.c` and
-   `configurations.c` have queries that are one call from the arguments to the answer.
-
-   A function of the library is  int32 loewner_NAME(const int64 *arguments, int64 *results).  A number takes a slot; an
-   array takes its address, then its lengths. As a result an array is preceded by the address of the description of its
-   memory, which is given back by  loewner_release. Nothing here depends on Numba, and the library not on Python. */
+/* Python calls the native library through this extension: `Library` opens a library, and `Kernel` calls one of its
+   functions. `pairs.c` and `configurations.c` contain queries that take one call from the arguments to the answer. A
+   function of the library has the form int32 loewner_NAME(const int64 *arguments, int64 *results). A number takes one
+   slot; an array takes a slot for its address and one for each length. In a result, the address of the description of
+   its memory precedes the array; loewner_release gives this memory back. Nothing here depends on Numba, and the library
+   does not depend on Python. */
 
 #include "call.h"
 #include "system.h"
@@ -230,7 +230,7 @@ static PyObject *library_new(PyTypeObject *type, PyObject *arguments, PyObject *
     Library *library = new_object(type);
     if (library == NULL)
         return NULL;
-    library->handle = handle; /* stays open until the process ends: threads may be in it */
+    library->handle = handle; /* stays open until the process ends, since threads may be running in it */
     return (PyObject *)library;
 }
 
@@ -256,7 +256,7 @@ static PyObject *library_kernel(PyObject *self, PyObject *arguments)
     else if (kernel->results >= 0 && (slots_of(kernel->argument, kernel->arguments, 0) > MOST_SLOTS ||
                                       slots_of(kernel->result, kernel->results, 1) > MOST_SLOTS))
         PyErr_Format(PyExc_ValueError, "%s: expected fewer arguments", name);
-    /* A builtin function, which the interpreter calls faster than any object of ours, and which keeps the kernel. */
+    /* A built-in function that holds the kernel; the interpreter calls it faster than any object of our own. */
     PyObject *made = PyErr_Occurred() ? NULL : PyCFunction_NewEx(&kernel->definition, (PyObject *)kernel, NULL);
     Py_DECREF(kernel);
     return made;

@@ -1,4 +1,4 @@
-/* The extension: what of its files Python sees. */
+/* The extension: its functions that Python can call. */
 
 #define HOLDS_ARRAY_API
 #include "single.h"

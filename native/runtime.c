@@ -1,7 +1,6 @@
-/* All of Numba's run time that the kernels need: memory that counts who uses it.
-
-   The layout of a description is Numba's (numba/core/runtime/nrt.cpp); compiled code counts in it by itself, and calls
-   NRT_MemInfo_call_dtor when the count is zero. `tests/test_native.py` compares both with the installed Numba. */
+/* The parts of Numba's run time that kernels need: memory that counts its references. The layout of a description is
+   Numba's (numba/core/runtime/nrt.cpp); compiled code updates the count by itself, and calls NRT_MemInfo_call_dtor when
+   the count reaches zero. `tests/test_native.py` compares both with the installed Numba. */
 
 #include "system.h"
 
@@ -17,7 +16,8 @@ typedef struct {
 
 EXPORTED const char loewner_build[] = LOEWNER_BUILD;
 
-/* Descriptions that were made and not given back: where no kernel runs there are none, see `tests/test_native.py`. */
+/* Number of descriptions that were made and not given back; it is zero while no kernel runs, see
+   `tests/test_native.py`. */
 EXPORTED size_t loewner_held;
 
 static void give_back(Description *description)
@@ -43,10 +43,10 @@ void *NRT_MemInfo_alloc_aligned(size_t size, unsigned alignment)
 
 void NRT_MemInfo_call_dtor(void *memory)
 {
-    give_back(memory); /* no kernel makes an array with a destructor */
+    give_back(memory); /* no kernel creates an array with a destructor */
 }
 
-/* What Python received and copied. */
+/* Free memory that Python has received and copied. */
 EXPORTED void loewner_release(void *memory)
 {
     Description *description = memory;

@@ -1,7 +1,6 @@
-/* Maps the files that `loewner/bodies/native_files.py` describes.
-
-   A file is untrusted: its checksum finds damage, but anybody can compute one. So every size, index and number is
-   checked before a kernel uses it. A check that fails ends with the name of the array. */
+/* Maps the files that `loewner/bodies/native_files.py` describes. A file is not trusted: its checksum reveals damage,
+   but anybody can compute a checksum. Every size, index and number is therefore checked before a kernel uses it. A
+   check that fails reports the name of the array. */
 
 #define _GNU_SOURCE
 #include "internal.h"
@@ -19,7 +18,7 @@
 #define SOURCES_LENGTH 64
 #define GOLDEN 0x9E3779B97F4A7C15u
 
-#define MOST ((int64_t)1 << 40) /* of any count; products of a few stay far from overflow */
+#define MOST ((int64_t)1 << 40) /* limit on any count; products of a few counts stay far below overflow */
 
 typedef struct {
     uint64_t format, size, checksum;
@@ -118,7 +117,7 @@ static loewner_status read_header(const File *file, const char *path, Header *he
     return LOEWNER_OK;
 }
 
-/* An array of the directory, which lies in the file. */
+/* An array of the directory; it must lie within the file. */
 static loewner_status look_up(const File *file, int64_t number, Found *found)
 {
     int64_t row[4];
@@ -133,7 +132,7 @@ static loewner_status look_up(const File *file, int64_t number, Found *found)
     return LOEWNER_OK;
 }
 
-/* An array of a type and a shape; -1 for any number of rows. */
+/* An array with a given type and shape; -1 stands for any number of rows. */
 static loewner_status take(const File *file, int64_t number, int64_t type, int64_t rows, int64_t columns,
                            const char *name, const void *data, int64_t *count)
 {
@@ -170,7 +169,7 @@ static int is_within(const int64_t *numbers, int64_t count, int64_t least, int64
     return is;
 }
 
-/* Whether starts of ranges rise from 0 to a total. */
+/* Whether the starts of ranges rise from 0 to a total. */
 static int rises(const int64_t *starts, int64_t count, int64_t total)
 {
     int is = starts[0] == 0 && starts[count - 1] == total;
@@ -181,7 +180,7 @@ static int rises(const int64_t *starts, int64_t count, int64_t total)
 
 /* -- packs --------------------------------------------------------------------------------------------------------- */
 
-/* Check the nodes of a large hull (`directions.py`), which follow its vertices: two numbers each, `room` in all. */
+/* Check the nodes of a large hull (`directions.py`), which follow its vertices: two numbers for each, `room` in all. */
 static loewner_status check_nodes(const double *nodes, int64_t room, int64_t vertices)
 {
     int64_t count = room / 2;
@@ -201,7 +200,7 @@ static loewner_status check_nodes(const double *nodes, int64_t room, int64_t ver
                        fmod(last, POINT_BLOCK) == 0;
             continue;
         }
-        /* Children follow their parents, so that no walk returns. */
+        /* Children come after their parents, so that no walk goes back. */
         is_sound = (double)k < first && first <= (double)(count - 4) && depth[k] < DEEPEST;
         for (int c = 0; is_sound && c < 4; c++)
             if (depth[(int64_t)first + c] <= depth[k])
@@ -231,7 +230,7 @@ static loewner_status check_pieces(const Pack *pack, int64_t surfaces)
     return LOEWNER_OK;
 }
 
-/* Check the trees over the pieces of bodies: groups of a body follow each other, and lead to its own pieces only. */
+/* Check the trees over the pieces of bodies: the groups of a body are contiguous, and lead only to its own pieces. */
 static loewner_status check_trees(const Pack *pack)
 {
     int64_t begin = 0;
@@ -250,10 +249,11 @@ static loewner_status check_trees(const Pack *pack)
                 if (child >= 0) {
                     is_sound &= begin <= child && child < g && !has_parent[child];
                     if (is_sound)
-                        has_parent[child] = 1; /* a tree; in a net, a walk would follow every way */
+                        has_parent[child] = 1; /* it must be a tree: in any other graph, a walk would follow all
+                                                  paths */
                     if (is_sound && height[g] <= height[child])
                         height[g] = (int8_t)(height[child] + 1);
-                } else /* an unused place has -1 */
+                } else /* an unused place contains -1 */
                     is_sound &= child == -1 || (first <= ~child && ~child < last);
                 is_sound = is_sound && height[g] < TREE_LEVELS;
             }
@@ -356,7 +356,7 @@ static loewner_status take_surface(const File *file, int64_t at, Array2 arrays[S
     return LOEWNER_OK;
 }
 
-/* Replace the numbers of surfaces by addresses of their tables, in a copy. */
+/* In a copy, replace the numbers of surfaces by the addresses of their tables. */
 static loewner_status link_surfaces(File *file, Pack *pack, int which)
 {
     if (file->surfaces == NULL || pack->pieces == 0)
@@ -426,14 +426,14 @@ static loewner_status take_robot(File *file, const Header *header)
     for (int64_t k = 0; k < file->pairs; k++) {
         const int64_t *pair = file->pair_list + 2 * k;
         EXPECT(0 <= pair[0] && pair[0] < moving && pair[0] < pair[1] && pair[1] < bodies, "pairs");
-        /* In ascending order, by which they are found. */
+        /* In ascending order, since searches rely on it. */
         EXPECT(k == 0 || pair[-2] < pair[0] || (pair[-2] == pair[0] && pair[-1] < pair[1]), "pairs");
         EXPECT(file->margins[k] >= 0 && file->margins[k] <= 1e30, "margins");
     }
     return LOEWNER_OK;
 }
 
-/* The names are texts that follow each other, each with its end. */
+/* The names are strings, one after another, each with its terminator. */
 static loewner_status take_names(File *file, int64_t count)
 {
     const char *text;

@@ -1,4 +1,4 @@
-/* Chunks of targets in a control loop: what `loewner/planners/gates.py` does, one course after another. */
+/* Chunks of targets in a control loop, as in `loewner/planners/gates.py`, one course after another. */
 
 #include "internal.h"
 
@@ -15,15 +15,15 @@ typedef struct {
 } Known;
 
 /* A motion or a brake that is not free, where it begins, and how many targets it depends on; `tick` is -1 if there is
-   none. It is not tried again while the world is the same. */
+   none. It is not tried again as long as the world stays the same. */
 typedef struct {
     int64_t tick, needed, pair;
     int32_t reason;
 } Stop;
 
-/* A chunk, and how far it is proven: see `_Chunk` of gates.py. */
+/* A chunk, and how far it is proven; see `_Chunk` in gates.py. */
 typedef struct {
-    double *rows; /* `count` + 1, behind the one before them */
+    double *rows; /* `count` + 1 of them, after the one before them */
     double *rates;
     int64_t *ends; /* how many targets were known when the brake from each tick was proven */
     double dt, t0;
@@ -31,32 +31,32 @@ typedef struct {
     Stop motion_stop, brake_stop;
 } Chunk;
 
-/* Why a proof ended, 0 if it did not, and the work of all proofs of a check. */
+/* Why a proof ended, or 0 if it did not, and the work of all proofs in a check. */
 typedef struct {
     int32_t reason;
     int64_t pair, most, work;
-    int is_attempt; /* which only counts if it is free */
+    int is_attempt; /* which counts only if it is free */
 } Proof;
 
 struct loewner_gate {
     const loewner_checker *checker;
     loewner_workspace *workspace;
-    int64_t dof, most, steps, pieces; /* `pieces` is the room for times of a brake */
+    int64_t dof, most, steps, pieces; /* `pieces` is the room for the times of a brake */
     int on_path, has_jerk, has_last, wants_scale;
     double latency, horizon, tolerance, now;
     double *strongest, *jerk, *fastest, *error, *rate_error, *widened, *looser, *resting, *q, *at; /* the first are VECTORS */
     double *times, *states, *courses, *seconds, *out[3];
-    int64_t pieces_made, rows_needed; /* of the brake in these; the row before the first one counts */
+    int64_t pieces_made, rows_needed; /* pieces of the brake in these; the row before the first one counts */
     Chunk last, made, slower;
     uint64_t structure; /* of the last chunk */
-    Known *seen, *allowed; /* now, and when the last chunk was new */
+    Known *seen, *allowed; /* now, and at the time of the last new chunk */
     size_t known, room;
     void *memory;
 };
 
 /* -- making -------------------------------------------------------------------------------------------------------- */
 
-/* Copy numbers for all joints, which are limits, or errors; NULL stands for `otherwise`. */
+/* Copy numbers (limits or errors) for all joints; NULL stands for `otherwise`. */
 static loewner_status take(const char *name, const double *given, int64_t dof, double otherwise, double *out)
 {
     int is_error = otherwise == 0;
@@ -127,7 +127,7 @@ static loewner_status divide(loewner_gate *gate)
     return LOEWNER_OK;
 }
 
-/* See which bodies of the scene are where; memory is needed only if there are more than before. */
+/* Record the poses of the scene's bodies; memory is needed only if there are more bodies than before. */
 static loewner_status look(loewner_gate *gate)
 {
     const loewner_checker *checker = gate->checker;
@@ -199,8 +199,8 @@ void loewner_gate_free(loewner_gate *gate)
 
 /* -- what holds of an older proof ---------------------------------------------------------------------------------- */
 
-/* Whether all places that a body may have from now on were allowed: `_path_is_within` of gates.py. Points at a distance
-   r are moved by no more than r times the norm of the difference of two rotations. */
+/* Whether all poses that a body may have from now on were allowed: `_path_is_within` in gates.py. Points at a distance
+   r move by no more than r times the norm of the difference of two rotations. */
 static int is_within(const Known *seen, const Known *allowed, double now)
 {
     const loewner_bounds *its = &seen->bounds, *old = &allowed->bounds;
@@ -222,7 +222,7 @@ static int is_within(const Known *seen, const Known *allowed, double now)
            turned <= old->radians + old->turn * (now - old->since);
 }
 
-/* Whether the places that bodies may have are the same as in the world of the last chunk. */
+/* Whether the poses that bodies may have are the same as in the world of the last chunk. */
 static int is_same_world(const loewner_gate *gate)
 {
     for (size_t k = 0; k < gate->known; k++)
@@ -239,14 +239,14 @@ static Stop later(Stop stop, int64_t tick)
     return stop;
 }
 
-/* Remember where a proof failed, unless it would succeed with more work. */
+/* Remember where a proof failed, unless more work would make it succeed. */
 static Stop stop_at(int64_t tick, int64_t needed, const Proof *proof)
 {
     int is_known = proof->reason && proof->reason != LOEWNER_REASON_BUDGET;
     return (Stop){is_known ? tick : -1, needed, proof->pair, proof->reason};
 }
 
-/* Write the range of the last chunk's ticks at which the robot may be, and return whether the proofs of the chunk still
+/* Write the range of ticks of the last chunk at which the robot may be, and return whether the chunk's proofs still
    hold. A robot that executes the answers is never behind the proven motions. */
 static int find_ticks(const loewner_gate *gate, double now, int64_t *from, int64_t *to)
 {
@@ -268,9 +268,9 @@ static int find_ticks(const loewner_gate *gate, double now, int64_t *from, int64
     return holds;
 }
 
-/* Return the ticks from..to of the last chunk that agree with a measured state, nearest first, one with each call; -1
-   if there are no more. A slow robot agrees with several. The tick of the present time comes first, even if the world
-   is at rest. `off` and `tick` have the values of the previous call; at the first call both are -1. */
+/* Return the ticks from..to of the last chunk that agree with a measured state, nearest first, one in each call; -1 if
+   there are no more. For a slow robot, several ticks agree. The tick of the present time comes first, even if the world
+   is at rest. `off` and `tick` have the values of the previous call; for the first call both are -1. */
 static int64_t next_tick(const loewner_gate *gate, const double *q, const double *dq, int64_t from, int64_t to,
                          double *off, int64_t tick)
 {
@@ -306,7 +306,7 @@ static void write_rates(const loewner_gate *gate, Chunk *chunk)
         chunk->rates[k] = (chunk->rows[k] - chunk->rows[k - gate->dof]) / chunk->dt;
 }
 
-/* Append new targets to the last chunk, seen from one of its ticks, if they go on as before. */
+/* Append new targets to the last chunk, as seen from one of its ticks, if they continue it unchanged. */
 static int goes_on(loewner_gate *gate, int64_t tick, const double *targets, int64_t count, double dt)
 {
     const Chunk *last = &gate->last;
@@ -331,7 +331,7 @@ static int goes_on(loewner_gate *gate, int64_t tick, const double *targets, int6
     while (gate->on_path && made->braked >= first && made->ends[made->braked] > count) /* its path was longer */
         made->braked--;
     const Stop none = {-1, 0, -1, 0}, stops[] = {later(last->motion_stop, tick), later(last->brake_stop, tick)};
-    int is_same = is_same_world(gate); /* and behind fewer targets, others may follow */
+    int is_same = is_same_world(gate); /* and with fewer targets before it; others may follow */
     made->motion_stop = is_same && stops[0].needed <= count ? stops[0] : none;
     made->brake_stop = is_same && stops[1].needed <= count ? stops[1] : none;
     return 1;
@@ -371,7 +371,7 @@ static loewner_status prove_course(loewner_gate *gate, double *course, int64_t p
     return LOEWNER_OK;
 }
 
-/* The brake in a gate, as arguments of kernels. */
+/* The brake in a gate, as arguments for kernels. */
 #define BRAKE(gate)                                                                                                    \
     .times = {gate->times, 1, gate->pieces}, .states = {gate->states, 1, gate->pieces, 3, gate->dof},                  \
     .counts = {&gate->pieces_made, 1}
@@ -384,7 +384,7 @@ static loewner_status stop(loewner_gate *gate, const double *q, const double *dq
                 .strongest = {gate->strongest, dof}, .jerk = {gate->jerk, dof}, BRAKE(gate));
 }
 
-/* Brake from a tick of a chunk; on the path, on as much of it as was known when this brake was proven. */
+/* Brake from a tick of a chunk. On the path, only the part that was known when this brake was proven is used. */
 static loewner_status brake_from(loewner_gate *gate, const Chunk *chunk, int64_t tick)
 {
     int64_t dof = gate->dof, rows = chunk->ends[tick] + 2;
@@ -405,14 +405,14 @@ static double stopping_time(const loewner_gate *gate, int64_t c, double v)
     return v <= strongest * strongest / jerk ? 2 * sqrt(v / jerk) : v / strongest + strongest / jerk;
 }
 
-/* How many steps a brake as a whole may take: about as many as one interval does. */
+/* Limit on the steps for a brake as a whole: about as many as one interval takes. */
 static int64_t steps_of_whole(const loewner_gate *gate)
 {
     return gate->checker->state.pairs > LEAST_STEPS ? gate->checker->state.pairs : LEAST_STEPS;
 }
 
-/* Try to prove a whole brake as one course, which takes one interval where nothing is near, with `steps` at most. The
-   robot may be at rest only `until` seconds after it began. */
+/* Try to prove a whole brake as one course with at most `steps` steps; if nothing is near, this takes one interval. The
+   robot may come to rest as late as `until` seconds after the brake began. */
 static loewner_status prove_whole(loewner_gate *gate, double begin, double dt, int64_t points, double until,
                                   int64_t steps, Proof *proof, int *is_free)
 {
@@ -429,8 +429,9 @@ static loewner_status prove_whole(loewner_gate *gate, double begin, double dt, i
     return LOEWNER_OK;
 }
 
-/* Prove the brake that was made last, which begins at a time; `rate` is its velocity, NULL on the path. A robot that is
-   faster by the error goes farther and is at rest later. Joint by joint, the brake as a whole may take `steps`. */
+/* Prove the most recent brake, which begins at a given time; `rate` is its velocity, or NULL on the path. A robot that
+   is faster by the velocity error travels farther and comes to rest later. Joint by joint, the brake as a whole may
+   take `steps`. */
 static loewner_status prove_brake(loewner_gate *gate, double begin, double dt, const double *rate, int64_t steps,
                                   Proof *proof)
 {
@@ -453,7 +454,7 @@ static loewner_status prove_brake(loewner_gate *gate, double begin, double dt, c
     TRY(CALL(courses_of_brakes, &made, .courses = {gate->courses, pieces, points, dof},
              .seconds = {gate->seconds, pieces}, BRAKE(gate)));
     if (rate == NULL || pieces > 1) {
-        /* Where a long brake fails, it mostly fails at its end, where no interval has to be halved. */
+        /* A long brake that fails usually fails at its end, where no interval has to be halved. */
         double *still = gate->courses + pieces * points * dof;
         for (int k = 0; k < 2; k++)
             memcpy(still + k * dof, gate->states + 3 * pieces * dof, (size_t)dof * sizeof *still);
@@ -471,7 +472,7 @@ static loewner_status prove_brake(loewner_gate *gate, double begin, double dt, c
                         proof);
 }
 
-/* Prove motions, and then the brakes from their ends, as far as they are free. */
+/* Prove motions, and then the brakes from their ends, for as long as they are free. */
 static loewner_status prove_chunk(loewner_gate *gate, Chunk *chunk, Proof *proof)
 {
     int64_t dof = gate->dof, growing = gate->checker->state.growing;
@@ -518,7 +519,7 @@ static loewner_status prove_chunk(loewner_gate *gate, Chunk *chunk, Proof *proof
         if (proof->reason) {
             if (proof->reason == LOEWNER_REASON_CONTACT)
                 proof->reason = LOEWNER_REASON_BRAKE;
-            /* Behind the last target, a brake would go another way with more targets. */
+            /* After the last target, a brake would take another path if there were more targets. */
             chunk->brake_stop.tick = -1;
             if (end <= chunk->count)
                 chunk->brake_stop = stop_at(tick, end, proof);
@@ -533,7 +534,7 @@ static loewner_status prove_chunk(loewner_gate *gate, Chunk *chunk, Proof *proof
     return LOEWNER_OK;
 }
 
-/* Find the largest scale of time (half, quarter or eighth) with which the chunk is proven; 0 if there is none. */
+/* Find the largest time scale (half, quarter or eighth) for which the chunk is proven; 0 if there is none. */
 static loewner_status find_scale(loewner_gate *gate, Proof *proof, double *scale)
 {
     const Chunk *chunk = &gate->made;
@@ -566,7 +567,7 @@ static loewner_status find_scale(loewner_gate *gate, Proof *proof, double *scale
 
 /* -- checks -------------------------------------------------------------------------------------------------------- */
 
-/* How many targets are within the limits, and the joint whose target is not; -1 if all are. */
+/* How many targets are within the limits, and the joint that violates them; -1 if all are within. */
 static int64_t within_limits(const loewner_gate *gate, const double *q, const double *targets, int64_t count, double dt,
                              int32_t *joint)
 {
@@ -584,7 +585,7 @@ static int64_t within_limits(const loewner_gate *gate, const double *q, const do
     return count;
 }
 
-/* Write an answer with the brake that was made last. */
+/* Write an answer with the most recent brake. */
 static loewner_status answer_with(loewner_gate *gate, int32_t state, int64_t steps, int is_proven, double begins,
                                   const Proof *proof, loewner_gate_answer *answer)
 {
@@ -618,8 +619,8 @@ static loewner_status answer_with(loewner_gate *gate, int32_t state, int64_t ste
     return LOEWNER_OK;
 }
 
-/* Begin a new chunk, or prove one that goes on again, from the last command on; a pair that is not free where the robot
-   is becomes the proof's. */
+/* Begin a new chunk, or prove one that continues the last one, starting from the last command. A pair that is not free
+   at the robot's position becomes the result of the proof. */
 static loewner_status begin_chunk(loewner_gate *gate, int goes_on, const double *q, const double *dq,
                                   const double *targets, int64_t count, double dt, double now, int64_t late,
                                   Proof *proof)
@@ -657,8 +658,8 @@ static loewner_status begin_chunk(loewner_gate *gate, int goes_on, const double 
     return LOEWNER_OK;
 }
 
-/* Let the chunk be the last one that may run. If it goes on, the present places of bodies are within the older ones, and
-   new motions are proven for the present places only. */
+/* Make this chunk the last one that may run. If it continues the last one, the present poses of bodies are within the
+   older bounds, and new motions are proven for the present poses only. */
 static void adopt(loewner_gate *gate)
 {
     const Chunk made = gate->made;
@@ -696,13 +697,13 @@ static loewner_status judge(loewner_gate *gate, const double *q, const double *d
     TRY(prove_chunk(gate, made, &proof));
     if (!proof.reason && count < wanted)
         proof.reason = LOEWNER_REASON_LIMITS;
-    if (!proof.reason && count <= late) /* an order to brake would take effect behind the last target */
+    if (!proof.reason && count <= late) /* a command to brake would take effect after the last target */
         proof.reason = LOEWNER_REASON_BRAKE;
     int64_t steps = made->braked - late;
     answer->scale = proof.reason ? 0 : 1;
     int may_scale = proof.reason == LOEWNER_REASON_BRAKE ||
                     (proof.reason && proof.reason != LOEWNER_REASON_LIMITS && gate->checker->state.growing > 0);
-    if (gate->wants_scale && may_scale && count > late) /* otherwise slower motions would meet the same */
+    if (gate->wants_scale && may_scale && count > late) /* otherwise slower motions would meet the same obstacle */
         TRY(find_scale(gate, &proof, &answer->scale));
     if (!proof.reason || steps > 0) {
         adopt(gate);
@@ -710,7 +711,8 @@ static loewner_status judge(loewner_gate *gate, const double *q, const double *d
         return answer_with(gate, proof.reason ? LOEWNER_GATE_PREFIX : LOEWNER_GATE_GO, steps, 1,
                            dt * (double)gate->last.braked, &proof, answer);
     }
-    off = -1; /* the last chunk that may run goes on until the robot brakes; with a latency, elsewhere for each tick */
+    off = -1; /* the last chunk that may run continues until the robot brakes; with a latency, the brake begins
+                 elsewhere for each tick */
     int64_t here = next_tick(gate, q, dq, from, to, &off, -1), other = next_tick(gate, q, dq, from, to, &off, here);
     int is_sure = other < 0 || (here > 0 && (double)here == rint((now - gate->last.t0) / gate->last.dt));
     off = -1;

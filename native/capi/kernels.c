@@ -1,4 +1,4 @@
-/* Finds the machine code that lies beside this library, for the best level of processors that this machine supports. */
+/* Finds the machine code next to this library, for the highest processor level that this machine supports. */
 
 #define _GNU_SOURCE
 #include "internal.h"

@@ -1,4 +1,5 @@
-/* Configurations and motions of a checker: what `loewner/robots/checking/verdicts.py`, `proofs.py` and `distances.py` do. */
+/* Configurations and motions of a checker: the counterpart of `loewner/robots/checking/verdicts.py`, `proofs.py` and
+   `distances.py`. */
 
 #include "internal.h"
 
@@ -13,7 +14,7 @@ _Static_assert(CODE_FREE == LOEWNER_FREE && CODE_COLLIDING == LOEWNER_COLLIDING 
 
 loewner_status check_count(size_t n, size_t doubles, const char *name)
 {
-    const size_t most = ((size_t)1 << 56) / sizeof(double) / doubles; /* more than any address space has */
+    const size_t most = ((size_t)1 << 56) / sizeof(double) / doubles; /* more than any address space holds */
     if (n > most)
         return fail(LOEWNER_BAD_ARGUMENT, "%s: expected at most %zu, found %zu", name, most, n);
     return LOEWNER_OK;
@@ -76,7 +77,7 @@ static loewner_status place_links(const Tree *tree, const double *configurations
                 .Q = {configurations, n, dof}, .stop = n, .out = {poses, n, links, 4, 4});
 }
 
-/* Exact verdicts of all pairs, with all bodies at poses. */
+/* Exact verdicts for all pairs, with all bodies at the given poses. */
 static loewner_status settle_pairs(const State *state, loewner_workspace *workspace, const double *poses,
                                    int8_t *verdicts)
 {
@@ -113,7 +114,7 @@ static int8_t worst(const int8_t *verdicts, int64_t count)
     return found;
 }
 
-/* Poses of all bodies, with the links at poses. */
+/* Poses of all bodies, for given poses of the links. */
 static void place_bodies(const State *state, const double *links, double *poses)
 {
     for (int64_t k = 0; k < state->moving; k++)
@@ -130,14 +131,14 @@ static loewner_status settle_one(const loewner_checker *checker, loewner_workspa
     return settle_pairs(state, workspace, workspace->poses, verdicts);
 }
 
-/* The pairs that collided most often come first from now on. */
+/* From now on, the pairs that have collided most often come first. */
 static void learn(const State *state, loewner_workspace *workspace, size_t n)
 {
     workspace->seen += (int64_t)n;
     if (workspace->seen < workspace->next_look)
         return;
     workspace->next_look = 2 * workspace->seen;
-    /* A stable sort by insertion: few pairs ever collide, and they soon are in front. */
+    /* A stable insertion sort: few pairs ever collide, and these are soon in front. */
     for (int64_t k = 0; k < state->pairs; k++)
         workspace->order[k] = k;
     for (int64_t k = 1; k < state->pairs; k++) {
@@ -229,7 +230,7 @@ loewner_status loewner_checker_collide_placed(const loewner_checker *checker, lo
     if (verdict == NULL)
         return fail(LOEWNER_BAD_ARGUMENT, "verdict: expected a pointer, found NULL");
     memcpy(workspace->link_poses, link_poses, (size_t)links * 16 * sizeof(double));
-    for (int64_t k = 0; k < state->moving; k++) { /* attached bodies have links of their own, behind the robot's */
+    for (int64_t k = 0; k < state->moving; k++) { /* attached bodies have links of their own, after the robot's */
         const Body *body = checker->bodies + state->body[k];
         if (body->is_attached)
             multiply(link_poses + 16 * body->link, body->pose, workspace->link_poses + 16 * state->link[k]);
@@ -349,7 +350,7 @@ void straight(const loewner_checker *checker, const double *a, const double *b, 
     size_t size = sizeof(double) * (size_t)file->dof;
     memcpy(course, a, size);
     memcpy(course + file->dof, b, size);
-    for (int64_t c = 0; c < file->quaternion_count; c++) { /* the nearer of q and -q */
+    for (int64_t c = 0; c < file->quaternion_count; c++) { /* the nearer one of q and -q */
         const double *p = a + file->quaternions[c];
         double *q = course + file->dof + file->quaternions[c];
         if (p[0] * q[0] + p[1] * q[1] + p[2] * q[2] + p[3] * q[3] < 0)
@@ -358,7 +359,7 @@ void straight(const loewner_checker *checker, const double *a, const double *b, 
     }
 }
 
-/* An elementary function of a number, with the bits that it has in Python. */
+/* An elementary function of a number, with the same bits as in Python. */
 static double elementary(int64_t function, double x)
 {
     double result = NAN;
@@ -366,7 +367,7 @@ static double elementary(int64_t function, double x)
     return result;
 }
 
-/* An orientation on the shorter arc from p to q, as `Robot.between` has it. */
+/* An orientation on the shorter arc from p to q, as in `Robot.between`. */
 static void slerp(const double *p, const double *q, double t, double *made)
 {
     double cosine = fmin(p[0] * q[0] + p[1] * q[1] + p[2] * q[2] + p[3] * q[3], 1.0);
@@ -384,7 +385,7 @@ static void slerp(const double *p, const double *q, double t, double *made)
         made[k] /= sqrt(norm);
 }
 
-/* By products alone, in the order of `_matrices.power`: the last bit of `pow` depends on the C library. */
+/* Use only products, in the order of `_matrices.power`: the last bit of `pow` depends on the C library. */
 static double power(double x, int32_t exponent)
 {
     double raised = 1;
@@ -429,7 +430,7 @@ loewner_status certify(const loewner_checker *checker, loewner_workspace *worksp
         work[WORK * k + WORK - 1] = steps;
         verdicts[k] = (int8_t)as_given;
     }
-    /* `clear` is left out: bodies may be as near as their margins. */
+    /* `clear` is ignored, since bodies may be as near as their margins. */
     return CALL(certify_motions, NULL, .stop = count, .courses = {courses, count, points, checker->file->dof},
                 .off = {off, width > 0 ? count : 0, width}, .tolerance = tolerance, .pack = (int64_t)&half->pieces,
                 .problem_handle = half->handle, .tables_handle = half->motions, .out = {verdicts, count},
@@ -437,7 +438,7 @@ loewner_status certify(const loewner_checker *checker, loewner_workspace *worksp
                 .memory = workspace->memory);
 }
 
-/* Bound how far points of a body may be off at a time that is itself off by `late` [m], with more than enough for
+/* Bound the deviation of a body's points at a time that is itself off by `late` [m], with more than enough room for
    rounding (B69). */
 static double off_at(const loewner_checker *checker, int64_t place, double t, double late)
 {
@@ -454,7 +455,7 @@ static double off_at(const loewner_checker *checker, int64_t place, double t, do
     return fmin(off * (1 + 0x1p-44), 1e100); /* also if it is not a number */
 }
 
-/* Write behind the values of a motion how far bodies may be off, as the kernel takes it. */
+/* After the values of a motion, write the deviations of bodies in the kernel's form. */
 static void write_growth(const loewner_checker *checker, double t0, double t1, double late, double *row)
 {
     const State *state = &checker->state;
@@ -545,7 +546,7 @@ static loewner_status check_options(const loewner_checker *checker, const loewne
     return LOEWNER_OK;
 }
 
-/* Check the times of motions, which bodies with a speed or a turn need. */
+/* Check the times of motions, which are required for bodies with a speed or a turn. */
 static loewner_status check_times(const loewner_checker *checker, const loewner_proof_options *options, size_t n)
 {
     const State *state = &checker->state;
@@ -584,13 +585,13 @@ static size_t write_courses(const loewner_checker *checker, loewner_workspace *w
     return count;
 }
 
-/* How many steps each motion may take. */
+/* Limit on the steps for each motion. */
 static int64_t steps_of(const loewner_proof_options *options)
 {
     return options != NULL && options->steps > 0 && options->steps < CODE_NO_LIMIT ? options->steps : CODE_NO_LIMIT;
 }
 
-/* Write how many steps the motions from the first on took. */
+/* Write how many steps the motions took, beginning with the first. */
 static void write_steps(const loewner_workspace *workspace, const loewner_proof_options *options, size_t first,
                         size_t count)
 {
@@ -598,7 +599,7 @@ static void write_steps(const loewner_workspace *workspace, const loewner_proof_
         options->steps_taken[first + k] = workspace->work[WORK * k + WORK - 1];
 }
 
-/* Prove a block of courses that are in the workspace, and write the requested results. */
+/* Prove a block of courses in the workspace, and write the requested results. */
 static loewner_status prove_block(const loewner_checker *checker, loewner_workspace *workspace, size_t first,
                                   size_t count, int32_t degree, const loewner_proof_options *options, int8_t *verdicts,
                                   double *fractions, int32_t (*bodies)[2])
@@ -637,7 +638,7 @@ loewner_status loewner_checker_certify_edges(const loewner_checker *checker, loe
     return LOEWNER_OK;
 }
 
-/* Find out which of the straight courses in the workspace are free. */
+/* Determine which of the straight courses in the workspace are free. */
 static loewner_status find_free(const loewner_checker *checker, loewner_workspace *workspace, int64_t count,
                                 const loewner_proof_options *options, int8_t *is_free)
 {

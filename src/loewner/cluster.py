@@ -2,8 +2,8 @@
 
 Dask is imported only when a function here is called: ``pip install "loewner[cluster]"``.
 
-Each task uses one thread. Dask runs as many tasks at a time as a worker has threads, so calls that used all processors,
-as they do elsewhere, would compete with one another.
+Each task uses one thread. Dask runs as many tasks at a time as a worker has threads. If calls used all processors, as
+they do elsewhere, they would compete with one another.
 """
 
 from __future__ import annotations

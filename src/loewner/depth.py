@@ -1,4 +1,4 @@
-"""Depth images: their points, and the space that their rays have passed."""
+"""Depth images: their points, and the space that their rays have crossed."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ BYTES = 200
 class SeenSpace:
     """A grid of cells, each of them seen to be empty by a depth camera or unknown.
 
-    A cell is seen if all of it is in front of the depths of all pixels onto which it projects. All other cells are
-    unknown: behind a surface, in the shadow of the robot, outside the image, or without an echo. Seen cells stay
-    seen until `forget`.
+    A cell is seen if all of it lies in front of the depths of all pixels onto which it projects. All other cells are
+    unknown: behind a surface, in the shadow of the robot, outside the image, or without an echo. Seen cells stay seen
+    until `forget`.
 
     Parameters
     ----------
@@ -107,8 +107,8 @@ class SeenSpace:
         Raises
         ------
         InputError, PoseError
-            As for `points_of`, or if the image is older than the last one with a time: something may have moved into
-            its cells since.
+            As for `points_of`, or if the image is older than the last one with a time, since something may have moved
+            into its cells in between.
         """
         depths, intrinsics, T = camera_of(image, K, T_world_camera)
         now = None if time is None else float(_validate.finite_array(time, "time", ()))
@@ -141,12 +141,12 @@ class SeenSpace:
         self.time = self.time if now is None else now
 
     def forget(self, older_than: int) -> None:
-        """Make cells unknown again that were last seen long ago.
+        """Make cells unknown again if they were last seen long ago.
 
         Parameters
         ----------
         older_than : int
-            Cells that were seen in one of this number of latest images, or in the one before them, stay seen.
+            Cells stay seen if they were seen in one of this many most recent images, or in the image before them.
 
         Raises
         ------
@@ -168,13 +168,15 @@ class SeenSpace:
         Parameters
         ----------
         checker : CollisionChecker, optional
-            Leave out the cells in which the robot is, or a body that it carries: it could not leave them otherwise.
+            Leave out the cells that contain the robot or a body that it carries, since the robot could not leave them
+            otherwise.
         q : array_like, shape (dof,), optional
             The robot's configuration.
         clear : float
-            Cells that come within this distance of the robot are left out, and some up to a cell's diagonal farther.
+            Leave out cells that come within this distance of the robot, and some cells that are up to a cell's diagonal
+            farther away.
         closed : bool
-            Put a layer of cells around the grid. Otherwise the space outside is free, although it is unseen.
+            Put a layer of cells around the grid. Without it, the space outside is free although it is unseen.
 
         Returns
         -------

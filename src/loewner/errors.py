@@ -36,7 +36,7 @@ class InputError(LoewnerError, ValueError):
 
 
 class GeometryError(InputError):
-    """The geometry is empty, flat, unbounded or too small for an ellipsoid.
+    """The geometry is empty, flat, unbounded, or too small for an ellipsoid.
 
     Examples
     --------
@@ -49,7 +49,7 @@ class GeometryError(InputError):
 
 
 class PoseError(InputError):
-    """A pose does not end in (4, 4), is not a rigid motion, or does not broadcast.
+    """A pose does not have the shape (..., 4, 4), is not a rigid motion, or does not broadcast.
 
     Examples
     --------
@@ -63,7 +63,7 @@ class PoseError(InputError):
 
 
 class ConvergenceError(LoewnerError, ArithmeticError):
-    """An iteration did not reach its certificate; the error is raised instead of returning a guess.
+    """An iteration did not reach its certificate, so this error is raised instead of returning a guess.
 
     Attributes
     ----------

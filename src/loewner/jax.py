@@ -26,7 +26,7 @@ def clearance(checker: CollisionChecker, *, softness: float = 0.005) -> Callable
     Parameters
     ----------
     checker : CollisionChecker
-        Its scene may change between calls; each call, also of a compiled function, uses the scene's current state.
+        Its scene may change between calls; each call, even of a compiled function, uses the scene's current state.
     softness : float
         In metres; see `CollisionChecker.clearance`.
 
@@ -47,7 +47,7 @@ def clearance(checker: CollisionChecker, *, softness: float = 0.005) -> Callable
     Notes
     -----
     The function works under ``jit``, ``vmap``, ``grad``, ``value_and_grad``, ``jacfwd`` and ``jacrev``, by means of
-    ``pure_callback``. A batch is one call of the kernel, also under ``vmap``, and so is a value with its gradient. The
+    ``pure_callback``. A batch is one call of the kernel, even under ``vmap``, and so is a value with its gradient. The
     kernel runs on the CPU; JAX copies configurations on any other device to the CPU, and the results back. There are no
     second derivatives: ``hessian`` raises.
 

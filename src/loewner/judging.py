@@ -1,4 +1,5 @@
-"""Judge the answers of another program about pairs of bodies: which are proven wrong, in what way, and by how much."""
+"""Judge the answers of another program about pairs of bodies: which ones are proven wrong, in what way, and by how
+much."""
 
 from __future__ import annotations
 
@@ -101,15 +102,15 @@ class Finding(IntEnum):
 
 
 class Convention(NamedTuple):
-    """Answers that were read by another convention.
+    """Answers that were interpreted by another convention.
 
     Attributes
     ----------
     about, reading : str
-        Which parts of answers, in the plural, and the convention: two parts of a sentence.
+        The parts of answers concerned, in the plural, and the convention: two parts of a sentence.
     wrong, right, spoilt : int
-        Numbers of parts that are wrong as they are given; that are then right by the convention; and that are right as
-        they are given and wrong by the convention.
+        Numbers of parts that are wrong as given, that are then right by the convention, and that are right as given but
+        wrong by the convention.
     """
 
     about: str
@@ -120,7 +121,7 @@ class Convention(NamedTuple):
 
 
 def hints(tried: Iterable[Convention]) -> tuple[str, ...]:
-    """Name the conventions that explain (nearly) all wrong answers: one sentence for each kind of parts."""
+    """Name the conventions that explain (nearly) all wrong answers, with one sentence for each kind of part."""
     sums: dict[tuple[str, str], Any] = {}
     for one in tried:
         sums[one[:2]] = np.add(sums.get(one[:2], 0), one[2:])
@@ -254,27 +255,28 @@ def judge_answers(
     """Judge another program's answers about pairs of bodies.
 
     Each part of an answer is judged by itself. A part that is called wrong is proven wrong, including all rounding. An
-    answer of NaN is not judged, nor is a normal of zeros.
+    answer of NaN is not judged, and neither is a zero normal.
 
     Parameters
     ----------
     a, b : Body or Bodies
-        The bodies as the other program has them. A `Bodies` of n broadcasts with the last batch axis of the poses.
+        The bodies as the other program represents them. A `Bodies` of n broadcasts with the last batch axis of the
+        poses.
     T_world_a, T_world_b : array_like, shape (..., 4, 4), or None
         Poses, broadcast together and with the answers; translation in metres. None is the identity.
     colliding : array_like, shape (...), optional
         Whether the bodies collide: True or 1, False or 0, NaN for no answer.
     distance : array_like, shape (...), optional
-        Distances in metres. A negative value is a depth. 0 is right for all bodies that collide, since many programs
-        have no depths.
+        Distances in metres. A negative value is a depth. 0 is right for all bodies that collide, since many programs do
+        not compute depths.
     depth : array_like, shape (...), optional
         Lengths of the shortest translations that separate the bodies, in metres; 0 for bodies that are apart.
     witness_a, witness_b : array_like, shape (..., 3), optional
-        The points of a and of b, in world coordinates, that belong to the distance or depth.
+        The points of a and of b, in world coordinates, that realise the distance or depth.
     normal : array_like, shape (..., 3), optional
         Direction from a to b, of any length: along it, b moves away from a.
     tolerance : float
-        Error in metres that is allowed.
+        Allowed error in metres.
 
     Returns
     -------
@@ -288,9 +290,9 @@ def judge_answers(
 
     Notes
     -----
-    Depths and normals of bodies that overlap have one meaning for two convex pieces only. For other bodies, a depth is
-    called too small only if it is less than the depth of two of their pieces, and too large only if a shorter
-    translation separates them; their normals, and how far their witnesses are apart, are not called wrong.
+    Depths and normals of overlapping bodies have a single meaning only for two convex pieces. For other bodies, a depth
+    is called too small only if it is less than the depth of two of their pieces, and too large only if a shorter
+    translation separates the bodies. Their normals, and the distances between their witnesses, are not called wrong.
 
     Examples
     --------

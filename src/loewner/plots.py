@@ -226,7 +226,7 @@ def configuration(checker: CollisionChecker, q: ArrayLike, *, ax: Any = None) ->
 
 
 def cover(robot: Robot, model: Robot, q: ArrayLike | None = None, *, ax: Any = None) -> Any:
-    """Draw a robot and the shapes that should contain its links, with red where a link is outside of them.
+    """Draw a robot and the shapes that should contain its links, in red where a link is outside them.
 
     Colours belong to triangles of about 3 % of each link's size, so smaller holes may be missed; `Robot.covered_by`
     proves where they are.
@@ -326,16 +326,16 @@ def _add_triangles(ax: Any, corners: Floats, colour: str, alpha: float) -> None:
 def trajectory(checker: CollisionChecker, curve: Any, *, joint_error: ArrayLike = 0.0, ax: Any = None) -> Any:
     """Draw the distances of the nearest pairs along a curve, its worst moment, and where it is not proven free.
 
-    A line shows the distance of a pair in millimetres, measured at equal steps in time; below zero it is a depth.
-    Besides the nearest pairs, each pair at which the proof of a piece ended has a line. Such a piece has a coloured
-    background: a pair collides, or is ambiguous. A dot marks the least measured distance.
+    A line shows the distance of a pair in millimetres, measured at equal steps in time; below zero it is a depth. In
+    addition to the nearest pairs, each pair at which the proof of a piece ended has a line. Such a piece has a coloured
+    background, since a pair collides or is ambiguous. A dot marks the least measured distance.
 
     Parameters
     ----------
     checker : CollisionChecker
     curve : PPoly, BPoly, BSpline, planners.Trajectory, planners.ControllerPoints, or ndarray, shape (k, dof)
         As for `CollisionChecker.certify_trajectory`; or a path, whose straight motions are proven by
-        `CollisionChecker.certify_edges` and drawn along the numbers of its configurations, since it has no times.
+        `CollisionChecker.certify_edges`. A path is drawn over the indices of its configurations, since it has no times.
     joint_error : float or array_like, shape (dof,)
         Radians or metres, as for `CollisionChecker.certify_trajectory`.
     ax : matplotlib axes, optional

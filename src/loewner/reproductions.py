@@ -1,4 +1,5 @@
-"""Write a wrong answer about two convex bodies as a small program that proves it in fractions, without any library."""
+"""Write a wrong answer about two convex bodies as a small program that proves the error in exact fractions, without any
+library."""
 
 from __future__ import annotations
 
@@ -102,16 +103,17 @@ def reproduction(
     tolerance: float = 1e-6,
     engine: Callable[[Floats, Floats], Answers] | None = None,
 ) -> str:
-    """Write a program of a page that proves an answer to be wrong, by fractions of Python's standard library alone.
+    """Write a one-page program that proves an answer to be wrong, using only the fractions in Python's standard
+    library.
 
     It contains the corners, the poses and the answer, as decimals that are read back without loss, and a proof of each
     part that is wrong: a plane between the bodies, two of their points, or a surface around the differences of their
-    corners. It prints by how much the answer is wrong at least. Include it in a report to the other program's authors.
+    corners. It prints a lower bound on the error of the answer. Include it in a report to the other program's authors.
 
     Parameters
     ----------
     a, b : Body
-        Convex hulls: bodies of one polytope each.
+        Convex hulls: bodies that each consist of one polytope.
     T_world_a, T_world_b : array_like, shape (4, 4), or None
         Poses; translation in metres. None is the identity.
     colliding, distance, depth, witness_a, witness_b, normal, tolerance
@@ -119,7 +121,8 @@ def reproduction(
     engine : callable, optional
         Called as engine(corners_a, corners_b) with arrays of shapes (n, 3); returns the other program's answers about
         these hulls at the same poses, in a dict with names of parts as keys. As long as the worst part remains wrong in
-        the same way, the coordinates are rounded, and corners are removed one by one. Answers are then not given.
+        the same way, the coordinates are rounded, and corners are removed one by one. The argument for answers is then
+        not given.
 
     Returns
     -------
@@ -129,7 +132,7 @@ def reproduction(
     Raises
     ------
     PoseError, InputError
-        As for `judging.judge_answers`; and if a body is not one polytope, or nothing is proven wrong.
+        As for `judging.judge_answers`; also if a body is not a single polytope, or if nothing is proven wrong.
 
     Examples
     --------

@@ -48,7 +48,7 @@ def clearance(checker: CollisionChecker, *, softness: float = 0.005) -> Callable
     Notes
     -----
     The function is a ``torch.autograd.Function``: ``backward`` works, and so do ``vmap``, ``grad``, ``jacrev``, ``jvp``
-    and ``jacfwd`` of ``torch.func``. A batch is one call of the kernel, also under ``vmap``. Gradients are computed
+    and ``jacfwd`` of ``torch.func``. A batch is one call of the kernel, even under ``vmap``. Gradients are computed
     together with the values if they may be needed. There are no second derivatives: differentiating twice raises an
     error.
 

@@ -1,21 +1,22 @@
 """Check a file that proves motions free of collisions, in whole numbers and fractions, without the rest of the library.
 
 It also checks proofs that pairs of bodies are free over ranges of the joints between them, or that two bodies collide.
-This file needs only Python's standard library, and runs by itself: ``python verify.py plan.proof``. The page
+This file needs only Python's standard library, and can be run by itself: ``python verify.py plan.proof``. The page
 docs/proof-format.md describes the files and shows why a file that passes is a proof. Lengths, sines and matrices are
 whole numbers of units of 2^-72. Rounding has these bounds, in units, for the norms of vectors and matrices (the root of
 the sum of squares); lengths that multiply them are in metres.
 
-- A double, a fixed rotation and an axis are rounded by less than 1 in each entry, a sine or cosine by less than 2: 1/10
-  for the angle, 1/1000 for the series, 1 for the result. In a joint's rotation c + s e + (1 - c) e e the terms have
-  errors below 2, 3 and 4 in each entry, and 1 for the sum, so the matrix has an error below 30. Products with the fixed
-  rotation and with the parent's make this 41 for each link of the chain: ``TURN``.
-- A link is at its parent's place plus a step of the length l, turned. The step has an error below 3 l + 8, the parent's
-  rotation adds its error times l, and rounding adds 2. With E = TURN (links of the chain + 1) and the chain's length L
-  the error is at most E (L + 1).
-- A plane's normal n is exact, since any vector will do. In the other body's frame it has an error of 2 E |n| + 5. So a
-  gap has an error of at most (|n| + 1) E (2 X + 4 L + 3), where X is the size of the bodies, and |n| times the errors
-  of the placed points of both bodies, which are at most ``_Body.fuzz``.
+- In each entry, the rounding error of a double, a fixed rotation and an axis is less than 1. The error of a sine or
+  cosine is less than 2: a tenth for the angle, a thousandth for the series, and 1 for the result. In a joint's rotation
+  c + s e + (1 - c) e e, the terms have errors below 2, 3 and 4 in each entry, and the sum adds 1, so the matrix has an
+  error below 30. Multiplying by the fixed rotation and by the parent's rotation increases this to 41 for each link of
+  the chain: ``TURN``.
+- A link is at its parent's position plus a rotated step of length l. The step has an error below 3 l + 8, the parent's
+  rotation adds its error times l, and rounding adds 2. With E = TURN (links of the chain + 1) and the length L of the
+  chain, the error is at most E (L + 1).
+- A plane's normal n is exact, since any vector is valid. In the other body's frame it has an error of 2 E |n| + 5. A
+  gap therefore has an error of at most (|n| + 1) E (2 X + 4 L + 3), where X is the size of the bodies, plus |n| times
+  the errors of the placed points of both bodies, which are at most ``_Body.fuzz``.
 """
 
 import argparse
@@ -60,29 +61,34 @@ class Refused(Exception):
 
 @dataclass(frozen=True)
 class Report:
-    """Contents of a file that was verified; `str` makes a table of them.
+    """Contents of a verified file; `str` returns a table of them.
 
     Attributes
     ----------
     model, sizes : str, and dict of str to int
-        SHA-256 of the model; numbers of links, values, bodies, pieces, pairs proven apart, planes, intervals of pairs.
+        SHA-256 of the model; then numbers of links, values, bodies, pieces, pairs proven apart, planes, and intervals
+        of pairs.
     margins, deviations : (float, int), and tuple of (str, float)
-        The usual margin and how many pairs have another one; each value's name, and how far it may deviate.
+        The usual margin, and the number of pairs with another margin; each value's name, and how far the value may
+        deviate.
     left_out, uncovered : tuple of (str, str), and of str
-        Pairs that the model exempts; bodies with an interior that their pieces do not cover, which are not excluded.
+        Pairs that the model exempts; bodies whose pieces do not cover their interior, so that the interior is not
+        excluded.
     points, motions : tuple of tuple of tuple of float, and tuple of (int, bool, bool, int)
-        For each motion its control points; its degree, whether it starts where the one before ends, whether its control
-        points are within the limits of the values, and the number of its configurations at which planes were checked.
+        For each motion: its control points; its degree; whether it starts where the previous motion ends; whether its
+        control points are within the limits of the values; and the number of its configurations at which planes were
+        checked.
     tightest, common : (str, str, int, Fraction, Fraction, float, Fraction) or None, and (str, str) or None
-        The check with the least to spare: two bodies, a motion, an interval, the margin, and how much is left; two
-        bodies with a common point, if this is the claim of the file.
+        The check with the least room to spare: two bodies, a motion, an interval, the margin, and the remaining room.
+        If the file claims a common point, `common` names the two bodies that have it.
     rules, contacts : tuple of (str, str, int), and of (str, str, int, Fraction, Fraction, float)
-        Pairs that may be in contact at the start (1) or at the end (2) of motions, or at both (3); where they may be:
+        Pairs that may be in contact at the start (1) or at the end (2) of motions, or at both (3). For each contact:
         two bodies, a motion, an interval, and their least distance in metres, negative for an overlap.
     ranges : tuple of (str, str, float, tuple of (str, float, float, bool))
-        Two bodies, their margin in metres, and for each value between them its name, the ends of the range over which
-        they are farther apart, and whether these are all that the value can be; for a file with this claim. The last
-        five entries of `tightest` are then the number of the pair, 0, 1, the margin, and how much is left.
+        For a file with this claim: two bodies; their margin in metres; and for each value between them its name, the
+        ends of the range over which they are farther apart, and whether the range covers everything that the value can
+        be. The last five entries of `tightest` are then the index of the pair, 0, 1, the margin, and the remaining
+        room.
     """
 
     model: str
@@ -101,7 +107,7 @@ class Report:
 
     @property
     def stretches(self) -> tuple[Stretch, ...]:
-        """Contacts, joined where they go on in the next motion: two bodies, a motion and t for both ends, distance."""
+        """Contacts, joined if they continue in the next motion: two bodies, a motion and t for both ends, distance."""
         found, last = list[Stretch](), dict[tuple[str, str, float], int]()
         for a, b, number, since, until, least in self.contacts:
             k = last.get((a, b, least), -1)
@@ -740,7 +746,7 @@ class _Checker:
 
 
 def verify(data: bytes) -> Report:
-    """Check a proof, and raise `Refused` if the file is none.
+    """Check a proof, and raise `Refused` if the file is not a proof.
 
     Parameters
     ----------
@@ -788,7 +794,7 @@ def verify(data: bytes) -> Report:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Check a file, print its claim and return 0 if it is verified to be free, 1 if not, 2 if it cannot be read."""
+    """Check a file and print its claim; return 0 if it is verified to be free, 1 if not, and 2 if it cannot be read."""
     parser = argparse.ArgumentParser(description="Check a proof: motions, ranges or bodies are free, or two collide.")
     parser.add_argument("file", type=Path)
     path = parser.parse_args(argv).file

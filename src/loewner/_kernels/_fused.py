@@ -63,7 +63,7 @@ def _name(kind: str) -> str:
 def _of_function(text: str, used: set[str]) -> str:
     """Rewrite the text of a function; `used` gains the kinds of numbers in fused products."""
     lines = text.split("\n")
-    uses = Counter(_VALUE.findall(text))  # a definition counts as one
+    uses = Counter(_VALUE.findall(text))  # counts as one definition
     products = dict[str, tuple[int, str, str]]()  # of the present block: line and factors
     for at, line in enumerate(lines):
         if not line.startswith(" "):

@@ -37,7 +37,7 @@ if _config.DISABLE_JIT:
 FASTMATH = {"contract"}
 
 
-# Everything but sources, types and processors that determines compiled code.
+# Everything that determines compiled code, except sources, types and processors.
 MADE_WITH = (
     numba.__version__, llvmlite.__version__, np.__version__, platform.python_version(), platform.machine(),
     _config.BOUNDSCHECK, str(_config.OPT), _config.LOOP_VECTORIZE, _config.SLP_VECTORIZE,
@@ -114,7 +114,7 @@ class _Cache(NullCache):
 
     failure: OSError | None = None  # reason of the last failure to write
 
-    # Parts that were compiled in this process: equal functions share one, or its name would be defined twice.
+    # Parts that were compiled in this process. Equal functions share one; otherwise its name would be defined twice.
     _made: ClassVar[dict[str, tuple[Any, ...]]] = {}
 
     def __init__(self, kernel: Callable[..., Any], form: str) -> None:
@@ -218,7 +218,8 @@ class _Stored(CPUDispatcher):
         arguments, _ = normalize_signature(sig)
         if tuple(arguments) in self.overloads:
             return self.overloads[tuple(arguments)].entry_point
-        # In this order: a thread that held a claim and waited for the lock would block the one that has it.
+        # The order matters: a thread that held a claim while it waited for the lock would block the thread that has the
+        # lock.
         with global_compiler_lock, self._cache.claimed(arguments, self.targetctx.codegen()):
             return super().compile(sig)
 
@@ -277,8 +278,8 @@ class _Callable(_Stored):
 
 def _compiled(function: Callable[..., Any], apart: bool = False, **options: Any) -> Any:
     if function.__closure__:
-        # Functions of one factory share their name. Numba distinguishes them by numbers that start anew in each
-        # process, but parts made by two processes must not be confused.
+        # Functions of one factory share their name. Numba distinguishes them by numbers that restart in each process,
+        # but parts from two processes must not be confused.
         identity = hashlib.sha256(repr(_identity(function)).encode()).hexdigest()
         function.__qualname__ = f"{function.__qualname__}.{identity[:12]}"
     _store.expect_as_read(function.__module__)

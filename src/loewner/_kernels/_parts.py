@@ -28,8 +28,8 @@ from loewner._kernels._numba import (
 
 _config: Any = numba.config  # its settings are made at run time and have no types
 
-# Numba's passes for features that kernels do not use: `with` blocks, closures, functions inlined before they are typed,
-# literals as types. A kernel that needed one would not compile.
+# Passes of Numba for features that kernels do not use: `with` blocks, closures, functions inlined before typing, and
+# literals as types. A kernel that needed one of them would not compile.
 NOT_NEEDED = {
     untyped_passes.WithLifting,
     untyped_passes.InlineClosureLikes,
@@ -182,7 +182,7 @@ def everything_called(libraries: Iterable[JITCodeLibrary]) -> list[JITCodeLibrar
     return list(found)
 
 
-CHUNK = 32  # modules linked at a time: each link takes as long as all that is linked into
+CHUNK = 32  # modules linked at a time: a link takes as long as the module that it links into is large
 
 
 def in_one(modules: list[Any]) -> Any:

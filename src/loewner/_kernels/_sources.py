@@ -7,7 +7,7 @@ import zlib
 from functools import cache
 from pathlib import Path
 
-# Archive of the kernels in a wheel, and the modules beside it, which Python reads even if a library is used.
+# Archive of the kernels in a wheel, and the modules next to it, which Python reads even if a library is used.
 ARCHIVE = "sources.zip"
 LOOSE = ("__init__.py", "_sealed.py", "_sources.py", "codes.py", "columns.py", "records.py", "tolerances.py")
 

@@ -24,10 +24,10 @@ from loewner._kernels import _sealed, _sources
 
 FOLDER = _sources.cache_folder() / "kernels"
 
-# Seconds after which a file that nothing has read is removed, and after which a file that is read is marked anew.
+# Times in seconds: a file that nothing reads for the first is removed; a file in use is marked again after the second.
 KEPT, DAY = 30 * 86_400.0, 86_400.0
 
-# The operations of vectors are chosen by types, without an import where they are used.
+# Types choose the vector operations, so the modules that use them need not import them.
 ALWAYS = ("_numba", "_jit", "_parts", "_fused", "simd/memory", "simd/scalars", "simd/vectors")
 
 _IMPORT = re.compile(r"^ *(?:from|import) +loewner\._kernels([\w.]*)(?: +import +(\([^)]*\)|[^\n]*))?", re.MULTILINE)
@@ -150,7 +150,7 @@ def claimed(key: str) -> Iterator[None]:
     try:
         FOLDER.mkdir(parents=True, exist_ok=True)
         file = claim.open("wb")
-    except OSError:  # what cannot be written is compiled in memory
+    except OSError:  # a file that cannot be written is compiled in memory
         yield
         return
     with file:

@@ -2,12 +2,12 @@
 
 FREE, COLLIDING, AMBIGUOUS = 0, 1, 2
 
-# Codes in place of a verdict: whole numbers must decide (`fallback`); a GPU thread leaves the pair to the CPU (above
-# AMBIGUOUS, see `threads.pairs`); a motion takes too many intervals, or collides if `collide` confirms it, or has no
-# steps left, or a body that is not where it is given may be hit.
+# Codes in place of a verdict. Whole numbers must decide (`fallback`); a GPU thread leaves the pair to the CPU (above
+# AMBIGUOUS, see `threads.pairs`); a motion takes too many intervals, collides if `collide` confirms it, or has no steps
+# left; a body that is not at its given pose may be hit.
 INEXACT, LEFT, TOO_LONG, BY_CARE, UNFINISHED, MAY_BE_HIT = 3, 4, 5, 6, 7, 8
 
-# Steps of a proof without a limit.
+# Number of steps of a proof that has no limit.
 NO_LIMIT = 2**62
 
 # Largest number of intervals into which a motion is cut before any is halved.
@@ -26,7 +26,7 @@ CERTIFY, EXACT = 0, 1
 # their ellipsoids.
 BY_SPHERE, BY_OUTER, BY_INNER, BY_PLANE, BY_SEARCH, OPEN = 0, 1, 2, 3, 4, 5
 TIERS = 6
-UNSURE = TIERS  # no tier: `certificate.certify` returns it where a better s may settle a pair
+UNSURE = TIERS  # No tier: `certificate.certify` returns it if a better s may settle the pair
 
 # Faults of a pose.
 RIGID, NOT_FINITE, LAST_ROW, NOT_ORTHONORMAL, REFLECTION = 0, 1, 2, 3, 4
@@ -45,11 +45,11 @@ FLAT, STALLED, UNBOUNDED = 1, 2, 3
 # cannot be oriented.
 NOT_CLOSED, FACE_OFF, INSIDE_OUT = 11, 12, 13
 
-# Outcome of a search for a path: the trees met, all iterations are done, or the memory for trees is full.
+# Outcome of a search for a path: the trees met, all iterations were used, or the memory for trees is full.
 MET, SPENT, FULL = 0, 1, 2
 
-# Outcome of following a line: all of it; a turn by half a turn, or a line that is too long; no further, because of the
-# tolerances or because of a kept axis.
+# Outcome of following a line: it was followed to its end; it turns by half a turn or is too long; or it cannot be
+# continued because of the tolerances or because of a kept axis.
 FOLLOWED, HALF_TURN, TOO_FAR, STOPPED, TILTED = 0, 1, 2, 3, 4
 
 # Elementary functions, for Python and C.

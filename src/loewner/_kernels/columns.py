@@ -2,12 +2,12 @@
 
 # -- pieces, described in `pieces.shapes` ----------------------------------------------------------
 
-# A kind above POLYTOPE is curved, and one below MAPPED is a surface, whose points for kernels are the corners of a box
-# around it.
+# Kinds above POLYTOPE are curved. Kinds below MAPPED are surfaces; for kernels, the points of a surface are the corners
+# of a box around it.
 SOLID, SURFACE, MAPPED = -3, -2, -1
 POLYTOPE, ELLIPSOID, CYLINDER, CONE, SEGMENT, POINT = 0, 1, 2, 3, 4, 5
 
-# Eight columns each for the spheres, the outer and the inner ellipsoids: one cache line each.
+# Eight columns (one cache line) each for the spheres, the outer ellipsoids and the inner ellipsoids.
 OUTER_CENTER = 0
 OUTER_RADIUS = 3  # upper bound on the largest semi-axis of the outer ellipsoid
 INNER_CENTER = 4
@@ -31,13 +31,13 @@ PART_OUTER, PART_INNER, PART_STOP, PARTS = 0, 1, 2, 3
 BLOCK = 8  # points in a block, see `pieces.support`
 CACHE_LINE = 64  # bytes
 
-# A polytope with more vertices is MAPPED. Up to this number a search through all of them is as fast.
+# A polytope with more vertices is MAPPED. Up to this number, a search through all vertices is just as fast.
 LARGE = 128
-DEEPEST = 14  # limit on divisions; vertices of a flat face share the cells around its normal, however small
+DEEPEST = 14  # limit on divisions: the vertices of a flat face share the cells around its normal
 GRID = 1 << DEEPEST
 
 WIDE = 8  # boxes in a group of a tree
-FEW = 8  # pieces; fewer than this are tried one by one
+FEW = 8  # with fewer pieces than this, each is tried
 
 # -- robots, described in `robots.kinematics` and `robots.placement` -------------------------------
 
@@ -48,24 +48,24 @@ BOUNDS = 8  # columns of a row of bounds
 
 # -- robots on a GPU, described in `threads.configurations` ----------------------------------------
 
-# Columns of a link's int32 row; then the extra columns of its float32 row after CONSTANTS, and its length.
+# Columns of a link's int32 row, the extra columns of its float32 row after CONSTANTS, and the length of that row.
 PARENT_OF_LINK, KIND_OF_LINK, COLUMN_OF_LINK, LINK_INTEGERS = 0, 1, 2, 4
 MULTIPLIER, OFFSET, BENT, LINK_CONSTANTS = CONSTANTS, CONSTANTS + 1, CONSTANTS + 2, 40
 
-# Columns of a body's int32 row; and of the ball about a moving body: center, radius, largest distance from the origin.
+# Columns of a body's int32 row, and of the ball around a moving body: center, radius, largest distance from the origin.
 LINK_OF_BODY, FIRST_PIECE, LAST_PIECE, BODY_INTEGERS = 0, 1, 2, 4
 BALL_RADIUS, BALL_REACH, BALL_NUMBERS = 3, 4, 8
 
-# Numbers of a placed link: rotation by rows, translation, and bounds on the error of each, in roundings.
+# Numbers of a placed link: rotation by rows, translation, and bounds on the errors of both, in units of the roundoff.
 LINK_AT, TURN_OFF, SHIFT_OFF, LINK_NUMBERS = 9, 12, 13, 14
 
-# A piece's int32 row for searches: kind, first and last + 1 vertex; and its float32 row: center and factor of
-# a curved core, radius of the ball that is added, and reach.
+# A piece's int32 row for searches: its kind, its first vertex and the index after its last one. Its float32 row: center
+# and factor of a curved core, radius of the added ball, and reach.
 CORE_KIND, CORE_START, CORE_STOP, CORE_INTEGERS = 0, 1, 2, 4
 CORE_CENTER, CORE_FACTOR, CORE_RADIUS, CORE_REACH, CORE_NUMBERS = 0, 3, 12, 13, 16
 
-# A pair of bodies in a motion: the moving one, the one to whose frame planes are fixed, and the row of its chain; and a
-# joint of a chain: its column, and whether it turns; its multiplier, offset and lever.
+# A pair of bodies in a motion: the moving body, the body to whose frame planes are fixed, and the row of its chain. A
+# joint of a chain: its column, whether it turns, its multiplier, offset and lever.
 UPPER, LOWER, CHAIN, ROLES = 0, 1, 2, 4
 TURNING_JOINT, CHAIN_INTEGERS = 1, 2
 LEVER, CHAIN_NUMBERS = 2, 4
@@ -85,7 +85,8 @@ TREE_ROWS = 5  # of the memory of both trees, besides the values of their nodes
 
 # -- inverse kinematics, described in `robots.reach` ------------------------------------------------
 
-# Columns of a joint's int64 row, where KIND_OF_LINK and COLUMN_OF_LINK are as above, and of its row of constants.
+# Columns of a joint's int64 row, where KIND_OF_LINK and COLUMN_OF_LINK are as above, and columns of its row of
+# constants.
 MOVES_OF_LINK, LINK_OF_CHAIN = 0, 3
 AXIS, CHAIN_CONSTANTS = LINK_CONSTANTS, LINK_CONSTANTS + 3
 

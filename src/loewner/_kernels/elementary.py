@@ -25,7 +25,7 @@ from loewner._kernels.codes import (
 from loewner._kernels.simd.trig import sine_cosine
 from loewner._kernels.simd.vectors import absolute, power_of_two, round_to_even, select, signed_one, sqrt
 
-# log 2 as a sum of two doubles, the first with 32 bits, whose products with an exponent are exact.
+# log 2 as a sum of two doubles. The first has 32 bits, so its products with an exponent are exact.
 LOG_2 = float.fromhex("0x1.62e42feep-1"), float.fromhex("0x1.a39ef35793c76p-33")
 
 # π as a sum of two doubles.
@@ -58,7 +58,7 @@ MANTISSA = 52  # bits
 BIAS = 1023  # of exponents
 SMALLEST = 2.0**-1022  # smaller numbers have fewer bits
 SQRT_2 = float(np.sqrt(2.0))
-OVERFLOW, UNDERFLOW = 709.782712893384, -745.2  # the exponential is infinite above, zero below
+OVERFLOW, UNDERFLOW = 709.782712893384, -745.2  # the exponential is infinite above this, and zero below
 
 
 @intrinsic
@@ -106,7 +106,7 @@ def exponential(x):
         return 0.0 if x <= UNDERFLOW else x if x != x else np.inf
     k = round_to_even(x * PER_LOG_2)
     half = round_to_even(0.5 * k)
-    # 2^k in two steps, for the largest and the smallest results.
+    # 2^k in two steps, since the largest and smallest results need it.
     return _reduced_exponential(x, k) * power_of_two(half) * power_of_two(k - half)
 
 

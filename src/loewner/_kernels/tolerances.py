@@ -3,14 +3,14 @@
 UNIT_ROUNDOFF = 2.0**-53
 SINGLE_ROUNDOFF = 2.0**-24
 
-# Bound on the relative rounding error of a shape matrix that was formed from its factor, rotated and applied to a
-# vector, in units of trace(Q) |n|²; for squared widths, and for P n in levels.
+# Bound on the relative rounding error of a shape matrix that was formed from its factor, rotated, and applied to a
+# vector, in units of trace(Q) |n|²: for squared widths, and for P n in levels.
 SHAPE_ROUNDINGS = 128.0 * UNIT_ROUNDOFF  # derived 27, certified.md B1
 # derived 24, certified.md B2
 
-# Likewise for positions (translation, rotated center, dot product), in units of the lengths that were added: for gaps
-# between ellipsoids, support planes of vertices, boxes of trees, support planes of vertices at two poses, curved
-# pieces, curved pieces at two poses, depths of surfaces, and gaps at eight configurations.
+# Bounds on the errors of positions (translation, rotated center, dot product), in units of the lengths that were added:
+# for gaps between ellipsoids, support planes of vertices, boxes of trees, support planes of vertices at two poses,
+# curved pieces, curved pieces at two poses, depths of surfaces, and gaps at eight configurations.
 POSITION_ROUNDINGS = 64.0 * UNIT_ROUNDOFF  # derived 17, certified.md B3
 # derived 33, certified.md B14
 # derived 11, certified.md B19
@@ -21,11 +21,11 @@ POSITION_ROUNDINGS = 64.0 * UNIT_ROUNDOFF  # derived 17, certified.md B3
 # derived 63, certified.md B53
 POSITION_ERROR = POSITION_ROUNDINGS / UNIT_ROUNDOFF  # derived 19, certified.md B6
 
-# Allowed deviation of RᵀR from the identity (largest entry). It is wide enough for poses that went through float32
-# (about 1e-7 per product), and far too narrow for an intended scale or shear.
+# Allowed deviation of RᵀR from the identity (largest entry). It admits poses that passed through float32 (about 1e-7
+# for each product), and is far too small for an intended scale or shear.
 ROTATION_TOLERANCE = 1e-6
 
-# Lengths and bounds are rounded up by this factor before they go to single precision, and so are sums there.
+# Lengths, bounds and their sums are rounded up by this factor in single precision.
 UP = 1.0 + 2.0**-22  # derived 3, certified.md B8
 
 # Bound on the error of centers after rounding to single precision, relative to the lengths from which they are
@@ -33,8 +33,8 @@ UP = 1.0 + 2.0**-22  # derived 3, certified.md B8
 OFF = POSITION_ERROR * SINGLE_ROUNDOFF  # derived 3, certified.md B7
 # derived 10, certified.md B48
 
-# Faces of hulls: a vertex may be this far inside its own face, relative to the width of the piece along the normal, or
-# within the rounding of the dot product itself, in units of its error bound.
+# Faces of hulls: a vertex may lie this far inside its own face, relative to the width of the piece along the normal, or
+# as far as the rounding of the dot product, in units of its error bound.
 FACE_WIDTH = 1e-11
 FACE_ROUNDING = 64.0
 
@@ -44,7 +44,7 @@ CHAIN_STRETCH = 1.0 + 8.0 * ROTATION_TOLERANCE
 # Stretching of paths by poses accepted as rigid, and the few dozen roundings in the computation of rates and bounds.
 STRETCH = 1e-5  # derived 3.2e-6, certified.md B29
 
-# Squares of lengths below this have lost some or all digits: dividing by their roots does not give a unit vector.
+# Squares of lengths below this have lost some or all digits, so dividing by their roots does not give a unit vector.
 LEAST_SQUARE = 1e-290
 
 LEAST = 1e-15  # a length far below all others that keeps squares from underflowing

@@ -289,8 +289,8 @@ class Body(_Bodies):
             The largest distance by which the pieces may stick out of the mesh, in metres. If it is given, the mesh is
             cut along planes instead of by CoACD, until no piece sticks out farther or `max_pieces` is reached. If a
             piece still sticks out farther, a warning states by how much. A mesh with holes is always cut along planes;
-            its default tolerance is 2 % of the diagonal of its bounding box, or more if a limited amount of work does
-            not suffice.
+            its default tolerance is 2 % of the diagonal of its bounding box, or more if reaching that would take too
+            much work.
         threshold : float
             CoACD's bound on concavity, from 0.01 to 1. A smaller bound gives more pieces and a closer fit. It applies
             only to meshes without holes.
@@ -598,7 +598,7 @@ class Body(_Bodies):
         q: ArrayLike | None = None,
         clear: float = 0.03,
     ) -> Body:
-        """Make a body of the points of a depth image, in world coordinates, without the robot.
+        """Make a body from the points of a depth image, in world coordinates, without the robot.
 
         Parameters
         ----------
@@ -607,7 +607,7 @@ class Body(_Bodies):
         radius, voxel : float
             As for `from_cloud`; give one of the two.
         checker : CollisionChecker, optional
-            Leave out the points of its robot and of attached bodies, by `CollisionChecker.off_the_robot`.
+            Leave out the points on its robot and on attached bodies, by `CollisionChecker.off_the_robot`.
         q : array_like, shape (dof,), optional
             The robot's configuration when the image was taken.
         clear : float
@@ -864,7 +864,7 @@ class Body(_Bodies):
 
     @classmethod
     def union(cls, bodies: Iterable[Body]) -> Body:
-        """Make one body of the pieces of several bodies, in their common frame.
+        """Combine several bodies into one that has all their pieces, in their common frame.
 
         Parameters
         ----------
@@ -924,15 +924,16 @@ class Body(_Bodies):
     def covered_by(
         self, model: Body, *, tolerance: float | None = None, progress: Progress | None = None
     ) -> CoverReport:
-        """Prove that a model of convex elements holds the whole body, inside included, or find a point left out.
+        """Prove that a model of convex elements contains the whole body, inside included, or find a point that it
+        leaves out.
 
         Parameters
         ----------
         model : Body
             Balls, capsules, boxes, ellipsoids or other convex pieces, in the same frame as the body.
         tolerance : float, optional
-            Cells of the body that no single element holds are halved down to this size, in metres; by default 1e-4 of
-            the body's diagonal. Holes of any size are seen: below the tolerance, the outcome is "undecided" or
+            Cells of the body that are in no single element are halved down to this size, in metres; by default 1e-4 of
+            the body's diagonal. Holes of any size are noticed: below the tolerance, the outcome is "undecided" or
             "uncovered", never "covered".
         progress : callable, optional
             Called as ``progress(done, total)`` after each step.
@@ -976,16 +977,16 @@ class Body(_Bodies):
         protrusion: float | None = None,
         progress: Progress | None = None,
     ) -> Body:
-        """Make a body of few simple elements that is proven to hold this body, inside included.
+        """Make a body of a few simple elements that provably contains this body, inside included.
 
         Parameters
         ----------
         kind : {"spheres", "capsules", "boxes", "ellipsoids"}
         n : int, optional
-            The largest number of elements; the elements stick out as little as the search achieves.
+            The largest number of elements; the search makes them stick out as little as it can.
         protrusion : float, optional
-            The largest distance by which an element may stick out of the body, in metres; the number of elements is as
-            small as the search achieves. Give either `n` or ```protrusion```.
+            The largest distance by which an element may stick out of the body, in metres; the search uses as few
+            elements as it can. Give either `n` or ```protrusion```.
         progress : callable, optional
             Called as ``progress(done, total)`` after each step.
 
@@ -993,8 +994,8 @@ class Body(_Bodies):
         -------
         Body
             One piece per element. Its `covering` is proven: `max_uncovered` is 0, and `max_protrusion` is at most
-            ```protrusion``` if that was given. Centers and radii of spheres are multiples of a power of two, so that
-            float32 and the decimals in files hold the same numbers.
+            ```protrusion``` if that was given. Centers and radii of spheres are multiples of a power of two, so float32
+            and the decimals in files represent the same numbers.
 
         Raises
         ------
@@ -1092,8 +1093,8 @@ class Body(_Bodies):
         ----------
         path : path
             It may have any extension; its stem names both the robot and its link. The mesh files are written first;
-            then the URDF is written under a temporary name and renamed. No file of another content is replaced, so an
-            older URDF, or a copy of it, keeps its meshes.
+            then the URDF is written under a temporary name and renamed. A file with different content is never
+            replaced, so an older URDF, or a copy of it, keeps its meshes.
         ellipsoids : {"inner", "outer"}, optional
             Write these ellipsoids instead of the pieces.
         mesh_prefix : str
@@ -1136,7 +1137,7 @@ class Body(_Bodies):
 
         Notes
         -----
-        Coordinates are rounded to single precision, and the triangles of curved pieces lie inside these. A body of
+        Coordinates are rounded to single precision, and the triangles of curved pieces lie inside the pieces. A body of
         `Robot.swept` is written without any change.
 
         Examples
@@ -1431,7 +1432,7 @@ def reach_of(body: Body) -> float:
 
 
 def body_of_polytopes(polytopes: Sequence[Polytope], covering: Covering | None, tol: float) -> Body:
-    """Make a body of polytopes, whose ellipsoids have log-volume gaps of up to `tol`."""
+    """Make a body of polytopes whose ellipsoids have log-volume gaps of up to `tol`."""
     return Body(_fitted(Hulls.of(polytopes), np.array([0, len(polytopes)]), tol), covering)
 
 
@@ -1441,7 +1442,7 @@ def bodies_of(packed: Packed) -> Bodies:
 
 
 def body_of_file(path: str | os.PathLike[str], wanted: str | None = None) -> Body:
-    """Read a body; if its `checksum_of` is not the wanted one, the file is refused."""
+    """Read a body; if its `checksum_of` is not the wanted one, raise an error."""
     from loewner.bodies import files
 
     packed, covering = files.load(path, wanted)

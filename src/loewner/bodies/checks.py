@@ -5,7 +5,7 @@ could let a kernel read past an array, loop forever, or return a wrong FREE. Eve
 with tolerances for the rounding of the test itself (`DOUBT`, `ROUNDINGS`), so that a file written by any version of
 loewner passes.
 
-One property cannot be tested without fitting again: that the inner ellipsoids are the largest and the outer ones the
+One property cannot be tested without fitting again: whether the inner ellipsoids are the largest and the outer ones the
 smallest. It determines the last digits of `gaps` and how tight the bounds are, but no verdict depends on it.
 """
 

@@ -66,7 +66,7 @@ class _Part:
 
 
 class Target:
-    """A body that is to be covered, as triangles and solids.
+    """A body to be covered, as triangles and solids.
 
     Parameters
     ----------
@@ -127,7 +127,8 @@ class Target:
         return found
 
     def far(self, points: Floats) -> Floats:
-        """Bound from above the distances of points from the body, negative inside: there, of balls in the body."""
+        """Bound the distances of points from the body from above; inside, the bound is negative and comes from balls in
+        the body."""
         distances = self.boundary.signed_distances(points)[0]
         if self.boundary is not self.whole and self.whole.closed:
             clear = np.flatnonzero(distances > self.whole.rounding)
@@ -561,9 +562,9 @@ def _areas(triangles: Floats) -> Floats:
 def excess_of(target: Target, packed: Packed, model: Elements, tolerance: float) -> tuple[float, float]:
     """Bound how far the elements of a model stick out of a body.
 
-    A ball around a point that is at the depth d in the body sticks out by no more than its radius less d; a capsule is
-    a union of balls. Other elements, and those for which this bound is not near the distance of a point that was found,
-    are replaced by polytopes around them, which `protrusion` bounds.
+    A ball around a point at a certain depth in the body sticks out by no more than its radius minus this depth; a
+    capsule is a union of balls. Other elements are replaced by polytopes around them, which `protrusion` bounds. So are
+    balls and capsules whose bound is not close to the distance of a known point.
     """
     n, ways = len(model), ball(DIVISIONS)[0]
     upper, points = np.full(n, np.inf), []
@@ -674,9 +675,9 @@ def prove(
 
 
 def first_failures(target: Target, model: Packed, protrusion: float) -> tuple[Floats, Floats]:
-    """Return points at which a model fails to cover a body, or fails to be proven to; none if it covers.
+    """Return points at which a model fails to cover a body, or at which no proof was found; none if it covers the body.
 
-    Each comes with the radius of the ball about it that belongs to the body.
+    Each point comes with the radius of the ball around it that belongs to the body.
     """
     proof = _Proof(target, Elements(model), 0.02 * protrusion)
     whole = proof.wholes()

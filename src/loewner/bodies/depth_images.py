@@ -28,11 +28,12 @@ def points_of(image: ArrayLike, K: ArrayLike, T_world_camera: ArrayLike | None =
     Parameters
     ----------
     image : array_like of float, shape (H, W)
-        Depths along the optical axis, in metres. Entries that are not finite, or not positive, have no echo.
+        Depths along the optical axis, in metres. Entries that are not finite or not positive stand for pixels without
+        an echo.
     K : array_like, shape (3, 3)
         Intrinsic matrix ``[[fx, s, cx], [0, fy, cy], [0, 0, 1]]``, in pixels; (0, 0) is the middle of the first pixel.
     T_world_camera : array_like, shape (4, 4), optional
-        Pose of the camera, which looks along its z axis; x is to the right in the image, and y down.
+        Pose of the camera, which looks along its z axis; x points to the right in the image, and y points down.
 
     Returns
     -------
@@ -68,7 +69,7 @@ def points_of(image: ArrayLike, K: ArrayLike, T_world_camera: ArrayLike | None =
 
 
 def camera_of(image: ArrayLike, K: ArrayLike, T_world_camera: ArrayLike | None) -> tuple[Floats, Floats, Floats]:
-    """Check a depth image, in which pixels without an echo become NaN, its intrinsic matrix and the camera's pose."""
+    """Check a depth image, its intrinsic matrix and the camera's pose; pixels without an echo become NaN."""
     depths = _depths(image)
     matrix = _intrinsics(K)
     height, width = depths.shape

@@ -1,4 +1,4 @@
-"""Convex pieces as functions that are at most zero inside, for many pairs of a point and a piece at a time."""
+"""Convex pieces as functions that are at most zero inside, for many pairs of a point and a piece at once."""
 
 from __future__ import annotations
 
@@ -47,9 +47,9 @@ class Elements:
     rounding : ndarray, shape (n,)
         Bounds on the errors of heights that decide whether a point is inside; docs/containment.md derives them.
     exact : ndarray of bool, shape (n,)
-        Whether the sign of the heights of stored points has no error, as for boxes along the axes.
+        Whether the sign of the heights of stored points is exact, as for axis-aligned boxes.
     plain : bool
-        Whether all elements are balls, capsules and boxes. The way to the nearest point of such an element is a
+        Whether all elements are balls, capsules and boxes. The direction to the nearest point of such an element is a
         combination of the directions that `face_one_way` considers.
     """
 
@@ -223,7 +223,7 @@ class Elements:
         Parameters
         ----------
         middles, reach : ndarray, shapes (k, 3) and (k,)
-            Balls that hold the cells.
+            Balls that contain the cells.
         cell, element : ndarray of int, shape (m,)
             Pairs of a cell and an element.
 

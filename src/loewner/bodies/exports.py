@@ -1,8 +1,8 @@
 """Write bodies for other programs, as MJCF, URDF and STL.
 
 Spheres, cylinders, capsules, ellipsoids and boxes become shapes of that type if the format has it. Any other polytope
-becomes a mesh whose convex hull it is. Curved pieces without a matching type are replaced by circumscribed polytopes,
-inner ellipsoids by inscribed ones.
+becomes a mesh that has the polytope as its convex hull. Curved pieces without a matching type are replaced by
+circumscribed polytopes, inner ellipsoids by inscribed ones.
 """
 
 from __future__ import annotations
@@ -81,9 +81,9 @@ class Shape:
     mesh: Mesh | None = None
 
     def wider(self, by: float) -> Shape:
-        """Return the shape enlarged on each side, unless it is a solid or a sphere, whose numbers no pose rounds.
+        """Return the shape enlarged on each side, except for a solid or a sphere, whose numbers no pose rounds.
 
-        Corners of a convex mesh go outwards by as much again as MuJoCo's single precision may move them.
+        The corners of a convex mesh move outward by an additional amount that covers MuJoCo's single precision.
         """
         if not by or self.kind == "sphere":
             return self
@@ -245,7 +245,8 @@ def save_texts(texts: dict[Path, str]) -> None:
 
 
 def enlarged(packed: Packed) -> str | None:
-    """Return the name of a kind of piece that URDF has no shape for, so that a larger polytope is written; or None."""
+    """Return the name of the piece's kind if URDF has no shape for it, so that a larger polytope is written; otherwise
+    None."""
     for row, frame in zip(packed.layout[:, columns.KIND].tolist(), packed.frames, strict=True):
         if row > columns.POLYTOPE:
             kind, semi_axes = CURVED[row], np.linalg.norm(frame[4:].reshape(3, 3), axis=0)
@@ -274,7 +275,7 @@ def numbers(values: Any) -> str:
 
 
 def text_of(root: ElementTree.Element) -> str:
-    """Write an element with its children, a line for each."""
+    """Write an element with its children, one line for each."""
     ElementTree.indent(root)
     return ElementTree.tostring(root, encoding="unicode") + "\n"
 

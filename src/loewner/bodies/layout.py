@@ -121,7 +121,7 @@ def kernel_arrays(p: PieceArrays, maps: Maps, trees: Trees) -> records.Pieces:
 def joined_kernel(packs: Sequence[Any]) -> records.Pieces:
     """Join the kernels' arrays of several packs, in order: what `kernel_arrays` makes of all of their pieces.
 
-    Making them anew would take a hundred times as long for a cloud.
+    Making them again would take a hundred times as long for a cloud.
     """
     counts = [len(pack.piece_start) - 1 for pack in packs]
     numbers = np.concatenate([np.arange(count) for count in counts])
@@ -148,10 +148,10 @@ def one_body(kernel: records.Pieces) -> records.Pieces:
 
 
 def kernel_of_parts(p: PieceArrays, tree: SurfaceTree, around: Sequence[Floats], reach: float) -> records.Pieces:
-    """Make the kernels' arrays of one body, the parts of a surface.
+    """Make the kernels' arrays for the parts of a surface, as one body.
 
-    An exact search on a part is answered by the whole surface's tree: it may find a collision with another part, which
-    is a collision of the same bodies.
+    The tree of the whole surface answers an exact search on a part. The search may therefore find a collision with
+    another part, but that is a collision of the same bodies.
 
     Parameters
     ----------
@@ -161,7 +161,7 @@ def kernel_of_parts(p: PieceArrays, tree: SurfaceTree, around: Sequence[Floats],
     around : sequence of ndarray, shape (k, 3)
         For each part, points whose convex hull contains its triangles, without the radius.
     reach : float
-        Reach of the whole surface: bounds on rounding have to hold for all triangles of the tree.
+        Reach of the whole surface: rounding bounds have to hold for all triangles of the tree.
     """
     table, count = _table(p), len(around)
     table[:, columns.REACH] = reach

@@ -1,8 +1,8 @@
-"""Flat files of arrays for programs without Python: `native/capi/files.c` maps them, and checks all that they contain.
+"""Flat files of arrays for programs without Python: `native/capi/files.c` maps them, and checks their whole contents.
 
-A file is a header, a directory of arrays, and the arrays, each at the start of a cache line. Kernels take these arrays
-as they are, except for addresses, which the reader fills in. The layout of the arrays belongs to one version of the
-kernels, so the header names the version, and no other version reads the file.
+A file is a header, a directory of arrays, and the arrays, each at the start of a cache line. Kernels use these arrays
+without change, except for addresses, which the reader fills in. The layout of the arrays belongs to one version of the
+kernels. The header therefore names the version, and no other version can read the file.
 
 The header is the text ``lwn file``, the format, the size of the file in bytes, a checksum of everything after it, the
 hash of the kernels' sources, and eight counts: arrays, values of a configuration, links, moving bodies, static bodies,
@@ -50,7 +50,7 @@ _NO_NUMBERS = np.zeros(0)
 
 
 def is_meant(path: str | os.PathLike[str]) -> bool:
-    """Return whether a path names such a file; anything that is no path does not."""
+    """Return whether a path names such a file; False for anything that is not a path."""
     try:
         return os.fsdecode(path).endswith(SUFFIX)
     except Exception:  # the caller's path-like object may raise any error
@@ -58,7 +58,7 @@ def is_meant(path: str | os.PathLike[str]) -> bool:
 
 
 def save(path: str | os.PathLike[str], packed: Packed) -> None:
-    """Write bodies alone, see `write`; their names are their numbers."""
+    """Write only bodies, see `write`; their names are their numbers."""
     count = len(packed.piece_start) - 1
     packs = [packed]
     if packed.trees:
@@ -85,8 +85,8 @@ def write(
     arrays : dict
         Arrays by their names in `BEFORE`; missing ones are empty.
     packs : sequence of Packed
-        The bodies; and if there are surfaces that can be cut, once more with all of them in parts, and once more with
-        only static bodies without solids in small parts.
+        The bodies. If there are surfaces that can be cut, the bodies again with all surfaces in parts, and once more
+        with only static bodies without solids in small parts.
     counts : tuple of int
         Values of a configuration, links, and moving bodies.
 

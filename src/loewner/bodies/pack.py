@@ -155,7 +155,7 @@ def empty() -> Packed:
 
 
 def join(parts: Sequence[Packed]) -> Packed:
-    """Join all bodies of several packs, in order; the kernels' arrays are joined as well, and not made anew."""
+    """Join all bodies of several packs, in order; the kernels' arrays are also joined, not recomputed."""
     _memory.expect_place(_memory.KERNELS)
     return Packed.with_kernel(joined(parts), joined_kernel(parts))
 

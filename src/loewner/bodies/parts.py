@@ -40,23 +40,23 @@ _known: WeakKeyDictionary[SurfaceTree, dict[int, Packed | None]] = WeakKeyDictio
 
 
 def in_parts(packs: Sequence[Packed], most: int = PARTS) -> list[Packed]:
-    """Cut the surfaces of bodies into parts, each a piece of its own; a body without surfaces is returned as it is.
+    """Cut the surfaces of bodies into parts, each a piece of its own; a body without surfaces is returned unchanged.
 
-    Parts of a solid cover only its surface. Two bodies whose parts never meet stay apart if neither is in the other at
-    the start.
+    The parts of a solid cover only its surface. Two bodies whose parts never meet stay apart if neither is inside the
+    other at the start.
 
     Parameters
     ----------
     packs : sequence of Packed
         One body each.
     most : int
-        Limit on the parts of a surface.
+        Limit on the number of parts of a surface.
     """
     return [_in_parts(pack, most) if pack.trees else pack for pack in packs]
 
 
 def in_small_parts(packs: Sequence[Packed]) -> list[Packed]:
-    """Cut the surfaces of bodies into as many parts as is reasonable."""
+    """Cut the surfaces of bodies into a reasonable number of parts."""
     surfaces, most = sum(len(pack.trees) for pack in packs), MOST_PARTS
     # A power of two, so that adding a surface does not always cut all others anew.
     while most * surfaces > ALL_PARTS:
@@ -65,7 +65,7 @@ def in_small_parts(packs: Sequence[Packed]) -> list[Packed]:
 
 
 def in_open_parts(packs: Sequence[Packed], still: Bools) -> list[Packed]:
-    """Cut the surfaces of bodies that do not move into small parts; a body with a solid is returned as it is."""
+    """Cut the surfaces of static bodies into small parts; a body with a solid is returned unchanged."""
     chosen = [
         stands and bool(pack.trees) and not (pack.layout[:, columns.KIND] == columns.SOLID).any()
         for pack, stands in zip(packs, still.tolist(), strict=True)

@@ -17,7 +17,7 @@ MANY_PIECES = 16
 
 
 def of_pieces(packed: Packed) -> list[Mesh]:
-    """Triangulate the surface of each piece; the corners on a curved piece lie on its surface."""
+    """Triangulate the surface of each piece; for a curved piece, the corners lie on the surface."""
     return [of_piece(packed, number) for number in range(len(packed.layout))]
 
 

@@ -1,4 +1,4 @@
-"""Completion of the command line in bash, zsh and fish: scripts that are made of the parser."""
+"""Completion of the command line in bash, zsh and fish: scripts that are generated from the parser."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ end
 
 
 class PrintCompletion(argparse.Action):
-    """An option that prints the script of a shell and ends the program."""
+    """An option that prints the completion script for a shell and ends the program."""
 
     def __call__(self, parser: argparse.ArgumentParser, _: argparse.Namespace, shell: Any, __: Any = None) -> NoReturn:
         """Print the script for the parser to which the option belongs."""
@@ -56,7 +56,7 @@ class PrintCompletion(argparse.Action):
 
 
 def script(parser: argparse.ArgumentParser, shell: str) -> str:
-    """Write the completion of a parser, of its commands and of theirs, for one of `SHELLS`."""
+    """Write a completion script for a parser, its commands and their options, for one of `SHELLS`."""
     parsers = list(_parsers(parser))
     return _fish(parsers) if shell == "fish" else (ZSH if shell == "zsh" else "") + _bash(parsers)
 

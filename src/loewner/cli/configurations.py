@@ -29,7 +29,7 @@ MOST_BYTES = 2**33
 def read(path: Path, robot: loewner.Robot, *, named: bool = False) -> Floats:
     """Read the numbers of a file and order them as the robot's columns; the caller checks their shape.
 
-    If `named`, the file must name its columns, as `write` does; a .npy file cannot.
+    If `named`, the file must name its columns, as files from `write` do; a .npy file cannot.
     """
     suffix = path.suffix.lower()
     if suffix not in READ:
@@ -49,7 +49,7 @@ def read(path: Path, robot: loewner.Robot, *, named: bool = False) -> Floats:
 
 
 def path_of(path: Path, robot: loewner.Robot) -> Floats:
-    """Read a path without times, as `write` writes it, of shape (two or more, dof)."""
+    """Read a path without times, as written by `write`, with shape (two or more, dof)."""
     hint = "; points with times have a first column time" if path.suffix.lower() == ".csv" else ""
     try:
         rows = np.atleast_2d(robot.checked(read(path, robot, named=True), str(path)))
@@ -61,7 +61,8 @@ def path_of(path: Path, robot: loewner.Robot) -> Floats:
 
 
 def is_path(path: Path, times: Sequence[str]) -> bool:
-    """Return whether a file names its columns, as `write` does, and the first has none of the names of times."""
+    """Return whether a file names its columns, as files from `write` do, and its first column is not named like a
+    time."""
     if path.suffix.lower() not in WRITTEN:
         return False
     try:

@@ -1,4 +1,4 @@
-"""``loewner cover``: shapes that are proven to contain a robot's links, in the file of a planner."""
+"""``loewner cover``: shapes that provably contain a robot's links, in the file format of a planner."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Print how a robot's links are covered by shapes, and return the exit status."""
+"""Print how shapes cover a robot's links, and return the exit status."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def refuse_other_pictures(picture: Path | None) -> None:
 
 
 def judged(robot: loewner.Robot, model: loewner.Robot, tolerance: float | None = None) -> dict[str, CoverReport]:
-    """Judge a model with a progress bar."""
+    """Judge a model, and show a progress bar."""
     with progress_bar() as progress:
         task = progress.add_task("proofs", total=len(robot.bodies))
         return robot.covered_by(
@@ -42,7 +42,7 @@ def print_reports(
     reports: Mapping[str, CoverReport],
     more: Mapping[str, Sequence[str]] | None = None,
 ) -> None:
-    """Print a row for each link, with more columns if they are given."""
+    """Print a row for each link, with additional columns if they are given."""
     more = more or {}
     where = any(report.witness is not None for report in reports.values())
     heads = ["link", "shapes", "outcome", "uncovered", "up to", *(["at, m"] if where else []), "sticks out", *more]
@@ -100,7 +100,7 @@ def _number(x: float, rounded: Callable[[float], float]) -> str:
 
 
 def entry(report: CoverReport, shapes: int) -> dict[str, Any]:
-    """A report as JSON has it; null for a distance that is infinite."""
+    """A report in the form of JSON; infinite distances become null."""
 
     def ends(pair: tuple[float, float]) -> list[float | None]:
         return [end if np.isfinite(end) else None for end in pair]
@@ -116,7 +116,7 @@ def entry(report: CoverReport, shapes: int) -> dict[str, Any]:
 
 
 def entries(model: loewner.Robot, reports: Mapping[str, CoverReport]) -> dict[str, dict[str, Any]]:
-    """All reports as JSON has them."""
+    """All reports in the form of JSON."""
     return {
         link: entry(report, len(model.bodies[link].pieces) if link in model.bodies else 0)
         for link, report in reports.items()

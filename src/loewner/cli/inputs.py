@@ -68,7 +68,7 @@ def add_mesh_options(command: argparse.ArgumentParser, default: str) -> None:
 
 
 def add_rule_options(command: argparse.ArgumentParser, start: str, end: str) -> None:
-    """Add the options that allow contact where motions begin or end."""
+    """Add the options that allow contact at the ends of motions."""
     for rule, where in (("leave", start), ("reach", end)):
         command.add_argument(
             f"--{rule}", nargs=2, metavar=("A", "B"), action="append", default=[],
@@ -84,7 +84,7 @@ def apply_rules(scene: loewner.Scene, options: argparse.Namespace) -> None:
 
 
 def add_robot_options(command: argparse.ArgumentParser, *, required: bool = True) -> None:
-    """Add the options of commands that take a robot; if it is not required, it is an option, too."""
+    """Add the options of commands that take a robot; if the robot is not required, it is also an option."""
     if required:
         command.add_argument("urdf", type=Path, metavar="URDF", help="the robot: a URDF file")
     else:
@@ -107,7 +107,7 @@ def add_robot_options(command: argparse.ArgumentParser, *, required: bool = True
 
 
 def bodies(paths: Sequence[Path], options: argparse.Namespace) -> Iterator[loewner.Body]:
-    """Load saved bodies, or make the bodies of meshes, one after the other; options of meshes need a mesh."""
+    """Load saved bodies, or make the bodies of meshes, one after another; mesh options require a mesh."""
     if all(path.suffix.lower() == ".npz" for path in paths):
         found = given(options, ("model", *OF_SURFACES, *OF_PIECES))
         found |= {"scale": options.scale} if options.scale != 1.0 else {}
@@ -199,7 +199,7 @@ def _pose_of(numbers: Sequence[float], name: str) -> Floats:
 
 
 def poses(path: Path) -> Floats:
-    """Read the poses of a motion from a file: a line of numbers for each, or matrices."""
+    """Read the poses of a motion from a file that has a line of numbers for each pose, or matrices."""
     data = read_regular(path, "a file of poses", MOST_POSE_BYTES)
     if path.suffix.lower() == ".npy":
         Ts = _archives.numbers(data, str(path), "4x4 matrices of numbers")
@@ -216,7 +216,7 @@ def poses(path: Path) -> Floats:
 
 
 def numbers(vector: Sequence[float] | Floats) -> str:
-    """Write the coordinates of a point or a direction for people."""
+    """Write the coordinates of a point or a direction in readable form."""
     return " ".join(f"{round(x, 12) + 0.0:.6g}" for x in vector)
 
 

@@ -1,4 +1,4 @@
-"""``loewner judge``: whether a model of a robot contains its links, and which answers of others are wrong."""
+"""``loewner judge``: whether a model of a robot contains its links, and which answers of other programs are wrong."""
 
 from __future__ import annotations
 

@@ -55,7 +55,7 @@ TABLE = """--answers: a .csv file with a header, or a .json file with a list of 
 
 
 def add_options(judge: Any) -> None:
-    """Add the options that only tables of answers have."""
+    """Add the options that apply only to tables of answers."""
     judge.add_argument("--scale", type=float, help="factor for all lengths of meshes (1)")
     judge.add_argument("--program", type=Path, metavar="FILE", help="write the worst answer about hulls as a program")
     judge.add_argument("--row", type=int, metavar="N", help="with --program: the answer of this row instead")

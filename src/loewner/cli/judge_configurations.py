@@ -58,7 +58,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def table(path: Any, robot: loewner.Robot) -> tuple[Floats, Bools]:
-    """Read configurations in the order of the robot's columns, shape (n, dof), and the verdicts about them."""
+    """Read configurations, shape (n, dof), with columns in the robot's order, and the verdicts about them."""
     data = read_regular(path, "configurations", configurations.MOST_BYTES)
     try:
         rows = configurations.rows_of(data.decode("utf-8-sig"))

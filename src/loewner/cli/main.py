@@ -1,9 +1,10 @@
 """Run the command line: parse arguments, call the public API, and print.
 
-The exit status is 0 for done or free; 1 for no path, or for colliding (at least one of many pairs or configurations); 2
-for an error, or if at least one of many meshes failed; 3 for ambiguous (only for ``loewner check --method certified``,
-``plan``, ``clash``, ``cover``, ``judge`` and ``audit``). For ``loewner report rerun``, 1 means that answers differ. The
-status stays the same if the program that reads the output ends before it has read all (``| head``).
+The exit statuses are: 0 for done or free; 1 for no path, or for colliding (at least one of many pairs or
+configurations); 2 for an error, or if at least one of many meshes failed; 3 for ambiguous (only for ``loewner check
+--method certified``, ``plan``, ``clash``, ``cover``, ``judge`` and ``audit``). For ``loewner report rerun``, 1 means
+that answers differ. The status stays the same if the program that reads the output ends before it has read everything
+(``| head``).
 """
 
 from __future__ import annotations

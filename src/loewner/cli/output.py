@@ -40,7 +40,7 @@ NO_PATH = COLLIDING
 class PrintPath(argparse.Action):
     """An option that prints a path on one line and ends the program.
 
-    The action `version` of argparse breaks a long text at the width of the terminal, also in a pipe.
+    The action `version` of argparse breaks a long text at the width of the terminal, even in a pipe.
     """
 
     def __init__(self, option_strings: Sequence[str], dest: str, *, path: Path, help: str) -> None:
@@ -73,7 +73,8 @@ class _Descriptor(io.FileIO):
 
 @contextmanager
 def standard_output() -> Iterator[None]:
-    """Let standard output survive its reader, and escape characters that it cannot encode, as in names of files."""
+    """Keep standard output working after its reader has ended, and escape characters that it cannot encode, for example
+    in file names."""
     out = sys.stdout
     try:
         raw = _Descriptor(out.fileno(), "w", closefd=False)
@@ -92,14 +93,14 @@ def standard_output() -> Iterator[None]:
 
 
 def remove_older_proof(path: Path | None) -> None:
-    """Remove an older proof before the work for a new one begins: it would be verified, but is about something else.
+    """Remove an older proof before the work for a new one begins: it could be verified, but it is about something else.
 
-    Any other file of this name stays until it is replaced.
+    Any other file with this name stays until it is replaced.
 
     Raises
     ------
     FileError
-        If the proof could not be written there, or the older one cannot be removed.
+        If the proof could not be written there, or the older proof cannot be removed.
     """
     if path is None:
         return
@@ -211,7 +212,7 @@ def model_text(body: loewner.Body) -> str:
 
 
 def covering_text(covering: loewner.Covering | None) -> str:
-    """Describe in a few words a mesh's model, how much of the mesh the pieces contain and how far they stick out."""
+    """Describe in a few words a mesh's model: how much of the mesh the pieces contain, and how far they stick out."""
     if covering is None:
         return "-"
     percent = round(100 * covering.excess_volume, 1) + 0.0  # avoids minus zero

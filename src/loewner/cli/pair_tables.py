@@ -13,7 +13,7 @@ ORDER = (PairVerdict.SOMETIMES, PairVerdict.CAN, PairVerdict.OPEN, PairVerdict.A
 
 
 def print_pairs(found: ProvenPairs, robot: loewner.Robot) -> None:
-    """Print a line for each verdict and a table of the pairs, beginning with pairs that can collide."""
+    """Print a line for each verdict, and a table of the pairs that begins with the pairs that can collide."""
     for verdict in ORDER:
         rows = found.with_verdict(verdict)
         if rows:

@@ -1,4 +1,4 @@
-"""``loewner report``: pack one query and its answers into a file, and run the query of such a file again.
+"""``loewner report``: pack one query and its answers into a file, or rerun the query in such a file.
 
 The file is a zip archive. Bodies, meshes, poses, configurations, robots and scenes are members in the formats that
 other commands read; the member `report.json` holds the options, the versions and the answers.
@@ -126,7 +126,7 @@ def _rerun(options: argparse.Namespace) -> int:
 
 
 def rerun(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Read a report and run its query again; return the document of the report, and the answers here.
+    """Read a report and rerun its query; return the document of the report, and the answers on this machine.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Read trajectories from files of any program, and let links carry bodies of the scene while they run."""
+"""Read trajectories from files of any program, and let links carry bodies of the scene during them."""
 
 from __future__ import annotations
 
@@ -59,15 +59,15 @@ def read(
     robot: loewner.Robot,
     present: Floats | None = None,
 ) -> tuple[list[Part], list[dict[str, str]]]:
-    """Read the parts of a file, which begin one after the other, and for each the links by the bodies that they carry.
+    """Read the parts of a file, which follow one another, and for each part the links by the bodies that they carry.
 
-    Joints that the file does not name have their values of --others, or of the robot's present state.
+    Joints that the file does not name have the values from --others, or from the robot's present state.
 
     Raises
     ------
     InputError
-        If an option does not fit the file, or the robot carries bodies that neither the scene nor --attach lets it
-        carry.
+        If an option does not fit the file, or the robot carries bodies that neither the scene nor --attach assigns to
+        it.
     """
     others = present
     if options.others is not None:
@@ -116,7 +116,7 @@ def controller_of(points: planners.ControllerPoints) -> str:
 
 
 def assumed(part: Part) -> dict[str, float]:
-    """Return the values that a file does not have, and that keep the robot's defaults."""
+    """Return the values that the file lacks and that keep the robot's defaults."""
     if not isinstance(part, planners.ControllerPoints):
         return {}
     values = dict(zip(part.names or (), part.positions[0].tolist(), strict=False))

@@ -1,8 +1,7 @@
 """Compute overlap, contact function and near points of two ellipsoids.
 
 Every function takes two `Ellipsoids`, single or batches, and broadcasts their batch shapes. Only the difference of the
-centers is used, so that a distant world origin costs no digits, and all quantities are scaled to the size of the
-ellipsoids.
+centers is used, so a distant world origin costs no digits, and all quantities are scaled to the size of the ellipsoids.
 """
 
 from __future__ import annotations

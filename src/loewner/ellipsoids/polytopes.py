@@ -233,10 +233,10 @@ def check_halfspaces(A: ArrayLike, b: ArrayLike) -> tuple[Floats, Floats]:
 
 
 def interior_point(A: Floats, b: Floats) -> Floats:
-    """Find a point guaranteed to satisfy A x < b: the origin, or the point with the largest minimum slack.
+    """Find a point that provably satisfies A x < b: the origin, or the point with the largest minimum slack.
 
     The point with the largest minimum slack is found by a linear program. A solver's tolerance is about 1e-7 of the
-    data, and not of each row. The program is therefore magnified about its solution and solved again, until the slack
+    whole data, not of each row. The program is therefore magnified about its solution and solved again, until the slack
     clearly exceeds rounding (Gleixner, Steffy and Wolter 2016).
 
     Raises

@@ -43,7 +43,7 @@ class Checker:
 
     The GPU places the robot, compares bounds and ellipsoids, and searches exactly where these do not decide. The
     checker itself decides the configurations and motions for which single precision proves nothing, one in a thousand,
-    so the answers equal the checker's.
+    so the answers are equal to the checker's.
 
     Parameters
     ----------
@@ -141,8 +141,8 @@ class Checker:
             Ends, broadcast together. If one is on the GPU, both must be there, in float32, C order and of the same
             shape; the verdicts then refer to exactly these float32 numbers.
         tolerance : float
-            In metres, for the motions that are left to the CPU: one that comes within this distance of colliding may
-            be AMBIGUOUS.
+            In metres, for the motions that are left to the CPU: a motion that comes within this distance of colliding
+            may be AMBIGUOUS.
 
         Returns
         -------
@@ -159,10 +159,10 @@ class Checker:
 
         Notes
         -----
-        A motion is cut into intervals, and a plane that separates two bodies at both ends of an interval proves it free
-        if it leaves room for the bend of the paths in between, as on the CPU. All of this is in single precision, with
-        bounds on its errors (docs/certified.md). The CPU decides what is left: one motion in a thousand, which comes
-        within some hundredths of a millimetre of contact.
+        A motion is cut into intervals. As on the CPU, a plane proves an interval free if it separates two bodies at
+        both ends and leaves room for the bend of the paths in between. All of this is in single precision, with bounds
+        on its errors (docs/certified.md). The CPU decides the rest: one motion in a thousand, which comes within some
+        hundredths of a millimetre of contact.
 
         Examples
         --------

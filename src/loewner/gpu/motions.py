@@ -16,14 +16,15 @@ INTERVALS = 64  # room in a list, for each motion; at least two, for its probes
 
 
 def slots(count: int) -> int:
-    """Number of configurations that are placed together for `count` motions, at first."""
+    """Number of configurations that are initially placed together for `count` motions."""
     return 4 * count
 
 
 def certified(
     gpu: Device, tables: Tables, tile: Tile, dof: int, ends: tuple[int, ...], total: int
 ) -> tuple[Memory, Ints]:
-    """Return the verdicts of motions whose ends are at two addresses, and the indices that are left to the CPU."""
+    """Return the verdicts for motions whose ends are stored at two addresses, and the indices of the motions that are
+    left to the CPU."""
     verdicts, left = gpu.memory(total), Left(gpu, total)
     run = _Run(gpu, tables, dof, tile, max(1, min(total, MOTIONS, BENDS // max(1, tables.chains))))
     for first in range(0, total, run.most):

@@ -81,8 +81,8 @@ def classify(
     Notes
     -----
     The formulas are the same as on the CPU, compiled for the GPU with only correctly rounded operations: FREE and
-    COLLIDING are proven as in docs/certified.md. It does not pay to transfer poses to the GPU only for this call, since
-    they take 128 bytes per pair.
+    COLLIDING are proven as in docs/certified.md. It is not worthwhile to transfer poses to the GPU only for this call,
+    since they take 128 bytes per pair.
 
     Examples
     --------

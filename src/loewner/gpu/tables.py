@@ -1,4 +1,4 @@
-"""Copy what kernels take of a robot and its scene to a GPU."""
+"""Copy the kernels' data about a robot and its scene to a GPU."""
 
 from __future__ import annotations
 

@@ -21,7 +21,7 @@ SURVIVORS = 32
 
 
 class Tile(NamedTuple):
-    """Kernel output for one tile: of `most` configurations, for the numbers of links and bodies in `shape`."""
+    """Kernel output for one tile of up to `most` configurations, for the numbers of links and bodies in `shape`."""
 
     most: int
     shape: tuple[int, int]

@@ -24,7 +24,7 @@ class ClosedPart:
     Attributes
     ----------
     triangles : ndarray of int, shape (t, 3)
-        Counter-clockwise when seen from outside the solid; for the surface of a cavity, that is from within the cavity.
+        Counter-clockwise when seen from outside the solid; for a cavity, that is from within the cavity.
     volume : float
         Enclosed volume without the cavities, in cubic metres.
     """
@@ -34,10 +34,10 @@ class ClosedPart:
 
 
 def closed_parts(vertices: Floats, triangles: Ints) -> list[ClosedPart] | None:
-    """Split a mesh into closed parts; None if its surface has a border, or is inconsistently oriented.
+    """Split a mesh into closed parts; None if its surface has a border or is inconsistently oriented.
 
-    Parts may overlap, and share edges and corners. A part of negative volume is a cavity of the smallest part in which
-    it lies; if it lies in no part, it was inside out and is reversed.
+    Parts may overlap, and share edges and corners. A part of negative volume is a cavity of the smallest part that
+    contains it; if no part contains it, it was inside out and is reversed.
     """
     neighbours = _neighbours(vertices, triangles)
     if neighbours is None:

@@ -82,15 +82,16 @@ class CoverReport(_validate.Brief):
     ----------
     outcome : {"covered", "uncovered", "undecided"}
         "covered": each point of the body, inside included, is proven to be in the model. "uncovered": `witness` is not.
-        "undecided": neither is proven; some cells of the size of the tolerance are in no single element.
+        "undecided": neither is proven; some cells as small as the tolerance are in no single element.
     uncovered_share : tuple of float
         Bounds on the share of the area of the body's surface that is outside the model. The surfaces of all pieces
-        count, also where they are inside other pieces. For a curved piece, the area of a polytope inside it is
-        measured, with corners on its surface; points without triangles, as of a cloud, have no area: then (0, 1).
+        count, even where they are inside other pieces. For a curved piece, the area of an inscribed polytope is
+        measured, with corners on the surface. Points without triangles, as in a cloud, have no area: the bounds are
+        then (0, 1).
     depth : tuple of float
         Bounds on the largest distance of a point of the body from the model, in metres.
     witness : ndarray, shape (3,), or None
-        The point of the body, among the points tried, that is deepest outside of every element.
+        The point of the body that is deepest outside every element, among the points tried.
     excess : tuple of float
         Bounds on the largest distance of a point of the model from the body, in metres.
 
@@ -109,7 +110,7 @@ class CoverReport(_validate.Brief):
 
 
 def covered(triangles: Floats, hulls: list[Polytope], size: float, *, grow: bool) -> tuple[list[Polytope], Covering]:
-    """Measure the uncovered part of a surface, after growing the convex pieces on request.
+    """Grow the convex pieces on request, and measure the uncovered part of a surface.
 
     Parameters
     ----------
@@ -125,7 +126,7 @@ def covered(triangles: Floats, hulls: list[Polytope], size: float, *, grow: bool
     -------
     hulls : list of Polytope
     covering : Covering
-        The covering, still without the excess volume and `max_protrusion`.
+        The covering, without the excess volume and `max_protrusion`.
     """
     cells, owner, samples = _outside(triangles, hulls, GROWTH * size, CELL_SIZE * size)
     if grow and len(cells):

@@ -95,8 +95,8 @@ def load(source: Source) -> tuple[Floats, Triangles]:
     Returns
     -------
     vertices : ndarray, shape (v, 3)
-        In metres, as stored; equal vertices are not merged. Vertices that are not finite, and of no triangle, are left
-        out.
+        In metres, as stored; equal vertices are not merged. Vertices that are not finite and belong to no triangle are
+        left out.
     triangles : ndarray of int, shape (t, 3)
 
     Raises
@@ -226,7 +226,7 @@ def convex_pieces(
         The largest distance by which the pieces may stick out of the mesh, in metres. If it is given, the mesh is cut
         along planes instead of by CoACD, until no piece sticks out farther or `max_pieces` is reached. If a piece still
         sticks out farther, a warning states by how much. A mesh with holes is always cut along planes; its default
-        tolerance is 2 % of the diagonal of its bounding box, or more if a limited amount of work does not suffice.
+        tolerance is 2 % of the diagonal of its bounding box, or more if reaching that would take too much work.
     threshold : float
         CoACD's bound on concavity, from 0.01 to 1. A smaller bound gives more pieces and a closer fit. It applies only
         to meshes without holes.
@@ -258,8 +258,8 @@ def convex_pieces(
     Notes
     -----
     The closed parts of a mesh are decomposed one by one, even where they overlap, or share edges or corners. A part
-    counts as convex if its volume equals the volume of its hull, to 1e-3; it then has one piece, its hull. A part of
-    negative volume is a cavity of the part in which it lies.
+    counts as convex if its volume equals the volume of its hull to within 1e-3; its only piece is then its hull. A part
+    of negative volume is a cavity of the part in which it lies.
 
     Covering is proven, not sampled. A triangle lies in a convex piece if its corners do; a triangle that lies in no
     piece is halved until its parts lie in a piece, nearly lie in one, or are smaller than 0.25 % of the mesh's

@@ -52,7 +52,8 @@ CHUNK = 16_384
 
 
 class Solid:
-    """A triangle mesh from which distances of points are measured: from the solid if it is closed, else the surface.
+    """A triangle mesh from which distances of points are measured: from the solid if the mesh is closed, and otherwise
+    from the surface.
 
     Parameters
     ----------
@@ -166,9 +167,9 @@ class Protrusions:
     bounds : ndarray, shape (k,)
         Proven upper bound for each piece, in metres.
     found : ndarray, shape (k,)
-        The distance of the farthest point that was found, which is a lower bound.
+        The distance of the farthest point found, which is a lower bound.
     points : ndarray, shape (k, 3)
-        The farthest point that was found; NaN if nothing sticks out.
+        The farthest point found; NaN if nothing sticks out.
     """
 
     bounds: Floats
@@ -188,7 +189,7 @@ def protrusions(
     floor : float
         A piece is not examined further once its bound is below this length.
     relative : float
-        How near the bound has to be to the distance found, as a ratio.
+        How close the bound has to be to the distance found, as a ratio.
     together : bool
         Whether only the piece that sticks out most matters, so that the search may end earlier.
 
@@ -198,14 +199,16 @@ def protrusions(
     of a piece's boundary is therefore the distance of its center, negative inside, plus its radius about the center.
     The distance to a single triangle of the mesh is a convex function, so its value at the farthest corner is a second
     bound; the smaller bound counts. A triangle whose bound is above the required one is halved, or cut along the edges
-    of the mesh's triangle in which it nearly lies, which settles that part.
+    of the mesh's triangle in which it nearly lies; this settles that part.
 
     Inside a piece, in a cavity or a groove that it fills, the distance may have a greater local maximum. At such a
     maximum, the directions from the nearest points of the surface surround the point, and each direction is a
-    combination of outward normals of triangles at its nearest point. A cube therefore has no local maximum if all
-    triangles within reach face one half-space. Any other cube has the first bound above, or is divided. This applies to
-    all cubes if some triangles of the mesh have the solid on their outer side, for instance where a cavity extends
-    beyond its part.
+    combination of outward normals of triangles at its nearest point.
+
+    The inside is searched in cubes. A cube has no such maximum if all triangles within reach face one half-space. For
+    any other cube, the first bound above is used, or the cube is divided. This applies to all
+    cubes if the solid is on the outer side of some triangles of the mesh, for instance where a cavity extends beyond
+    its part.
     """
     cells = np.concatenate([hull.vertices[hull.simplices] for hull in hulls])
     owner = np.repeat(np.arange(len(hulls)), [len(hull.simplices) for hull in hulls])

@@ -50,8 +50,8 @@ def cut(triangles: Floats, normals: Floats, offsets: Floats, rounding: float) ->
         One plane {x : normal x = offset} per triangle.
     offsets : ndarray, shape (t,)
     rounding : float
-        Corners this near to the plane count as lying in it. A triangle in the plane belongs to the side behind it,
-        where the solid lies that it bounds.
+        Corners within this distance of the plane count as lying in it. A triangle in the plane belongs to the side
+        behind it, which contains the solid that the triangle bounds.
 
     Returns
     -------

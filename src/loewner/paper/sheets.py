@@ -1,4 +1,4 @@
-"""Format the tables as text, at most 80 columns wide, with our numbers beside the paper's.
+"""Format the tables as text, at most 80 columns wide, with our numbers next to the paper's.
 
 Cells with numbers from the paper name the table and the cells from which the numbers come; all other numbers are
 counted or measured in this run.
@@ -90,7 +90,7 @@ def pairs(experiment: Experiment) -> Sheet:
 
 
 def counts(experiment: Experiment) -> tuple[Sheet, ...]:
-    """Tabulate each detector's confusion matrices (a) and (b) beside the paper's, then the estimate's."""
+    """Tabulate each detector's confusion matrices (a) and (b) next to the paper's, followed by the estimate's."""
     found = tables(experiment)
     return tuple(_matrices(whole, part) for whole, part in zip(found[::2], found[1::2], strict=True))
 
@@ -260,7 +260,7 @@ def _gap(gap: float) -> str:
 
 
 def colliding(experiment: Experiment) -> str:
-    """Describe the number of colliding pairs, beside the paper's."""
+    """Describe the number of colliding pairs, next to the paper's."""
     own, total = int(experiment.truth.sum()), len(experiment)
     return (
         f"{own:,} of {total:,} pairs collide, {percent(own / total)} % (the paper: {PAPER_COLLIDING} of "

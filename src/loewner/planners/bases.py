@@ -1,8 +1,8 @@
-"""Plan for mobile bases: search a lattice of poses whose arcs are proven, connect it to the goal, and shorten the way.
+"""Plan for mobile bases: search a lattice of poses whose arcs are proven, connect it to the goal, and shorten the path.
 
 The search is A* over cells of position and heading (hybrid A*: Dolgov et al., IJRR 2010). Its estimate is the distance
-to the goal on a grid of the map, where places that are blocked at all tried headings count several times. Poses are
-taken from the queue in batches, since a call of the kernel takes as long as the proof of forty arcs.
+to the goal on a grid of the map; places that are blocked at all tried headings count several times. Poses are taken
+from the queue in batches, since a call of the kernel takes as long as the proof of forty arcs.
 """
 
 from __future__ import annotations
@@ -92,7 +92,7 @@ class Base:
     Attributes
     ----------
     radius : float
-        Radius of the lattice's arcs, in metres: of a car, the least one.
+        Radius of the lattice's arcs, in metres; for a car, the minimum turning radius.
     step : float
         Length of the lattice's motions.
     """
@@ -108,7 +108,7 @@ class Base:
     upper: Floats
 
     def ways(self, a: Floats, b: Floats) -> Ways:
-        """Return the ways that the base could drive from poses a to poses b if nothing were there."""
+        """Return the ways by which the base could drive from poses a to poses b if there were no obstacles."""
         if self.kind == "car":
             return steering.car(a, b, self.radius, self.reverse)
         return steering.differential(a, b, self.reverse)
@@ -136,7 +136,7 @@ class Base:
     def free(self, poses: Floats, ways: Floats) -> Bools:
         """Return which ways, shape (N, motions, 2), from poses, shape (N, 3), are proven free and within the limits.
 
-        Middles and ends of motions are tried first, since nothing else needs to be proven of a way that collides there.
+        Middles and ends of motions are tried first, since a way that collides there needs no further proof.
         """
         places = driven(poses, ways[..., 0], ways[..., 1])
         begins, ends = places[:, :-1], places[:, 1:]
@@ -162,7 +162,8 @@ class Base:
         return free
 
     def best(self, a: Floats, b: Floats, count: int) -> tuple[Floats, Floats]:
-        """Return the cheapest ways, shape (N, count, motions, 2), and their costs, with changes of direction."""
+        """Return the cheapest ways, shape (N, count, motions, 2), and their costs, which include changes of
+        direction."""
         ways = self.ways(a, b)
         costs, count = ways.costs, min(count, ways.lengths.shape[1])
         order = np.argpartition(costs, count - 1, axis=1)[:, :count]

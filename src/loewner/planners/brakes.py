@@ -1,7 +1,7 @@
-"""Brakes of a robot: joint by joint, which leaves the path, and on a path.
+"""Brakes of a robot: joint by joint, which leaves the path, and along a path.
 
-The kernels `_kernels.robots.brakes` compute many brakes at a time, on paths of straight motions and joint by joint. On
-a trajectory with blends, the speed falls on straight lines, and blends are passed at a lower rate.
+The kernels in `_kernels.robots.brakes` compute many brakes at a time, on paths of straight motions and joint by joint.
+On a trajectory with blends, the speed falls on straight lines, and blends are passed at a lower rate.
 """
 
 from __future__ import annotations
@@ -35,18 +35,18 @@ HALVINGS = 64
 
 
 class Brakes(NamedTuple):
-    """Brakes as states at the times at which a rate of a joint jumps; see `_kernels.robots.brakes`.
+    """Brakes as states at the times at which the rate of a joint jumps; see `_kernels.robots.brakes`.
 
     Attributes
     ----------
     times : ndarray, shape (n, most)
         Seconds since each brake began.
     states : ndarray, shape (n, most, 3, dof)
-        Positions, and velocities and accelerations from these times on.
+        Positions at these times, and velocities and accelerations from these times on.
     counts : ndarray of int64, shape (n,)
         Number of times of each brake; 0 for a brake that does not end on the path.
     needed : ndarray of int64, shape (n,)
-        Index of the row of the path by which each brake ends, or the number of rows if it ends by none; 0 off the path.
+        Index of the row of the path by which each brake ends, or the number of rows if it ends later; 0 off the path.
     """
 
     times: Floats
@@ -56,7 +56,8 @@ class Brakes(NamedTuple):
 
     @classmethod
     def by_joint(cls, Q: Floats, V: Floats, A: Floats, strongest: Floats, jerk: Floats) -> Brakes:
-        """Stop each joint as soon as its limits allow, from states of shape (n, dof); `jerk` is infinite for none."""
+        """Stop each joint as soon as its limits allow, from states of shape (n, dof); an infinite `jerk` means no
+        limit."""
         made = cls._empty(len(Q), 3 * Q.shape[1] + 1, Q.shape[1])
         entries.brakes_by_joint(*(np.array(x) for x in (Q, V, A, strongest, jerk)), *made[:3])
         return made
@@ -65,7 +66,7 @@ class Brakes(NamedTuple):
     def on_path(
         cls, rows: Floats, at: Floats, begins: Floats, strongest: Floats, jerk: Floats, *, beyond: bool = False
     ) -> Brakes:
-        """Stop on straight motions between rows, shape (k, dof), at times `at`, from each of some times on."""
+        """Stop on straight motions between rows, shape (k, dof), at the times `at`, beginning at each of some times."""
         made = cls._empty(len(begins), len(rows) + 4, rows.shape[1])
         entries.brakes_on_path(*(np.array(x) for x in (rows, at, begins, strongest, jerk)), beyond, *made)
         return made
@@ -85,12 +86,12 @@ class Brakes(NamedTuple):
         return Brakes(self.times[chosen], self.states[chosen], self.counts[chosen], self.needed[chosen])
 
     def courses(self, cubic: bool) -> tuple[Floats, Floats, Ints]:
-        """Return the pieces as the proof of motions takes them, and where each brake begins among them.
+        """Return the pieces in the form that the proof of motions takes, and the index at which each brake begins.
 
         Returns
         -------
         courses : ndarray, shape (m, degree + 1, dof)
-            The degree is 3 if `cubic`, that is, with limits of jerk, and otherwise 2.
+            The degree is 3 if `cubic`, that is, with jerk limits, and otherwise 2.
         seconds : ndarray, shape (m,)
         first : ndarray of int64, shape (n + 1,)
         """
@@ -100,14 +101,14 @@ class Brakes(NamedTuple):
         return courses, seconds, first
 
     def whole(self, cubic: bool, until: Floats) -> tuple[Floats, Floats]:
-        """Return one course for each brake and the rest behind it, and by how much the brake deviates from it.
+        """Return one course for each brake including the rest after it, and how far the brake deviates from the course.
 
         Parameters
         ----------
         cubic : bool
             As for `courses`.
         until : ndarray, shape (n,)
-            Seconds since each brake began until which it rests, if they are more than it takes.
+            Seconds after the beginning of each brake until which it rests, if this is longer than it takes.
 
         Returns
         -------
@@ -165,7 +166,7 @@ def braked(names: tuple[str, ...], q: Floats, dq: Floats, ddq: Floats, strongest
 def braked_on_motions(
     rows: Floats, at: Floats, begin: float, strongest: Floats, jerk: Floats | None, beyond: bool
 ) -> Timed:
-    """Stop on straight motions, from a time on; velocities jump at rows.
+    """Stop on straight motions, beginning at a given time; velocities jump at rows.
 
     Raises
     ------
@@ -181,7 +182,8 @@ def braked_on_motions(
 
 
 def braked_on_curve(rest: Timed, strongest: Floats, jerk: Floats | None, beyond: bool) -> Timed:
-    """Stop on the rest of a trajectory: on its straight lines as soon as limits allow; blends are passed more slowly.
+    """Stop on the rest of a trajectory: on its straight lines as soon as the limits allow; blends are passed more
+    slowly.
 
     Raises
     ------
@@ -345,13 +347,14 @@ def brake_limits(
     acceleration: ArrayLike | None,
     jerk: ArrayLike | None,
 ) -> tuple[Floats, Floats | None]:
-    """Return limits of acceleration and jerk, shape (dof,), infinite for joints that do not move; no jerk: None.
+    """Return limits of acceleration and jerk, shape (dof,), infinite for joints that do not move; None without a jerk
+    limit.
 
     Parameters
     ----------
     moves : ndarray of bool, shape (dof,)
     known : Robot or None
-        Whose limits of acceleration and jerk count for joints without others.
+        Its acceleration and jerk limits are used for joints without other limits.
     """
     if limits is not None and not (isinstance(limits, JointLimits) and limits.names == names):
         found = ", ".join(limits.names) if isinstance(limits, JointLimits) else type(limits).__name__

@@ -1,4 +1,4 @@
-"""Move a path away from obstacles: its cost rises near them, and its points move to where the cost is lower."""
+"""Move a path away from obstacles: its cost rises near them, and its points move to places where the cost is lower."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class Clearing:
     ----------
     judge : Judge
     ready : Problem
-        The pairs of a body that the robot moves and another one.
+        The pairs that consist of a body moved by the robot and another body.
     weights : ndarray, shape (dof,)
     wanted : float
         In metres.
@@ -55,7 +55,7 @@ class Clearing:
 
     @classmethod
     def of(cls, judge: Judge, weights: Floats, wanted: float) -> Clearing:
-        """Make it for the state of the scene that a judge refers to."""
+        """Make it for the state of the scene to which a judge refers."""
         ready = judge.ready
         return cls(judge, ready.only(np.flatnonzero((ready.pairs >= len(ready.link)).any(axis=1))), weights, wanted)
 
@@ -73,9 +73,9 @@ class Clearing:
         return float(np.min(distances.nearest(self.ready, Q, True, False).distance))
 
     def cleared(self, space: Space, path: Floats, most: int, deadline: float) -> tuple[Floats, int]:
-        """Move a path whose motions are free; return the cheaper one of both, and the number of rounds.
+        """Move a path whose motions are free; return the cheaper one of the two paths, and the number of rounds.
 
-        Points move for three quarters of the time; the clock is read between rounds.
+        Points move for three quarters of the time; the clock is checked between rounds.
         """
         if self.cost_of(path) <= self._lengths(path[:-1], path[1:]).sum() * (1.0 + TOLERATED):
             return path, 0

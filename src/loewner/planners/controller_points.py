@@ -53,25 +53,25 @@ WITHOUT_BASE = (
 
 @dataclass(frozen=True, eq=False)
 class Origin:
-    """Other contents of the message from which points were read.
+    """Other contents of the message from which the points were read.
 
     Attributes
     ----------
     place : str
         The keys that lead to the points.
     stated : dict
-        Values, by columns, that come from the message's start state.
+        Values from the message's start state, by columns.
     sources : dict
-        Where these values come from, by the columns: keys of the message.
+        Where these values come from, by columns: keys of the message.
     assumed : tuple of str
-        Columns for which neither the file nor `others` has values: they keep the robot's defaults, mostly 0.
+        Columns for which neither the file nor `others` has values: they keep the robot's defaults, which are mostly 0.
     touching : dict
         Links that a carried body may touch, by its name.
     free : tuple of str
-        Bodies that the robot carries in another part of the message, and not here; queries refuse them where the scene
+        Bodies that the robot carries in another part of the message, but not here; queries raise an error if the scene
         has attached them.
     straight : tuple of str
-        Columns that are interpolated by straight lines, although others have velocities: motions of a base.
+        Columns that are interpolated by straight lines although others have velocities: motions of a base.
     """
 
     place: str = ""
@@ -190,9 +190,9 @@ class ControllerPoints:
         Raises
         ------
         FileError
-            If the file does not exist, contains no such points or several trajectories (see `load_all`), has a key
-            twice, a key that its message does not have, or a value of another kind; if without a robot, or for the
-            given one, a message contains values of joints or motions that could not be used.
+            If the file does not exist, or contains no such points or several trajectories (see `load_all`); if it has a
+            duplicate key, a key that its message does not have, or a value of the wrong kind; or if a message contains
+            values of joints or motions that could not be used, with the given robot or without one.
         InputError
             If the file has any other extension, or `others` is given without `robot` or is not its configuration.
         MissingExtraError
@@ -201,8 +201,9 @@ class ControllerPoints:
         Warns
         -----
         UserWarning
-            If the message has bodies in a world of its own, which are not read; if it is for a robot of another name;
-            if a goal lets the controller deviate; if the trajectory does not begin at the message's start state.
+            If the message contains bodies in a world of its own, which are not read; if it is for a robot of another
+            name; if a goal lets the controller deviate; or if the trajectory does not begin at the message's start
+            state.
 
         Examples
         --------
@@ -221,7 +222,7 @@ class ControllerPoints:
         """Read all trajectories of a file, in their order; errors and warnings as for `load`.
 
         Joints that a trajectory does not name keep their values from the trajectory before, or from the message's
-        states. Each has the bodies that the robot then carries as `carried`.
+        states. The bodies that the robot then carries are in the `carried` of each.
 
         Parameters
         ----------
@@ -261,16 +262,16 @@ class ControllerPoints:
         ----------
         path : path
             A ``.csv`` file contains all numbers in full precision. A ``.json`` or ``.yaml`` file contains a ROS
-            ``trajectory_msgs/JointTrajectory``, whose times are rounded to nanoseconds; prove the points of the file if
-            the times change.
+            ``trajectory_msgs/JointTrajectory``, whose times are rounded to nanoseconds; if this changes times, prove
+            the points of the file.
         joints, names, controllers
             As for `Trajectory.save`. Points without names need `names`.
 
         Raises
         ------
         InputError
-            As for `Trajectory.save`; if a message would have the same time twice, or one below 0; or if the base of a
-            robot moves straight while joints have velocities, which no such file contains.
+            As for `Trajectory.save`; if a message would contain the same time twice, or a negative time; or if the base
+            of a robot moves straight while joints have velocities, which no such file can express.
         UnknownNameError, FileError, MissingExtraError
             As for `Trajectory.save`.
 
@@ -451,7 +452,7 @@ class ControllerPoints:
 
 
 def executed(points: ControllerPoints, derivatives: int) -> ControllerPoints:
-    """Return points without accelerations or velocities: with 0, 1 or 2 derivatives, which the points must have."""
+    """Return points with only 0, 1 or 2 derivatives, which the points must have."""
     kept = [rate if k < derivatives else None for k, rate in enumerate((points.velocities, points.accelerations))]
     made = ControllerPoints(points.times, points.positions, *kept, names=points.names, start_time=points.start_time)
     made.carried, made.origin = points.carried, points.origin

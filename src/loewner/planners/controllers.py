@@ -1,4 +1,4 @@
-"""Columns that controllers take, by the names that controllers have for them, and the files that list controllers."""
+"""Columns that controllers take, with the names that controllers use for them, and the files that list controllers."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ HARMLESS = (
 
 @dataclass(eq=False)
 class Controller:
-    """A controller of a file: its type, "" if the file has none; its joints; and other keys."""
+    """A controller in a file: its type ("" if the file gives none), its joints, and other keys."""
 
     type: str = ""
     joints: tuple[str, ...] = ()
@@ -88,7 +88,7 @@ def columns_of(
 
 
 def expect_in_table(names: Sequence[str]) -> None:
-    """Raise an InputError for names that a table would read as columns of another kind."""
+    """Raise an InputError for names that a table would interpret as columns of another kind."""
     for name in names:
         if name in (*TIMES, BLEND) or name.endswith((VELOCITY, ACCELERATION)) or name != name.strip():
             raise InputError(
@@ -104,7 +104,7 @@ def write(
     listing: str | os.PathLike[str] | None,
     text: Callable[[list[int], Sequence[str]], str],
 ) -> None:
-    """Write all columns to a file, or the columns of each controller of a listing to a file for it.
+    """Write all columns to one file, or the columns of each controller in a list to a file of its own.
 
     Parameters
     ----------
@@ -124,16 +124,16 @@ def write(
 
 
 def files_of(listing: Any, target: Path, names: Sequence[str], moves: Sequence[bool]) -> dict[Path, list[int]]:
-    """Return the file of each controller of a listing that takes a trajectory, and its columns in the trajectory.
+    """Return, for each controller in a list that takes trajectories, its file and its columns in the trajectory.
 
     Parameters
     ----------
     listing : path
         A file of ros2_control or MoveIt.
     target : path
-        The name without a controller's: ``moved.yaml`` makes ``moved.arm_controller.yaml``.
+        The name without the controller's: ``moved.yaml`` becomes ``moved.arm_controller.yaml``.
     names, moves : sequence
-        Names of columns, and whether their values change; only then a controller has to take them.
+        Names of columns, and whether their values change; only columns that change must be taken by a controller.
     """
     controllers = _read(_validate.path(listing, "controllers"))
     taking = {name: one for name, one in controllers.items() if not one.type or one.type.endswith(TRAJECTORY)}

@@ -1,4 +1,4 @@
-"""Let several robots follow paths that are given, such that they never meet: who waits, and when."""
+"""Let several robots follow given paths such that they never meet: which robot waits, and when."""
 
 from __future__ import annotations
 
@@ -61,17 +61,17 @@ def coordinate(
     steps: int = 50,
     joint_error: ArrayLike = 0.0,
 ) -> Floats:
-    """Find a common path of several robots on which each follows its own path, and they never meet.
+    """Find a common path of several robots on which each robot follows its own path and they never meet.
 
     Parameters
     ----------
     checker : CollisionChecker
         Its robot was made by `Robot.join`.
     paths : mapping from str to array_like, shape (k, dof of the part) or (dof of the part,)
-        For each part (`Robot.part`) the configurations of its path, with straight motions between them; or the one
+        For each part (`Robot.part`), the configurations of its path, with straight motions between them, or the single
         configuration at which it waits.
     steps : int
-        Number of steps into which the path that takes the longest time is divided. At each of them a robot may wait.
+        Number of steps into which the path with the longest duration is divided. At each step, a robot may wait.
     joint_error : float or array_like, shape (dof,)
         As for `CollisionChecker.certify_edges`, for the values of all robots.
 
@@ -79,8 +79,8 @@ def coordinate(
     -------
     ndarray, shape (k, dof)
         Configurations of all robots together, with straight motions between them, all proven free. It takes the least
-        time of all such paths in these steps, at the joints' largest velocities, where a value without a limit moves at
-        1 rad/s or 1 m/s. `planners.trajectory` times it.
+        time of all such paths with these steps, at the joints' maximum velocities; a value without a limit moves at 1
+        rad/s or 1 m/s. `planners.trajectory` times it.
 
     Raises
     ------
@@ -90,12 +90,12 @@ def coordinate(
         If there is no such part.
     PlanningError
         If the starts or the ends are not free, or the robots cannot pass each other on these paths; the message names
-        the two bodies that meet where they got farthest.
+        the two bodies that meet at the farthest point reached.
 
     Notes
     -----
-    The states of all robots form a grid, with a step of any of them along each edge and of several along its
-    diagonals; A* finds the fastest way, and proves the edges that it meets. Robots never go back.
+    The states of all robots form a grid: one robot takes a step along an edge, and several take steps along a diagonal.
+    A* finds the fastest way, and proves the edges that it encounters. Robots never go back.
 
     References
     ----------

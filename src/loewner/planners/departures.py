@@ -42,13 +42,13 @@ class Departures:
 
     @classmethod
     def of(cls, space: Space, judge: Judge, start: Floats, goals: Floats) -> Departures:
-        """Find the free configurations, in one consistent state of the scene; a joint error allows no contact.
+        """Find the free configurations in one consistent state of the scene; with a joint error, no contact is allowed.
 
         Raises
         ------
         PlanningError
             If the rules allow a contact at the start or at the only goal, but no motion was found that ends or begins
-            it.
+            the contact.
         """
         free_start, free_goals, ready = start, goals, judge.ready
         if judge.joint_error is not None:

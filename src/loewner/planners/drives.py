@@ -1,8 +1,8 @@
 """Define `Drive`, a sequence of arcs, straight lines and turns in place, for mobile bases.
 
-The engine proves polynomials, and an arc is none. Each piece of an arc becomes the polynomial of degree 7 that agrees
-with it at both ends in position and three derivatives, and the proof covers all configurations that deviate from it by
-as much as the arc does; docs/certified.md derives the bound.
+The engine proves polynomials, but an arc is not a polynomial. Each piece of an arc becomes the polynomial of degree 7
+that agrees with it at both ends in position and three derivatives. The proof covers all configurations that deviate
+from the polynomial by as much as the arc does; docs/certified.md derives the bound.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ class Arcs(NamedTuple):
     courses : ndarray, shape (pieces, 8, 3)
         Control points of x, y and theta.
     off : ndarray, shape (pieces, 3)
-        How far the values may be from the courses.
+        How far the values may deviate from the courses.
     owner : ndarray of int, shape (pieces,)
         The motion of each piece, in order.
     """
@@ -73,19 +73,19 @@ class Drive(KeepsReadOnly):
     names : tuple of str
         Names of the columns, as in `Robot.configuration_names`.
     path : ndarray, shape (k + 1, dof)
-        Configurations at which motions begin, and the last one. Between two of them the base does not move straight:
+        Configurations at which motions begin, and the last one. Between two of them the base does not move straight, so
         use `positions`.
     motions : ndarray, shape (k, 2)
-        Length of each motion [m], negative backwards, and its turn [rad], positive to the left. An arc has both, a
+        Length of each motion [m], negative for backwards, and its turn [rad], positive to the left. An arc has both, a
         straight line no turn, and a turn in place no length.
     columns : tuple of int
         The columns of x, y and theta.
     times : ndarray, shape (k + 1,)
-        Seconds; within a motion, the base drives and turns at constant rates. Drives of `plan` and `of` are so fast
-        that they never exceed 1 m/s and 1 rad/s; ``dataclasses.replace(drive, times=drive.times / 0.5)`` drives half as
-        fast.
+        Seconds; within a motion, the base drives and turns at constant rates. Drives from `plan` and `of` are as fast
+        as possible without exceeding 1 m/s and 1 rad/s; ``dataclasses.replace(drive, times=drive.times / 0.5)`` drives
+        half as fast.
     iterations : int
-        Number of poses from which the search went on.
+        Number of poses from which the search continued.
     seconds : float
         Duration of the search.
     proof : Proof or None
@@ -174,7 +174,7 @@ class Drive(KeepsReadOnly):
 
     @property
     def turn(self) -> float:
-        """Sum of the turns to both sides, in radians."""
+        """Sum of the turns in both directions, in radians."""
         return float(np.abs(self.motions[:, 1]).sum())
 
     @property
@@ -236,7 +236,8 @@ def _form(given: Drive, name: str) -> Curve:
 
 
 def arcs_between(poses: Floats, motions: Floats) -> Arcs:
-    """Return the courses of motions that begin at all poses but the last, shape (k + 1, 3), and end at the next."""
+    """Return the courses of motions that begin at all poses but the last, shape (k + 1, 3), and end at the next
+    pose."""
     ends = moved(poses[:-1], motions[:, 0], motions[:, 1])
     return arcs_of(poses[:-1], motions[:, 0], motions[:, 1], poses[1:], np.abs(ends - poses[1:]))
 
@@ -247,10 +248,10 @@ def arcs_of(poses: Floats, lengths: Floats, turns: Floats, ends: Floats, gaps: F
     Parameters
     ----------
     poses, ends : ndarray, shape (N, 3)
-        The pose at which each motion begins, and the one at which its course ends.
+        The pose at which each motion begins, and the pose at which its course ends.
     lengths, turns : ndarray, shape (N,)
     gaps : ndarray, shape (N, 3)
-        How far the ends of the courses and of the motions are apart.
+        How far apart the ends of the courses and of the motions are.
     """
     ways, angles = np.abs(lengths), np.abs(turns)
     with np.errstate(over="ignore", invalid="ignore"):  # refused below
@@ -291,7 +292,7 @@ def arcs_of(poses: Floats, lengths: Floats, turns: Floats, ends: Floats, gaps: F
 
 
 def base_columns(robot: Robot) -> tuple[int, int, int]:
-    """Find the columns of a planar base: x, y and an angle at the root of the robot, which nothing else follows.
+    """Find the columns of a planar base: x, y and an angle at the root of the robot that no other joint follows.
 
     Raises
     ------

@@ -61,8 +61,8 @@ State: TypeAlias = tuple[Floats, Floats]
 class GateState(IntEnum):
     """How much of a chunk may be executed.
 
-    GO: all targets. PREFIX: the first `GateAnswer.steps` targets. BRAKE: no target, but the brake. INSIDE: the robot is
-    in contact already, or nearer to something than its margin, so nothing can be proven.
+    GO: all targets. PREFIX: the first `GateAnswer.steps` targets. BRAKE: no targets, only the brake. INSIDE: the robot
+    is already in contact, or nearer to something than its margin, so nothing can be proven.
 
     Examples
     --------
@@ -86,24 +86,25 @@ class GateAnswer(_validate.Brief):
     steps : int
         How many targets may be executed. The motions to them, and a brake from each of them, are proven free.
     scale : float
-        1 if all targets may be executed. Otherwise the largest of the scales of time 1/2, 1/4 and 1/8 with which they
-        may, that is, with periods of dt / scale; 0 if there is none, or no work was left to find it.
+        1 if all targets may be executed. Otherwise, the largest time scale among 1/2, 1/4 and 1/8 with which they may
+        be executed, that is, with periods of dt / scale. Without such a scale, or without work left to find it, it is
+        0.
     reason : str
-        Why not all targets may be executed: "contact", if the robot collides on the way to a target, or "brake", while
-        it brakes, or there are no more targets than the latency has periods; "may be hit", if it collides only with
-        bodies away from their given poses, or nothing is proven near contact; "limits", if a target is outside the
-        limits or too fast; "budget", if the work was used up. Empty for GO.
+        Why not all targets may be executed. "contact": the robot collides on the way to a target. "brake": it collides
+        while it brakes, or there are no more targets than the latency has periods. "may be hit": it collides only with
+        bodies away from their given poses, or nothing is proven near contact. "limits": a target is outside the limits
+        or too fast. "budget": the work was used up. Empty for GO.
     names : tuple of str
         The pair of bodies in question, or the joint; empty if there is none.
     distance, normal : float, ndarray of shape (3,)
-        Distance [m] of the two, negative if they overlap, and the direction in which the second one lies, where
-        the proof fails, with all bodies at their given poses; NaN if there is no pair.
+        Where the proof fails, with all bodies at their given poses: the distance [m] of the two, negative if they
+        overlap, and the direction towards the second one; NaN if there is no pair.
     brake : Trajectory
         To be executed after `steps` targets (and the gate's `latency`) if no new answer arrives by then, or at once if
         the state is BRAKE.
     is_proven : bool
-        Whether this brake is proven free. It is unless nothing was proven before, the robot has left the tube that was
-        proven, or the world has left its bounds.
+        Whether this brake is proven free. It is proven unless nothing was proven before, the robot has left the proven
+        tube, or the world has left its bounds.
     work : int
         Steps of the proofs, see `CollisionChecker.certify_edges`.
 
@@ -215,24 +216,24 @@ class _Chunk(NamedTuple):
 
 
 class Gate:
-    """Judge chunks of joint targets in a control loop: how far may they run so that the robot can still brake?
+    """Judge chunks of joint targets in a control loop: how far may they run such that the robot can still brake?
 
     A chunk is FREE to run up to a target if the straight motions to it are proven free, and a brake from each target,
     for all deviations within the errors below and all places of bodies within their bounds (`Scene.follow`,
-    `Scene.move`). The claim is that nothing collides before the robot is at rest; a body may then run into it. This
-    is no safety function in the sense of IEC 61508 or ISO 13849.
+    `Scene.move`). The claim is that nothing collides before the robot is at rest; a body may run into it afterwards.
+    This is no safety function in the sense of IEC 61508 or ISO 13849.
 
     Parameters
     ----------
     checker : CollisionChecker
-        Whose scene may change between checks.
+        Its scene may change between checks.
     limits : planners.JointLimits, optional
         Limits of velocity, acceleration and jerk. Default: the robot's.
     brake : {"joints", "path"}
-        How the robot brakes. "joints": each joint as fast as its limits allow, off the path, as most controllers do.
-        "path": on the path, along which time runs slower.
+        How the robot brakes. "joints": each joint brakes as fast as its limits allow, off the path, as with most
+        controllers. "path": the robot stays on the path, along which time runs more slowly.
     horizon : float, optional
-        Seconds: only the targets within it are examined. Default: all.
+        Seconds: only targets within this time are examined. Default: all.
     interpolation : {"linear"}
         How the controller moves from one target to the next.
     joint_error : float or array_like, shape (dof,)
@@ -240,22 +241,22 @@ class Gate:
     velocity_error : float or array_like, shape (dof,)
         Rad/s or m/s by which its velocity may differ from the chunk's when it begins to brake.
     latency : float
-        Seconds from the order to brake until the robot brakes; it goes on along the chunk until then. It is rounded up
-        to whole periods.
+        Seconds from the order to brake until the robot brakes; until then, it continues along the chunk. It is rounded
+        up to whole periods.
     steps : int, optional
         How much work a check may take, in steps of the proofs (`CollisionChecker.certify_edges`). Default: no limit.
     acceleration, jerk : float or array_like, shape (dof,), optional
-        Limits that replace the ones in `limits`; without a limit of jerk, accelerations jump.
+        Limits that replace the ones in `limits`; without a jerk limit, accelerations jump.
     tolerance : float
         Metres, as for `CollisionChecker.certify_edges`.
 
     Raises
     ------
     InputError
-        If an argument has the wrong type, shape or value, a joint has no limit of acceleration, or the robot has a
+        If an argument has the wrong type, shape or value, a joint has no acceleration limit, or the robot has a
         floating or ball joint.
     UnknownNameError
-        If `brake` or `interpolation` is another text.
+        If `brake` or `interpolation` is another word.
 
     Examples
     --------
@@ -318,21 +319,21 @@ class Gate:
     def check(
         self, q: ArrayLike, dq: ArrayLike, targets: ArrayLike, dt: float, time: float | None = None
     ) -> GateAnswer:
-        """Judge a chunk of targets, before it is executed, or again at each tick of its execution.
+        """Judge a chunk of targets before it is executed, or again at each tick of its execution.
 
         Parameters
         ----------
         q, dq : array_like, shape (dof,)
             Measured positions and velocities.
         targets : array_like, shape (n, dof)
-            The robot is to be at the first one after `dt`, at the second one after 2 dt, and so on. A tick later, a
-            chunk that goes on begins with the second target; only new motions and brakes are then proven.
+            The robot should be at the first target after `dt`, at the second one after 2 dt, and so on. A tick later, a
+            chunk that continues begins with the second target; only new motions and brakes are then proven.
         dt : float
             Seconds.
         time : float, optional
-            Seconds on the clock of the scene's moving bodies: the time of this tick, which must not run back. Required
-            if bodies move or are known by growing bounds. With a latency, it also decides where a slow robot is, which
-            may be at several ticks by its state; without it, no brake of an earlier answer is then proven.
+            Seconds on the clock of the scene's moving bodies: the time of this tick, which must not run backwards.
+            Required if bodies move or are known by growing bounds. With a latency, it also decides where a slow robot
+            is, whose state may fit several ticks; without the time, no brake of an earlier answer is then proven.
 
         Returns
         -------
@@ -341,14 +342,14 @@ class Gate:
         Raises
         ------
         InputError
-            If an argument has the wrong shape, is not finite, or the time runs back or is missing. The brake of the
-            last answer is then the safe motion.
+            If an argument has the wrong shape or is not finite, or if the time runs backwards or is missing. The brake
+            of the last answer is then the safe motion.
 
         Notes
         -----
-        Proofs of earlier checks are used again if the targets go on as before, the scene has not changed or each body
-        is within its earlier bounds, and the measured state is within `joint_error` and `velocity_error` of the
-        motion that was proven. Otherwise everything is proven again.
+        Proofs of earlier checks are used again under three conditions: the targets continue unchanged; the scene has
+        not changed, or each body is within its earlier bounds; and the measured state is within `joint_error` and
+        `velocity_error` of the proven motion. Otherwise everything is proven again.
         """
         robot = self._checker.robot
         period, now = _validate.positive_scalar(dt, "dt"), self._time(time)
@@ -373,20 +374,20 @@ class Gate:
         return self._judged(ready, world, state, rows[: max(within, 1)], period, now)
 
     def proof(self) -> Proof:
-        """Write the proof of the last chunk that may run, for a log: other programs verify it without this library.
+        """Write the proof of the last chunk that may run, for a log; other programs can verify it without this library.
 
-        It takes far longer than a check, so it belongs outside of the control loop.
+        It takes far longer than a check, so do this outside the control loop.
 
         Returns
         -------
         Proof
-            Its motions are the ones up to the last target from which a brake is proven, and then all pieces of the
-            brakes, in the order of the ticks. All of them may deviate by as much as the brakes.
+            Its motions are the ones up to the last target with a proven brake, followed by all pieces of the brakes, in
+            the order of the ticks. All of them may deviate by as much as the brakes.
 
         Raises
         ------
         InputError
-            If no chunk may run, the scene has changed since, or bodies of it move or are known by growing bounds.
+            If no chunk may run, the scene has changed since then, or bodies in it move or are known by growing bounds.
         ConvergenceError
             If the format's bounds do not suffice.
 

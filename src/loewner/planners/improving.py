@@ -1,4 +1,4 @@
-"""Improve paths in rounds: another search within a bound on the cost, then polishing; the cheapest path is kept."""
+"""Improve paths in rounds: each searches again within a bound on the cost, then polishes; the cheapest path is kept."""
 
 from __future__ import annotations
 
@@ -134,15 +134,15 @@ class Plan(KeepsReadOnly):
     bound : float
         No path from the start to one of the goals costs less: the least cost of a straight motion to a goal that is
         free and within the limits, whether or not this motion is free. For a `PoseGoal` it is 0, since configurations
-        that were not tried may reach the pose at less cost.
+        that were not tried may reach the pose at a lower cost.
     iterations : int
         Number of rounds that tried to improve the path.
     seconds : float
-        Duration of the call, without writing a proof.
+        Duration of the call, excluding the writing of a proof.
     proof : Proof or None
         A proof that the path is free, if one was requested.
     clearance : float or None
-        Least distance [m] of the robot from the scene's bodies that are not attached to it, at 128 points or more of
+        Least distance [m] of the robot from the scene's bodies that are not attached to it, at 128 or more points of
         the path; infinite if there are no such bodies. None unless a clearance was requested.
     approach : int or None
         The row of the path at which the approach of a `PoseGoal` begins, if it has one.
@@ -171,7 +171,7 @@ class Plan(KeepsReadOnly):
 
     @property
     def gap(self) -> float:
-        """Share by which the cost exceeds the bound; the best path may be cheaper by at most cost - bound."""
+        """The excess of the cost over the bound, as a share; the best path may be cheaper by at most cost - bound."""
         if self.cost == self.bound:
             return 0.0
         return float((self.cost - self.bound) / self.bound) if self.bound > 0.0 else math.inf
@@ -186,7 +186,7 @@ class Plan(KeepsReadOnly):
 
 @dataclass(frozen=True, eq=False)
 class Improvement:
-    """How a path is to be improved.
+    """Options for improving a path.
 
     Attributes
     ----------
@@ -194,9 +194,9 @@ class Improvement:
     most : int
         Number of rounds.
     began, deadline : float
-        When the call began, and when to return, by the monotonic clock.
+        When the call began, and when to return, on the monotonic clock.
     clearance : float
-        Distance from obstacles below which the cost rises [m]; 0 if it does not.
+        Distance from obstacles below which the cost rises [m]; 0 if it does not rise.
     """
 
     weights: Floats
@@ -226,7 +226,7 @@ class Improvement:
     def plan(
         self, path: Floats, ends: Departures, goals: Floats, iterations: int, others: bool, clearing: Clearing | None
     ) -> Plan:
-        """Make the full result for a path to one of the given free goals; `others` may exist besides."""
+        """Make the full result for a path to one of the given free goals; there may also be `others`."""
         kept = {goal.tobytes() for goal in goals}
         targets = ends.goals[[goal.tobytes() in kept for goal in ends.free_goals]]
         cost = cost_of(self.weights, path) if clearing is None else clearing.cost_of(path)
@@ -264,7 +264,7 @@ def least_cost(space: Space, weights: Floats, start: Floats, goals: Floats) -> f
 
 @dataclass(eq=False)
 class Polish:
-    """A path that is polished, as `polish_path` needs it."""
+    """A path to be polished, in the form that `polish_path` needs."""
 
     judge: Judge
     box: Floats
@@ -284,7 +284,7 @@ class Polish:
         return cls(judge, box, rows, len(path), state, np.array([0.5]), cost_of(box[2], path))
 
     def on(self, most: int) -> int:
-        """Polish in at most this number of steps in all; MET if only a straight motion is left."""
+        """Polish until this total number of steps has been reached; MET if only a straight motion is left."""
         if self.count > 2:
             ends, points = np.empty((2, self.rows.shape[1])), np.empty_like(self.rows)
             self.count = entries.polish_path(
@@ -305,7 +305,7 @@ class _LateError(Exception):
 
 @dataclass(eq=False)
 class Rounds:
-    """Rounds of improvement, in the order that the seed determines.
+    """Rounds of improvement, in an order that the seed determines.
 
     Attributes
     ----------
@@ -315,12 +315,12 @@ class Rounds:
     box : ndarray, shape (3, dof)
         See `_kernels.robots.polishing.Work`.
     idle : ndarray of int64, shape (k,)
-        Numbers of joints with equal values at the start and at all goals, in order of falling weights; none if all
+        Numbers of joints with equal values at the start and at all goals, in order of decreasing weight; none if all
         values are equal.
     least : float
         Cost of the straight way.
     longest : float
-        The longest motion of a tree without a bound.
+        The longest motion of a tree when there is no bound.
     seed : int
     deadline : float
     searches : int
@@ -413,8 +413,8 @@ def improved(
 ) -> tuple[Floats, int]:
     """Improve a path to one of several free goals; return it with the number of rounds.
 
-    All motions of both paths are free for the judge. With a clearance, half of the rounds and of the time make the path
-    short, and the rest moves it away from obstacles.
+    All motions of both paths are free for the judge. With a clearance, half of the rounds and of the time shorten the
+    path, and the rest moves it away from obstacles.
     """
     if clearing is None or asked.most == 0:
         return _shorter(space, judge, path, goals, asked, seed)

@@ -1,9 +1,9 @@
-"""Plan among bodies that follow motions: search in space and time, by motions that are proven at their own times.
+"""Plan among bodies that follow motions: search in space and time, with motions that are proven at their own times.
 
-A state is a configuration with a time behind it [s], which counts from the start of the plan. First the direct motion
-is tried, then a path through the scene without the moving bodies, at several starts and speeds; then two trees grow,
-forward in time from the start and backward from the goals. Motions are proven in batches, since a call takes as long
-as the proof of ten of them.
+A state is a configuration followed by a time [s], which counts from the start of the plan. First the direct motion is
+tried, and then a path planned without the moving bodies, with several starts and speeds. After that, two trees grow,
+forward in time from the start and backward from the goals. Motions are proven in batches, since a call takes as long as
+the proof of ten of them.
 """
 
 from __future__ import annotations
@@ -92,7 +92,7 @@ class TimedJudge:
     begin : float
         Start of the plan [s].
     limit : float
-        Latest arrival, from the start on [s].
+        Latest arrival, counted from the start [s].
     fastest, joint_error : ndarray, shape (dof,)
     """
 
@@ -134,12 +134,12 @@ class TimedJudge:
         return in_time.free_at(self.ready, self._with_bodies(states), self.begin + states[:, -1])
 
     def touching(self, state: Floats) -> str:
-        """Describe the contacts of a state; "" for none."""
+        """Describe the contacts in a state; "" for none."""
         contacts, doubt = verdicts.contacts(self.ready, self._with_bodies(state[None])[0], self.begin + state[-1])
         return doubt or touching(contacts)
 
     def waiting(self, q: Floats) -> str:
-        """Describe the first body that comes too near to a robot that waits at the start."""
+        """Describe the first body that comes too near to a robot waiting at the start."""
         if self.ready.paths is None:
             return ""
         t, Q = self.begin + self.limit * np.linspace(0.0, 1.0, SLOTS + 1) ** 2, np.tile(q, (SLOTS, 1))
@@ -307,7 +307,7 @@ def _judge(
 
 
 def horizon_of(ready: Problem, begin: float) -> float:
-    """Return how long bodies still move, from the start of a plan on; of motions that repeat, some periods."""
+    """Return how long bodies still move after the start of a plan; for motions that repeat, some periods."""
     paths = () if ready.paths is None else ready.paths.paths
     spans = [PERIODS * path.period if path.repeat else max(float(path.times[-1]) - begin, 0.0) for path in paths]
     return max(spans, default=0.0)

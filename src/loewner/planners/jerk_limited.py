@@ -1,8 +1,8 @@
 """Time the motions of a path, and the blends between them, with limited jerk: every piece is a cubic polynomial.
 
 Along a motion, the speed follows a profile of phases with constant jerk. Across a corner, the velocity changes from one
-motion's direction to the other's in up to three phases: the acceleration grows, stays and falls. Both kinds of pieces
-begin and end without acceleration. docs/howto/trajectories.md and docs/design/trajectories.md describe them.
+motion's direction to the other's in up to three phases: the acceleration grows, stays constant, and falls. Both kinds
+of pieces begin and end without acceleration. docs/howto/trajectories.md and docs/design/trajectories.md describe them.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ def shortest(size: Floats, fastest: Floats, strongest: FloatOrFloats, jerk: Floa
     Parameters
     ----------
     size : ndarray, shape (dof,)
-        The largest position plus the distance at the highest speed in the whole time.
+        The largest position plus the distance covered at the highest speed in the whole time.
     fastest, strongest, jerk : ndarray, shape (dof,), or infinite
     """
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
@@ -104,12 +104,12 @@ class JerkLimited(NamedTuple):
 
     @property
     def wanted(self) -> Floats:
-        """For each corner, the size of the blend that is passed at full speed."""
+        """For each corner, the size of the blend that can be passed at full speed."""
         edges = [ramp(1.0, limits) for limits in self.across]
         return np.array([edge + flat / 2 for edge, flat in edges])
 
     def extended(self, column: Floats) -> JerkLimited:
-        """Append a column to the configurations, which has no limits."""
+        """Append a column without limits to the configurations."""
         return self._replace(straights=self.straights.extended(column))
 
     def courses(self, halves: Floats) -> Floats:

@@ -1,4 +1,4 @@
-"""Limits of position, velocity, acceleration and jerk: ROS's joint_limits.yaml, and the limits of one trajectory."""
+"""Limits of position, velocity, acceleration and jerk: ROS's joint_limits.yaml, and the limits for one trajectory."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ class JointLimits(KeepsReadOnly):
     lower, upper : ndarray, shape (dof,)
         Limits of position [rad or m].
     velocity, acceleration, jerk : ndarray, shape (dof,)
-        In rad or m per second, per second squared and per second cubed. All limits are infinite where there are none.
+        In rad or m per second, per second squared and per second cubed. A limit is infinite if there is none.
 
     Examples
     --------
@@ -84,11 +84,12 @@ class JointLimits(KeepsReadOnly):
         Parameters
         ----------
         path : path
-            A YAML file with the key ``joint_limits``, also within ROS's parameters, perhaps several times for different
-            joints. For each joint, ``has_velocity_limits: true`` and ``max_velocity`` give a limit, and
-            ``has_velocity_limits: false`` means that there is none; likewise for accelerations, decelerations and jerk,
-            and for ``min_position`` and ``max_position``, which soft limits narrow. A limit of a joint that mimics
-            another bounds the other joint; its positions cause a warning. Angles may be tagged ``!degrees``.
+            A YAML file with the key ``joint_limits``, possibly within ROS's parameters, and possibly several times for
+            different joints. For each joint, ``has_velocity_limits: true`` and ``max_velocity`` give a limit, and
+            ``has_velocity_limits: false`` means that there is none. Accelerations, decelerations and jerk have this
+            form, too, and so do ``min_position`` and ``max_position``, which soft limits narrow. A limit of a joint
+            that mimics another bounds the other joint; its positions cause a warning. Angles may be tagged
+            ``!degrees``.
         robot : Robot
         scaled : bool
             Multiply velocities and accelerations by the file's default scaling factors, which are at most 1.
@@ -100,18 +101,18 @@ class JointLimits(KeepsReadOnly):
         Raises
         ------
         FileError
-            If the file does not exist, contains no limits, names a joint or a key twice, a key of a joint is unknown, a
-            limit is malformed, or a scaling factor is not beside ``joint_limits``.
+            If the file does not exist, contains no limits, contains a joint or a key twice, or contains an unknown key
+            of a joint or a malformed limit; or if a scaling factor is not next to ``joint_limits``.
         UnknownNameError
-            If the robot lacks a joint of the file; the message lists such joints and the robot's.
+            If the robot lacks a joint in the file; the message lists such joints and the robot's joints.
         MissingExtraError
             If PyYAML is not installed.
 
         Warns
         -----
         UserWarning
-            Once, if limits of a joint that turns are probably in degrees; once, if the file has other tables beside
-            ``joint_limits``, or positions of joints that mimic others.
+            Once, if limits of a joint that turns are probably in degrees; once, if the file contains other tables next
+            to ``joint_limits``, or positions of joints that mimic others.
 
         Examples
         --------
@@ -143,9 +144,10 @@ def limits_of(
     acceleration: ArrayLike | None,
     jerk: ArrayLike | None,
 ) -> tuple[Floats, Floats, Floats | None]:
-    """Return limits of velocity, acceleration and perhaps jerk, shape (dof,); infinite for joints that do not move.
+    """Return limits of velocity, acceleration and, optionally, jerk, shape (dof,); infinite for joints that do not
+    move.
 
-    The positions of a path are checked against given limits.
+    The positions of a path are checked against the given limits.
     """
     if given is not None and not (isinstance(given, JointLimits) and given.names == robot.configuration_names):
         found = f"those of {', '.join(given.names)}" if isinstance(given, JointLimits) else type(given).__name__
@@ -380,7 +382,7 @@ def _turning(robot: Robot) -> Bools:
 
 
 def with_start(robot: Robot, columns: Ints, q: Floats, lower: Floats, upper: Floats) -> tuple[Floats, Floats]:
-    """Widen ranges of columns to the start of a motion, with a warning, if it is within the hard limits."""
+    """Widen the ranges of columns to include the start of a motion, with a warning, if it is within the hard limits."""
     values = q[columns]
     outside = (values < lower - ON_LIMIT) | (values > upper + ON_LIMIT)
     hard = (values >= robot.hard_lower[columns] - ON_LIMIT) & (values <= robot.hard_upper[columns] + ON_LIMIT)

@@ -82,7 +82,7 @@ class Judge:
         return cls(checker, prepared_of(checker), resolution, 1, errors if errors.any() else None, kept)
 
     def now(self) -> Judge:
-        """Return a judge for the scene's current state, otherwise the same."""
+        """Return a judge for the scene's current state that is otherwise equal."""
         return replace(self, ready=prepared_of(self.checker))
 
     def up_to(self, longest: float) -> Judge:
@@ -114,7 +114,7 @@ class Judge:
         return np.array(handles, dtype=np.int64), np.array([TOLERANCE, self.resolution])
 
     def free(self, Q0: Floats, Q1: Floats) -> Bools:
-        """Return which motions of a batch are free and keep the axis; an unsettled motion is not."""
+        """Return which motions of a batch are free and keep the axis; an unsettled motion counts as not free."""
         if not self.resolution:
             courses = straight(self.ready.robot, Q0, Q1)
             free = self.proven(courses, deviations(courses, self.joint_error))
@@ -129,7 +129,7 @@ class Judge:
 
 
 def free_now(judge: Judge, a: Floats, b: Floats) -> bool:
-    """Return whether one motion is free in the scene's current state; an unsettled motion is not."""
+    """Return whether one motion is free in the scene's current state; an unsettled motion counts as not free."""
     if judge.resolution:
         return verdicts.is_sampled_free(prepared_of(judge.checker), a, b, judge.resolution)
     return bool(judge.now().free(a[None], b[None])[0])

@@ -88,7 +88,7 @@ class KeptAxis:
         return int(self.table.ctypes.data)
 
     def on(self, Q0: Floats, Q1: Floats) -> Bools:
-        """Return which motions of a batch provably keep the axis."""
+        """Return which motions in a batch provably keep the axis."""
         kept = np.zeros(len(Q0), dtype=bool)
         entries.keep_axis(self.handle, np.array(Q0, order="C"), np.array(Q1, order="C"), kept)
         return kept

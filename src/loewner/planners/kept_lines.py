@@ -1,4 +1,4 @@
-"""Straight lines that a link keeps along curves of configurations, by a bound on how far it strays from them."""
+"""Straight lines that a link keeps along curves of configurations, with a bound on the link's deviation."""
 
 from __future__ import annotations
 
@@ -46,8 +46,8 @@ class Line:
     first, last : int
         Rows of the path, counted from the end if negative. Default: the whole path.
     position, rotation : float
-        Largest deviations of the link from the line, in metres and radians, at least 1e-9: at every instant there is a
-        pose of the line from which the link's pose differs by no more than both.
+        Largest deviations of the link from the line, in metres and radians, at least 1e-9: at every instant, the link's
+        pose differs from some pose of the line by no more than both.
 
     Raises
     ------
@@ -79,7 +79,7 @@ class Line:
 
 
 def checked_tolerance(x: Any, name: str) -> float:
-    """Check a largest deviation; a rotation deviates by half a turn at most."""
+    """Check a maximum deviation; a rotation can deviate by at most half a turn."""
     value = _validate.positive_scalar(x, name)
     if value < LEAST_TOLERANCE:
         raise InputError(f"{name}: expected at least {LEAST_TOLERANCE:g}, which rounding allows, found {value:g}")
@@ -89,7 +89,8 @@ def checked_tolerance(x: Any, name: str) -> float:
 
 
 class Step(NamedTuple):
-    """A vector that is fixed in the frame so far, by its length, and the joint after it: a slide, a turn, or none."""
+    """A vector that is fixed in the current frame, given by its length, and the joint after it: a slide, a turn, or
+    none."""
 
     length: float
     kind: str
@@ -114,7 +115,7 @@ class KeptLine:
     joints : int
         Number of links of the chain plus one.
     fractions : ndarray, shape (last - first + 1,)
-        For each row, the fraction of the pose of the line that is nearest to its pose.
+        For each row, the fraction of the line whose pose is nearest to the row's pose.
     """
 
     robot: Robot
@@ -131,7 +132,8 @@ class KeptLine:
 
     @classmethod
     def of(cls, robot: Robot, line: Line, rows: Floats) -> KeptLine:
-        """Make the line between poses of the link at rows of a path, which begin and end with the line's ends."""
+        """Make the line between poses of the link at rows of a path; the first and the last pose are the ends of the
+        line."""
         chain = chain_to(robot, line.link)
         refuse_far(chain, np.eye(4), rows)
         poses = robot.forward_kinematics(rows)[:, robot.link_names.index(line.link)]
@@ -233,7 +235,7 @@ class KeptLine:
 
 
 def kept_lines(line: Any, rows: Floats) -> list[Line]:
-    """Check an argument `line`; numbers of rows are then counted from the start of the path."""
+    """Check an argument `line`; row numbers are then counted from the start of the path."""
     if line is None:
         return []
     given = [line] if isinstance(line, str | Line) else _validate.listed(line, "line", wanted="a link or Lines")

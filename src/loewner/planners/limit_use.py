@@ -42,7 +42,7 @@ Ends = tuple[tuple[float, float], tuple[float, float]]
 
 
 class Use(NamedTuple):
-    """The largest value of one joint on a curve, beside its limit.
+    """The largest value of one joint on a curve, next to its limit.
 
     Attributes
     ----------
@@ -50,11 +50,11 @@ class Use(NamedTuple):
         One of `QUANTITIES`.
     joint : str
     value, limit : float
-        The value that comes nearest to its limit or exceeds it most, and this limit; SI units. The limit is infinite if
-        there is none.
+        The value that comes nearest to its limit or exceeds it most, and this limit, in SI units. The limit is infinite
+        if there is none.
     ratio : float
-        For a position, the distance from the middle of the range over half the range; otherwise, abs(value) over the
-        limit. 0 if there is no limit.
+        For a position, the distance from the middle of the range divided by half the range; otherwise, the absolute
+        value divided by the limit. 0 if there is no limit.
     time : float
         Seconds; when it happens.
     unit : str
@@ -71,7 +71,7 @@ class Use(NamedTuple):
 
 
 class Jump(NamedTuple):
-    """The largest jump of a velocity or an acceleration between two pieces, and the number of times that one jumps."""
+    """The largest jump of a velocity or an acceleration between two pieces, and the number of such jumps."""
 
     quantity: str
     joint: str
@@ -81,9 +81,9 @@ class Jump(NamedTuple):
 
 
 def used(robot: Robot, curve: Curve, limits: JointLimits | None, timed: bool) -> list[Use]:
-    """Return the use of all limits of all joints on a curve with the robot's columns; positions alone if not timed.
+    """Return the use of all limits of all joints on a curve with the robot's columns; only positions if not timed.
 
-    The limits of positions are hard ones, unless the file of `limits` gives others.
+    Position limits are the hard limits, unless the file of `limits` gives others.
     """
     lower, upper = robot.hard_lower, robot.hard_upper
     if limits is not None:

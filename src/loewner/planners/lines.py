@@ -44,7 +44,7 @@ def straight(
     """Move a link along a straight line to a pose, provably at every instant and free of collisions.
 
     The line leads from the pose of the link at `start` to `T`: the origin of the link moves along a straight line, and
-    its rotation at a constant rate about a fixed axis, by the shorter way around.
+    the link turns at a constant rate about a fixed axis, by the shorter way around.
 
     Parameters
     ----------
@@ -57,10 +57,10 @@ def straight(
         Largest deviations of the link from the pose that belongs to the same fraction of the line, in metres and
         radians, at least 1e-9.
     joints : str or iterable of str, optional
-        A group, or names of joints: only these joints move. Default: all that move the link.
+        A group, or names of joints: only these joints move. Default: all joints that move the link.
     keep : (axis, direction, angle), optional
         Additionally, an axis of the link ("x", "y", "z" or a vector) must stay within an angle [rad] of a direction of
-        the world, as of a cup that must not be spilt. It holds at every instant, including the deviations.
+        the world, for example to avoid spilling a cup. It holds at every instant, including the deviations.
 
     Returns
     -------
@@ -129,7 +129,7 @@ def followed(
     Q : ndarray, shape (k, dof)
         Configurations at these fractions.
     fault : (str, str) or None
-        For messages, if the link cannot follow the line: the expectation, and the fault.
+        For messages in case the link cannot follow the line: the expectation, and the fault.
     """
     target = targets_of(target[None])[0]
     refuse_far(chain, target, q)
@@ -209,7 +209,8 @@ def _stopped(robot: Robot, chain: Chain, u: float, q: Floats, link: str) -> tupl
 
 
 def block_of(judge: Judge, u: Floats, Q: Floats) -> str:
-    """Explain which motion of a line is not free, by the scene's rules on contact at the ends where needed; else ""."""
+    """Explain which motion of a line is not free; mention the scene's contact rules at the ends if necessary; otherwise
+    ""."""
     left = np.flatnonzero(~judge.free(Q[:-1], Q[1:]))
     if len(left) == 0:
         return ""

@@ -1,7 +1,7 @@
 """The ROS messages that contain trajectories, type by type: each field is used, harmless, mentioned or refused.
 
-A message is walked by the types of its fields. A key that its type does not have is an error, so nothing that bears on
-a motion is passed over: the states that its joints start from, bodies that the robot carries, and motions of a base.
+A message is walked by the types of its fields. A key that its type does not have is an error, so nothing that affects a
+motion is overlooked: the states from which its joints start, bodies that the robot carries, and motions of a base.
 """
 
 from __future__ import annotations
@@ -148,11 +148,11 @@ class State:
     joints : dict
         Values by joint [rad or m].
     places : dict
-        For a joint of several values: position [m] and quaternion x, y, z, w, as one array of 7 numbers.
+        For a joint with several values: position [m] and quaternion x, y, z, w, as one array of 7 numbers.
     carried : dict
         For each body that the robot carries, by name: the link that carries it, and links that it may touch.
     sources : dict
-        Where the values of joints and places come from, by the joint: keys of a state, or of an earlier trajectory.
+        The source of the values of joints and places, by joint: keys of a state, or of an earlier trajectory.
     """
 
     joints: dict[str, float] = field(default_factory=dict)
@@ -161,7 +161,7 @@ class State:
     sources: dict[str, str] = field(default_factory=dict)
 
     def copy(self) -> State:
-        """Return a state that changes by itself."""
+        """Return a copy of the state that can be changed independently."""
         return State(dict(self.joints), dict(self.places), dict(self.carried), dict(self.sources))
 
 
@@ -186,7 +186,7 @@ class Motion:
 
 @dataclass(eq=False)
 class Part:
-    """One trajectory of a message: of joints with one value, of joints with several, or of both at the same time."""
+    """One trajectory in a message: for joints with one value, for joints with several, or for both at the same time."""
 
     place: str
     joints: Motion | None
@@ -206,7 +206,7 @@ class Message:
     around : list of str
         Names of the bodies in the message's world.
     bodies : set of str
-        Names of bodies that the robot carries at some time, or that are taken away from it.
+        Names of bodies that the robot carries at some time, or that are detached from it.
     warnings : list of str
         Sentences for warnings about other parts that are not read.
     """

@@ -46,16 +46,16 @@ class PoseGoal:
     seeds : int
         As for `Robot.reach`: more find more of the configurations.
     approach, retreat : float, array_like, shape (3,), or (str, array_like), optional
-        Straight lines of the link to the goal and away from it, each as the link's displacement in metres: a vector in
-        the frame of the link at the goal, or ``("world", vector)`` in the frame of the world. A number is a distance
-        along the link's z axis: an approach goes forward, a retreat back. The link keeps its rotation.
+        Straight lines of the link to the goal and away from it. Each is given by the link's displacement in metres: a
+        vector in the frame of the link at the goal, or ``("world", vector)`` in the frame of the world. A number is a
+        distance along the link's z axis: an approach goes forward, a retreat goes back. The link keeps its rotation.
 
     Notes
     -----
-    Only configurations count from which both lines can be followed, as by `straight`, and are proven free. The path of
-    `plan` ends with the approach; with ``full=True``, ``Plan.approach`` is the row at which it begins, and
-    ``Plan.retreat`` is the path of the retreat. Lines are proven in the scene as it is for the plan: after a change of
-    the scene, such as `Scene.attach`, `retreat_path` proves the retreat again.
+    Only configurations are accepted from which both lines can be followed, as by `straight`, and are proven free. The
+    path of `plan` ends with the approach; with ``full=True``, ``Plan.approach`` is the row at which it begins, and
+    ``Plan.retreat`` is the path of the retreat. Lines are proven in the scene in which the path is planned: after a
+    change of the scene, such as `Scene.attach`, `retreat_path` proves the retreat again.
 
     Examples
     --------
@@ -112,8 +112,8 @@ class PoseGoal:
         Returns
         -------
         ndarray, shape (goals, dof)
-            At most sixteen, which collide only if there are too few free ones. An approach and a retreat, if the goal
-            has them, are free for all of them.
+            At most sixteen; they include configurations that collide only if there are too few free ones. An approach
+            and a retreat, if the goal has them, are free for all of them.
 
         Raises
         ------
@@ -174,7 +174,7 @@ class PoseGoal:
         ----------
         checker : CollisionChecker
         q : array_like, shape (dof,)
-            The configuration at the goal, or one like it, with the fingers opened.
+            The configuration at the goal, or a similar one, for example with the fingers opened.
         joints : str or iterable of str, optional
             As for `straight`.
 
@@ -307,7 +307,7 @@ class Approaches(NamedTuple):
     Attributes
     ----------
     judge : Judge
-        It found the lines free.
+        The judge that found the lines free.
     rows : list of ndarray, shape (k, dof)
         For each goal, the approach; a single configuration if there is none.
     retreats : list of ndarray, shape (k, dof), or None
@@ -326,12 +326,12 @@ class Approaches(NamedTuple):
         judge : Judge
         path : ndarray, shape (k, dof)
         goals : ndarray, shape (goals, dof)
-            The goals, whole turns nearer to the end of the path where joints have no limits.
+            The goals, shifted by whole turns towards the end of the path if joints have no limits.
 
         Raises
         ------
         PlanningError
-            If a line is not proven after these turns, which round, or in another state of the scene.
+            If a line is not proven after these turns, which involve rounding, or in another state of the scene.
         """
         k = int(np.abs(goals - path[-1]).max(axis=1).argmin())
         approach, retreat = self.rows[k], self.retreats[k]
@@ -395,7 +395,7 @@ def _along(
 def goals_of(
     goal: Any, checker: CollisionChecker, start: Floats, joints: str | Iterable[str] | None, judge: Judge | None
 ) -> tuple[Any, list[str] | None, Approaches | None]:
-    """Return the configurations of a goal that is given by poses with their names, and any other goal as it is."""
+    """Return the configurations and names of a goal that is given by poses; return any other goal unchanged."""
     robot = checker.robot
     if isinstance(goal, PoseGoal):
         return goal._found(checker, start, joints, judge)

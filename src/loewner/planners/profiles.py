@@ -46,7 +46,7 @@ class Phase(NamedTuple):
 
 
 def ramp(change: float, limits: Limits) -> tuple[float, float]:
-    """Return the durations of the phases of a change of speed: of each of two with jerk, and of one without between.
+    """Return the durations of the phases of a change of speed: two phases with jerk, and one without jerk in between.
 
     The change is the fastest within the limits, except that no phase is shorter than the least duration.
     """

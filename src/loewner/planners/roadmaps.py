@@ -559,7 +559,7 @@ def roadmap(
     ----------
     checker : CollisionChecker
         Bodies attached in its scene move with the robot. If bodies come and go, make the roadmap while the scene has
-        few bodies, since configurations that collide now are permanently excluded.
+        few bodies, since configurations that collide now are excluded permanently.
     samples : int or array_like, shape (n, dof)
         The number of configurations to draw, uniformly within the limits; or the configurations themselves. All free
         configurations become nodes.

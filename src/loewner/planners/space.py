@@ -1,4 +1,4 @@
-"""Define the space that planners search, that is, moving joints and their limits; check starts and goals."""
+"""Define the space that planners search: the moving joints and their limits; check starts and goals."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ MOST_ERROR = 1e9
 
 @dataclass(frozen=True, eq=False)
 class Space:
-    """The joints that move with their ranges, and the values of the joints that do not.
+    """The moving joints with their ranges, and the values of the joints that do not move.
 
     Attributes
     ----------
@@ -150,11 +150,11 @@ class Space:
         return named + (f", and {len(outside) - NAMED} more" if len(outside) > NAMED else "")
 
     def free(self, q: Floats) -> bool:
-        """Return whether a configuration is proven free; an unsettled one is not."""
+        """Return whether a configuration is proven free; an unsettled one counts as not free."""
         return verdicts.is_free(prepared_of(self.checker), q)
 
     def free_among(self, Q: Floats) -> Bools:
-        """Return which configurations of a batch are proven free; an unsettled one is not."""
+        """Return which configurations of a batch are proven free; unsettled ones count as not free."""
         return verdicts.free(prepared_of(self.checker), np.array(Q, order="C"))  # kernels take no views
 
     def name(self, column: int) -> str:
@@ -230,7 +230,8 @@ def checked_ends(
 ) -> tuple[Floats, Floats, list[str], Approaches | None]:
     """Check a user's start and goals; return them with shapes (dof,) and (goals, dof), and the goals' names.
 
-    Approaches to a pose, and retreats from it, are judged by a judge; the goals are then where the approaches begin.
+    Approaches to a pose, and retreats from it, are checked by a judge; the goals are then the configurations at which
+    the approaches begin.
     """
     robot = checked_checker(checker).robot
     q = robot.checked_one(start, "start")

@@ -1,7 +1,7 @@
 """Connect poses (x, y, heading) by ways that a base can drive: Reeds and Shepp's, Dubins's, or turns in place.
 
-A way is a sequence of motions. Each has a length [m], negative backwards, and a turn [rad], both at constant rates: it
-is an arc of a circle, a straight line, or a turn in place.
+A way is a sequence of motions. Each has a length [m], negative for backwards, and a turn [rad], both at constant rates:
+it is an arc of a circle, a straight line, or a turn in place.
 
 References
 ----------
@@ -33,7 +33,7 @@ SIGNS = ((1.0, 1.0), (-1.0, 1.0), (1.0, -1.0), (-1.0, -1.0))
 
 
 class Ways(NamedTuple):
-    """Several ways from each of N poses to another.
+    """Several ways from each of N poses to another pose.
 
     Attributes
     ----------
@@ -52,7 +52,7 @@ class Ways(NamedTuple):
 
 
 class Polar(NamedTuple):
-    """The centre of the last circle, seen from the centre of a first one to the left, for circles of radius 1."""
+    """The centre of the last circle, relative to the centre of a first circle to the left, for circles of radius 1."""
 
     x: Floats
     y: Floats
@@ -66,12 +66,12 @@ class Polar(NamedTuple):
 
 
 def moved(poses: Floats, lengths: Floats, turns: Floats) -> Floats:
-    """Return the poses behind motions: poses (..., 3), lengths and turns (...)."""
+    """Return the poses after motions: poses (..., 3), lengths and turns (...)."""
     return driven(poses, lengths[..., None], turns[..., None])[..., 1, :]
 
 
 def driven(poses: Floats, lengths: Floats, turns: Floats) -> Floats:
-    """Return all poses (..., k + 1, 3) on the way of motions: poses (..., 3), lengths and turns (..., k)."""
+    """Return all poses (..., k + 1, 3) along motions: poses (..., 3), lengths and turns (..., k)."""
     half, found = turns / 2.0, np.empty((*lengths.shape[:-1], lengths.shape[-1] + 1, 3))
     found[..., 0, :] = poses
     found[..., 1:, 2] = turns
@@ -85,7 +85,8 @@ def driven(poses: Floats, lengths: Floats, turns: Floats) -> Floats:
 def car(a: Floats, b: Floats, radius: float, reverse: bool = True) -> Ways:
     """Return the ways of a car from poses a to poses b, shape (N, 3) each.
 
-    With `reverse`, they are all words of Reeds and Shepp, the shortest way among them; otherwise Dubins's words.
+    With `reverse`, they are all words of Reeds and Shepp, which include the shortest way; otherwise they are Dubins's
+    words.
     """
     x, y, turn = _seen_from(a, b)
     lengths, steered = _words(x / radius, y / radius, turn, reverse)
@@ -93,7 +94,7 @@ def car(a: Floats, b: Floats, radius: float, reverse: bool = True) -> Ways:
 
 
 def differential(a: Floats, b: Floats, reverse: bool = True) -> Ways:
-    """Return the ways of a base that turns in place, drives straight, also backwards if it may, and turns again."""
+    """Return the ways of a base that turns in place, drives straight (also backwards if it may), and turns again."""
     x, y, turn = _seen_from(a, b)
     way = np.sqrt(x * x + y * y)
     bearing = np.where(way > 0.0, arctan2(y, x), 0.0)

@@ -66,7 +66,7 @@ class Straights(NamedTuple):
 
     @property
     def straights(self) -> Straights:
-        """Itself, as of other motions."""
+        """Itself, for a common interface with other motions."""
         return self
 
     @property
@@ -88,7 +88,7 @@ class Straights(NamedTuple):
         )
 
     def extended(self, column: Floats) -> Straights:
-        """Append a column to the configurations, which has no limits."""
+        """Append a column without limits to the configurations."""
         rates = np.diff(column) / self.lengths
         return self._replace(rows=np.column_stack([self.rows, column]), full=np.column_stack([self.full, rates]))
 
@@ -118,7 +118,8 @@ class Straights(NamedTuple):
     def timed(self, halves: Floats, last_speed: float = 0.0) -> tuple[Floats, Floats, Floats, Bools, None]:
         """Compute the arrays of a `Trajectory` of all phases in sequence.
 
-        The path ends at a speed, as a share of full speed, or at the highest speed below it that is reached.
+        At its end, the path has the given speed, as a share of full speed, or the highest speed below it that can be
+        reached.
         """
         speeds, left = self._passed(halves, last_speed)
         first, _, last = self.corners(halves)

@@ -84,22 +84,22 @@ class Trajectory(KeepsReadOnly):
     times : ndarray, shape (n,)
         Seconds from the start; the first is 0.
     knots, rates : ndarray, shape (n, dof)
-        Positions [rad or m] and velocities [rad/s or m/s] at these times; the robot starts and ends at rest,
-        except in plans in time, at the start of a brake, and at an `end_velocity` of `time_path`. Where velocities
-        jump, they are those after the jump.
+        Positions [rad or m] and velocities [rad/s or m/s] at these times. The robot starts and ends at rest, except in
+        plans in time, at the start of a brake, and at an `end_velocity` of `time_path`. Where velocities jump, the
+        values are the ones after the jump.
     blended : ndarray of bool, shape (n - 1,)
         Whether the robot cuts a corner during each interval; in all other intervals it is on the path.
     bends : ndarray, shape (n, dof), or None
         Accelerations at these times [rad/s² or m/s²] if the jerk is limited; otherwise None, since they jump.
     jumps : bool
-        Whether velocities jump at these times. They are constant in between if there are no bends; otherwise bends are
+        Whether velocities jump at these times. They are constant in between if there are no bends. Otherwise, bends are
         accelerations from these times on, and change linearly, as on a brake through joint targets (`stop_at`).
     start_time : float
         When the trajectory starts, in seconds on the clock of bodies that follow motions (`Scene.follow`); the default
         `t0` of `CollisionChecker.certify_trajectory`. ``dataclasses.replace(moved, start_time=4.0)`` starts it later.
     spacing : float
-        Least time [s] between rows that `save` adds for ``rate=`` and other rows: nearer ones would break the limits by
-        rounding. It is 0 if the limits are not known, as for a trajectory from a file.
+        Least time [s] between the rows that `save` adds for ``rate=`` and other rows: because of rounding, closer rows
+        would break the limits. It is 0 if the limits are not known, as for a trajectory from a file.
 
     Examples
     --------
@@ -132,13 +132,13 @@ class Trajectory(KeepsReadOnly):
 
     @classmethod
     def of_targets(cls, robot: Robot, targets: ArrayLike, dt: float, *, start_time: float = 0.0) -> Trajectory:
-        """Move straight from one joint target to the next, as a controller does that is sent a target each period.
+        """Move straight from one joint target to the next, as a controller does that receives a target each period.
 
         Parameters
         ----------
         robot : Robot
         targets : array_like, shape (n, dof)
-            The first is where the robot is at the start.
+            The first target is the robot's position at the start.
         dt : float
             Seconds from each target to the next.
         start_time : float
@@ -147,7 +147,7 @@ class Trajectory(KeepsReadOnly):
         Returns
         -------
         Trajectory
-            Velocities are constant between targets, and jump there; it may end in motion.
+            Velocities are constant between targets and jump at the targets; the trajectory may end in motion.
 
         Raises
         ------
@@ -370,8 +370,8 @@ class Trajectory(KeepsReadOnly):
         Raises
         ------
         InputError
-            If the trajectory is of another robot, the robot was made otherwise, or has quaternions; or if velocities
-            jump and change in between, as on a brake through joint targets.
+            If the trajectory is for another robot; if the robot was made in another way, or has quaternions; or if
+            velocities jump and change in between, as on a brake through joint targets.
         MissingExtraError
             If Drake is not installed.
 
@@ -402,9 +402,9 @@ class Trajectory(KeepsReadOnly):
         Returns
         -------
         Trajectory
-            The columns whose names begin with ``name/``, without this prefix. A proof of it for one robot does not
-            cover the others: prove the whole trajectory. `stops` are the times at which this robot rests, and `blends`
-            the intervals in which any of the robots cuts a corner.
+            The columns whose names begin with ``name/``, without this prefix. A proof for one robot does not cover the
+            others: prove the whole trajectory. `stops` are the times at which this robot rests, and `blends` the
+            intervals in which any of the robots cuts a corner.
 
         Raises
         ------
@@ -434,7 +434,8 @@ class Trajectory(KeepsReadOnly):
         rate: float | None = None,
         message: bool = False,
     ) -> None:
-        """Write times, positions and velocities to a file, in full precision, and accelerations if jerk is limited.
+        """Write times, positions and velocities to a file in full precision, and also accelerations if the jerk is
+        limited.
 
         Parameters
         ----------
@@ -443,13 +444,13 @@ class Trajectory(KeepsReadOnly):
             acceleration`` if the jerk is limited, and ``blend``, which is 1 if the robot cuts a corner between this row
             and the next. `load` reads ``.csv`` and ``.json`` files. A ``.yaml`` file contains a ROS
             ``trajectory_msgs/JointTrajectory`` with the positions and velocities at whole nanoseconds: each row is
-            moved to the nearest one, rows within the same one are merged, and the end is rounded up. Where
-            accelerations jump it has none, since a controller follows the trajectory if it interpolates only positions
-            and velocities. Messages have no `start_time`; in a ``.csv`` file, it is a comment in the first line unless
-            it is 0.
+            moved to the nearest nanosecond, rows at the same nanosecond are merged, and the end is rounded up. If
+            accelerations jump, the file contains none, since a controller follows the trajectory if it interpolates
+            only positions and velocities. Messages have no `start_time`; in a ``.csv`` file, it is a comment in the
+            first line unless it is 0.
         joints : sequence of str, optional
             Names of the columns to write, in this order; by default all. The file does not contain the motion of the
-            others, so a proof of the whole trajectory holds only if they follow it, too, at the same time.
+            other columns, so a proof of the whole trajectory holds only if they also follow it at the same time.
         names : mapping or sequence of str, optional
             Names of the columns in the file: a mapping from names of the trajectory, or a list with a name for each
             column that is written.
@@ -461,9 +462,9 @@ class Trajectory(KeepsReadOnly):
             or allows partial goals.
         rate : float, optional
             Also write rows at this rate [1/s], for programs that join rows by straight lines. By default the rows are
-            the knots, between which accelerations are constant or change linearly. Where velocities jump, the robot
-            moves straight between knots, and files contain positions alone. Rows nearer than ``spacing`` to others are
-            left out, since their rounding would break limits: with limited jerk near the knots, and at a higher rate
+            the knots, between which accelerations are constant or change linearly. If velocities jump, the robot moves
+            straight between knots, and files contain only positions. Rows closer than ``spacing`` to others are left
+            out, since their rounding would break limits: with limited jerk, rows near the knots, and at a higher rate
             all but every second or third row, and so on. `sample` returns all.
         message : bool
             Write a ``.json`` file as a JointTrajectory message, too; `ControllerPoints.load` reads it.
@@ -472,7 +473,7 @@ class Trajectory(KeepsReadOnly):
         ------
         InputError
             If the file has any other extension, the rate is not a number from 0 to 1e9, or a ``.csv`` file is to be a
-            message; if names are repeated, or a ``.csv`` file would read a name as another kind of column; if the
+            message; if names are repeated, or a ``.csv`` file would interpret a name as another kind of column; if the
             controllers and the columns do not fit together; or if velocities jump and change in between.
         UnknownNameError
             If `joints` or `names` has a name that the trajectory lacks.
@@ -485,8 +486,8 @@ class Trajectory(KeepsReadOnly):
         Warns
         -----
         UserWarning
-            If a controller of the list has settings that are not known, or does not interpolate between points; if the
-            period of `rate` is shorter than ``spacing``.
+            If a controller in the list has unknown settings, or does not interpolate between points; if the period of
+            `rate` is shorter than ``spacing``.
 
         Examples
         --------
@@ -600,12 +601,12 @@ class Trajectory(KeepsReadOnly):
             ``"path"``: the robot stays on the path of the trajectory, and stops there as soon as the limits of all
             joints allow; it does not brake on blends. ``"joints"``: each joint brakes by itself; see `brake`.
         acceleration, jerk : float or array_like, shape (dof,), optional
-            Limits [rad/s² and rad/s³, or metres]. Default: from `limits`; without a limit of jerk, accelerations jump.
-            On the path of a trajectory from `trajectory`, limits must be no lower than its own, with jerk if it has a
-            limit of jerk, and without otherwise.
+            Limits [rad/s² and rad/s³, or metres]. Default: from `limits`; without a jerk limit, accelerations jump. On
+            the path of a trajectory from `trajectory`, the limits must be no lower than the trajectory's own; there
+            must be jerk limits if and only if the trajectory has them.
         limits : JointLimits, optional
         beyond : bool
-            Whether the robot may go straight on after the end of a trajectory that ends in motion.
+            Whether the robot may continue straight after the end of a trajectory that ends in motion.
 
         Returns
         -------
@@ -620,7 +621,7 @@ class Trajectory(KeepsReadOnly):
             If the trajectory ends in motion before the robot can stop on its path, and `beyond` is False; or if the
             limits are too low to stay on the path.
         UnknownNameError
-            If `how` is another text.
+            If `how` is another word.
 
         See Also
         --------
@@ -628,11 +629,10 @@ class Trajectory(KeepsReadOnly):
 
         Notes
         -----
-        Through joint targets, the path's time runs slower, and with limits of jerk, at one rate that suits all motions
-        on which the robot brakes. Velocities still jump at targets, and limits hold between them. Otherwise the speed
-        falls on straight lines, and blends are passed at the speed that is left there.
-        If no body moves, a brake on a path that is proven free is proven, too. All others need a proof of their own
-        (`certify`).
+        Through joint targets, the path's time runs more slowly; with jerk limits, at one rate that suits all motions on
+        which the robot brakes. Velocities still jump at targets, and limits hold between them. Otherwise, the speed
+        falls on straight lines, and blends are passed at the speed that remains there. If no body moves, a brake along
+        a path that is proven free is also proven. All others need a proof of their own (`certify`).
 
         Examples
         --------
@@ -884,7 +884,7 @@ def trajectory(
     blend: float = 0.4,
     line: str | Line | Iterable[str | Line] | None = None,
 ) -> Trajectory:
-    """Assign times to a path, as fast as limits of velocity, acceleration and perhaps jerk allow.
+    """Assign times to a path, as fast as the limits of velocity, acceleration and (optionally) jerk allow.
 
     Without a checker the robot follows the path exactly and stops at every corner. With a checker, corners are cut by
     blends that are proven free of collisions at every instant: parabolas, or cubic polynomials if the jerk is limited.
@@ -980,10 +980,10 @@ def fastest_along(
     last_speed: float = 0.0,
     kept: Sequence[OnLine] = (),
 ) -> Trajectory:
-    """Follow motions as fast as possible, with proven blends that take up to a share of them, if there is a judge.
+    """Follow motions as fast as possible; with a judge, use proven blends that take up to a share of the motions.
 
-    Without limits of jerk, the path ends at a speed, as a share of full speed, or at the highest speed below it that is
-    reached. Blends on `kept` lines stay on them.
+    Without jerk limits, the path has the given speed at its end, as a share of full speed, or the highest speed below
+    it that can be reached. Blends on `kept` lines stay on them.
     """
     halves = _halves(motions, judge, share, kept)
     return Trajectory(robot.configuration_names, *motions.timed(halves, last_speed))._read_only()
@@ -1003,7 +1003,7 @@ def brake(
 ) -> Trajectory:
     """Stop a robot joint by joint: each joint stops in the shortest time that its limits allow, and then rests.
 
-    This is how a controller stops whose trajectory is cancelled, if it limits decelerations. The robot leaves the path
+    A controller whose trajectory is cancelled stops in this way if it limits decelerations. The robot leaves the path
     on which it moved, so prove the brake (`Trajectory.certify`). `Trajectory.stop_at` also brakes on the path.
 
     Parameters
@@ -1012,7 +1012,8 @@ def brake(
     q, dq : array_like, shape (dof,)
         Positions [rad or m] and velocities [rad/s or m/s] when the robot begins to brake.
     ddq : array_like, shape (dof,), optional
-        Accelerations then [rad/s² or m/s²], at most the limits; they count only if the jerk is limited. Default: 0.
+        Accelerations at that time [rad/s² or m/s²], at most the limits; they are used only if the jerk is limited.
+        Default: 0.
     acceleration : float or array_like, shape (dof,), optional
         Limits of deceleration. Default: from `limits`, or from the URDF; a joint that moves must have one.
     jerk : float or array_like, shape (dof,), optional
@@ -1040,8 +1041,8 @@ def brake(
     Notes
     -----
     With n joints that move, a brake has at most n pieces of constant acceleration, or 3 n pieces if the jerk is
-    limited. A joint whose velocity rises at first, since its acceleration cannot jump, exceeds its limit of velocity by
-    as much as any motion within its limit of jerk would.
+    limited. A joint whose velocity rises at first, since its acceleration cannot jump, may exceed its velocity limit by
+    as much as any motion within its jerk limit would.
 
     Examples
     --------
@@ -1088,7 +1089,7 @@ def checked_blend(blend: float) -> float:
 
 
 def corners_of(rows: Floats, ends: Sequence[int] = ()) -> Ints:
-    """Number the ends of the path, its corners, and the given ends of lines, but no repeated rows.
+    """Number the ends of the path, its corners and the given ends of lines, but not repeated rows.
 
     Rows on a straight line are corners only if they are ends of lines.
     """

@@ -1,11 +1,11 @@
 """Follow a given path among bodies that move, within limits of velocity, acceleration and jerk.
 
-The path is first timed as fast as possible. Then this trajectory is slowed down, and halted, so that no moving body is
-met: at stations along it, the robot passes at one of several shares of the fastest speed, and from one station to the
-next its acceleration is constant. So states are a station, a share and a time; they are searched station by station.
-Where bodies are is known at the stations only, so a trajectory that is found is proven as a whole. If the proof fails,
-the place and time are closed, and the search is repeated. With limited jerk, positions are averaged over a window of
-time, which keeps all limits. docs/design/moving.md has the reasons.
+The path is first timed as fast as possible. Then it is slowed down and halted such that the robot hits no moving body.
+At stations along the trajectory, the robot passes at one of several shares of the highest speed, and from one station
+to the next its acceleration is constant. A state thus consists of a station, a share and a time; states are searched
+station by station. The positions of bodies are known only at the stations, so the resulting trajectory is proven as a
+whole. If the proof fails, the place and time are blocked, and the search is repeated. With limited jerk, positions are
+averaged over a time window, which keeps all limits. docs/design/moving.md gives the reasons.
 """
 
 from __future__ import annotations
@@ -144,7 +144,7 @@ def time_path(
     joint_error: ArrayLike = 0.0,
     blend: float = 0.4,
 ) -> Trajectory:
-    """Assign times to a path such that a drive can follow it, and no body that moves is met at any instant.
+    """Assign times to a path such that a drive can follow it and the robot hits no moving body at any instant.
 
     The robot slows down or waits where a body of the scene that follows a motion (`Scene.follow`) would be in the way.
 
@@ -152,18 +152,18 @@ def time_path(
     ----------
     checker : CollisionChecker
     path : array_like, shape (k, dof)
-        Two or more configurations, as from `plan` with a scene without the moving bodies. Its motions must be proven
-        free in this scene.
+        Two or more configurations, for example from `plan` with a scene without the moving bodies. Its motions must be
+        proven free in this scene.
     start_time : float
-        When the robot is at the first configuration, at rest [s], on the clock of the bodies' motions.
+        When the robot is at rest at the first configuration [s], on the clock of the bodies' motions.
     arrive_by : float, optional
         The latest arrival [s]. Default, and at most: after all motions of bodies have ended, and two periods of
         motions that repeat, twice the time that the path takes without them.
     arrive_at : float, optional
         The time of arrival [s]. Default: as early as the search finds.
     end_velocity : array_like, shape (dof,), optional
-        Velocities at the end [rad/s or m/s], along the last motion of the path, as to meet a part on a belt. Default:
-        at rest.
+        Velocities at the end [rad/s or m/s], along the last motion of the path, for example to meet a part on a belt.
+        Default: at rest.
     velocity, acceleration, jerk, limits
         As for `trajectory`.
     joint_error : float or array_like, shape (dof,)
@@ -182,11 +182,11 @@ def time_path(
     ------
     PlanningError
         If a motion of the path is not proven free without the moving bodies; if the start collides at the start time;
-        if a time of arrival is too early; or if no times are found: the message names a pair of bodies, the place and
-        the time.
+        if the arrival time is too early; or if no timing is found: the message then names a pair of bodies, the place
+        and the time.
     InputError
-        As for `trajectory`; if the path is one configuration only, or the velocity at the end is not along the last
-        motion, cannot be reached on the path, or is given with limits of jerk.
+        As for `trajectory`; if the path is only one configuration; or if the velocity at the end is not along the last
+        motion, cannot be reached on the path, or is given together with jerk limits.
 
     See Also
     --------
@@ -195,11 +195,11 @@ def time_path(
     Notes
     -----
     The path is timed as by `trajectory`, and its speed is then tuned to the motions of the bodies (Kant and Zucker,
-    "path-velocity decomposition", IJRR 1986). The search is one of finite resolution: it may fail where there are
-    times, and the result need not arrive as early as possible. If nothing is in the way, the result is the trajectory
-    that `trajectory` finds. Otherwise, with limited jerk, the robot follows the average of its positions over a window
-    of time, such as 0.2 s for 10 rad/s² and 100 rad/s³. The average keeps the limits of velocity and acceleration, and
-    takes longer by the window; the robot stays at stops for as long.
+    "path-velocity decomposition", IJRR 1986). The search has a finite resolution: it may fail although a timing exists,
+    and the result need not arrive as early as possible. If nothing is in the way, the result is the trajectory that
+    `trajectory` finds. Otherwise, with limited jerk, the robot follows the average of its positions over a window of
+    time, such as 0.2 s for 10 rad/s² and 100 rad/s³. The average keeps the limits of velocity and acceleration, and
+    takes longer by the length of the window; the robot stays at stops for the same time.
 
     Examples
     --------

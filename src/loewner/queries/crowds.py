@@ -49,8 +49,8 @@ class Overlaps(_validate.Brief):
         Indices i < j of the bodies, in lexicographic order.
     distance : ndarray, shape (m,)
         In metres; a negative value is a depth. It is positive for separate bodies within the margin, and may round to
-        slightly above zero for bodies that just touch. For bodies of several pieces, it is the depth of the deepest two
-        pieces, see `Distance`.
+        slightly above zero for bodies that just touch. For bodies with several pieces, it is the depth of the deepest
+        two pieces, see `Distance`.
     witness_a, witness_b : ndarray, shape (m, 3)
         Points of bodies i and j in world coordinates, with witness_b - witness_a = distance * normal.
     normal : ndarray, shape (m, 3)

@@ -35,15 +35,15 @@ class FirstContact(_validate.Brief):
     ----------
     verdict : Verdict, or ndarray of int8
         FREE: proven not to touch, nor to come within the margin, at any time from 0 to 1. COLLIDING: they touch at
-        `touching_at`, by the exact test of `collide`; pieces with curved faces up to about 1e-9 m. AMBIGUOUS: they
-        graze, or the search did not converge; only `free_until` is proven.
+        `touching_at` according to the exact test of `collide`; for pieces with curved faces, this holds up to about
+        1e-9 m. AMBIGUOUS: they graze, or the search did not converge; only `free_until` is proven.
     free_until : float or ndarray
-        At every real time from 0 to this time, except the time itself, the bodies are proven to be farther apart than
-        the margin; inf if FREE.
+        Before this time, the bodies are proven to be farther apart than the margin at every real time from 0 on; inf if
+        FREE.
     touching_at : float or ndarray
         Time at which they touch or come within the margin. From `free_until` to this time, the distance of the bodies
-        changes by no more than the tolerance. For AMBIGUOUS pairs, a time not before `free_until` at which they touch
-        or are within the tolerance of touching; inf if none is known. inf if FREE.
+        changes by no more than the tolerance. For AMBIGUOUS pairs, it is a time not before `free_until` at which they
+        touch or are within the tolerance of touching; inf if none is known. inf if FREE.
 
     Examples
     --------
@@ -79,7 +79,7 @@ def first_contact(
     a, b : Body or Bodies
         A `Bodies` of n broadcasts with the last batch axis of the poses.
     motion_a, motion_b : tuple of two array_like, shape (..., 4, 4), or array_like, or None
-        The poses (T0, T1) of a body at the beginning and at the end, broadcast together; or one pose, of a body at
+        The poses (T0, T1) of a body at the beginning and at the end, broadcast together; or a single pose for a body at
         rest. None is the identity.
     tolerance : float
         Length in metres by which the bodies may approach each other from the time until which they are proven free to
@@ -97,8 +97,8 @@ def first_contact(
     Raises
     ------
     PoseError
-        If a pose does not end in (4, 4) or is not a rigid motion, if batches do not broadcast, or if a body turns by
-        half a turn, whose shorter way is not defined: divide such a motion into two.
+        If a pose does not have the shape (..., 4, 4) or is not a rigid motion; if batches do not broadcast; or if a
+        body turns by half a turn, for which no way is shorter: divide such a motion into two.
     InputError
         If an operand is not a body, the margin is negative or not finite, or the tolerance is not positive.
 

@@ -78,10 +78,10 @@ VerdictOrVerdicts = Verdict | Verdicts
 class Distance(_validate.Brief, Generic[Number, Exact, Vector]):
     """Signed distances of bodies, in metres, each of the batch's shape; negative values are penetration depths.
 
-    All values refer to the nearest two pieces or, if the bodies overlap, to the deepest two. For bodies of several
-    pieces a negative distance is therefore the depth of that pair alone: the bodies penetrate each other at least that
-    deep, but separating them can take a longer translation, since another pair of pieces may then be in the way. For a
-    surface the depth is a strict lower bound; for two convex pieces it is as accurate as an exact distance. If the
+    All values refer to the nearest two pieces or, if the bodies overlap, to the deepest two. For bodies with several
+    pieces, a negative distance is therefore the depth of that pair alone: the bodies penetrate each other at least that
+    deeply, but separating them can take a longer translation, since another pair of pieces may then be in the way. For
+    a surface the depth is a strict lower bound; for two convex pieces it is as accurate as an exact distance. If the
     inner ellipsoids of a solid surface prove a greater depth than its triangles, `distance` is the greater depth, while
     the witnesses and the normal belong to the triangles.
 
@@ -210,7 +210,7 @@ class Plan(NamedTuple):
     shape : tuple of int
     total : int
     steps : ndarray of int64, shape (5, d)
-        See `settle_range` of the kernels: the merged shape of the batch, and strides of a, Ta, b and Tb in rows.
+        See `settle_range` in the kernels: the merged shape of the batch, and strides of a, Ta, b and Tb in rows.
     rows : ndarray of int64, shape (2, total) or (2, 0)
         Rows of a and of b if the pairs are listed by row number; otherwise empty.
     """
@@ -371,9 +371,9 @@ def classify(
         Poses, broadcast together; translation in metres. None is the identity.
     margin : float
         Distance in metres that the bodies have to keep: FREE then means that they are farther apart than `margin`, and
-        COLLIDING that they are not.
+        COLLIDING means that they are not.
     pairs : array_like of int, shape (..., 2), optional
-        Rows of a and of b to compare, instead of broadcasting: row i of a is body i at pose i, where a single body or
+        Rows of a and of b to compare, instead of broadcasting: row i of a is body i at pose i, unless a single body or
         pose serves all rows. Nothing is copied. To compare each of n bodies with each of m, pass ``np.indices((n,
         m)).T``; the result has shape (m, n).
 
@@ -461,9 +461,9 @@ def collide(
     T_world_a, T_world_b : array_like, shape (..., 4, 4), or None
         Poses, broadcast together; translation in metres. None is the identity.
     method : {"exact", "estimate"}
-        "exact": the certificate, then, for ambiguous pairs, a search on the pieces themselves. "estimate": the
-        certificate, then, for ambiguous pairs, a guess in O(1) from the product of two contact functions, of the inner
-        and of the outer ellipsoids. The guess is wrong for some pairs (docs/theory/estimate.md).
+        "exact": the certificate; for ambiguous pairs, a search on the pieces themselves. "estimate": the certificate;
+        for ambiguous pairs, a guess in O(1) from the product of two contact functions, one for the inner and one for
+        the outer ellipsoids. The guess is wrong for some pairs (docs/theory/estimate.md).
     margin : float
         In metres; pairs at this distance or less count as colliding.
     pairs : array_like of int, shape (..., 2), optional
@@ -629,17 +629,17 @@ def distance(
 def push(T_world_body: Poses, wrench: ArrayLike, *, radius: float) -> Floats:
     """Move bodies along wrenches: a step of gradient ascent for distances, or for penalties made of them.
 
-    Each body moves by the force, and turns about its own origin by a rotation vector: the moment about this origin,
-    divided by the square of the radius. To first order, a distance with this wrench grows by the square of the force,
-    plus the square of this moment over the radius.
+    Each body moves by the force. It also turns about its own origin by a rotation vector, which is the moment about
+    this origin divided by the square of the radius. To first order, a distance with this wrench grows by the square of
+    the force, plus the square of this moment over the radius.
 
     Parameters
     ----------
     T_world_body : array_like, shape (..., 4, 4), or None
         Poses; translation in metres. None is the identity.
     wrench : array_like, shape (..., 6)
-        Multiples and sums of `Distance.wrench`: a force, whose unit is here the metre, and its moment about the world's
-        origin [m²]. For the first body of a distance, use the negative wrench.
+        Multiples and sums of `Distance.wrench`: a force, in metres, and its moment about the world's origin [m²]. For
+        the first body of a distance, use the negative wrench.
     radius : float
         Distance of typical points of a body from its origin, in metres: the lever arm at which turns count as much as
         translations.
@@ -694,7 +694,7 @@ def _measured(a: Any, T_world_a: Any, b: Any, T_world_b: Any, exact: Any, chosen
 
 
 def measured(a: Any, T_world_a: Any, b: Any, T_world_b: Any, exact: bool, chosen: Any = None) -> tuple[Distance, Bools]:
-    """Compute bounds on distances and the distances; unsettled pairs are NaN, and marked in a flat array."""
+    """Compute bounds on distances, and the distances; unsettled pairs are NaN, and are marked in a flat array."""
     asked = _prepare(a, T_world_a, b, T_world_b, check=True, each=EXACT_BYTES if exact else BOUND_BYTES, chosen=chosen)
     shape = asked.shape
     *answers, unsettled = measure(exact, asked.total, asked.operands)

@@ -1,4 +1,5 @@
-"""Motions of bodies in time: poses at given times, straight in position and turning at a constant rate between them."""
+"""Motions of bodies in time: poses at given times; in between, they move along a straight line and turn at a constant
+rate."""
 
 from __future__ import annotations
 
@@ -51,9 +52,9 @@ MOST_OFF = 1e100
 class PoseBounds:
     """How far a body may be from its given pose; see `Scene.follow` and `Scene.move`.
 
-    At the time t, the body's origin is off by at most metres + speed |t - since|, and its orientation by at most
-    radians + turn |t - since|. A point at the distance ρ from the origin is then off by no more than the first number
-    plus ρ times the second one, so the bounds depend on where the frame of the body has its origin.
+    At the time t, the body's origin deviates by at most metres + speed |t - since|, and its orientation by at most
+    radians + turn |t - since|. A point at the distance ρ from the origin then deviates by no more than the first number
+    plus ρ times the second. The bounds therefore depend on the position of the origin of the body's frame.
 
     Attributes
     ----------
@@ -62,7 +63,7 @@ class PoseBounds:
     speed, turn : float
         Growth of the errors [m/s, rad/s].
     since : float
-        Time from which they grow [s].
+        Time from which on they grow [s].
     reach : float
         The largest ρ [m]: an upper bound on the distance of the body's points from its origin.
 
@@ -88,7 +89,7 @@ class PoseBounds:
         return self.speed + self.reach * self.turn
 
     def off(self, t: Any) -> Any:
-        """Bound how far points of the body may be off at times t, shape (...), in metres."""
+        """Bound how far points of the body may deviate at times t, shape (...), in metres."""
         with np.errstate(over="ignore", invalid="ignore"):
             found = (self.metres + self.reach * self.radians) + self.rate * np.abs(t - self.since)
             return np.fmin(found * (1.0 + OFF_ROUNDINGS), MOST_OFF)  # also if it is not a number
@@ -107,7 +108,7 @@ class PosePath(_validate.Brief, KeepsReadOnly):
     quaternions : ndarray, shape (n, 4)
         Real part first. Between two times the body turns at a constant rate, the shorter way.
     repeat : bool
-        Whether the motion begins again when it ends. Otherwise the body waits at the first pose before the motion, and
+        Whether the motion starts again when it ends. Otherwise the body waits at the first pose before the motion, and
         at the last pose after it.
 
     Examples
@@ -178,8 +179,8 @@ def path_of(times: ArrayLike, poses: ArrayLike, repeat: bool) -> PosePath:
     Raises
     ------
     InputError
-        If there are fewer than two times, times do not increase, the numbers of times and poses differ, two
-        successive poses differ by half a turn, or a motion that repeats does not end where it begins.
+        If there are fewer than two times, times do not increase, the numbers of times and poses differ, two successive
+        poses differ by half a turn, or a motion that repeats does not end at its first pose.
     PoseError
         If a pose is not a rigid motion.
     """
@@ -227,12 +228,13 @@ def path_of(times: ArrayLike, poses: ArrayLike, repeat: bool) -> PosePath:
 
 
 def with_twist(times: ArrayLike, pose: ArrayLike, twist: ArrayLike) -> tuple[Floats, Floats]:
-    """Make times and poses of a body whose origin moves straight while it turns about it, at constant rates.
+    """Make times and poses of a body whose origin moves along a straight line while the body turns about it, at
+    constant rates.
 
     Raises
     ------
     InputError
-        If there are not two times that increase, not one pose, or too many turns.
+        If there are not exactly two times that increase, there is more than one pose, or there are too many turns.
     """
     at, rates = _validate.finite_array(times, "times", (None,)), _validate.finite_array(twist, "twist", (6,))
     first = _validate.poses(pose, "poses")
@@ -294,13 +296,13 @@ class PackedPaths(NamedTuple):
     far, speeds, turns : ndarray, shape (bodies,)
         Bounds on the entries of positions [m], on speeds [m/s] and on rates of quaternions [1/s].
     spans : ndarray, shape (bodies,)
-        Largest numbers that are added to a time to find its place in the motion [s].
+        Largest numbers that are added to a time to locate it in the motion [s].
     once : tuple of 2 ndarray
-        The times of all motions that do not repeat, in order; and with those between short turns.
+        The times of all motions that do not repeat, in order; and the same list with the times between short turns.
     bounds : tuple of PoseBounds
-        How far bodies may be from their motions or from their places.
+        How far bodies may be from their motions or their poses.
     numbers : ndarray, shape (len(bounds),)
-        The numbers of the bodies in `bounds` among all; negative for a body without pieces.
+        The index of each body in `bounds` among all bodies; negative for a body without pieces.
     """
 
     paths: tuple[PosePath, ...]
@@ -321,7 +323,7 @@ class PackedPaths(NamedTuple):
     def of(
         cls, paths: tuple[PosePath, ...], bounds: tuple[PoseBounds, ...] = (), numbers: Ints | None = None
     ) -> PackedPaths:
-        """Pack motions, and bounds on how far bodies with these numbers are from theirs."""
+        """Pack motions, and bounds on how far bodies with these indices are from their motions."""
         kinks = [one.since for one in bounds]
         steps = [np.linalg.norm(np.diff(path.positions, axis=0), axis=1) for path in paths]
         lengths = [np.diff(path.times) for path in paths]
@@ -352,12 +354,14 @@ class PackedPaths(NamedTuple):
         return out
 
     def off(self, begin: Floats, end: Floats, ticks: Floats | float = 0.0) -> Floats:
-        """Bound how far points of bodies may be off at times, shape (N,), rounded by `ticks`; in between, linearly.
+        """Bound how far points of bodies may deviate at times, shape (N,), rounded by `ticks`; in between, the bound is
+        linear.
 
         Returns
         -------
         ndarray, shape (N, 3 len(bounds))
-            For each body its number, and metres at both times, as `motions.settle` takes them.
+            For each body, its index and its deviations in metres at both times, in the form that `motions.settle`
+            takes.
         """
         found = np.empty((len(begin), len(self.bounds), 3))
         for k, one in enumerate(self.bounds):
@@ -367,7 +371,7 @@ class PackedPaths(NamedTuple):
         return found.reshape(len(begin), 3 * len(self.bounds))
 
     def knots(self, t0: Floats, t1: Floats, fine: bool) -> Floats:
-        """List all times at which any body changes its rates between t0 and t1, shape (N,) each, and some others.
+        """List all times between t0 and t1, shape (N,) each, at which any body changes its rates, and some others.
 
         The list is in order; see `_knots` for `fine` and for errors.
         """

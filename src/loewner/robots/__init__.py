@@ -1,8 +1,8 @@
 """Robots: read descriptions into links with bodies, place the links, and check them for collisions.
 
-`description` has links on joints and the formats of robots, `checking` checks of configurations, and `proofs` proofs of
-motions. `checker` defines `CollisionChecker`, which users call. `sampling` guesses which pairs can never collide,
-`covers` and `cover_files` replace links by few elements, `swept` finds bodies that contain links along curves, and
+`description` contains links, joints and the formats of robots, `checking` checks configurations, and `proofs` proves
+motions. `checker` defines `CollisionChecker`, which users call. `sampling` guesses which pairs can never collide.
+`covers` and `cover_files` replace links by a few elements, `swept` finds bodies that contain links along curves, and
 `gradients` prepares queries for JAX and PyTorch.
 """
 

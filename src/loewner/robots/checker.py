@@ -62,8 +62,8 @@ class CollisionChecker:
         Pairs of links that may touch, in addition to the robot's `disabled_pairs`; for instance the keys of the dict
         that `pairs_by_sampling` returns.
     skip_adjacent : bool, optional
-        Skip pairs of links that a joint connects, since most of these overlap by design. By default they are skipped
-        only if the robot was read without an SRDF; an SRDF usually disables such pairs.
+        Skip pairs of links that are connected by a joint, since most of these overlap by design. By default they are
+        skipped only if the robot was read without an SRDF; an SRDF usually disables such pairs.
 
     Raises
     ------
@@ -149,7 +149,8 @@ class CollisionChecker:
         Parameters
         ----------
         path : path
-            Must end in ``.lwn``. An existing file is replaced, by a file that is written under a temporary name first.
+            Must end in ``.lwn``. An existing file is replaced only after the new file has been written under a
+            temporary name.
 
         Raises
         ------
@@ -162,8 +163,8 @@ class CollisionChecker:
 
         Notes
         -----
-        The file holds prepared data and is read by the same version of loewner only. Contacts that `Scene.leave` and
-        `Scene.reach` permit at the ends of motions are not permitted there.
+        The file contains prepared data, which only the same version of loewner can read. Contacts that `Scene.leave`
+        and `Scene.reach` permit at the ends of motions are not permitted there.
 
         Examples
         --------
@@ -391,14 +392,14 @@ class CollisionChecker:
             Seconds at which the motions begin and end, broadcast with them; required if bodies of the scene follow
             motions (`Scene.follow`). The fraction f of a motion is then at the time t0 + f (t1 - t0).
         steps : int, optional
-            How much work each motion may take: configurations placed, pairs of bodies and of pieces compared, searches,
-            and boxes of trees opened. A motion that takes more is given up as AMBIGUOUS, at the fraction and the
-            pair where its proof stopped. docs/certified.md, "Bounded work", has the time of a step. Default: no limit.
+            Limit on the work for each motion: configurations placed, pairs of bodies and of pieces compared, searches,
+            and boxes of trees opened. A motion that takes more is given up as AMBIGUOUS, at the fraction and the pair
+            where its proof stopped. docs/certified.md, "Bounded work", gives the time of a step. Default: no limit.
         proof : bool
             Also write a `Proof` that all motions are free, in the order of the flattened batch, if they are. Such a
-            proof exists for joints that turn or slide, and for bodies that follow no motions. It states where bodies
-            are in contact at the ends of motions (`Scene.leave`, `Scene.reach`), and how deep they may overlap there.
-            Motions that start exactly where the one before ends count as one curve, with one depth.
+            proof exists for joints that turn or slide, unless bodies follow motions. It states where bodies are in
+            contact at the ends of motions (`Scene.leave`, `Scene.reach`), and how deeply they may overlap there.
+            Motions that start exactly where the previous one ends count as one curve, with a single depth.
 
         Returns
         -------
@@ -414,9 +415,9 @@ class CollisionChecker:
         UnknownNameError
             As for `collide`.
         ConvergenceError
-            If the motions are free, but a proof cannot be written: since its bound on the effect of joint errors is
-            coarser, since a pair comes within some micrometres of its margin, or since the planes of a contact do not
-            suffice. The message names the pair.
+            If the motions are free, but a proof cannot be written. Possible reasons are that the proof's bound on the
+            effect of joint errors is coarser, that a pair comes within some micrometres of its margin, or that the
+            planes of a contact do not suffice. The message names the pair.
 
         See Also
         --------
@@ -426,13 +427,13 @@ class CollisionChecker:
         -----
         Joint values change linearly, and orientations turn at a constant rate along the shorter arc, as in
         `Robot.between`. The proof takes no samples: a plane that separates two bodies proves a whole interval of the
-        motion, and an interval without such a plane is halved. docs/certified.md derives it. Surfaces and clouds
-        are replaced by convex hulls of a few parts, and where these meet, by their triangles or points. The first call
-        with a new surface takes longer, since it makes the parts.
+        motion, and an interval without such a plane is halved. docs/certified.md derives it. Surfaces and clouds are
+        replaced by convex hulls of a few parts and, where these meet, by their triangles or points. The first call with
+        a new surface takes longer, since it computes the parts.
 
         Pairs named by `Scene.leave` may be in contact at the start of a motion, and pairs named by `Scene.reach` at its
-        end. A contact at the start gets deeper along the motion by no more than the tolerance; a contact at the end is
-        no deeper than the tolerance. This also holds for bodies that follow motions.
+        end. A contact at the start becomes deeper along the motion by no more than the tolerance; a contact at the end
+        is no deeper than the tolerance. This also holds for bodies that follow motions.
 
         Examples
         --------
@@ -519,12 +520,13 @@ class CollisionChecker:
             Radians or metres by which each value may deviate from the curve; FREE covers all such deviations. With an
             error, contact at the ends is not allowed.
         t0 : float, optional
-            Seconds that are added to the curve's times: when a trajectory that begins at 0 is started. It matters for
-            bodies that follow motions, and the times of the result include it. Default: the `start_time` of a
-            `planners.Trajectory` or of `planners.ControllerPoints`, and 0 for other curves.
+            Seconds that are added to the curve's times, for example the time at which a trajectory that begins at 0 is
+            started. It is relevant only for bodies that follow motions, and the times in the result include it.
+            Default: the `start_time` of a `planners.Trajectory` or of `planners.ControllerPoints`, and 0 for other
+            curves.
         steps : int, optional
-            How much work each curve may take, as for `certify_edges`. Its segments share it: when nothing is left, the
-            remaining ones are AMBIGUOUS.
+            How much work each curve may take, as for `certify_edges`. Its segments share this limit: when nothing is
+            left, the remaining segments are AMBIGUOUS.
         proof : bool
             Also write a `Proof` of each free curve, as for `certify_edges`.
 
@@ -536,15 +538,15 @@ class CollisionChecker:
         Raises
         ------
         InputError
-            If the curve is of the wrong type, is for different joints, jumps, has a degree above 7, numbers that are
-            not finite, times that do not increase, or values of a SciPy curve that its coefficients do not define; or
-            as for `certify_edges` if a proof is requested.
+            If the curve has the wrong type, is for different joints, jumps, has a degree above 7, or has numbers that
+            are not finite or times that do not increase; if the values of a SciPy curve are not the ones that its
+            coefficients define; or as for `certify_edges` if a proof is requested.
         ConvergenceError
             As for `certify_edges`.
 
         Notes
         -----
-        Each polynomial piece is proven over intervals, on each of which a plane separates two bodies. The proof uses
+        Each polynomial piece is proven over intervals; on each interval, a plane separates two bodies. The proof uses
         bounds on the first and second derivatives, which docs/certified.md derives.
 
         Pairs named by `Scene.leave` may be in contact where the curve begins, and pairs named by `Scene.reach` where it
@@ -647,7 +649,8 @@ class CollisionChecker:
         exact : bool
             Also compute the exact distance or depth, with its pair, witnesses and normal.
         gradient : bool
-            Also compute the exact distance's derivative by the configuration, in metres per radian or metre.
+            Also compute the derivative of the exact distance with respect to the configuration, in metres per radian or
+            metre.
 
         Returns
         -------
@@ -945,7 +948,7 @@ def prepared_of(checker: CollisionChecker, *, timed: bool = False) -> Problem:
 
 
 def without_motions(checker: CollisionChecker) -> CollisionChecker:
-    """Return a checker of the same pairs, in the present scene without the bodies that follow motions."""
+    """Return a checker for the same pairs in the present scene, without the bodies that follow motions."""
     if not checker.scene.following:
         return checker
     version = checker.scene.version

@@ -1,6 +1,6 @@
 """Read and write models of a robot's links made of spheres and other shapes, in the formats of planners.
 
-A model is used as its own program would use it: numbers are rounded to float32 where the program does so, buffers are
+A model is used as its own program would use it: numbers are rounded to float32 if the program does so, buffers are
 added to radii, and shapes that the program ignores are left out. Anything in a file that could matter and is not read
 is reported in a warning.
 """
@@ -77,9 +77,9 @@ class Model:
     bodies : dict
         Link name to body, in the frame of the link.
     ignored : frozenset of pairs of str, or None
-        The pairs that its program does not check; None if the file has no rules on pairs.
+        The pairs that the file's program does not check; None if the file has no rules on pairs.
     notes : list of str
-        Contents of the file that its program, or this reader, does not use.
+        Contents of the file that neither its program nor this reader uses.
     """
 
     bodies: dict[str, Body] = field(default_factory=dict)

@@ -1,4 +1,4 @@
-"""Cover the links of robots by simple shapes, and judge such models of others, link by link."""
+"""Cover the links of robots by simple shapes, and judge such models from other programs, link by link."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ LEAST, LARGEST, FIRST, STEPS, ENOUGH, POWER = 1e-4, 10.0, 0.03, 8, 0.92, 0.8
 
 
 def cover(self: Robot, kind: Kind, *, n: int | None, protrusion: float | None, progress: Progress | None) -> Robot:
-    """Answer `Robot.cover`, which has the defaults."""
+    """Compute the result of `Robot.cover`, which has the defaults."""
     _validate.callback(progress, "progress")
     if not self.bodies:
         raise InputError("expected a robot with bodies, found one without")
@@ -67,7 +67,7 @@ def cover(self: Robot, kind: Kind, *, n: int | None, protrusion: float | None, p
 
 
 def with_bodies(robot: Robot, bodies: Mapping[str, Body], ignored: frozenset[Pair] | None = None) -> Robot:
-    """Return the same robot with other bodies and, if they are given, other exempt pairs instead of its rules."""
+    """Return the same robot with other bodies and, if given, with other exempt pairs in place of its rules."""
     made = replace(robot, bodies=Named("link with a body", bodies), shapes=Named("link with shapes of a URDF", {}))
     return made if ignored is None else replace(made, disabled_pairs=ignored, _ruled=True)
 
@@ -85,8 +85,8 @@ def listed_pairs(robot: Robot) -> frozenset[Pair] | None:
 def new_contacts(robot: Robot, model: Robot) -> list[tuple[Pair, float, float]]:
     """Find the pairs that meet in some configurations with another robot's bodies, but not with a robot's own.
 
-    Each pair comes with the share of random configurations in which this is so, and the share in which the other
-    robot's bodies meet at all.
+    Each pair comes with two shares of random configurations: the share in which this is so, and the share in which the
+    other robot's bodies meet at all.
     """
     Q = robot.random_configurations(TRIED)
     theirs = CollisionChecker(model)

@@ -1,8 +1,8 @@
 """Clearances and distances of a checker with their gradients, in the caller's number type.
 
-This is the common part of `loewner.jax` and `loewner.torch`: NumPy arrays of float32 or float64 in, the same out. The
-checker computes in float64, and every float32 number is also a float64 number, so the answer belongs to exactly the
-given configuration.
+It is the common part of `loewner.jax` and `loewner.torch`: it takes NumPy arrays of float32 or float64 and returns the
+same type. The checker computes in float64, and every float32 number is also a float64 number, so the answer belongs to
+exactly the given configuration.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ Ask = Callable[[NDArray[Any], bool], tuple[Any, Any]]
 
 @dataclass(frozen=True, eq=False)
 class Measure:
-    """Distance of a robot from contact, as a function of configurations that has a gradient."""
+    """The distance of a robot from contact as a function of the configuration, with its gradient."""
 
     name: str
     checker: CollisionChecker
@@ -43,7 +43,7 @@ class Measure:
         expect_width(self.checker.robot, shape, "Q")
 
     def no_second_derivatives(self) -> InputError:
-        """The error for second derivatives: zeros would be wrong, and go unnoticed."""
+        """The error for second derivatives: zeros would be wrong, but would go unnoticed."""
         return InputError(
             f"{self.name}: expected to be differentiated once, found a second derivative, which it does not have; "
             "use a method that needs gradients alone (L-BFGS, Gauss-Newton), or stop the gradient here"

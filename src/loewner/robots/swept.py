@@ -1,9 +1,9 @@
 """Swept volumes: a body that provably contains links wherever they are on a curve, and how far it sticks out.
 
-The curve is placed at knots, so near each other that all points of a link stay near the chords between them. The hull
-of a convex piece's places at two knots then contains the piece on the whole way between these knots, once it is grown
-by the largest distance from the chords between the two. docs/certified.md, "Swept volumes", derives this and the bound
-on the excess.
+The curve is evaluated at knots, which are so close together that all points of a link stay near the chords between
+them. Consider the hull of a convex piece's positions at two knots. Once it is grown by the largest distance from the
+chords between the two, it contains the piece all the way between these knots. docs/certified.md, "Swept volumes",
+derives this and the bound on the excess.
 """
 
 from __future__ import annotations
@@ -169,7 +169,7 @@ answers["swept"] = swept
 
 
 def united(bodies: list[Body]) -> tuple[Body, float]:
-    """Return one body of several that `swept` made, with its covering, and its excess [m]."""
+    """Return one of several bodies that `swept` made, with its covering, and its excess [m]."""
     excess = max(body.covering.max_protrusion for body in bodies if body.covering is not None)
     return Body(packed_of(Body.union(bodies)), Covering("swept", True, 0.0, math.nan, 0, excess)), excess
 

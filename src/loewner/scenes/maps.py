@@ -37,11 +37,12 @@ class Map(NamedTuple):
     Attributes
     ----------
     occupied, unknown : ndarray of bool, shape (p, q)
-        Cell (i, j) lies from (i, j) to (i + 1, j + 1), times the resolution, from the origin along its axes.
+        Cell (i, j) extends from (i, j) to (i + 1, j + 1), times the resolution, measured from the origin along its
+        axes.
     resolution : float
         Edge of a cell, in metres.
     origin : ndarray, shape (3,)
-        Place of the grid's lowest corner in the world, in metres, and its turn about z, in radians.
+        Position of the grid's lowest corner in the world, in metres, and its rotation about z, in radians.
     """
 
     occupied: Bools
@@ -56,7 +57,7 @@ def read_map(path: str | os.PathLike[str]) -> Map:
     Raises
     ------
     FileError
-        If a file is missing, damaged or not grey, a key is missing or not known, or a threshold is no share.
+        If a file is missing, damaged or not grey, a key is missing or unknown, or a threshold is not a share.
     MissingExtraError
         If PyYAML is missing, or Pillow for images other than PGM.
     """
@@ -92,12 +93,12 @@ def read_map(path: str | os.PathLike[str]) -> Map:
 
 
 def rectangles(cells: Bools) -> Ints:
-    """Divide cells into rectangles: runs along the second axis, joined where the next row has the same.
+    """Divide cells into rectangles: runs along the second axis, merged if the next row has the same run.
 
     Returns
     -------
     ndarray of int64, shape (n, 4)
-        First cell and the cell behind the last one, along both axes: i0, j0, i1, j1.
+        First cell and the index after the last cell, along both axes: i0, j0, i1, j1.
     """
     padded = np.pad(cells, ((0, 0), (1, 1))).astype(np.int8)
     rows, starts = np.nonzero(np.diff(padded, axis=1) == 1)

@@ -142,8 +142,8 @@ def read_mjcf(path: str | os.PathLike[str], tol: float) -> MjcfModel:
     Warns
     -----
     UserWarning
-        Once, if the file has what changes MuJoCo's motions or contacts and is not read: flexible bodies, constraints,
-        margins of geoms, and limits of anything but joints with one value.
+        Once, if the file contains parts that change MuJoCo's motions or contacts but are not read: flexible bodies,
+        constraints, margins of geoms, and limits of anything but joints with one value.
     """
     file = _validate.path(path, "path", wanted="a path to an MJCF file")
     return compiled_model(_compiled(file), None, file, tol, couplings=False)
@@ -156,12 +156,12 @@ def compiled_model(model: Any, data: Any, file: Path, tol: float, *, couplings: 
     ----------
     model : mujoco.MjModel
     data : mujoco.MjData, optional
-        Has the poses of mocap bodies and the active constraints. Default: as in the model.
+        Supplies the poses of mocap bodies and the active constraints. Default: as in the model.
     file : Path
         For messages and names.
     tol : float
     couplings : bool
-        Whether joints follow others to which equalities couple them.
+        Whether joints follow the joints to which equalities couple them.
     """
     mujoco = _mujoco()
     names = _Names(mujoco, model)

@@ -263,7 +263,8 @@ class Scene:
 
     @property
     def structure_version(self) -> int:
-        """A number that grows with every change except of poses and motions, which leave other prepared data valid."""
+        """A number that grows with every change except changes of poses and motions, which leave other prepared data
+        valid."""
         return self._structure_version
 
     def pose(self, name: str) -> Floats:
@@ -287,7 +288,7 @@ class Scene:
             return self._poses[self._placed(name)].copy()
 
     def copy(self) -> Scene:
-        """Return a copy of the scene; later changes of the scene do not affect the copy, or the reverse.
+        """Return a copy of the scene; later changes to either do not affect the other.
 
         Returns
         -------
@@ -327,7 +328,7 @@ class Scene:
     def from_map(
         cls, path: str | os.PathLike[str], *, height: float, unknown: bool = True, margin: float = 0.0
     ) -> Scene:
-        """Make a scene of a map of ROS's map server: its occupied cells, as boxes on the plane z = 0.
+        """Make a scene from a map of ROS's map server: its occupied cells, as boxes on the plane z = 0.
 
         Parameters
         ----------
@@ -344,13 +345,13 @@ class Scene:
         Returns
         -------
         Scene
-            With the body "map", if any cell is occupied. Cells that form a rectangle become one box. The pose of the
+            With the body "map" if any cell is occupied. Cells that form a rectangle become one box. The pose of the
             body is the origin of the map.
 
         Raises
         ------
         FileError
-            If a file is missing, damaged or not grey, a key is missing or not known, or a threshold is no share.
+            If a file is missing, damaged or not grey, a key is missing or unknown, or a threshold is not a share.
         InputError
             If the height is not positive.
         MissingExtraError
@@ -455,7 +456,7 @@ class Scene:
             self._changed()
 
     def replace(self, name: str, body: Body) -> None:
-        """Replace a body by a new one, for instance by the next image of a camera; everything else stays the same.
+        """Replace a body by a new one, for instance from the next image of a camera; everything else stays the same.
 
         Parameters
         ----------
@@ -506,10 +507,10 @@ class Scene:
         T_world_body : array_like, shape (4, 4), or None
             The new pose; translation in metres. None is the identity.
         error : array_like, shape (2,), optional
-            By how much the pose may be wrong, in metres and radians: the body's origin is off by at most the first
-            number, and its orientation by at most the second. A point at the distance ρ from the body's origin is then
-            off by at most metres + ρ · radians; `bounds` has the largest ρ. Answers hold for all such poses: FREE means
-            free at each. By default the pose is exact, also if an earlier one was not.
+            How far the pose may be wrong, in metres and radians: the body's origin deviates by at most the first
+            number, and its orientation by at most the second. A point at the distance ρ from the body's origin then
+            deviates by at most metres + ρ · radians; `bounds` contains the largest ρ. Answers hold for all such poses:
+            FREE means free at each. By default the pose is exact, even if an earlier one was not.
 
         Raises
         ------
@@ -520,9 +521,9 @@ class Scene:
         Notes
         -----
         An error is added to the margins of the body, so a checker prepares its pairs again when an error changes; a new
-        pose with the same error is as fast as one without. `collide` is True where the body may collide. COLLIDING
-        means a collision at the given pose; everything else that is not free is AMBIGUOUS. Exact distances belong to
-        the given poses; their bounds, and clearances, hold for all.
+        pose with the same error is as fast as one without. `collide` is True if the body may collide. COLLIDING means a
+        collision at the given pose; everything else that is not free is AMBIGUOUS. Exact distances belong to the given
+        poses; the bounds on distances, and clearances, hold for all poses.
 
         Examples
         --------
@@ -567,7 +568,7 @@ class Scene:
         Ts : array_like, shape (n, 4, 4)
             The new pose of each; translation in metres. If any name or pose is wrong, no body is moved.
         error : array_like, shape (2,), optional
-            By how much each pose may be wrong, as for `move`.
+            How far each pose may be wrong, as for `move`.
 
         Raises
         ------
@@ -623,40 +624,40 @@ class Scene:
         Parameters
         ----------
         name : str
-            A body of the scene. If it follows a motion already, the new one takes its place.
+            A body of the scene. If it already follows a motion, the new motion replaces it.
         times : array_like, shape (n,)
-            Seconds, increasing; two or more. A body that rests needs only one, if there are bounds.
+            Seconds, increasing; two or more. A body at rest needs only one time, if there are bounds.
         poses : array_like, shape (n, 4, 4)
-            T_world_body at these times; translation in metres. In between, the position changes linearly and the body
-            turns at a constant rate, the shorter way.
+            T_world_body at these times; translation in metres. In between, the position changes linearly, and the body
+            turns at a constant rate by the shorter way.
         repeat : bool
-            Whether the motion begins again when it ends, for which the last pose must be the first one. By default the
-            body waits at the first pose before the motion, and at the last pose after it.
+            Whether the motion starts again when it ends; the last pose must then be the first one. By default the body
+            waits at the first pose before the motion, and at the last pose after it.
         twist : array_like, shape (6,), optional
             Velocity of the body's origin [m/s] and angular velocity [rad/s], both in the world's frame and constant
-            between two `times`; `poses` is then the first pose, shape (4, 4). The origin moves straight while the body
-            turns about it: no screw motion about another axis.
+            between two `times`; `poses` is then the first pose, shape (4, 4). The origin moves along a straight line
+            while the body turns about it; this is not a screw motion about another axis.
         speed, turn : float
-            Bounds on how the body departs from this motion [m/s, rad/s], such as 1.6 m/s for a person: at a time t, its
-            origin is off by at most speed · \\|t - since\\|, and its orientation by at most turn · \\|t - since\\|. A
-            point at the distance ρ from the origin is then off by at most (speed + ρ · turn) · \\|t - since\\|;
-            `bounds` has the largest ρ, so a frame in the middle of the body is the best one.
+            Bounds on how far the body departs from this motion [m/s, rad/s], such as 1.6 m/s for a person. At a time t,
+            its origin deviates by at most speed · \\|t - since\\|, and its orientation by at most turn · \\|t -
+            since\\|. A point at the distance ρ from the origin then deviates by at most (speed + ρ · turn) · \\|t -
+            since\\|. `bounds` contains the largest ρ, so a frame in the middle of the body is the best choice.
         since : float, optional
-            Seconds: when the body was seen. Default: the first of `times`.
+            Time in seconds at which the body was seen. Default: the first of `times`.
         error : array_like, shape (2,), optional
-            Bounds on the error at that time, in metres and radians, which are added; see `move`.
+            Additional bounds on the error at that time, in metres and radians; see `move`.
 
         Notes
         -----
-        With bounds, answers hold for all motions within them: FREE means free for each, and `collide` is True where the
-        body may collide. COLLIDING means a collision with the body on its given motion; everything else that is not
-        free is AMBIGUOUS. Distances belong to the given motion. To follow a motion again without bounds drops them.
+        With bounds, answers hold for all motions within them: FREE means free for each motion, and `collide` is True if
+        the body may collide. COLLIDING means a collision with the body on its given motion; everything else that is not
+        free is AMBIGUOUS. Distances belong to the given motion. Following a motion again without bounds removes them.
 
         Raises
         ------
         InputError
-            If the body is attached to a link, times do not increase, there are not as many as poses, two successive
-            poses differ by half a turn, or a bound is negative or not finite.
+            If the body is attached to a link, times do not increase, the numbers of times and poses differ, two
+            successive poses differ by half a turn, or a bound is negative or not finite.
         PoseError
             If a pose is not a rigid motion.
         UnknownNameError
@@ -677,7 +678,7 @@ class Scene:
         ((), [-0.5, 0.0, 0.0])
         >>> scene.follow("box", [0.0, 10.0], T[0], twist=[0.2, 0.0, 0.0, 0.0, 0.0, 1.0])  # the same, and it turns
 
-        A person who was seen there at 2 s and may have walked anywhere since:
+        A person who was seen there at 2 s and may have walked anywhere since then:
 
         >>> scene.add("person", Body.capsule(radius=0.3, length=1.2))
         >>> scene.follow("person", [2.0], np.eye(4)[None], speed=1.6)
@@ -884,11 +885,11 @@ class Scene:
         `CollisionChecker.certify_trajectory`). A motion or curve that starts with the two in contact, or within their
         margin, is FREE if two things are proven. On a first stretch, no two of their pieces penetrate each other deeper
         than at the start or, while within their margin, come nearer, by more than the tolerance of the proof. On the
-        rest, the two keep their margin. Once the two have parted, by a ten-thousandth of the robot's reach more than
-        their margin, the stretch ends before they come near again. Their distance is measured for this at places that
-        are chosen by how far the two move in between, so this part is not a proof: contact might end and begin again
-        between two places, but no deeper than at the start. The rule takes precedence over `allow`. At a single
-        configuration, contact is a collision, as for all pairs.
+        rest, the two keep their margin. Once the two have parted, that is, once their distance exceeds their margin by
+        a ten-thousandth of the robot's reach, the stretch ends before they come near again. For this purpose, their
+        distance is measured at several places, which depend on how far the two move in between. This part is therefore
+        not a proof: contact might end and begin again between two places, but no deeper than at the start. The rule
+        takes precedence over `allow`. At a single configuration, contact is a collision, as for all pairs.
 
         The rule ends when one of the two is attached, detached or removed.
 
@@ -904,8 +905,9 @@ class Scene:
     def reach(self, a: str, b: str) -> None:
         """Let two bodies come into contact at the end of a motion, as `leave` lets them separate at the start of one.
 
-        At the end of the motion or curve the two may touch or be within their margin, and may overlap by no more than
-        the tolerance of the proof; before, they penetrate each other no deeper than at the end, up to the tolerance.
+        At the end of the motion or curve, the two may touch or be within their margin, and may overlap by no more than
+        the tolerance of the proof. Before that, they penetrate each other no deeper than at the end, up to the
+        tolerance.
 
         Parameters
         ----------
@@ -1022,7 +1024,7 @@ class Scene:
         Parameters
         ----------
         least : float
-            In metres. Margins above it do not change. The scene's own margin is raised, too.
+            In metres. Larger margins do not change. The scene's own margin is raised, too.
 
         Raises
         ------
@@ -1098,7 +1100,7 @@ class Scene:
         Parameters
         ----------
         time : float, optional
-            Seconds; required if bodies follow motions, which are where they are then.
+            Time in seconds; required if bodies follow motions, since it determines their poses.
 
         Returns
         -------
@@ -1255,11 +1257,12 @@ def in_world(scene: Scene) -> tuple[Floats, dict[str, PosePath], dict[str, PoseB
     Returns
     -------
     poses : ndarray, shape (n, 4, 4)
-        `static_poses`, then of bodies that follow motions but rest, and grow with time.
+        `static_poses`, followed by the poses of bodies that follow motions but are at rest and whose bounds grow with
+        time.
     following : dict of str to PosePath
-        The motions of the others.
+        The motions of the other bodies.
     bounds : dict of str to PoseBounds
-        The bounds of all these that follow motions, in the same order.
+        The bounds of all bodies that follow motions, in the same order.
     """
     following, known = scene.following, scene._bounds
     resting = [name for name, path in following.items() if path.rests and name in known]
@@ -1270,7 +1273,7 @@ def in_world(scene: Scene) -> tuple[Floats, dict[str, PosePath], dict[str, PoseB
 def poses_since(
     scene: Scene, structure_version: int
 ) -> tuple[Floats, tuple[PosePath, ...], dict[str, PoseBounds], int] | None:
-    """Return the results of `in_world` and the version of a scene in which only these changed; otherwise None."""
+    """Return the results of `in_world` and the version of a scene in which only these have changed; otherwise None."""
     with _CHANGING:
         if scene.structure_version != structure_version:
             return None
@@ -1281,7 +1284,7 @@ def poses_since(
 
 
 def drawn(scene: Scene, held: Mapping[str, Floats]) -> tuple[list[Shape], list[tuple[str, str]], str]:
-    """Return shapes, the colours of few bodies by name, and a note; `held` has the poses of attached bodies."""
+    """Return shapes, the colours of a few bodies by name, and a note; `held` contains the poses of attached bodies."""
     scene = scene.snapshot()
     poses = scene._poses | {name: path.poses(path.times[0]) for name, path in scene._following.items()} | dict(held)
     names = [name for name in scene if name in poses][:MOST_BODIES]

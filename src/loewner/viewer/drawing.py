@@ -59,7 +59,7 @@ AMBIENT = 1.2
 
 
 def add_mesh(scene: Any, name: str, mesh: Mesh, **look: Any) -> Any:
-    """Add triangles to the page's scene, without shadows, for which everything would have to be drawn twice."""
+    """Add triangles to the page's scene, without shadows, since these would require drawing everything twice."""
     vertices, triangles = mesh
     return scene.add_mesh_simple(
         name, vertices.astype(np.float32), triangles.astype(np.uint32), cast_shadow=False, receive_shadow=False, **look
@@ -194,7 +194,8 @@ class Drawing:
         self.see_through(self._clear)
 
     def see_through(self, clear: bool) -> None:
-        """Make the pieces transparent, so that marks inside them are seen, or opaque unless layers inside are shown."""
+        """Make the pieces transparent, so that marks inside them can be seen, or make them opaque again unless layers
+        inside them are shown."""
         self._clear = clear
         for name in self._layers.get("pieces", ()):
             if hasattr(self._nodes[name], "opacity"):  # points have none

@@ -70,7 +70,7 @@ class Path:
     duration : float
         Seconds from the first configuration to the last; 0 if all are equal.
     start_time : float
-        When it starts, on the clock of bodies that follow motions: 0.
+        Start time on the clock of bodies that follow motions: 0.
     """
 
     start_time = 0.0
@@ -186,7 +186,7 @@ def _checked(robot: Robot, trajectory: Any, name: str) -> Trajectory | Executed:
 
 
 def found_along(checker: CollisionChecker, way: Way) -> Ints:
-    """Return FREE, COLLIDING or UNSETTLED at each of LOOKS times, evenly spaced from start to end."""
+    """Return FREE, COLLIDING or UNSETTLED for each of LOOKS times, evenly spaced from start to end."""
     times = np.linspace(0.0, way.duration, LOOKS)
     ready = prepared_of(checker, timed=True)
     found, _ = classified(
@@ -203,9 +203,9 @@ class Proof(NamedTuple):
     times : ndarray, shape (n + 1,)
         Seconds since the start at which the parts begin and end.
     verdicts : ndarray of int, shape (n,)
-        The verdict for each part at every instant; an AMBIGUOUS part has no proof.
+        The verdict for each part, valid at every instant; an AMBIGUOUS part has no proof.
     fractions : ndarray, shape (n,)
-        Where in a part that is not FREE its proof ended.
+        For a part that is not FREE, the place where its proof ended.
     """
 
     times: Floats

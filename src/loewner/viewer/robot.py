@@ -169,10 +169,10 @@ class RobotViewer(Viewer):
     colliding : bool
         The exact answer for this configuration; True if there is none.
     path_verdict : Verdict or None
-        The verdict for the whole path or trajectory, which the page shows in its place: FREE only if it is proven at
-        every moment, COLLIDING if a sample or the proof found a collision, AMBIGUOUS otherwise and until it is proven.
-        Contact that `Scene.leave` or `Scene.reach` allows is no collision.
-        None without a path, or while the robot is not on it.
+        The verdict for the whole path or trajectory, which the page shows in place of the certified one: FREE only if
+        it is proven at every moment, COLLIDING if a sample or the proof found a collision, and AMBIGUOUS otherwise and
+        until it is proven. Contact that `Scene.leave` or `Scene.reach` allows is no collision. None without a path, or
+        while the robot is not on it.
     contacts : tuple of Contact
         The pairs that touch or come within their margin.
     bounds : StateDistance
@@ -303,7 +303,8 @@ class RobotViewer(Viewer):
             self.refresh()
 
     def go_to_worst(self) -> float:
-        """Move the robot to where the nearest pair is nearest, of 401 moments and all at which proofs ended.
+        """Move the robot to the moment at which the nearest pair is nearest, among 401 moments and all moments at which
+        proofs ended.
 
         Returns
         -------

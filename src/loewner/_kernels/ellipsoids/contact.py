@@ -57,7 +57,7 @@ def polynomials(P, Q, r):
     # Two spheres attain the maximum at s = radius of a / sum of radii; use the radii along r.
     hp = sqrt(maximum(dot(apply_symmetric(P, r), r), 0.0))
     hq = sqrt(maximum(dot(apply_symmetric(Q, r), r), 0.0))
-    # Concentric ellipsoids (r = 0) would divide zero by zero: F is 0 everywhere, and any s is valid.
+    # For concentric ellipsoids (r = 0) this would divide zero by zero: F is 0 everywhere, and any s is valid.
     s = (hp + 1e-300) / (hp + hq + 2e-300)
     # ... then in powers of s, for Horner's rule.
     d = d0, d1 - 3.0 * d0, 3.0 * d0 - 2.0 * d1 + d2, d3 - d0 + d1 - d2
@@ -73,7 +73,7 @@ def newton_step(d, q, s):
     value_q = q[0] + s * (q[1] + s * q[2])
     slope_q = q[1] + 2.0 * s * q[2]
     w = s - s * s
-    # F = f/d; Newton for F' = g/d² = 0
+    # F = f/d; Newton's method for F' = g/d² = 0
     f = w * value_q
     slope_f = (1.0 - 2.0 * s) * value_q + w * slope_q
     bend_f = 2.0 * ((1.0 - 2.0 * s) * slope_q - value_q + w * q[2])
@@ -145,7 +145,7 @@ def separation(P, Q, r, n, size):
 def gap_bound(offset, width_p, width_q, length, size):
     """The bound of `separation` from n·r, the two outward widths and |n|."""
     bound = (offset - width_p - width_q) / length - position_error(size, UNIT_ROUNDOFF)
-    # The quotient itself is rounded; step away from it in the safe direction.
+    # The quotient itself is rounded, so step away from it in the safe direction.
     return bound - 8.0 * UNIT_ROUNDOFF * absolute(bound)
 
 
@@ -191,13 +191,13 @@ def nearness(P, Q, r, n, s, sigma_a, sigma_b, size):
     # Level of each point in its own ellipsoid: the width, plus the effect of rounding P n.
     level_a = u * (width_p + SHAPE_ROUNDINGS * trace(P) * length / sigma_a)
     level_b = s * (width_q + SHAPE_ROUNDINGS * trace(Q) * length / sigma_b)
-    # The difference of the two points: zero in exact arithmetic, r - K n here.
+    # The difference of the two points, computed as r - K n; it is zero in exact arithmetic.
     gap = r[0] - u * Pn[0] - s * Qn[0], r[1] - u * Pn[1] - s * Qn[1], r[2] - u * Pn[2] - s * Qn[2]
     slack = sqrt(dot(gap, gap)) + position_error(size, UNIT_ROUNDOFF)
     common = level_b + slack / sigma_b
-    # A NaN in either must be kept: `maximum` passes on a NaN in its second argument.
+    # A NaN in either value must be kept: `maximum` passes on a NaN in its second argument.
     level = (maximum(level_a, common) + 0.0 * level_a) * (1.0 + 8.0 * UNIT_ROUNDOFF)
-    # A ball of radius (1 - level) σ about the common point is inside each.
+    # A ball of radius (1 - level) σ around the common point lies inside each ellipsoid.
     depth = ((1.0 - level_a) * sigma_a + (1.0 - common) * sigma_b) * (1.0 - 16.0 * UNIT_ROUNDOFF)
     # Pull each point back into its own ellipsoid where it sticks out.
     fa = u / maximum(1.0, level_a * (1.0 + 8.0 * UNIT_ROUNDOFF))

@@ -23,12 +23,11 @@ from loewner._kernels.simd.vectors import (
     sqrt,
 )
 
-# Largest numbers of steps by the polynomials, and by slopes: four and one usually suffice; for needles each step halves
-# the interval.
+# Largest numbers of steps by polynomials and by slopes. Four and one usually suffice; for needles, each step halves the
+# interval.
 STEPS, SLOPES = 12, 60
 
-# A step of Newton's method that moves s by less than this share of s (1 - s) is the last: the remaining error is its
-# square.
+# The last step of Newton's method moves s by less than this share of s (1 - s); the remaining error is its square.
 SETTLED, SETTLED_SLOPE = 1e-5, 1e-6
 
 
@@ -52,8 +51,8 @@ def _slope(P, Q, r, s):
         u * P[3] + s * Q[3], u * P[4] + s * Q[4], u * P[5] + s * Q[5],
     )  # fmt: skip
     A = adjugate(K)
-    # For needles the determinant has no correct digits, perhaps not even its sign; the adjugate has, so the direction
-    # of n is correct.
+    # For needles no digit of the determinant is correct, perhaps not even its sign. The adjugate is accurate, so the
+    # direction of n is correct.
     inverse = 1.0 / absolute(K[0] * A[0] + K[1] * A[1] + K[2] * A[2])
     n = scaled(inverse, apply_symmetric(A, r))
     Pn, Qn = apply_symmetric(P, n), apply_symmetric(Q, n)
@@ -75,8 +74,8 @@ def contact_parameter(P, Q, r):
         live &= movemask(moves)
         if live == 0:
             break
-    # The coefficients of the polynomials have lost digits for thin ellipsoids, and all digits for needles: continue by
-    # slopes.
+    # The coefficients of the polynomials have lost digits for thin ellipsoids, and all digits for needles: continue
+    # with slopes.
     low, high, live = broadcast(0.0), broadcast(1.0), ALL
     for _ in range(SLOPES):
         _, _, _, _, _, _, _, _, slope, bend = _slope(P, Q, r, s)

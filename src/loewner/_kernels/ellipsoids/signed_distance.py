@@ -40,28 +40,29 @@ from loewner._kernels.pieces.shapes import rotation_of
 from loewner._kernels.simd.vectors import maximum, movemask, select, sqrt
 from loewner._kernels.tolerances import UNIT_ROUNDOFF
 
-# Descents usually end after 5 steps; a minimum with a vanishing second derivative takes 25.
+# Descents usually end after 5 steps; if the second derivative vanishes at the minimum, they take 25.
 MAX_STEPS = 80
-DAMPING_LIMIT = 1e3  # damping, relative to the size, at which a step no longer moves the normal
+DAMPING_LIMIT = 1e3  # damping, relative to the size, above which a step no longer moves the normal
 
 MAX_SWEEPS = 12  # Jacobi's method needs 3 or 4
 MAX_SECULAR = 60  # usually 4 or 5
 
-# Relative gap that the proof of a global minimum may leave open, and the number of intervals that it may examine.
-# Rounding in D itself is about 1e-15. These are choices, not bounds: they enter the gap that is reported.
+# Relative gap that the proof of a global minimum may leave open, and limit on the intervals that it may examine. The
+# rounding error of D itself is about 1e-15. These are choices, not bounds: they affect the gap that is reported.
 PROOF_GAP = 1e-11
 MAX_INTERVALS = 600
 GROWTH = 16.0  # factor between the first intervals' distances from the minimum, in log r
 _STACK = 160
 
-# Slack of M - h s required for the proof by an ellipsoid within: a share of h s, and roundings of the trace of M, about
-# twice the rounding of its entries and pivots. These are choices, not bounds: no verdict depends on them.
+# Slack of M - h s that the proof by an inner ellipsoid requires: a share of h s, and multiples of the rounding of the
+# trace of M, about twice the rounding of its entries and pivots. These are choices, not bounds: no verdict depends on
+# them.
 SPARE = 1e-3
 PIVOT_ROUNDINGS = 64.0
 
-MAX_PLAIN = 12  # Newton steps of eight pairs at a time: usually 6 or 7 for the slowest
+MAX_PLAIN = 12  # Newton steps for eight pairs at a time: the slowest pair usually needs 6 or 7
 
-STEEP = 1e-12  # slope, relative to the size, above which a descent is taken to have stalled
+STEEP = 1e-12  # slope, relative to the size, above which a descent counts as stalled
 MAX_RESTARTS = 20
 
 
@@ -145,7 +146,7 @@ def descend(FA, FB, c, n, size):
     for _ in range(MAX_STEPS):
         if slope <= rounding:
             break
-        # The least eigenvalue must be positive for a way down.
+        # A way down requires that the least eigenvalue is positive.
         mean = 0.5 * (h11 + h22)
         half = 0.5 * (h11 - h22)
         spread = np.sqrt(half * half + h12 * h12)
@@ -188,7 +189,7 @@ def _inner_shape(FA, FB, n):
     a0, a1, a2 = apply(FA, u), apply(FA, e), apply(FA, g)
     e, g = across(v)
     b0, b1, b2 = apply(FB, v), apply(FB, e), apply(FB, g)
-    # A rotation and a reflection are free: choose them to maximise the sum of a1 · b1 and a2 · b2.
+    # A rotation and a reflection may be chosen freely: maximise the sum of a1 · b1 and a2 · b2.
     one, two = dot(a1, b1) + dot(a2, b2), dot(a1, b2) - dot(a2, b1)
     three, four = dot(a1, b1) - dot(a2, b2), dot(a1, b2) + dot(a2, b1)
     mirrored = three * three + four * four > one * one + two * two
@@ -239,7 +240,7 @@ def descend_eight(FA, FB, c, n, size, wanted):
     for _ in range(MAX_PLAIN):
         if movemask(going) == 0:
             break
-        # The least eigenvalue must be positive for a way down.
+        # A way down requires that the least eigenvalue is positive.
         half = 0.5 * (h11 - h22)
         lowest = 0.5 * (h11 + h22) - sqrt(half * half + h12 * h12)
         lift = maximum(1e-3 * slope - lowest, 0.0)
@@ -334,7 +335,7 @@ def boundary_depth(m0, m1, m2, x, y, z):
     m0, m1, m2 = max(m0, least), max(m1, least), max(m2, least)
     g0, g1, g2 = m0 - least, m1 - least, m2 - least
     a0, a1, a2 = np.sqrt(m0) * abs(x), np.sqrt(m1) * abs(y), np.sqrt(m2) * abs(z)
-    t = max(0.0, max(a0 - g0, max(a1 - g1, a2 - g2)))  # the point at which one term alone reaches 1, left of the root
+    t = max(0.0, max(a0 - g0, max(a1 - g1, a2 - g2)))  # left of the root, the point at which a single term reaches 1
     for _ in range(MAX_SECULAR):
         q0 = a0 / (g0 + t) if a0 > 0.0 else 0.0
         q1 = a1 / (g1 + t) if a1 > 0.0 else 0.0
@@ -357,7 +358,7 @@ def boundary_depth(m0, m1, m2, x, y, z):
     w2 = z / (g2 + t) if a2 > 0.0 else 0.0
     level = m0 * w0 * w0 + m1 * w1 * w1 + m2 * w2 * w2
     if t == 0.0 and level < 1.0:
-        # The hard case: c has no part along the shortest axis, so the normal may lean to either side of it.
+        # The hard case: c has no component along the shortest axis, so the normal may lean to either side of it.
         lean = np.sqrt((1.0 - level) / least) if least > 0.0 else 1.0
         if g0 == 0.0:
             w0 = lean
@@ -489,7 +490,7 @@ def global_minimum(FA, FB, c, n, size):
         half = np.sqrt(one * two)
         bound = min(one_depth, two_depth)
         if tip < bound:
-            # The tip's share in the triangle is at most this on the arc.
+            # On the arc, the tip's share in the triangle is at most this.
             weight = 0.5 * (one + two) / half
             bound += weight / (1.0 + weight) * (tip - bound)
         if bound >= h - PROOF_GAP * size - _rounding(one, two, P, Q, h) or top + 2 > _STACK or looked >= MAX_INTERVALS:
@@ -532,7 +533,7 @@ def least_height(wide_a, FA, wide_b, FB, c, n, size):
     if wide_a and wide_b:
         return global_minimum(FA, FB, c, n, size)
     if wide_a or wide_b:
-        # The remaining problem has one minimum, or two that mirror each other.
+        # The remaining problem has one minimum, or two that are mirror images of each other.
         P = shape_matrix(FA if wide_a else FB)
         _, n = enclosing_depth(1.0, 0.0, P, P, c, np.eye(3))
         n, h, slope = descend(FA, FB, c, n, size)

@@ -87,7 +87,7 @@ def center_in(A, b, x, frame, shift, negligible):
             return 0
         if fastest <= negligible * -slowest:
             return UNBOUNDED
-        # Maximise Σ log(1 - t rate) along the step by Newton in one variable, kept strictly inside.
+        # Maximise Σ log(1 - t rate) along the step by Newton's method in one variable, strictly inside the range.
         t = min(1.0, 0.9 / max(fastest, 1e-300))
         for _ in range(30):
             slope = 0.0
@@ -161,7 +161,7 @@ def fit_halfspaces(A, b, x, tol, negligible, center, factor, shift):
         gap = inscribe(A, slack_low, slack, factor, lam)
         if gap <= tol:
             return 0, gap, iterations
-        # A poor start can cost digits: solve again in the coordinates of the result.
+        # A poor start can cost digits, so solve again in the coordinates of the result.
         for j in range(n):
             x[j] = center[j]
             for k in range(n):

@@ -27,14 +27,15 @@ from loewner._kernels.fits.mvie import solve_primal_dual
 from loewner._kernels.pieces.directions import candidates, map_within, place
 from loewner._kernels.tolerances import FACE_WIDTH
 
-# From this many vertices on a map is faster than trying all of them for each face (measured:
+# From this many vertices on, a map is faster than trying every vertex for each face (measured:
 # docs/design/many_points.md).
 MANY = 256
 
-# Directions in one of these cells of a cube, SIDE² for each of its faces, form a sector: a round adds one face of each.
+# The surface of a cube has SIDE² cells on each face. Directions in one cell form a sector, and each round adds one face
+# from each sector.
 SIDE = 4
 SECTORS = 6 * SIDE * SIDE
-# Largest number of rounds; six are usual. After them all faces are used.
+# Largest number of rounds; six are usual. After the last round, all faces are used.
 MAX_ROUNDS = 40
 
 

@@ -45,15 +45,15 @@ from loewner._kernels.simd.memory import Arena, Place, floats, held, sizes_of
 
 ROUNDING = 2.0**-53  # unit roundoff of float64
 
-# Largest share of the way to the boundary in one step: closer makes s/u overflow the useful range.
+# Largest share of the way to the boundary in one step: going closer would make s/u overflow the useful range.
 STEP_CAP = 0.9999
-# The centring parameter stays above this: below it the products u s are rounding noise.
+# The centring parameter stays above this value; below it, the products u s are rounding noise.
 CENTRING_FLOOR = 1e-15
 MAX_ITERATIONS = 100
 MAX_ROUNDS = 200
-# Up to this many points the solver takes them all; above, an active set is quicker (measured: break-even near 60).
+# Up to this many points, the solver takes all of them; above, an active set is quicker (measured: break-even near 60).
 DIRECT_LIMIT = 64
-# A point leaves the active set when it is lighter than LIGHT and its squared radius is below NEAR.
+# A point leaves the active set when its weight is below LIGHT and its squared radius below NEAR.
 LIGHT = 1e-6
 NEAR = 0.8
 
@@ -178,7 +178,7 @@ def _assemble(place, X, n, u):
     """
     m, N, work = place.counts.m, place.counts.n, _memory_of(place)
     L, W, V, w = work.L, work.W, work.V, work.w
-    # M = Σ u q qᵀ = L Lᵀ; with q = (1, x) the first column holds the mean, the rest the covariance.
+    # M = Σ u q qᵀ = L Lᵀ with q = (1, x): the first column holds the mean, the others the covariance.
     for j in range(N):
         for k in range(j + 1):
             L[j, k] = 0.0
@@ -288,10 +288,11 @@ def spread_points(points, flatness, chosen, origin, frame):
     basis = np.zeros((n, n))
     differences = np.empty((n, n))
     direction = np.empty(n)
-    size = 0.0  # largest coordinate: its rounding is the noise every width sits on
+    size = 0.0  # largest coordinate: its rounding error is the noise in every width
     widest = 0.0
     for j in range(n):
-        # Coordinate axis least covered by the basis so far, made orthogonal to it (twice: once loses digits).
+        # The coordinate axis that the basis covers least so far, made orthogonal to the basis (twice, since one pass
+        # loses digits).
         longest = -1.0
         axis = 0
         for k in range(n):
@@ -331,7 +332,7 @@ def spread_points(points, flatness, chosen, origin, frame):
         for k in range(n):
             norm += basis[j, k] * basis[j, k]
         widest = max(widest, np.sqrt(norm))
-        # Two coordinates in the same place differ by up to 2 n roundings of the largest coordinate.
+        # Two coordinates in the same place may differ by up to 2 n roundings of the largest coordinate.
         if not width > max(flatness * widest, 4.0 * n * ROUNDING * size):
             return FLAT, j, width, widest
         orthonormalise(basis[j], basis, j, n)
@@ -448,7 +449,7 @@ def enclose(points, center, factor):
         reach = np.sqrt(farthest_by_sector(points, center, factor, np.inf, none, none_at))
         if attempt > 0 and reach * (1.0 + error) <= 1.0:
             return error
-        # The scaled entries round once each, which is again at most u B.
+        # Each scaled entry is rounded once, which again adds at most u B.
         scale = reach * (1.0 + error) * (1.0 + (attempt + 1) * 2.0 / (n + 2) * error)
         for j in range(n):
             for k in range(j + 1):
@@ -529,7 +530,7 @@ def fit_outer(points, tol, flatness, center, factor):
     far = np.empty(2 * n)
     far_at = np.empty(2 * n, np.int64)
     iterations = 0
-    # The first rounds only look for points that matter: no need to solve them to the end.
+    # The first rounds only look for the points that matter, so they need not be solved to the end.
     inner_tol = 0.25 * tol if direct else max(0.25 * tol, 0.01)
     gap = np.inf
     for _ in range(MAX_ROUNDS):
@@ -545,7 +546,7 @@ def fit_outer(points, tol, flatness, center, factor):
             center[j] = origin[j] + value
         if direct:
             break
-        # Points this far out cost half the tolerance; farther ones join.
+        # Points up to this far out cost half the tolerance; points farther out join the set.
         reach = farthest_by_sector(points, center, factor, exponential(tol / n), far, far_at)
         fresh = 0
         for j in range(2 * n):

@@ -429,7 +429,7 @@ def inscribe(normals, slack_low, slack_high, factor, lam):
             break
         if attempt == 3:
             return np.inf
-        # The scaled entries round once each, which moves Lᵀ a by up to u |L|ᵀ|a|.
+        # Each scaled entry is rounded once, which moves Lᵀ a by up to u |L|ᵀ|a|.
         scale *= 1.0 - 4.0 * ROUNDING - 2.0 * (attempt + 1) / (n + 2) * hidden
         for j in range(n):
             for k in range(j + 1):

@@ -41,7 +41,7 @@ def face_slacks(vertices, normal, center):
             value += normal[k] * (vertices[i, k] - center[k])
         if value >= edge:
             low = min(low, value)
-    doubt = (n + 2) * noise  # one rounding for v - c, n for the products and sums, one in reserve
+    doubt = (n + 2) * noise  # one rounding for v - c, n for the products and sums, and one to spare
     return low - doubt, top + doubt
 
 

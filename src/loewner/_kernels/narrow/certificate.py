@@ -58,13 +58,13 @@ BLOCK = 128  # piece pairs that are settled together
 
 NEWTON_STEPS = 12
 
-# Errors in units of the roundoff, for both precisions; the derived values are for single precision, where they are
-# larger. For the shape matrices, times trace |n|²: of squared widths, and of P n in levels.
+# Errors in units of the roundoff, for both precisions; the derived values are for single precision, in which they are
+# larger. Errors of shape matrices, times trace |n|²: of squared widths, and of P n in levels.
 SHAPE_ERROR = SHAPE_ROUNDINGS / UNIT_ROUNDOFF  # derived 31, certified.md B4
 # derived 28, certified.md B5
 
-# Least distance of F from 1 at which a pair is given up: a band that costs little and leaves room for the rounding of F
-# (see `_doubt`), for both precisions. No proof depends on it: such a pair is left OPEN.
+# A pair is given up only if F is at least this far from 1. The band costs little and leaves room for the rounding of F
+# (see `_doubt`), in both precisions. No proof depends on it, since such a pair is left OPEN.
 SURE, SINGLE_SURE = 1e-6, 2e-3
 
 
@@ -166,7 +166,7 @@ def rounded_size(a, reach_a, b, reach_b):
 def _clear(r, radii, size, margin, unit):
     """Mask of bounding spheres certainly farther apart than the margin."""
     far = radii + position_error(size, unit) + margin
-    # the second if squares overflow
+    # the second is used if squares overflow
     widest = maximum(absolute(r[0]), maximum(absolute(r[1]), absolute(r[2])))
     return (dot(r, r) * (1.0 - 16.0 * unit) > far * far) | (widest * (1.0 - 8.0 * unit) > far)
 
@@ -231,13 +231,13 @@ def _apart(a, b, r, n, s, size, unit, sure):
     nPn, nQn = dot(Pn, n), dot(Qn, n)
     squared = dot(n, n)
     along = dot(n, r)
-    # n·r > √v + √w, with n·r rounded down and the squared widths v and w rounded up.
+    # n·r > √v + √w, where n·r is rounded down and the squared widths v and w are rounded up.
     low = along - position_error(size, unit) * one_norm(n)
     v = nPn + SHAPE_ERROR * unit * trace(a.Q) * squared
     w = nQn + SHAPE_ERROR * unit * trace(b.Q) * squared
     t = low * low * (1.0 - 8.0 * unit) - (v + w)
-    # Apart means F > 1 and n·r > 4 at the best s; requiring a half, and t clear of zero, keeps squares from
-    # underflowing.
+    # If the ellipsoids are apart, F > 1 and n·r > 4 at the best s. Requiring a half, and a t well above zero, keeps
+    # squares from underflowing.
     separated = (low > 0.5) & (t > unit * (low * low)) & (t * t * (1.0 - 16.0 * unit) > 4.0 * (v * w))
     u = 1.0 - s
     most = s * u * along + absolute(u * u * nPn - s * s * nQn) * maximum(s, u)
@@ -258,7 +258,8 @@ def _common(a, b, r, n, s, size, unit, sure):
     u = 1.0 - s
     miss = _miss(r, s, Pn, Qn)
     slack = miss + position_error(size, unit)
-    # Its level in each, (1-s)|Fᵀn| and s|Gᵀn|, must be at most 1 minus a bound on its rounding.
+    # The level of the point in each ellipsoid, (1-s)|Fᵀn| and s|Gᵀn|, must be at most 1 minus a bound on its rounding
+    # error.
     error_a = SHAPE_ERROR * unit * trace(a.Q)
     error_b = SHAPE_ERROR * unit * trace(b.Q)
     free_a = 1.0 - 32.0 * unit - u * error_a * length * a.inverse_sigma
@@ -540,7 +541,7 @@ def certify_best(count, margin, hot_a, Ta, moved_a, hot_b, Tb, moved_b, listed, 
         far = _clear(r, near_a.outer_radius + near_b.outer_radius, size, margin, UNIT_ROUNDOFF)
         p = shape_of(gather_transpose(hot_a, HOT, listed.piece_a, at, OUTER_SHAPE), a.R, moved_a)
         q = shape_of(gather_transpose(hot_b, HOT, listed.piece_b, at, OUTER_SHAPE), b.R, moved_b)
-        # The larger second: s is then small, and keeps its digits where the sizes are far apart.
+        # Put the larger ellipsoid second: s is then small, and keeps its digits if the sizes are very different.
         swap = near_a.outer_radius > near_b.outer_radius
         p, q, r = _ordered(swap, p, q, r)
         s, n = _best(p.Q, q.Q, r)

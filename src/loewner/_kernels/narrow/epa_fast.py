@@ -28,11 +28,11 @@ from loewner._kernels.simd.vectors import broadcast, load, mask_of, maximum, min
 from loewner._kernels.tolerances import POSITION_ROUNDINGS
 
 MAX_CORNERS = 1024  # for each polytope; with more, moving all corners to the world costs more than it saves
-MAX_FACES = 64  # one bit each in the masks; hulls of 20 points need 20 to 30
+MAX_FACES = 64  # each takes one bit in the masks; hulls of 20 points need 20 to 30
 MAX_POINTS = MAX_FACES // 2 + 2  # by Euler's formula
 
-# Flat workspace: first the corners of A and of B (x, y and z in rows of MAX_CORNERS), then the faces' normals and
-# offsets (rows of MAX_FACES), then the points of A - B (rows of POINT_ROW).
+# Flat workspace: the corners of A and of B (x, y and z in rows of MAX_CORNERS), then the normals and offsets of the
+# faces (rows of MAX_FACES), then the points of A - B (rows of POINT_ROW).
 _A = 0
 _B = _A + 3 * MAX_CORNERS
 _NX = _B + 3 * MAX_CORNERS
@@ -44,8 +44,8 @@ _POINT_ROW = 4
 _LANE = _POINT + _POINT_ROW * MAX_POINTS
 FLOATS = _LANE + 8
 
-# Workspace of integers: for each half-edge, 4 face + side, its twin and its first point; for each point its corners of
-# A and B, and the new face whose rim edge starts there; the rim, as half-edges beyond it and first points.
+# Workspace of integers. For each half-edge: 4 face + side, its twin and its first point. For each point: its corners of
+# A and B, and the new face whose rim edge starts there. Then the rim: the half-edges beyond it and their first points.
 _TWIN = 0
 _ORIGIN = _TWIN + 4 * MAX_FACES
 _CORNER_A = _ORIGIN + 4 * MAX_FACES
@@ -59,14 +59,14 @@ INTEGERS = _LEFT + 4
 # A face whose normal is shorter than this, relative to its longest side squared, has no reliable direction.
 FLAT_FACE = 1e-10
 
-# Largest distance, in barycentric coordinates, at which rounding may place the origin's foot outside its face.
+# Rounding may place the origin's foot outside its face by at most this distance in barycentric coordinates.
 FOOT_SLACK = 1e-9
 
-# Points and faces of the first shell.
+# Numbers of points and faces of the first shell.
 _P0, _P1, _P2, _P3 = 0, 1, 2, 3
 
-# The twin of each half-edge of this shell, three for a face and one unused: the faces are (1 2 3), (0 3 2), (0 1 3) and
-# (0 2 1).
+# The twin of each half-edge of this shell, with three entries for a face and one unused: the faces are (1 2 3), (0 3
+# 2), (0 1 3) and (0 2 1).
 _FIRST_TWINS = (13, 5, 9, 0, 10, 1, 12, 0, 14, 2, 4, 0, 6, 0, 8, 0)
 
 THIRD = 1.0 / 3.0
@@ -242,7 +242,7 @@ def _first_shell(W, K):
     a, b, c, d = _point(W, _P0), _point(W, _P1), _point(W, _P2), _point(W, _P3)
     volume = dot(minus(d, a), cross(minus(b, a), minus(c, a)))
     one, two = (_P2, _P1) if volume < 0.0 else (_P1, _P2)
-    # Face f lies opposite point f (points `one` and `two` swapped if need be).
+    # Face f lies opposite point f (swap the points `one` and `two` if necessary).
     fine = _make_face(W, K, _P0, one, two, _P3)
     fine = _make_face(W, K, _P1, _P0, _P3, two) and fine
     fine = _make_face(W, K, _P2, _P0, one, _P3) and fine
@@ -309,7 +309,7 @@ def _expand(W, K, live, seen, w):
         f = _first_bit(rest)
         rest &= rest - 1
         for e in range(3):
-            # Write every side, and keep the ones whose other face stays, so that there is no branch to predict.
+            # Write every side, but keep only sides whose other face stays, so that there is no branch to predict.
             twin = K[_TWIN + 4 * f + e]
             K[_RIM + count] = twin
             K[_RIM_FROM + count] = K[_ORIGIN + 4 * f + e]
@@ -333,7 +333,7 @@ def _expand(W, K, live, seen, w):
         offset = W[_OFFSET + last]
         if offset < least:
             nearest, least = last, offset
-    # Walk along the rim; it must return to its start after all its edges, and not earlier.
+    # Walk along the rim: the walk must return to its start after all of its edges, and not earlier.
     back = 0
     g = last
     for _ in range(count):
@@ -384,7 +384,7 @@ def overlap_depth(A, B, n, W, K, result):
     lower, upper : float
         Bounds on the depth to within rounding; `upper` belongs to the support plane of the normal.
     """
-    # Inlined, so that only three arrays are passed: passing all of them would cost as much as this function.
+    # Inlined, so that only three arrays have to be passed; passing all of them would take as long as this function.
     shift = shift_between(A, B)
     error = rounding_error(A, B, shift)
     corners_a = A.layout[A.piece, POINTS_TO] - A.layout[A.piece, POINTS_FROM]
@@ -417,7 +417,7 @@ def _placed_depth(vectors_a, vectors_b, error, n, W, K, result):
         height = _add_point(W, K, used, vectors_a, vectors_b, _normal(W, f))
         if height <= error:
             break
-        # This face's own plane: another face's may be equally near, but it has another normal.
+        # This face's own plane: another face may be equally near, but it has another normal.
         if height - lower <= tolerance:
             if not _witness(W, K, live, f, lower + WITNESS_WINDOW * error, result):
                 break
@@ -439,7 +439,7 @@ def _witness(W, K, live, f, window, result):
     a, b, c = _foot(W, K, f)
     inside = min(a, min(b, c))
     if not inside >= 0.0:
-        # A parallelogram, the face from two edges, consists of two triangles here, and f may be the wrong one.
+        # A parallelogram (a face made of two edges) consists of two triangles here, and f may be the wrong one.
         rest = _not_above(W, live, window)
         while rest != 0:
             g = _first_bit(rest)

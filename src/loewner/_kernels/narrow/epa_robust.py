@@ -18,20 +18,22 @@ from loewner._kernels.linalg3 import cross, dot, minus, negated, plus, scaled
 from loewner._kernels.narrow.gjk_robust import minkowski_support, rounding_error
 from loewner._kernels.tolerances import POSITION_ROUNDINGS
 
-# A pair of polytopes ends when it meets a true face of A - B, after tens of faces. The cap is for curved pieces: 1,500
-# support points resolve a sphere's depth to about 1e-6 of its radius in the worst case (all directions equally deep)
-# and far better in others.
+# For a pair of polytopes, the search ends when it meets a true face of A - B, after tens of faces. The limit is for
+# curved pieces: 1,500 support points resolve a sphere's depth to about 1e-6 of its radius in the worst case (all
+# directions equally deep), and much better otherwise.
 MAX_POINTS = 1500
 MAX_FACES = 2 * MAX_POINTS
 NO_VOLUME = -2e300  # in place of a depth: the Minkowski difference is a point, a segment or a polygon
 
-# Faces this close to the nearest one, in rounding errors (1.4e-10 of the lengths), may supply the witnesses.
+# Faces this close to the nearest one, in units of the rounding error (1.4e-10 of the lengths), may supply the
+# witnesses.
 WITNESS_WINDOW = 2e4
 
-# Angle in radians of the directions whose support points refine a witness: their error in the depth is its square.
+# Angle [rad] around the normal, within which support points refine a witness; the resulting relative error of the depth
+# is its square.
 HAIR = 1e-5
 
-# Faces are thin if the sine at a corner is below this; their normals are computed with more care.
+# A face is thin if the sine at one of its corners is below this; its normal is then computed with more care.
 THIN = 1e-4
 
 DEPTH_ACCURACY = 1e-11  # accuracy for a distance query
@@ -75,7 +77,7 @@ def _face(S, corners, normals, offsets, f):
     x, y, z = dot(u, u), dot(v, v), dot(w, w)
     n = cross(w, u)
     area, longest = np.sqrt(dot(n, n)), np.sqrt(x * z)
-    if area < THIN * longest:  # only the two shorter sides give the normal of a thin face accurately
+    if area < THIN * longest:  # only the two shorter sides give an accurate normal of a thin face
         most = max(x, max(y, z))
         n = cross(v, w) if x == most else (cross(w, u) if y == most else cross(u, v))
         area, longest = np.sqrt(dot(n, n)), np.sqrt(x * y * z / most)
@@ -94,10 +96,11 @@ def _face(S, corners, normals, offsets, f):
 @njit()
 def _first_tetrahedron(A, B, shift, n, S):
     """Four support points that span a volume, the first two along n and -n, written to rows 0..3 of S."""
-    rows = np.arange(5)  # as data, since the functions below would be compiled once per constant
+    rows = np.arange(5)  # passed as data, since the functions below would otherwise be compiled once for each constant
     _support(A, B, shift, n, S, rows[0])
     _support(A, B, shift, negated(n), S, rows[1])
-    # The third point is across the line, and the fourth across the plane, each the farther of both directions.
+    # The third point lies off the line, and the fourth off the plane; each is the farther of the points in both
+    # directions.
     ex = S[1, 0] - S[0, 0]
     ey = S[1, 1] - S[0, 1]
     ez = S[1, 2] - S[0, 2]
@@ -141,7 +144,7 @@ def _flat_normal(S, error, result):
     if long <= 4.0 * error:
         nx, ny, nz = 1.0, 0.0, 0.0
     elif area <= 4.0 * error * long:
-        # For a line, any perpendicular direction.
+        # For a line, take any perpendicular direction.
         if abs(ex) <= abs(ey) and abs(ex) <= abs(ez):
             nx, ny, nz = 0.0, -ez, ey
         elif abs(ey) <= abs(ez):
@@ -190,7 +193,7 @@ def _expand(S, corners, neighbors, normals, offsets, alive, free, counts, first,
     alive[first] = False
     free[counts[1]] = first
     counts[1] += 1
-    # Depth-first over edges, leaving the edges of each face in order, yields the rim in order.
+    # Crossing the edges of each face in order, depth first, gives the rim in order.
     top = 0
     for e in range(2, -1, -1):
         stack[top, 0] = first
@@ -231,7 +234,7 @@ def _expand(S, corners, neighbors, normals, offsets, alive, free, counts, first,
         e = horizon[r, 1]
         h = horizon[(r + 1) % rim, 0]
         e2 = horizon[(r + 1) % rim, 1]
-        # In the visible face the rim edge runs from corner e+1 to corner e of g.
+        # In the visible face g, the rim edge runs from corner e+1 to corner e.
         if corners[g, e] != corners[h, (e2 + 1) % 3]:
             return False
     if counts[1] + (MAX_FACES - counts[0]) < rim:
@@ -319,11 +322,11 @@ def _expanded(A, B, shift, accuracy, first, work, result):
     for f in range(4):
         alive[f] = True
     if _flat_normal(S, error, result):
-        # Cores that span no volume (points, parallel segments) have depth zero: perpendicular to their plane or line
+        # Cores that span no volume (points, parallel segments) have depth zero: perpendicular to their plane or line,
         # they already touch. The caller has the deepest points from GJK.
         return NO_VOLUME, NO_VOLUME, False
-    # Faces 0..3 lie opposite corners 0..3, each counter-clockwise from outside once oriented.
-    if _volume(S) < 0.0:  # swap two corners so that the fixed table below faces outward
+    # Faces 0..3 lie opposite corners 0..3; once oriented, each runs counter-clockwise seen from outside.
+    if _volume(S) < 0.0:  # swap two corners so that the faces of the fixed table below point outward
         for c in range(9):
             S[0, c], S[1, c] = S[1, c], S[0, c]
     table = ((1, 2, 3), (0, 3, 2), (0, 1, 3), (0, 2, 1))
@@ -358,7 +361,7 @@ def _expanded(A, B, shift, accuracy, first, work, result):
         nx = normals[nearest, 0]
         ny = normals[nearest, 1]
         nz = normals[nearest, 2]
-        # The least along -n is the farthest along n.
+        # The lowest point along -n is the farthest along n.
         _support(A, B, shift, (-nx, -ny, -nz), S, used)
         height = nx * S[used, 0] + ny * S[used, 1] + nz * S[used, 2]
         if height < upper:
@@ -386,11 +389,11 @@ def _expanded(A, B, shift, accuracy, first, work, result):
     count[0] = counts[0] if closed else 0
     if last < 0:
         return -np.inf, np.inf, False
-    # If many directions tie, the faces are still coarse. Support points of directions very close to the best normal
-    # span a much finer face.
+    # If many directions are equally deep, the faces are still coarse. The support points of directions very close to
+    # the best normal span a much finer face.
     if upper - lower > WITNESS_WINDOW * error and _fine_foot(A, B, shift, S, used, result):
         return lower, upper, astray
-    # Several faces may share the nearest plane, and on curved pieces thin ones lie within rounding of it. The one that
+    # Several faces may share the nearest plane; on curved pieces, thin faces lie within rounding of it. The face that
     # contains the foot of the origin determines the witnesses.
     window = lower + max(upper - lower, WITNESS_WINDOW * error)
     best = -np.inf

@@ -49,23 +49,24 @@ from loewner._kernels.tolerances import SINGLE_ROUNDOFF, UNIT_ROUNDOFF
 
 # Results of `settle` for a pair.
 
-ROUNDS = 10  # five rounds settle nine in ten pairs, and eight all except one in a hundred
+ROUNDS = 10  # five rounds settle nine in ten pairs, and eight settle 99 in 100
 
 FEW = 4  # fewer pairs than this are faster to search one by one
 
-MOST = 64  # vertices of a piece: with more, sixteen pairs exceed the first-level cache
+MOST = 64  # limit on the vertices of a piece: with more, sixteen pairs exceed the first-level cache
 
-# Errors in units of the roundoff of single precision, each at least twice the derived value. Times the lengths: of a
-# width as rounded by `plane`, and of a product with a support point, all in single precision.
+# Errors in units of the roundoff of single precision, each at least twice the derived value. Times the lengths: the
+# error of a width computed by `plane`, and of a product with a support point, both in single precision.
 WIDTH_ERROR = 16.0  # derived 5, certified.md B9
 PRODUCT_ERROR = 72.0  # derived 35, certified.md B10
-# Times the third power of the longest point: of a determinant of three points, and of the sum of four determinants.
+# Times the third power of the longest point: the error of a determinant of three points, and of the sum of four
+# determinants.
 VOLUME_ERROR = 98.0  # derived 33, certified.md B11
 SUM_ERROR = 632.0  # derived 177, certified.md B12
-# Times the lengths and the square of the longest point: of a determinant, for the errors of its points.
+# Times the lengths and the square of the longest point: the error of a determinant that comes from its points.
 POINT_ERROR = 64.0  # derived 30, certified.md B13
 
-SHORT = 1e-30  # directions with a smaller square are not trusted: the square may lack digits
+SHORT = 1e-30  # directions with a smaller square are not trusted, since the square may lack digits
 
 VERTEX = 3 * SINGLE_LANES  # entries for one vertex of each of sixteen pieces
 
@@ -168,7 +169,7 @@ def _lay(points, first, last, here, most, W, at):
 @inline
 def _farthest(W, start, stop, x, y, z):
     """The vertex in W of each piece that has the largest product with the piece's direction."""
-    # Two interleaved searches: each step of a search depends on its previous step.
+    # Interleave two searches, since each step of a search depends on its previous step.
     ax, ay, az = load_single(W, start), load_single(W, start + SINGLE_LANES), load_single(W, start + 2 * SINGLE_LANES)
     bx, by, bz = (
         load_single(W, start + VERTEX),
@@ -253,7 +254,7 @@ def faces(A, B, C, E):
     AB, AC, AE = minus(B, A), minus(C, A), minus(E, A)
     normals = cross(AB, AC), cross(AC, AE), cross(AE, AB)
     f, g, h = -dot(normals[0], A), -dot(normals[1], A), -dot(normals[2], A)
-    # The four add up to minus the tetrahedron's volume.
+    # The four add up to the negative volume of the tetrahedron.
     return f, g, h, dot(normals[0], AE) - (f + g + h), normals
 
 
@@ -279,7 +280,7 @@ def advance(A, B, C, E, two, three, f, g, h):
     B, C = selected(second, C, selected(third, E, B)), selected(second, E, selected(third, B, C))
     plane = two | three
 
-    # Triangle: the origin is over the inside, or beyond the edge A B or A C.
+    # Triangle: the origin is over its inside, or beyond edge A B or A C.
     AB, AC = minus(B, A), minus(C, A)
     normal = cross(AB, AC)
     beyond_c = plane & (dot(cross(normal, AC), A) < 0.0)
@@ -288,11 +289,11 @@ def advance(A, B, C, E, two, three, f, g, h):
     swap = beyond_c & (dot(AC, A) < 0.0)
     B = selected(swap, C, B)
 
-    # Line: the origin is beside the inside, or beyond A.
+    # Line: the origin is beside its inside, or beyond A.
     AB = minus(B, A)
     beside = dot(AB, A) < 0.0
     across = cross(cross(AB, A), AB)
-    # Turned so that A, B, C runs counter-clockwise seen from the origin.
+    # Turned so that A, B, C run counter-clockwise seen from the origin.
     other = dot(normal, A) <= 0.0
     n = selected(line, selected(beside, across, A), selected(other, negated(normal), normal))
     return n, A, selected(line | other, B, C), selected(other, C, B), line & beside, ~line
@@ -333,8 +334,8 @@ def settle(count, sa, la, xa, Ta, moved_a, sb, lb, xb, Tb, moved_b, memory):
     ends_a = _lay(xa, work.first_a, work.last_a, work.here, most_a, W, 0)
     ends_b = _lay(xb, work.first_b, work.last_b, work.here, most_b, W, ends_a)
 
-    # The simplex, with the newest point first: one, two or three points B, C, E of the Minkowski difference. The
-    # direction n leads from the origin to the kept part of it.
+    # The simplex, newest point first: one, two or three points B, C, E of the Minkowski difference. The direction n
+    # points from the origin to the part of the simplex that is kept.
     n = negated(_directions(N))
     B, C, E = n, n, n
     none = ~((n[0] > 0.0) | ~(n[0] > 0.0))
@@ -361,7 +362,7 @@ def settle(count, sa, la, xa, Ta, moved_a, sb, lb, xb, Tb, moved_b, memory):
             break
         largest = maximum(largest, dot(A, A))
         if r == 0:
-            # A direction between the first one and the first point's saves a round.
+            # A direction between the first one and the direction of the first point saves a round.
             kept = np.float32(KEPT) / length
             rest = np.float32(1.0 - KEPT) / sqrt(dot(A, A))
             n = kept * n[0] + rest * A[0], kept * n[1] + rest * A[1], kept * n[2] + rest * A[2]
@@ -369,7 +370,7 @@ def settle(count, sa, la, xa, Ta, moved_a, sb, lb, xb, Tb, moved_b, memory):
             continue
 
         f, g, h, base, _ = faces(A, B, C, E)
-        # The origin is inside if all four are negative, clear of rounding.
+        # The origin is inside if all four are negative by more than their rounding errors.
         reach = sqrt(largest)
         slack = SINGLE_ROUNDOFF * largest * (VOLUME_ERROR * reach + POINT_ERROR * size)
         inside = (f < -slack) & (g < -slack) & (h < -slack)

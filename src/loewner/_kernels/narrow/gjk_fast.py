@@ -26,13 +26,13 @@ from loewner._kernels.tolerances import LEAST_SQUARE, UNIT_ROUNDOFF
 DECIDE_ROUNDS = 24
 MEASURE_ROUNDS = 64  # hulls need six, and at most twelve; curved pieces converge linearly
 
-# A support point that is already in the simplex ends the search; its bounds must then agree to this many errors.
+# A support point that is already in the simplex ends the search; its bounds must then agree to within this many errors.
 LAST_GAP = 16.0
 
-# The normal of a triangle whose sine at a corner is below this (squared: 1e-2) is made orthogonal to the edges.
+# If the squared sine at a corner of a triangle is below this, its normal is made orthogonal to the edges.
 THIN = 1e-4
 
-# Share of the first direction in the second, for unit vectors; 0.5 to 0.8 work equally well.
+# Share of the first direction in the second one, for unit vectors; values from 0.5 to 0.8 work equally well.
 KEPT = 0.7
 
 # Error of a determinant of three points, and of the sum of four determinants, in units of the roundoff times the third
@@ -40,7 +40,7 @@ KEPT = 0.7
 VOLUME_ERROR = 64.0  # derived 9, certified.md B16
 # derived 51, certified.md B17
 
-# Columns of the scratch array: the placed vertices of both pieces, then six coordinates per round of `measure`.
+# Columns of the scratch array: the placed vertices of both pieces, then six coordinates for each round of `measure`.
 PLACED = 2 * LARGE
 _PATH = 3 * PLACED
 
@@ -128,7 +128,7 @@ def decide(A, B, shift, W, ends, n, error):
     first = n
     p = negated(n)
     k = 0
-    # Newest point first: a, and the remaining older points among b, c, e.
+    # Newest point first: a, followed by those remaining among the older points b, c, e.
     b = c = e = (0.0, 0.0, 0.0)
     largest = 0.0
     for _ in range(DECIDE_ROUNDS):
@@ -142,7 +142,7 @@ def decide(A, B, shift, W, ends, n, error):
         if k == 0:
             k = 1
             b = a
-            # As in `measure`, between the first direction and the first point's.
+            # As in `measure`, between the first direction and the direction of the first point.
             kept = KEPT / length
             rest = (1.0 - KEPT) / np.sqrt(dot(a, a))
             p = kept * p[0] + rest * a[0], kept * p[1] + rest * a[1], kept * p[2] + rest * a[2]
@@ -158,7 +158,8 @@ def decide(A, B, shift, W, ends, n, error):
             h = -dot(cross(ae, ab), a)
             if f <= 0.0 and g <= 0.0 and h <= 0.0:
                 volume = abs(dot(face_bc, ae))
-                # The origin is inside if the three and the base, f + g + h + base = -volume, are all clear.
+                # The origin is inside if the three determinants and the base, f + g + h + base = -volume, all exceed
+                # their rounding errors.
                 if f < -doubt and g < -doubt and h < -doubt and volume + (f + g + h) > doubt:
                     return TOUCHING, negated(p), k
                 return UNSETTLED, negated(p), k
@@ -190,8 +191,8 @@ def decide(A, B, shift, W, ends, n, error):
                     c = b
                 b = a
             else:
-                # Inside the prism over the triangle: keep it, turned so that a, b, c runs counter-clockwise
-                # seen from the origin.
+                # The origin is inside the prism over the triangle: keep the triangle, turned so that a, b, c run
+                # counter-clockwise seen from the origin.
                 k = 3
                 if dot(normal, a) <= 0.0:
                     p = negated(normal)
@@ -279,7 +280,7 @@ def measuring(supports):
         p = scaled(-1.0 / np.sqrt(dot(n, n)), n)
         first = p
         k = 0
-        # The simplex b, c, e, with the newest point first, and the rounds from which its points come.
+        # The simplex b, c, e, newest point first, and the rounds in which its points were found.
         b = c = e = (0.0, 0.0, 0.0)
         from_b = from_c = from_e = 0
         largest = 0.0
@@ -289,8 +290,8 @@ def measuring(supports):
         for r in range(MEASURE_ROUNDS):
             o = p
             if r == 1:
-                # The first direction is already good, and the first point's is poor: a direction between them saves a
-                # round.
+                # The first direction is already good, and the direction of the first point is poor: a direction between
+                # them saves a round.
                 o = (
                     KEPT * first[0] + (1.0 - KEPT) * p[0],
                     KEPT * first[1] + (1.0 - KEPT) * p[1],
@@ -305,7 +306,7 @@ def measuring(supports):
             closed = length - plane <= DISTANCE_TOLERANCE * length + ERROR_SHARE * error
             if r == 1:
                 if closed:
-                    continue  # no nearer to the origin, nor is the plane a bound for this direction
+                    continue  # no nearer to the origin, and the plane is no bound for this direction
             else:
                 if plane - error > lower:
                     lower = plane - error
@@ -332,7 +333,7 @@ def measuring(supports):
                 if k == 3:
                     ab, ac, ae = minus(b, a), minus(c, a), minus(e, a)
                     face_bc = cross(ab, ac)
-                    # Positive: the origin lies beyond the face opposite e, b, c.
+                    # Positive: the origin lies beyond the face of b, c and the new point, opposite e.
                     volume = dot(face_bc, ae)
                     sign = np.copysign(1.0, volume)
                     beyond_e = sign * dot(face_bc, a)
@@ -341,7 +342,8 @@ def measuring(supports):
                     count = (beyond_e > 0.0) + (beyond_b > 0.0) + (beyond_c > 0.0)
                     if count == 0:
                         doubt = VOLUME_ERROR * UNIT_ROUNDOFF * largest * largest * largest
-                        # The base, -|volume| minus the other three, must be clear too: for flat ones the sign is noise.
+                        # The base, -|volume| minus the other three, must exceed its rounding error too: for flat
+                        # tetrahedra its sign is noise.
                         base = -(abs(volume) + beyond_e + beyond_b + beyond_c)
                         if beyond_e < -doubt and beyond_b < -doubt and beyond_c < -doubt and base < -doubt:
                             status = OVERLAPPING
@@ -380,7 +382,7 @@ def measuring(supports):
             if length <= reach:
                 status = TOUCHING
                 break
-            # No progress, or too near to contact for these products: `gjk_robust.run` is more careful.
+            # There is no progress, or contact is too near for these products: `gjk_robust.run` is more careful.
             if not (4.0 * error < length < before):
                 break
         if status == NEAREST:

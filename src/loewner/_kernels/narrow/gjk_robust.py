@@ -22,12 +22,12 @@ from loewner._kernels.narrow.simplex import closest, direction
 from loewner._kernels.pieces.shapes import placed_support, reach, rotation_of
 from loewner._kernels.tolerances import LEAST_SQUARE, UNIT_ROUNDOFF
 
-# Pairs of polytopes stop after a few rounds because they have finitely many vertices; curved ones converge at least
-# linearly. The cap only makes a hang impossible.
+# Pairs of polytopes need only a few rounds, because they have finitely many vertices; curved pieces converge at least
+# linearly. This limit only excludes an endless loop.
 MAX_ROUNDS = 512
 
-# Gap of upper and lower bound at which a distance is final: relative to the distance, plus the rounding of the bounds
-# (an eighth of the proven error bound, which is generous).
+# A distance is final when its upper and lower bounds differ by less than this share of it, plus the rounding of the
+# bounds (an eighth of the proven error bound, which is generous).
 DISTANCE_TOLERANCE = 2e-15
 ERROR_SHARE = 0.125
 
@@ -142,7 +142,7 @@ def run(A, B, shift, n, limit, settle, S, weights, v, d):
             return TOUCHING, lower - radii, length - radii, k
         if length <= error or not direction(S, k, v, d) > 0.0:
             break
-        # Rounding can make a round useless; a few such rounds in a row mean that no more progress is possible.
+        # Rounding can make a round useless; several such rounds in a row mean that no more progress is possible.
         if length >= before * (1.0 - UNIT_ROUNDOFF):
             stalls += 1
             if stalls > 2:

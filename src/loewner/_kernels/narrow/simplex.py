@@ -49,7 +49,7 @@ def segment_weight(a, b):
     squared = dot(d, d)
     if squared <= 0.0:
         return 0.0
-    # Measured from the nearer end, where the product loses no digits.
+    # Measure from the nearer end, where the product loses no digits.
     t = -dot(a, d) / squared if dot(a, a) <= dot(b, b) else 1.0 - dot(b, d) / squared
     return min(1.0, max(0.0, t))
 
@@ -67,8 +67,8 @@ def triangle_weights(a, b, c):
     d5, d6 = -dot(ab, c), -dot(ac, c)
     if d6 >= 0.0 and d5 <= d6:
         return 0.0, 0.0, 1.0
-    # Edge and face regions are found from the normal and one edge each. On curved pieces triangles become tiny while
-    # their distance from the origin does not; every product here then has a small factor.
+    # Each edge region and face region is found from the normal and one edge. On curved pieces, triangles become tiny
+    # while their distance from the origin does not; each product here has a small factor.
     bc, n = minus(c, b), cross(ab, ac)
     weight_c = dot(n, cross(a, ab))
     if weight_c <= 0.0 and d1 >= 0.0 and d3 <= 0.0:
@@ -84,7 +84,7 @@ def triangle_weights(a, b, c):
         return 0.0, 1.0 - t, t
     total = weight_a + weight_b + weight_c
     if not (total > 0.0 and weight_a >= 0.0 and weight_b >= 0.0 and weight_c >= 0.0):
-        # If a triangle is too thin for its own normal, the best of its edges is as good.
+        # If a triangle is too thin to have an accurate normal, the best of its edges serves as well.
         return _best_edge(a, b, c)
     return weight_a / total, weight_b / total, weight_c / total
 

@@ -23,8 +23,8 @@ from loewner._kernels.simd.vectors import absolute, load_single, maximum, minimu
 from loewner._kernels.tolerances import SINGLE_ROUNDOFF
 from loewner._kernels.trees.triangle_tree import CORNERS, DIAGONALS, ROWS, WIDE, WIDE_BITS
 
-# What fifteen axes may be off by: so many times by how much both rotations fail to be orthonormal, and so many
-# roundoffs of single precision, of the lengths that places are made of.
+# Allowed error along each of the fifteen axes: a multiple of the departures of both rotations from orthonormality, and
+# a multiple of the roundoff of single precision, both times the lengths involved.
 BENDS = 8.0  # derived 4, certified.md B39
 ROUNDINGS = 64.0 * SINGLE_ROUNDOFF  # derived 33, certified.md B40
 
@@ -80,7 +80,7 @@ def is_solid(P):
     return P.layout[P.piece, KIND] == SOLID
 
 
-# The tree of a surface from the address of the table of its arrays.
+# The tree of a surface, found from the address of the table of its arrays.
 tree_at = reader(record_kind(Tree, "S1 I1 F1 F1 S1"))
 
 
@@ -365,7 +365,7 @@ def box_in_frame(A, B, shift, far, size):
     R = rotation_of(A)
     slack = _slack(R, far, size)
     m = h = (0.0, 0.0, 0.0)
-    for axis in range(3):  # loops here and below, since the support function is large and copied wherever it is called
+    for axis in range(3):  # loops here and below, since the large support function is copied wherever it is called
         middle, half = _extent(B, shift, (R[axis], R[axis + 3], R[axis + 6]), slack)
         m, h = (m[1], m[2], middle), (h[1], h[2], half)
     return Box(m, h, singles(m), singles(h))

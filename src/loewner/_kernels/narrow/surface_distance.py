@@ -27,7 +27,7 @@ from loewner._kernels.pieces.shapes import radius, rotation_of
 from loewner._kernels.simd.vectors import highest, maximum, movemask, next_lane, store
 from loewner._kernels.trees.triangle_tree import BLOCK, LEAF, WIDE, leaf_of
 
-# Sums of lengths [m] from which on squares of their single precision overflow.
+# Sums of lengths [m] above which squares overflow in single precision.
 FARTHEST = 1e18
 
 
@@ -62,7 +62,7 @@ def surface_distance(A, B, n, limit, faces, edges, memory, result):
         return 0.0, np.inf
     verdict, _ = surface_pair(A, B, 0.0, 0.0, memory, memory, 0)
     if verdict != FREE:
-        # Faces in one plane are open even where everything that is not flat overlaps for sure.
+        # Coplanar faces leave the verdict open even if other parts certainly overlap.
         depth = surface_depth(A, B, shift, n, faces, edges, memory, result)
         if depth > 0.0:
             return -depth, 0.0
@@ -99,7 +99,7 @@ def _between_pieces(A, B, shift, n, memory, result):
     if k == 4:  # the cores have a point in common; `run` has not written its weights
         above = -radii
         weigh_inside(G, weights, v)
-    below = max(below, -radii)  # cores that are in each other for sure do not come here
+    below = max(below, -radii)  # cores that certainly intersect do not come here
     write_simplex(G, k, weights, d, result)
     return above + radii, above - below
 
@@ -259,7 +259,7 @@ def _middle_gaps(a, b):
     n = minus(plus(plus(b[0], b[1]), b[2]), plus(plus(a[0], a[1]), a[2]))
     near = walk.least(dot(b[0], n), dot(b[1], n), dot(b[2], n))
     gap = maximum(near - walk.most(dot(a[0], n), dot(a[1], n), dot(a[2], n)), 0.0)
-    return gap * gap * BELIEVED / (dot(n, n) + 1e-300)  # middles may be the same
+    return gap * gap * BELIEVED / (dot(n, n) + 1e-300)  # the middles may be equal
 
 
 @njit()
@@ -296,7 +296,7 @@ def _nearest_to_piece(A, B, shift, limit, memory):
             searches += 1
             walk.keep_plane(B, shift, R, n, size, planes, k)
             if status != APART:
-                if status != NEAREST:  # so near to contact that it takes more care
+                if status != NEAREST:  # so near to contact that more care is needed
                     piece = walk.triangle_piece(A, leaf * LEAF + lane, 0.0, walk.first_of(memory))
                     above, _ = _between_pieces(piece, B, shift, n, memory, result)
                 if above <= best:

@@ -25,7 +25,7 @@ from loewner._kernels.simd.memory import integers_at
 from loewner._kernels.simd.vectors import movemask, next_lane
 from loewner._kernels.trees.triangle_tree import BLOCK, LEAF, leaf_of, size_of
 
-MEETING = -1  # instead of a number of open pairs
+MEETING = -1  # in place of a number of open pairs
 
 
 class Asked(NamedTuple):
@@ -63,14 +63,14 @@ def surface_pair(A, B, near, far, memory, listed_at, room, steps=NO_LIMIT):
         AMBIGUOUS if pairs are open, or if it is open whether something lies within a solid.
     open_pairs : int
     """
-    # Addresses of NumPy's arrays have another type, for which all of this would be compiled again.
+    # Addresses of NumPy arrays have another type; without this, everything would be compiled again.
     asked = Asked(near, far, np.int64(memory), np.int64(listed_at), room)
     walk.left_of(asked.memory)[0] = steps
     return _settled(A, B, asked) if is_surface(A) else _settled(B, A, asked)
 
 
-# A call copies both records through memory, 76 words, and the callee counts references again. So this is the only call
-# that every pair takes, and it begins by borrowing.
+# A call copies both records through memory (76 words), and the callee counts references again. This is therefore the
+# only call that every pair makes, and it begins by borrowing.
 @apart
 def _settled(A, B, asked):
     """As `surface_pair`, for a surface A."""
@@ -143,7 +143,7 @@ def _leaves(A, B, child_a, child_b, shift, size, asked, open_pairs):
         if far == 0.0:
             bits &= ~beside
         else:
-            # What rounds more than the corners' own error is left to the search.
+            # If rounding exceeds the corners' own error, the search decides.
             squared = squared_distances(a, b)
             within = max(near - 8.0 * error, 0.0)
             beyond = far + 8.0 * error
@@ -186,7 +186,7 @@ def _search(A, B, leaf_a, lane_a, leaf_b, bits, shift, asked, open_pairs):
             status, _, _ = walk.decided(A, B, shift, W, (LEAF, 2 * LEAF), n, error)
         else:
             status, _, _, _ = walk.measured(A, B, shift, W, (LEAF, 2 * LEAF), n, error, near - error, far, result)
-        # A contact that the search finds is one up to rounding: the error has to be less than the distance allowed.
+        # A contact from the search is correct up to rounding, so the error must be less than the allowed distance.
         if status in (TOUCHING, OVERLAPPING) and near > error:
             return MEETING
         if status != APART:

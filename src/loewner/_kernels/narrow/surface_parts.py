@@ -15,7 +15,7 @@ from loewner._kernels.narrow.surface_walk import left_of
 from loewner._kernels.pieces.pack import placed, shift_between
 from loewner._kernels.simd.memory import held
 
-CHUNK = 16  # pairs at a time: one of the first mostly tells
+CHUNK = 16  # pairs at a time: one of the first usually decides
 
 _LISTED = arena(CHUNK)
 _SIZE, _listed_at = _LISTED.size() // 8, _LISTED.whole()
@@ -47,7 +47,8 @@ def parts_tier(a, i, Ta, ka, b, j, Tb, kb, margin):
     listed = _listed_at(memory.ctypes.data)
     found = OPEN
     for turn in range(2):
-        # First all pairs of inner ellipsoids, any of which may overlap; then of outer ones, all of which must be apart.
+        # First all pairs of inner ellipsoids, any of which may overlap; then the outer ones, all of which must be
+        # apart.
         first_a, end_a = inner_a if turn == 0 else outer_a
         first_b, end_b = inner_b if turn == 0 else outer_b
         wide, total = end_b - first_b, (end_a - first_a) * (end_b - first_b)
@@ -68,7 +69,7 @@ def parts_tier(a, i, Ta, ka, b, j, Tb, kb, margin):
                 break
         if found == BY_INNER:
             break
-        # Ellipsoids around triangles need not hold what these enclose.
+        # Ellipsoids around triangles need not contain the volume that the triangles enclose.
         if apart_all and _none_within(placed(a, i, Ta, ka), placed(b, j, Tb, kb)):
             found = BY_OUTER
     held(memory)

@@ -17,11 +17,11 @@ from loewner._kernels.simd.vectors import absolute, load, load_single, maximum, 
 from loewner._kernels.tolerances import UNIT_ROUNDOFF
 from loewner._kernels.trees.triangle_tree import BLOCK, LEAF, ROWS, WIDE, leaf_of, size_of
 
-# Where a point may lie: in increasing order of danger.
+# Where a point may lie, in order of increasing danger.
 OUTSIDE, UNKNOWN, WITHIN = 0, 1, 2
 
-# How much rays lean towards the two other axes: meshes have many edges that a ray along an axis would meet. Six rays
-# change it by tenths, and both stay positive.
+# How much rays lean towards the two other axes, since a ray along an axis would meet many edges of typical meshes. The
+# six rays vary this by tenths, and both values stay positive.
 LEAN_I, LEAN_J = 0.07391, 0.61803
 
 
@@ -58,7 +58,7 @@ def _parts_within(A, B, shift, size, memory):
 def point_within(A, x, size, memory):
     """Whether a point, in the world's axes from the translation of A, lies within the solid A."""
     R = rotation_of(A)
-    # By the inverse, not the transpose: a pose need be rigid to 1e-6 only.
+    # Use the inverse, not the transpose: a pose is only required to be rigid to 1e-6.
     u, v, w = (R[0], R[3], R[6]), (R[1], R[4], R[7]), (R[2], R[5], R[8])
     volume = dot(cross(u, v), w)
     q = dot(cross(v, w), x) / volume, dot(cross(w, u), x) / volume, dot(cross(u, v), x) / volume
@@ -137,14 +137,14 @@ def _windings(a, q, i, j, k, backward, lean, size, memory):
         w0, w1, w2 = w0 * sign, w1 * sign, w2 * sign
         d0, d1, d2 = u0 * v1 - u1 * v0, u1 * v2 - u2 * v1, u2 * v0 - u0 * v2
         across = maximum(_largest(u0, u1, u2), _largest(v0, v1, v2))
-        # Error of a coordinate across: the place of the point, and the lean's share of lengths along the ray.
+        # Error of a coordinate across the ray: the error of the point, and the lean's share of lengths along the ray.
         off = 2.0 * error + ahead * (4.0 * UNIT_ROUNDOFF)
         limit = across * (8.0 * off) + across * across * (8.0 * UNIT_ROUNDOFF)
         left = (d0 > limit) & (d1 > limit) & (d2 > limit)
         right = (d0 < -limit) & (d1 < -limit) & (d2 < -limit)
         beside = ((d0 > limit) | (d1 > limit) | (d2 > limit)) & ((d0 < -limit) | (d1 < -limit) | (d2 < -limit))
         behind = (w0 < -error) & (w1 < -error) & (w2 < -error)
-        # Where the ray's line meets the plane, times the area: the distances weighted by the parts of it.
+        # Where the ray's line meets the plane, times the area: the weighted sum of the distances.
         where = d0 * w2 + d1 * w0 + d2 * w1
         doubtful = (limit * ahead + across * across * error) * 8.0
         beyond = (left & (where < -doubtful)) | (right & (where > doubtful))
@@ -180,7 +180,7 @@ def _count(bits):
 def nearest_point(A, x, size, memory):
     """Distance of a point, in the world's axes from the translation of A, from surface A, and its nearest point."""
     a, R = surface_of(A), rotation_of(A)
-    # In A's axes, which may be 1e-6 off; the triangles are placed.
+    # In A's axes, which may deviate by 1e-6; the triangles are already placed.
     single = singles((dot((R[0], R[3], R[6]), x), dot((R[1], R[4], R[7]), x), dot((R[2], R[5], R[8]), x)))
     slack = np.float32(1e-5 * size)
     lanes, placed = walk.lanes_of(memory), walk.placed_of(memory)

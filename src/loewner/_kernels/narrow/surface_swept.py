@@ -22,11 +22,12 @@ from loewner._kernels.pieces.shapes import radius, rotation_of
 from loewner._kernels.simd.vectors import lowest, maximum, minimum, movemask, next_lane
 from loewner._kernels.trees.triangle_tree import BLOCK, LEAF, WIDE, leaf_of, size_of
 
-# Searches for one interval, and steps of the walk, at most: more take longer than halving the interval. They are
-# multiplied for short intervals, in which as many triangles may come near as in the next shorter ones.
+# Limits on the searches for one interval and on the steps of the walk: beyond these, halving the interval is faster.
+# Short intervals get a multiple, since in the next shorter ones just as many triangles may come near.
 MOST_SEARCHES, MOST_STEPS = 256, 4096
 
-# An entry of the stack is the number of a box, shifted by ENTRY bits, plus ALL, or plus one of the leaf's triangles.
+# An entry of the stack is the number of a box, shifted by ENTRY bits, plus ALL or the number of one of the leaf's
+# triangles.
 ENTRY, ALL = 4, 15
 
 

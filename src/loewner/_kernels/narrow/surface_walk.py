@@ -20,19 +20,19 @@ from loewner._kernels.simd.vectors import load, maximum, minimum, movemask, next
 from loewner._kernels.tolerances import UNIT_ROUNDOFF
 from loewner._kernels.trees.triangle_tree import BLOCK, LEAF, LEVELS, WIDE, size_of
 
-# Error of a coordinate of a placed corner, in roundoffs of the lengths that it is made of.
+# Error of a coordinate of a placed corner, in roundoffs of the lengths involved.
 CORNER_ERROR = 16.0 * UNIT_ROUNDOFF  # derived 5, certified.md B36
 # derived 16, certified.md B42
 
-# Poses may stretch lengths by 1e-6, and bounds are squared and rounded: this share of a squared lower bound is valid.
+# Poses may stretch lengths by 1e-6, and bounds are squared and rounded; this share of a squared lower bound is valid.
 BELIEVED = 1.0 - 1e-5  # derived 4e-6, certified.md B41
 
-# How much the squared distance of middles counts beside a lower bound, for the order of the search.
+# Weight of the squared distance of the middles, relative to a lower bound, in the order of the search.
 MIDDLES = 0.1
 
 STACK = 2 * LEVELS * WIDE  # entries, for two trees
 PLANES, PLANE = 4, 4  # planes that are kept, each a normal and an offset
-PARTING = 14  # numbers of a plane between two surfaces at two poses, see `surface_swept`
+PARTING = 14  # numbers that describe a plane between two surfaces at two poses, see `surface_swept`
 ORIGIN = (0.0, 0.0, 0.0)
 
 TRIANGLE = Arena(layout=integers(1, LAYOUT), table=floats(1, COLUMNS), points=floats(3 * LEAF))
@@ -43,10 +43,10 @@ MEMORY = Arena(
     placed=floats(3 * BLOCK),  # the corners of two leaves, one of them at two poses
     vertices=floats(gjk_fast.ENTRIES), result=floats(9),  # of a search
     planes=floats(PLANES * PLANE), parting=floats(PLANES * PARTING),
-    bounds=floats(STACK, 2),  # of each entry, a squared lower bound on distances and the order of the search
+    bounds=floats(STACK, 2),  # for each entry, a squared lower bound on the distance and the order of the search
     lanes=floats(2 * WIDE),
     first=TRIANGLE, second=TRIANGLE,
-    left=integers(1),  # how many steps walks may still take
+    left=integers(1),  # how many more steps walks may take
 )  # fmt: skip
 stack_of, placed_of, vertices_of, result_of, planes_of, bounds_of, lanes_of, parting_of, left_of = MEMORY.accessors(
     "stack placed vertices result planes bounds lanes parting left"
@@ -323,7 +323,7 @@ def triangle_piece(P, triangle, rounding, memory):
 # -- searches of triangles, which end with a plane ------------------------------------------------
 
 
-# The two searches are long, so their callers here share one copy.
+# The two searches are long, so their callers in this file share one copy.
 @apart
 def decided(A, B, shift, W, ends, n, error):
     """`gjk_fast.decide`."""
@@ -364,7 +364,7 @@ def unit(n):
 def keep_plane(B, shift, R, n, size, planes, k):
     """Keep as plane k, in the axes R of a surface's frame, a lower bound on the places of B along n."""
     length = np.sqrt(dot(n, n))
-    if not 0.0 < length < np.inf:  # a plane that nothing lies beyond
+    if not 0.0 < length < np.inf:  # a plane with nothing beyond it
         planes[PLANE * k], planes[PLANE * k + 1], planes[PLANE * k + 2] = ORIGIN
         planes[PLANE * k + 3] = -np.inf
         return

@@ -48,8 +48,8 @@ def detector_1(centers, factors, faces_1, start_1, faces_2, start_2, collides, a
         origin = (c1i[k, 0], c1i[k, 1], c1i[k, 2])
         face_1 = _face_distance(faces_1, start_1[k], start_1[k + 1], origin, v1, e)
         face_2 = L - _face_distance(faces_2, start_2[k], start_2[k + 1], origin, v2, back)
-        # The printed test for "the enclosing ellipsoids overlap". It is false also when the polyhedra
-        # overlap along the line, which is a certain collision: the flaw the paper corrects.
+        # The printed test for "the enclosing ellipsoids overlap". It is also false if the polyhedra overlap along the
+        # line, which is a certain collision: the flaw that the paper corrects.
         if (outer_1 - outer_2) * (face_1 - face_2) > 0.0:
             collides[k], ambiguous[k] = 0, 0
             continue

@@ -21,14 +21,14 @@ from loewner._kernels._jit import apart, inline, njit
 from loewner._kernels.columns import BLOCK, DEEPEST, GRID
 from loewner._kernels.tolerances import UNIT_ROUNDOFF
 
-LEAF = 32  # vertices that need no further division: four blocks
+LEAF = 32  # with this many vertices (four blocks), a cell is not divided further
 
-# Average number of copies of a vertex in leaves at which division stops; two or three are usual.
+# Division stops when leaves hold this many copies of a vertex on average; two or three are usual.
 MOST_COPIES = 8
 
-# Amount by which a vertex must be beaten, relative to the largest coordinate. Each of two products with a direction
-# whose entries are at most 1 rounds by 9u; a direction that rounding (4u in two entries) puts into a neighbouring cell
-# changes them by 16u.
+# Amount by which another vertex must be farther, relative to the largest coordinate. Each of two products with a
+# direction whose entries are at most 1 has an error of 9u; rounding that moves a direction (by 4u in two entries) into
+# a neighbouring cell changes them by 16u.
 CLEARANCE = 64.0 * UNIT_ROUNDOFF  # derived 34, certified.md B18
 
 
@@ -58,7 +58,7 @@ def place(x, y, z):
     scale = 0.5 * GRID / abs(major)
     s = s * scale + 0.5 * GRID
     t = t * scale + 0.5 * GRID
-    # Written so that NaN goes to 0.
+    # Written so that NaN leads to 0.
     s = s if s > 0.0 else 0.0
     t = t if t > 0.0 else 0.0
     return face, np.int64(min(s, GRID - 1.0)), np.int64(min(t, GRID - 1.0))
@@ -153,7 +153,7 @@ def map_within(vertices, slack):
     This is for directions whose largest entry is 1.
     """
     count = len(vertices)
-    # Lists of vertices of the current path from the root, concatenated.
+    # Lists of vertices on the current path from the root, concatenated.
     pool = np.empty((DEEPEST + 2) * count, np.int64)
     for v in range(count):
         pool[v] = v
@@ -164,8 +164,8 @@ def map_within(vertices, slack):
     used = 0
     nodes = np.empty(4 * count)
     made = 6
-    # One row per level of the current path: node of the first child, children done, face, level, s, t of the first
-    # child, first and last+1 entry of the parent's list.
+    # One row for each level of the current path: node of the first child, children done, face, level, s, t of the first
+    # child, first entry of the parent's list and the index after its last one.
     path = np.zeros((DEEPEST + 2, 8), np.int64)
     path[0, 7] = count
     depth = 0

@@ -7,8 +7,9 @@ from loewner._kernels.codes import LAST_ROW, NOT_FINITE, NOT_ORTHONORMAL, REFLEC
 from loewner._kernels.simd.vectors import ALL, LANES, absolute, gather_transpose, movemask
 from loewner._kernels.tolerances import ROTATION_TOLERANCE
 
-# Tolerances for checking eight poses at once, with another order of rounding. In the certificate slightly more, so that
-# every pose that fails also has a fault on its own; in the search for faults slightly less, so that none is missed.
+# Tolerances for checking eight poses at once, with rounding in another order. The certificate allows slightly more, so
+# that every pose that fails also has a fault when it is checked alone; the search for faults allows slightly less, so
+# that it misses none.
 HAIR = 1e-9
 
 
@@ -26,7 +27,7 @@ def fault(T):
             worst = max(worst, abs(entry))
             total += abs(entry)
     total += abs(T[3, 0]) + abs(T[3, 1]) + abs(T[3, 2]) + abs(T[3, 3])
-    # Infinity minus itself is NaN, and so is NaN minus itself.
+    # Infinity minus itself is NaN, and NaN minus itself is NaN.
     if total - total != 0.0:
         return NOT_FINITE, total
     if T[3, 0] != 0.0 or T[3, 1] != 0.0 or T[3, 2] != 0.0 or T[3, 3] != 1.0:
@@ -67,8 +68,8 @@ def _rigid(tolerance, largest):
 is_rigid = _rigid(ROTATION_TOLERANCE * (1 + HAIR), np.finfo(np.float64).max)
 _is_surely_rigid = _rigid(ROTATION_TOLERANCE * (1 - HAIR), np.finfo(np.float64).max)
 
-# Allowance for rounding the entries to single precision and multiplying them. A pose that passes is thus rigid, except
-# for a last row that rounds to (0, 0, 0, 1), which no certificate reads.
+# Allowance for rounding the entries to single precision and for multiplying them. A pose that passes is thus rigid,
+# except perhaps for a last row that rounds to (0, 0, 0, 1), which no certificate reads.
 SINGLE_ROOM = 0.4 * ROTATION_TOLERANCE  # derived 3e-7, certified.md B20
 is_rigid_single = _rigid(ROTATION_TOLERANCE - SINGLE_ROOM, 1e30)
 

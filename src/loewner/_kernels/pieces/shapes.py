@@ -111,7 +111,7 @@ def _asking(prefetch):
     return ask
 
 
-# Shortly before their use, or long ahead of it: into the second-level cache, which can wait for more.
+# Prefetch either shortly before use, or long ahead into the second-level cache, which has room for more requests.
 prefetch_vertices, prefetch_vertices_far = _asking(prefetch), _asking(prefetch_far)
 
 
@@ -130,13 +130,13 @@ def unit_support(kind, x, y, z):
         if length == 0.0:
             return 0.0, 0.0, np.copysign(1.0, z)
         return x / length, y / length, np.copysign(1.0, z)
-    if kind == CONE:  # its base circle and its apex compete: |xy| - z against z
+    if kind == CONE:  # the rim of its base and its apex compete: |xy| - z against z
         if length == 0.0:
             return 0.0, 0.0, np.copysign(1.0, z)
         if z > length - z:
             return 0.0, 0.0, 1.0
         return x / length, y / length, -1.0
-    return np.nan, np.nan, np.nan  # a kind without a branch above: nothing may be proven about it
+    return np.nan, np.nan, np.nan  # a kind without a branch above, about which nothing may be proven
 
 
 @inline

@@ -46,12 +46,12 @@ from loewner._kernels.tolerances import SHAPE_ROUNDINGS, UNIT_ROUNDOFF
 from loewner._kernels.trees import piece_tree
 
 QUEUED = 32  # piece pairs that are bounded one after the other
-WALKED = 16  # piece pairs taken from the trees at a time: the distance bound is no older than that
+WALKED = 16  # piece pairs taken from the trees at a time, which limits the age of the distance bound
 
-BOUND_STEPS = 12  # Newton steps for the contact function of a single pair; an even number
-POLISH_ROUNDS = 3  # rounds that tighten a bound: Newton's method for the direction of the near points
+BOUND_STEPS = 12  # Newton steps for the contact function of a single pair; must be even
+POLISH_ROUNDS = 3  # rounds that tighten a bound, by Newton's method for the direction of the near points
 
-INNER_LANES = 0xF0  # those of a single pair's inner ellipsoids; its outer ones take the first four
+INNER_LANES = 0xF0  # rounds for a single pair's inner ellipsoids; its outer ones use the first four
 
 
 class Operands(NamedTuple):
@@ -342,7 +342,7 @@ def _polish_lower_bounds(count, work):
         store(search.gap, at, bound)
         store(search.length, at, length)
         best = load(queue.below, at)
-        better = (bound > best) & (best > 0.0)  # near points of ellipsoids that overlap say nothing
+        better = (bound > best) & (best > 0.0)  # near points of overlapping ellipsoids have no meaning
         store(queue.below, at, select(better, bound, best))
         _store_rows(queue.normal, at, selected(better, n, load_three(queue.normal, at)))
 
@@ -357,12 +357,12 @@ def _first_upper_bounds(count, work):
         sigma_a, sigma_b = load(a.sigma, at), load(b.sigma, at)
         F, n = normal_at(P, Q, r, s)
         level, best, depth = nearness(P, Q, r, n, s, sigma_a, sigma_b, size)
-        # NaN: the centers are points of the ellipsoids too.
+        # NaN: use the centers, which are points of the ellipsoids too.
         centers = sqrt(dot(r, r)) * (1.0 + 8.0 * UNIT_ROUNDOFF)
         best = select(best < np.inf, best, centers + SHAPE_ROUNDINGS * size)
         best = select(level <= 1.0, -maximum(depth, 0.0), best)
         store(queue.above, at, best)
-        # What rounding of P n and Q n adds to their levels, per length of n.
+        # Effect of the rounding of P n and Q n on the levels, per length of n.
         store(search.width_p, at, SHAPE_ROUNDINGS * trace(P) / sigma_a)
         store(search.width_q, at, SHAPE_ROUNDINGS * trace(Q) / sigma_b)
         _store_rows(search.n, at, n)
@@ -384,8 +384,8 @@ def _polish_upper_bounds(count, work):
         length = sqrt(squared)
         hp, Pn = outward_width(P, n, squared)
         hq, Qn = outward_width(Q, n, squared)
-        # Divide by a little more than the width, so that rounding cannot push the points outside: the slack, at least
-        # 128 roundings, covers those of the quotient too.
+        # Divide by slightly more than the width, so that rounding cannot push the points outside; the slack of at least
+        # 128 roundings also covers the roundings of the quotient.
         level_p = 1.0 / (hp + load(search.width_p, at) * length)
         level_q = 1.0 / (hq + load(search.width_q, at) * length)
         y = _between_points(load_three(search.r, at), level_p, Pn, level_q, Qn)
@@ -435,7 +435,7 @@ def write_bounds(count, operands, work):
         _load_many(count, operands, work)
     _place(count, False, work)
     _find_best(count, work)
-    # Where no bound is positive, no round changes one: they are of overlapping ellipsoids, or depths.
+    # If no bound is positive, no round changes a bound: the ellipsoids overlap, or the bounds are depths.
     if _first_lower_bounds(count, work):
         for _ in range(POLISH_ROUNDS):
             _polish_lower_bounds(count, work)
@@ -448,7 +448,7 @@ def write_bounds(count, operands, work):
         for _ in range(POLISH_ROUNDS):
             _polish_upper_bounds(count, work)
     for k in range(count):
-        if not queue.below[k] > -np.inf:  # NaN from an overflow: the weakest bound is still a bound
+        if not queue.below[k] > -np.inf:  # NaN from an overflow: the weakest bound is still valid
             queue.below[k] = -2.0 * queue.size[k]
 
 
@@ -461,7 +461,7 @@ def _decide(margin, count, operands, work, out):
         k = queue.pairs.pair[lane]
         if queue.below[lane] > margin or out[k] == COLLIDING:
             continue
-        # NaN counts as colliding, as it should never arise and must not free anybody.
+        # NaN counts as colliding: it should never arise, and must not make anything free.
         if not queue.estimate[lane] > margin:
             out[k] = COLLIDING
 

@@ -26,7 +26,7 @@ CHUNK = 64  # piece pairs taken from the trees at a time
 
 TRIANGLE_SIZE = TRIANGLE.size()  # bytes
 
-ROOM = 4096  # triangles of a surface that one convex piece may touch, or nearly, before that is too many
+ROOM = 4096  # limit on the triangles of a surface that one convex piece may touch or nearly touch
 
 
 @njit()
@@ -178,9 +178,9 @@ def _piece_pair(A, B, margin, work):
         return FREE
     if status == TOUCHING:
         return COLLIDING
-    # Curved pieces that barely overlap can make GJK slow. The expanding polytope finds the same contact from inside.
+    # GJK can be slow if curved pieces barely overlap. The expanding polytope then finds the same contact from inside.
     shallow, deep = penetration(A, B, shift, CONTACT_ACCURACY, work, np.empty(9))
-    if deep == NO_VOLUME:  # a sentinel, not a depth: it must not count as a separation
+    if deep == NO_VOLUME:  # a sentinel, not a depth, so it must not count as a separation
         return AMBIGUOUS
     if -deep - swollen - error > margin:
         return FREE

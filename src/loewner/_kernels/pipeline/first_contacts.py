@@ -41,34 +41,36 @@ from loewner._kernels.simd.trig import sine_cosine
 from loewner._kernels.tolerances import UNIT_ROUNDOFF
 from loewner._kernels.trees import piece_tree
 
-# Error of a placed point from the rotation of its body, times its distance from the body's origin; and from the body's
-# origin, times the coordinates of its two ends.
+# Error of a placed point: from the rotation of its body, times its distance from the body's origin; and from the origin
+# itself, times the coordinates of its two ends.
 TURN_ROUNDINGS = 256.0 * UNIT_ROUNDOFF  # derived 140, certified.md B58
 PLACE_ROUNDINGS = 16.0 * UNIT_ROUNDOFF  # derived 7, certified.md B59
 
-# Stretching of paths by poses accepted as rigid, and the few dozen roundings in the computation of rates.
+# Stretching of paths by poses that are accepted as rigid, and the few dozen roundings in the computation of rates.
 STRETCH = 1e-5  # derived 1.7e-6, certified.md B60
 UPWARD = 1.0 + STRETCH
 
-# A turn is refused if the cosine of its half is below this: poses, which may have gone through float32, do not show
-# which way is the shorter one.
+# A turn is rejected if the cosine of half its angle is below this: poses that may have passed through float32 do not
+# show which way is shorter.
 NEARLY_HALF_TURN = 1e-6
 
 ROUNDS = 256  # hulls need seven; only motions that graze within the tolerance need this number
 
-# Steps are chosen for this share of the curvature that the bounds allow, from which the best is flat: 0.3 and 0.6 take
-# 2 % more rounds. A step that is not proven is reduced to a share between these two, see `_reduced`.
+# Steps assume this share of the curvature that the bounds allow. The optimum is flat: 0.3 and 0.6 take 2 % more rounds.
+# A step that is not proven is reduced to a share between these two, see `_reduced`.
 SHARE, LEAST, REDUCED = 0.4, 0.3, 0.8
-REACHED = 0.5  # share of the widest step back from a plane that is not yet proven
+REACHED = 0.5  # share of the widest step to go back from a plane that is not yet proven
 
-# Shares of the tolerance: how far from contact a step ends before the last one, and how far apart the last two may be.
+# Shares of the tolerance: how far from contact the step before the last one ends, and how far apart the last two times
+# may be.
 BEFORE, LAST = 0.25, 0.9
 
-SURFACE_SHARE = 0.95  # of the longest step that the speed of surfaces allows
-NEAR = 1e-9  # share of the distance of a surface that is left to its rounding, before it is proven
+SURFACE_SHARE = 0.95  # share of the longest step that the speed of surfaces allows
+NEAR = 1e-9  # share of a surface's distance that is reserved for its rounding error until it is proven
 
-# Columns of a motion, each row a body: the rotation at 0, in parts that are constant, go with the sine and go with the
-# cosine; the origin at 0; its way; the angular velocity; the axis in the body's frame; the angle; the coordinates.
+# Columns of a motion, one row for each body: the rotation at 0, split into a constant part, a part with the sine and a
+# part with the cosine; the origin at 0; its displacement; the angular velocity; the axis in the body's frame; the
+# angle; the coordinates.
 REST, SINE, COSINE, START, WAY, SPIN, AXIS, ANGLE, SIZE, MOTION = 0, 9, 18, 27, 30, 33, 36, 39, 40, 41
 
 FOUND = 64  # piece pairs taken from the trees at a time
@@ -197,7 +199,8 @@ def _nearing_speed(A, way_a, B, way_b):
     between = minus(_three(way_b, START), _three(way_a, START))
     then = plus(between, minus(_three(way_b, WAY), _three(way_a, WAY)))
     apart = np.sqrt(max(dot(between, between), dot(then, then)))
-    # Poses accepted as rigid turn with a share of stretch, which moves the two points differently.
+    # Poses that are accepted as rigid may be stretched slightly, and rotating a stretched frame moves the two points
+    # differently.
     stretch = STRETCH * (apart + reach_a + reach_b)
     arm_a = min(arm_of(A, way_a), apart + reach_b + stretch)
     arm_b = min(arm_of(B, way_b), apart + reach_a + stretch)
@@ -242,7 +245,7 @@ def _look_at_surface(A, B, n, margin, far, memory):
         return verdict == COLLIDING, n, -np.inf, np.inf, n, n
     size, error = lengths(A, B, shift), rounding_error(A, B, shift)
     value, _ = surface_distance(A, B, n, 2.0 * size, faces_of(memory), edges_of(memory), work, result)
-    # The verdict for a distance slightly below proves it, or farther below where faces are parallel.
+    # The verdict for a slightly smaller distance proves it, or for a still smaller one if faces are parallel.
     share, keep, verdict = NEAR, 0.0, AMBIGUOUS
     while verdict != FREE and share < 1.0:
         keep = min(value, 2.0 * size) * (1.0 - share) - 4.0 * error
@@ -355,14 +358,14 @@ def _between_pieces(A, B, horizon, margin, tolerance, memory):
     speed, bend = rates_between(way_a, arm_a, way_b, arm_b)
     reaches = A.table[A.piece, REACH] + B.table[B.piece, REACH]
     slack = TURN_ROUNDINGS * reaches + PLACE_ROUNDINGS * (way_a[SIZE] + way_b[SIZE])
-    # The error of a rotation stretches radii, too.
+    # The error of a rotation also stretches radii.
     far = margin + swollen_radii(A, B) * (1.0 + TURN_ROUNDINGS) + slack
     surface = is_surface(A) or is_surface(B)
-    if surface:  # proven by nothing else, see `_nearing_speed`
+    if surface:  # nothing else proves it, see `_nearing_speed`
         speed = _nearing_speed(A, way_a, B, way_b)
     t, at, hit, turning = 0.0, 0.0, np.inf, 0.0
     gap, above, nearing, normal = np.inf, np.inf, 0.0, (0.0, 0.0, 0.0)
-    # The last plane that was not proven from t; often it is, from the time between.
+    # The last plane that was not proven from t; it often is proven from a time in between.
     later, later_gap, later_above, later_nearing, later_normal = np.inf, 0.0, np.inf, 0.0, normal
     _place(motions, 0.0, poses)
     n = minus(plus(shift_between(A, B), _middle(B)), _middle(A))
@@ -370,7 +373,7 @@ def _between_pieces(A, B, horizon, margin, tolerance, memory):
         w = at - t
         if r > 0:
             _place(motions, at, poses)
-            if at >= horizon and not surface:  # often the plane so far holds to the end
+            if at >= horizon and not surface:  # the current plane often holds to the end
                 shift = shift_between(A, B)
                 low, _, _ = _gap_along(A, B, shift, normal, rounding_error(A, B, shift))
                 if min(gap, low - far) > lost_between(speed, bend, 0.0, w):
@@ -386,7 +389,7 @@ def _between_pieces(A, B, horizon, margin, tolerance, memory):
                 change = _turned(n, normal)
                 lost = lost_between(speed, bend, change, w)
                 proven = proven or min(gap, low) > lost
-                # The curvature by which the model of the last step missed.
+                # The curvature that would explain the error of the last step's model.
                 curve = (lost + max(gap - nearing * w - low, 0.0)) / (w * w)
                 if proven:
                     turning = change / w
@@ -403,10 +406,10 @@ def _between_pieces(A, B, horizon, margin, tolerance, memory):
                 return FREE, horizon, np.inf, r
         elif r == 0:
             break
-        # Nothing closes the gap before it has shrunk at full speed.
+        # Even at full speed, the gap takes some time to close.
         if (hit - t) * speed - gap <= tolerance:
             return COLLIDING, min(t + gap / speed, hit), hit, r
-        if horizon < 1.0 and (horizon - t) * speed <= tolerance:  # so these two are within the tolerance then
+        if horizon < 1.0 and (horizon - t) * speed <= tolerance:  # so these two are then within the tolerance
             return FREE, min(t + gap / speed, horizon), np.inf, r
         if proven:
             w = _root(gap, nearing, SHARE * (bend + 2.0 * turning * speed))
@@ -415,8 +418,8 @@ def _between_pieces(A, B, horizon, margin, tolerance, memory):
             if nearing > 0.0:
                 due, before = gap / nearing, BEFORE * tolerance / speed
                 last = (LAST * tolerance + gap) / speed
-                # Beyond the contact that is expected, but no farther than that is away: a search that cannot settle a
-                # contact so shallow settles one nearer to touching.
+                # Go beyond the expected contact, but no farther than its distance: a search that cannot settle such a
+                # shallow contact settles one nearer to touching.
                 w = min(0.5 * (due + last), 2.0 * due) if due + before <= last else min(w, due - before)
         else:
             w = _reduced(w, gap, nearing, low, curve) if curve > 0.0 else 0.5 * w
@@ -448,7 +451,7 @@ def _between_bodies(a, ia, b, ib, margin, tolerance, memory):
         far_b = max(far_b, b.table[j, REACH])
     speed, _ = rates_between(motions[0], far_a, motions[1], far_b)
     slack = TURN_ROUNDINGS * (far_a + far_b) + PLACE_ROUNDINGS * (motions[0, SIZE] + motions[1, SIZE])
-    # Pieces that may meet are near each other half-way.
+    # Pieces that may meet are near each other half-way through.
     _place(motions, 0.5, poses)
     piece_tree.begin(a, ia, poses, 0, b, ib, poses, 1, steps, numbers)
     verdict, free, touching, horizon, rounds = FREE, np.inf, np.inf, 1.0, 0

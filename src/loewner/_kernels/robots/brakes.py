@@ -10,14 +10,15 @@ import numpy as np
 from loewner._kernels._jit import inline, njit
 from loewner._kernels.tolerances import UNIT_ROUNDOFF
 
-# Times that are nearer than this share of a brake's duration become one: rounding would affect so short a piece.
+# Times closer together than this share of a brake's duration become one, since rounding would affect such a short
+# piece.
 NEAR = 1e-9
 
-# Steps of Newton's method, or of halving, for the time at which a distance is covered.
+# Steps of Newton's method, or of bisection, for the time at which a distance is covered.
 STEPS = 64
 
-# By how much the deviation of a brake from a whole course may be off, as a share of values.
-WHOLE_ROUNDINGS = 128.0 * UNIT_ROUNDOFF  # 63 of them are derived in certified.md, "Gates"
+# Allowed error of the deviation between a brake and one course for the whole of it, as a share of the values.
+WHOLE_ROUNDINGS = 128.0 * UNIT_ROUNDOFF  # certified.md, "Gates", derives 63 of them
 
 
 @inline
@@ -39,7 +40,7 @@ def stop_phases(v, a, strongest, jerk):
     """
     if jerk == np.inf:
         return np.sign(v), strongest, 0.0, (abs(v) / strongest if v != 0.0 else 0.0), 0.0
-    rest = v + a * abs(a) / (2.0 * jerk)  # the velocity if the acceleration only returns to zero
+    rest = v + a * abs(a) / (2.0 * jerk)  # the velocity at which the acceleration merely returns to zero
     sign = np.sign(rest) if rest != 0.0 else np.sign(a)
     v, a = sign * v, sign * a
     strongest = max(strongest, -a)
@@ -89,7 +90,7 @@ def _distinct(times, count):
         times[m] = t
     kept, near = 1, NEAR * times[count - 1]
     for k in range(1, count):
-        # A joint that rests at once has its own piece, however short: on a longer one, it would move.
+        # A joint that comes to rest at once has its own piece, however short; on a longer piece, it would move.
         if times[k] - times[kept - 1] > near or (kept == 1 and times[k] > 0.0):
             kept += 1
         if kept > 1:
@@ -246,7 +247,7 @@ def _stop_at_one_rate(rows, at, begin, first, strongest, jerk, beyond, times, st
                 break
             cut = _time_to(at[k + 1] - s, v, a, push, T)
             k += 1
-            if cut - gone <= near:  # the part on the motion before takes no time
+            if cut - gone <= near:  # the part on the previous motion takes no time
                 count -= 1
             if T - cut <= near:  # the next phase begins on the next motion
                 break

@@ -56,16 +56,16 @@ from loewner._kernels.tolerances import UP
 
 FAR = 40.0
 
-# Allowance of bounds that exclude pairs, relative to themselves and to the lengths from which they are computed: far
-# more than rounding.
+# Allowance for bounds that exclude pairs, relative to the bounds and to the lengths from which they are computed: far
+# more than rounding needs.
 CAREFUL = 1e-9
 
 RUN = 1024  # pairs of pieces
 
-_ROW = 10  # of an ellipsoid: center, shape matrix, lengths from which they are computed
-_BODY = 7  # of a body: middle of its ellipsoids' centers, their distance from it, largest and least semi-axis, reach
+_ROW = 10  # numbers of an ellipsoid: center, shape matrix, lengths from which they are computed
+_BODY = 7  # of a body: middle of its ellipsoids' centers, their distance from it, largest and smallest semi-axis, reach
 _MIDDLE = 4  # vectors of a body: this middle in the world, and lengths
-_ENTRY = 2  # vectors of a pair of pieces in a run: gap, and the s at which F is greatest
+_ENTRY = 2  # vectors of a pair of pieces in a run: gap, and the s at the maximum of F
 _WHICH = 4  # bodies and pieces
 _LEAST, _SUM, _TOTALS = 0, LANES, 2 * LANES
 
@@ -198,7 +198,7 @@ def _stand(pack, problem_handle, memory, dof):
 def _place_links(problem, to, Q, first, last):
     """Compute the poses of the links at the configurations first .. last, at most eight."""
     for lane in range(LANES):
-        to.rows[lane] = min(first + lane, last)  # filled up with repeats of the last
+        to.rows[lane] = min(first + lane, last)  # padded with repeats of the last one
     place_links(problem.tree, Q, to.rows, 0, to.links)
 
 
@@ -339,7 +339,7 @@ def clearances(gradient, softness, start, stop, Q, pack, problem_handle, memory,
                 continue
             for i in range(piece_start[one], piece_start[one + 1]):
                 for j in range(piece_start[other], piece_start[other + 1]):
-                    # Runs end after this many pairs, excluded or not, since the exclusion depends on the other
+                    # A run ends after this many pairs, excluded or not, because the exclusion depends on the other
                     # configurations.
                     if passed // RUN > run:
                         _sum_up(count, gradient, softness, pack, problem_handle, memory, dof)
@@ -363,7 +363,7 @@ def clearances(gradient, softness, start, stop, Q, pack, problem_handle, memory,
             powers(problem.tree, to.links, to.wrenches, dof, to.slopes)
         for lane in range(last + 1 - first):
             total = to.totals[_SUM + lane]
-            # This is not above the least gap: the logarithm of a sum with a term of 1 is not negative.
+            # This is at most the least gap, because a sum that contains a term of 1 has no negative logarithm.
             lower[first + lane] = to.totals[_LEAST + lane] - softness * logarithm(total)
             if gradient:
                 for k in range(dof):

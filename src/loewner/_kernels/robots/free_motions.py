@@ -14,8 +14,8 @@ from loewner._kernels.robots.lines import keeps_axis
 from loewner._kernels.robots.motions import STEPS_LEFT, certified, make_ready
 from loewner._kernels.simd.memory import Arena, Place, floats, integers, sizes_of, small_integers
 
-# Cosine of a quarter of the turn between two orientations that are half a turn apart, up to rounding: the last bit then
-# decides the direction of `Robot.between`.
+# Cosine of a quarter of the turn between two orientations that are half a turn apart, up to rounding; there, the last
+# bit decides the direction of `Robot.between`.
 NEARLY_HALF_TURN = 1e-9
 
 # splitmix64, which passes the usual tests of randomness and has one word of state

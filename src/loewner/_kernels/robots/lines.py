@@ -51,26 +51,28 @@ from loewner._kernels.simd.vectors import (
 )
 from loewner._kernels.tolerances import UNIT_ROUNDOFF
 
-# Rounding of a computed deviation, for each joint, times the lengths and one plus the squares of the turns.
+# Rounding error of a computed deviation, for each joint, times the lengths and times one plus the squares of the turns.
 LINE_ROUNDINGS = 256.0 * UNIT_ROUNDOFF  # derived 190, certified.md B55
 
 SPARE = 1e-9  # relative; covers the rounding of third derivatives and of lengths, docs/certified.md
 
-MIDDLE = 0.125  # the largest value of s (1 - s) / 2: a curve's distance from its chord, over its second derivative
+MIDDLE = 0.125  # largest value of s (1 - s) / 2: a curve's distance from its chord over its second derivative
 
 # Newton steps towards a configuration; a good guess needs three.
 STEPS = 32
 
-# An axis has been brought back if it is within the tolerance, exceeded by this share of it.
+# An axis counts as brought back if it is within the tolerance, increased by this share.
 NEARLY = 0.01
 
-# Share of the tolerance that the next motions may take, and by which factors they are longer or shorter at most.
+# Share of the tolerance that the next motions may use, and the limits on the factors by which they become longer or
+# shorter.
 SHARE, GROWTH, SHRINKING = 0.85, 4.0, 64.0
 
-# The shortest motion, as a fraction of the line, and the longest line [m], on which these are at most 0.15 m.
+# The shortest motion, as a fraction of the line, and the longest line [m], on which such motions are at most 0.15 m
+# long.
 LEAST_MOTION, LONGEST = 2.0**-16, 1e4
 
-# The largest angle of a line [rad]: at half a turn, rounding decides which way around is the shorter one.
+# The largest angle of a line [rad]: at half a turn, rounding would decide which way around is shorter.
 LARGEST_ANGLE = np.pi - 1e-6
 
 
@@ -106,7 +108,7 @@ class Moved(NamedTuple):
     turn: Any  # angular velocity
     bend: Any  # and its derivative
     pull: Any  # second derivative of the position
-    third: Any  # bound on the third derivative of the position anywhere on the motion
+    third: Any  # bound on the third derivative of the position over the whole motion
     angle: Any  # sum of the turns of all joints
     length: Any  # sum of all lengths
 
@@ -216,7 +218,7 @@ def line_between(R0, t0, R1, t1):
     axis = 0.5 * (zy - yz), 0.5 * (xz - zx), 0.5 * (yx - xy)
     sine, cosine = np.sqrt(dot(axis, axis)), 0.5 * (xx + yy + zz - 1.0)
     angle = arc_tangent(sine, cosine)
-    if cosine < 0.0:  # near half a turn this axis is short, and the columns of E + Eᵀ - 2 cos are long
+    if cosine < 0.0:  # near half a turn, this axis is short and the columns of E + Eᵀ - 2 cos are long
         if xx >= yy and xx >= zz:
             column, sign = (2.0 * (xx - cosine), xy + yx, xz + zx), axis[0]
         elif yy >= zz:

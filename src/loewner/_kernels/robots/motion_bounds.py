@@ -22,10 +22,10 @@ from loewner._kernels.elementary import arc_sine
 from loewner._kernels.pieces.pack import motion_tables_of, problem_of
 from loewner._kernels.tolerances import STRETCH, UNIT_ROUNDOFF
 
-# Rounding of a position by forward kinematics, for each joint of the chain, in units of the chain's length.
+# Rounding error of a position from forward kinematics, for each joint of the chain, in units of the chain's length.
 JOINT_ROUNDINGS = 128.0 * UNIT_ROUNDOFF  # derived 64, certified.md B24
 
-# Error of a computed joint value, in units of the course's degree and largest control point.
+# Error of a computed joint value, in units of the course's degree times its largest control point.
 VALUE_ROUNDINGS = 16.0 * UNIT_ROUNDOFF  # derived 7, certified.md B25
 
 # Error of the control points of a part of a course, in the same units.
@@ -40,12 +40,12 @@ NORM_SHARE = 16.0  # derived 6.2, certified.md B28
 
 UPWARD = 1.0 + STRETCH
 
-SMALLEST_TURN = 1e-15  # rad; more than the error of an angle between two equal quaternions
+SMALLEST_TURN = 1e-15  # rad; larger than the error of the angle between two equal quaternions
 
 
-# The control points of a quaternion must all extend this far along the first one, as a share of their largest norm:
-# otherwise the orientation might turn arbitrarily fast. Any two points of such a course extend along each other, so its
-# parts satisfy this as well.
+# All control points of a quaternion must extend this far along the first one, as a share of their largest norm;
+# otherwise the orientation might turn arbitrarily fast. Any two points of such a course extend this far along each
+# other, so its parts satisfy the condition as well.
 LEAST_NORM = 0.75
 
 
@@ -168,7 +168,7 @@ def _orientation(course, at, width):
         turn, astray = _arc(course, at)
         return turn, 0.0, SLERP_ROUNDINGS + NORM_SHARE * astray
     p = _derivatives(course, at, 4, width)
-    # All control points reach at least this far along the first one, and so does the curve.
+    # All control points extend at least this far along the first one, and so does the curve.
     least = np.inf
     for k in range(course.shape[0]):
         reached = 0.0
@@ -364,7 +364,7 @@ def ways_between(tables, rates, body, link, fixed):
     for k in range(down_from, down_to):
         joint = tables.path_link[k]
         turn, slide = rates.turn[joint], rates.slide[joint]
-        # Seen from this side, the joint slides first.
+        # Seen from this side, the joint first slides.
         bend += 2.0 * slide * rest
         rest = max(rest - turn, 0.0)
         travel += rates.far[joint]
@@ -372,7 +372,7 @@ def ways_between(tables, rates, body, link, fixed):
         bend += far * (turn + 2.0 * rest)
         bend += rates.turning[joint] * (reach[body, joint] + travel) + rates.sliding[joint]
         speed += far + slide
-    # Rounding of `rest` by the differences: a few roundings of the whole, for each joint.
+    # Rounding error of `rest` from the differences: a few roundings of the whole, for each joint.
     return Ways((bend + 1e-12 * every * speed) * UPWARD, speed * UPWARD, every * UPWARD, turning * UPWARD, travel)
 
 

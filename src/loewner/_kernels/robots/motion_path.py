@@ -14,7 +14,7 @@ from loewner._kernels.robots.kinematics import quaternion_of
 from loewner._kernels.simd.trig import sine_of
 from loewner._kernels.simd.vectors import LANES, load, rounded_product, select, sqrt, store
 
-SMALL_ANGLE = 1e-6  # rad; below it the chord equals the arc
+SMALL_ANGLE = 1e-6  # rad; below this angle, the chord equals the arc
 SMALL_COSINE = 1.0 - 4e-13  # of an angle that is certainly below it
 SMALLEST_SINE = 1e-12
 

@@ -90,58 +90,62 @@ from loewner._kernels.tolerances import UNIT_ROUNDOFF
 from loewner._kernels.trees.boxes import LEVELS
 from loewner._kernels.trees.piece_tree import open_group, reach_of
 
-# How far points may be from their chords [m] in the first intervals; a choice.
+# How far points may deviate from their chords [m] in the first intervals; a choice.
 FIRST_OFF = 0.02
 MOST_BLOCKS = MOST_INTERVALS // 7
 
-# Slightly more than the distance at which `collide` may report touching: a free motion has no such configuration.
+# Slightly more than the distance at which `collide` may report contact, so no configuration of a free motion is
+# reported.
 CLEAR_ROUNDINGS = TOUCH_ROUNDINGS + 64.0  # derived 130, certified.md B32
 
 # An interval that fails is AMBIGUOUS once its points move by less than this share of the tolerance; the rest is left
 # for the convergence of the search.
 DECIDED = 0.5
 
-# Where joints may stray, an interval is settled once its points move by less than this share of V(δ).
+# If joints may stray, an interval is settled once its points move by less than this share of V(δ).
 SETTLED_STRAY = 0.125
 
-# Strays that move no point by more than this share of the tolerance count as rounding, from which the strays of bodies
-# that follow a motion come.
+# Strays that move no point by more than this share of the tolerance count as rounding, such as the strays of bodies
+# that follow a motion.
 ROUNDED_STRAY = 1e-3
 
-# Capacity for unproven intervals of a block that wait to be halved. When there are more, they are halved at once.
+# Capacity for unproven intervals of a block that are waiting to be halved. If there are more, they are halved at once.
 WAITING = 256
 
-# Capacity for piece pairs of a block that wait to be searched; and numbers of such a pair: some scalars come first.
+# Capacity for piece pairs of a block that are waiting to be searched, and numbers of such a pair; some scalars come
+# first.
 LISTED = 128
 LISTED_WAYS = 6 * LANES
 _NORMALS = LANES
 
-# Pairs of surfaces of a block whose answers are kept for their other parts: places, and numbers of such a pair.
+# Pairs of surfaces of a block whose answers are kept for their other parts: number of places, and numbers of such a
+# pair.
 ANSWERS, ANSWER = 64, 5
 
-# Pairs that are tested before bounds about whole blocks are compared; planners put often colliding pairs there.
+# Pairs that are tested before the bounds for whole blocks are compared; planners put the pairs that collide often
+# there.
 FIRST_PAIRS = 4
 
-# Pieces whose ellipsoids are nearer to each other than this, as a share of the distance at which they touch, are tested
-# at once where they are nearest: most of them collide.
+# If the ellipsoids of two pieces are nearer to each other than this share of the distance at which they touch, the
+# pieces are tested at once at their nearest configuration: most of them collide.
 DEEP = 0.7
 
-PARTS = 8  # parts into which an interval is cut at a time
+PARTS = 8  # parts into which an interval is cut at once
 
-# Multiple of the work for triangles that is allowed after a cut, and after two, or where nothing is left to be cut.
+# Factor by which the work for triangles may grow after one cut, after two cuts, or when nothing is left to cut.
 MORE, MOST_MORE = 8, 64
 
-# A cut divides a width by eight, and fractions of 1 have 53 bits: after seventeen cuts there is no number between the
-# ends.
+# A cut divides a width by eight, and fractions of 1 have 53 bits, so after seventeen cuts there is no number between
+# the ends.
 DEPTH = 19
-STACK = 4 * DEPTH  # a halved interval leaves one part waiting, three times per cut
+STACK = 4 * DEPTH  # a halved interval leaves one part waiting, three times for each cut
 
 _POSES = 2 * (PARTS + 1)
 
-# Entries of a tally: configurations placed, searches, and how many steps are left. The first two are steps. So are, in
-# a block, each moving body, each group of static ones, and each pair of bodies that comes near; each piece that is
-# placed; each pair of pieces, and each group of boxes over pieces; and the boxes, triangles and points that walks
-# through surfaces meet.
+# Entries of a tally: placed configurations, searches, and remaining steps. The first two count as steps. In a block,
+# these count too: each moving body, each group of static bodies, and each pair of bodies that comes near; each piece
+# that is placed; each pair of pieces, and each group of boxes over pieces; and the boxes, triangles and points met by
+# walks through surfaces.
 POSES, SEARCHES, STEPS_LEFT = 0, 1, 2
 
 
@@ -215,19 +219,19 @@ _RATES = Arena(Rates, **{name: floats(LINKS) for name in Rates._fields})
 MEMORY = Arena(
     times=floats(LANES),  # of the block
     scratch=floats(PIECE),  # a piece relative to another body
-    box=floats(6),  # about a piece in a block, in the frame of another body
-    tree_stack=integers(LEVELS * WIDE),  # groups of a tree over pieces, and pieces, that have yet to be compared
-    near_pairs=integers(PAIRS),  # 1 for pairs that may be near each other in a block
-    listed=integers(LISTED, 5),  # piece pairs to be searched: pair, i, j, intervals, tested configurations
-    listed_ways=floats(LISTED * LISTED_WAYS),  # the other numbers of `Near`, and what `sweeps.near_piece` wrote
+    box=floats(6),  # numbers of a piece in a block, in the frame of another body
+    tree_stack=integers(LEVELS * WIDE),  # groups of a tree over pieces, and pieces, that remain to be compared
+    near_pairs=integers(PAIRS),  # 1 for pairs that may be near each other within a block
+    listed=integers(LISTED, 5),  # piece pairs to search: pair, i, j, intervals, tested configurations
+    listed_ways=floats(LISTED * LISTED_WAYS),  # the other numbers of `Near`, and the result of `sweeps.near_piece`
     answers=integers(ANSWERS, ANSWER),  # see `_row_of_answers`
     relative=floats(4, 4, 4),  # the identity, and two poses of a body relative to another one
-    waiting=integers(WAITING, 3),  # intervals to be halved: row in the list of piece pairs, number, whether undecided
+    waiting=integers(WAITING, 3),  # intervals to halve: row in the list of piece pairs, number, whether undecided
     waiting_normals=floats(WAITING, 3),
     cut_times=floats(DEPTH, PARTS + 1),  # times at which intervals are cut, by depth
-    cut_poses=floats(DEPTH * _POSES, 4, 4),  # by depth, poses at these times: of the first body, then of the other one
-    ends=floats(4, 4, 4),  # poses at both ends of an interval that is halved: of the first body, then of the other one
-    stack=integers(STACK, 3),  # intervals to be halved: depth, first and last time
+    cut_poses=floats(DEPTH * _POSES, 4, 4),  # by depth, the poses at these times: first of one body, then of the other
+    ends=floats(4, 4, 4),  # poses at both ends of an interval that is halved: first of one body, then of the other
+    stack=integers(STACK, 3),  # intervals to halve: depth, first and last time
     stack_normals=floats(STACK, 3),
     gjk=gjk_fast.MEMORY,
     exact=raw(exact.SIZE),
@@ -236,7 +240,7 @@ MEMORY = Arena(
     course=raw(8 * MOST_POINTS * DOF),
     part=raw(8 * MOST_POINTS * DOF),  # control points of the course, for a block
     scratch_points=floats(MOST_POINTS),  # for `write_part`
-    part_times=floats(LANES),  # eight fractions, and gaps at these
+    part_times=floats(LANES),  # eight fractions, and the gaps there
     gaps=floats(4 * LANES),
     planes=floats((2 + 4 * LINKS) * LANES),  # see `strays`
     cut_links=floats(_LINK_ENTRIES),  # links in an interval that is cut, see `kinematics`
@@ -247,10 +251,10 @@ MEMORY = Arena(
         done=integers(MOVING), links=floats(_LINK_ENTRIES), numbers=integers(LANES),
     ),  # placement of a block
     order=integers(PAIRS),  # order of the pairs
-    off=floats(DOF),  # allowed deviations of values from the motion
+    off=floats(DOF),  # allowed deviations of the values from the motion
     strays=_RATES,  # the resulting deviations of joints
-    growth=floats(MOVING + STANDING, 2),  # how far points of bodies may be off at the start, and its growth [m]
-    most_growth=floats(3),  # likewise for all static bodies; then whether any body may be off
+    growth=floats(MOVING + STANDING, 2),  # how far points of bodies may be off at the start [m], and its growth
+    most_growth=floats(3),  # likewise for all static bodies, then whether any body may be off
 )  # fmt: skip
 _times_of, _scratch_of, _relative_of, _waiting_of, _waiting_normals_of = MEMORY.accessors(
     "times scratch relative waiting waiting_normals"
@@ -385,7 +389,7 @@ def _triangles_apart(
             return False
         i, j, bend, speed, stands = j, i, back.bend, back.speed, False
         poses, first, last, still, fixed_first, fixed_last = still, fixed_first, fixed_last, poses, first, last
-    if not stands:  # the frame of a static body may be skew
+    if not stands:  # the frame of a static body may not be orthonormal
         _relative(still, fixed_first, poses, first, to, 1)
         _relative(still, fixed_last, poses, last, to, 2)
         poses, first, last, still, fixed_first = to, 1, 2, to, 0
@@ -719,7 +723,7 @@ def _halve(motion, near, back, low, high, n, tally):
         if last - first == 1:
             a, b = times[depth, first], times[depth, last]
             if depth + 1 >= DEPTH or not (a < a + (b - a) / PARTS < a + (b - a) * (1.0 - 1.0 / PARTS) < b):
-                return AMBIGUOUS, a, False  # no number is left between the two
+                return AMBIGUOUS, a, False  # there is no number between the two
             at = depth * _POSES
             both = at + PARTS + 1
             _cut(motion, near, depth + 1, a, b, poses, at + first, at + last, poses, both + first, both + last)
@@ -730,7 +734,7 @@ def _halve(motion, near, back, low, high, n, tally):
         middle = (first + last) // 2
         t, width = times[depth, middle], times[depth, last] - times[depth, first]
         toward = negated(n if stands else _to_world(poses, both + middle, n))
-        # The exact test of surfaces takes longer than planes, so it waits until these fail.
+        # The exact test of surfaces takes longer than planes, so it is tried after these have failed.
         waits = has_surface
         if not waits:
             hit = _test_middle(motion, near, t, width, poses, at + middle, both + middle, toward, tally)
@@ -756,7 +760,7 @@ def _halve(motion, near, back, low, high, n, tally):
             if proven or left == 0:
                 by_triangles = False
                 continue
-            # A plane that turns with the other body.
+            # Try a plane that turns with the other body.
             within = _margin_within(near, times[depth, a], times[depth, b])
             keep = within + near.slack + back.bend * w * w / 8.0
             world = m if stands else _to_world(poses, both + a, m)
@@ -968,7 +972,7 @@ def _search(motion, e, found, waiting_count, tally):
         live &= ~answers[row, 3]
         tested |= answers[row, 4]
     while live != 0:
-        # From the end backward: most colliding motions of planners collide there.
+        # Go backward from the end: most of a planner's colliding motions collide there.
         k = highest_bit(live)
         if tally[STEPS_LEFT] < 0:
             return Found(UNFINISHED, times[k], near.pair), waiting_count
@@ -1155,7 +1159,7 @@ def _list_pair(motion, pair, live, bend, speed, slack, stray, found, count, tall
                 n = ways[to + deepest], ways[to + LANES + deepest], ways[to + 2 * LANES + deepest]
                 near = _listed_pair(motion, count)
                 row = _row_of_answers(motion, near)
-                if row < 0 or answers[row, 4] == 0:  # of parts of surfaces only the first ones
+                if row < 0 or answers[row, 4] == 0:  # for the parts of surfaces, only the first ones
                     found, listed[count, 4] = _test(motion, near, swept, deepest + end, n, found, 0, tally)
                     if _hit(found):
                         return found, count
@@ -1225,7 +1229,7 @@ def _settle_block(motion, low, high, found, tally):
         swept.done[body] = 0
     found = _settle_pairs(motion, low, widest, found, tally)
     if found.verdict == MAY_BE_HIT:
-        # The motion is not FREE. From now on bodies are where they are given, and only a collision counts.
+        # The motion is not FREE. From now on bodies are at their given poses, and only a collision counts.
         _growth_of(motion)[:] = 0.0
         _most_growth_of(motion)[:] = 0.0
         found = _settle_pairs(motion, low, widest, Found(AMBIGUOUS, found.t, found.pair), tally)
@@ -1266,20 +1270,20 @@ def _settle_pairs(motion, low, widest, found, tally):
             slack += CLEAR_ROUNDINGS * position_error(tables.sizes[k], UNIT_ROUNDOFF)
             live = near_standing(problem, one, k, margin + slack + bend * widest * widest / 8.0, swept)
         else:
-            # First relative to the world, each body on its own path, which is cheap and leaves few pairs.
+            # First relative to the world, with each body on its own path; this is cheap and leaves few pairs.
             bend, stray = ways[one, 0] + ways[other, 0], stray + ways[other, 2]
             live = near_in_world(problem, one, other, margin + slack + stray + bend * widest * widest / 8.0, swept)
             if live == 0:
                 continue
             if motion.strays:
-                # Both bound how much the two can approach each other.
+                # Both bound how far the two can approach each other.
                 stray = min(stray, _stray(motion, one, problem.link[one], problem.link[other]))
                 slack += stray
             seen = _ways(motion, False, one, problem.link[one], problem.link[other])
             bend, speed = seen.bend, seen.speed
             live &= near_moving(problem, one, other, margin + slack + bend * widest * widest / 8.0, swept, scratch)
         if speed == 0.0 and _margin(motion, pair)[1] == 0.0:
-            live &= 1  # the pair is the same everywhere
+            live &= 1  # the pair does not change along the motion
         if live != 0:
             found, count = _list_pair(motion, pair, live, bend, speed, slack, stray, found, count, tally)
             if _hit(found):
@@ -1301,7 +1305,7 @@ def _certify(motion, tally):
     rounding = 8.0 * off + 4.0 * tables.chain[2] * length
     rounding += CLEAR_ROUNDINGS * position_error(4.0 * length, UNIT_ROUNDOFF)
     skew = 2.0 * turned + 2.0 * tables.chain[2]
-    astray = 2.0 * (1.0 + skew) * (turns * length + slides)  # of all joints together, for any two bodies
+    astray = 2.0 * (1.0 + skew) * (turns * length + slides)  # for all joints together, and any two bodies
     if astray < ROUNDED_STRAY * motion.tolerance:
         rounding, strays = rounding + astray, False
     motion = Motion(
@@ -1320,7 +1324,7 @@ def _certify(motion, tally):
             return Found(TOO_LONG, np.nan, -1)
     found = Found(FREE, np.nan, -1)
     for number in range(blocks):
-        # The order is the first, the middle one, the ones in between: the bits of their numbers reversed.
+        # The order is: the first, the middle one, then the ones in between (their numbers with reversed bits).
         block, bit, rest = 0, blocks // 2, number
         while rest != 0:
             block += bit * (rest & 1)

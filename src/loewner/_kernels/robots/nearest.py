@@ -55,13 +55,13 @@ from loewner._kernels.trees import piece_tree
 
 S = SINGLE_LANES  # configurations of a block
 
-# What a lower bound in single precision loses to its roundings.
+# Loss of a lower bound in single precision to its roundings.
 DOWN = 1.0 - 16.0 * SINGLE_ROUNDOFF  # derived 6, certified.md B43
 
 MEMORY = Arena(
     distances=distances.MEMORY,
     bodies=integers(QUEUED),  # the pair of bodies that each queued piece pair belongs to
-    seeds=floats(S),  # the pair that looks nearest at each configuration
+    seeds=floats(S),  # the apparently nearest pair at each configuration
     low=floats(S),
     high=floats(S),
     exact=Arena(
@@ -70,7 +70,7 @@ MEMORY = Arena(
     ),
     steps=integers(piece_tree.STEPS),
     numbers=floats(piece_tree.NUMBERS),
-    least=floats(S * PAIRS),  # lower bounds of the pairs
+    least=floats(S * PAIRS),  # lower bounds for the pairs
     placement=PLACEMENT,
 )  # fmt: skip
 _distances_of, _bodies_of, _seeds_of, _low_of, _high_of, _exact_of, _steps_of, _numbers_of, _least_of, _placement_of = (

@@ -22,18 +22,18 @@ from loewner._kernels.simd.memory import held
 from loewner._kernels.simd.vectors import LANES, broadcast, entry_at_highest, load, numbers_from, select
 from loewner._kernels.tolerances import UNIT_ROUNDOFF
 
-# Columns of clusters, and of pieces: kind, radius, center and the nine numbers of the factor.
+# Columns of clusters and of pieces: kind, radius, center and the nine numbers of the factor.
 FIRST, LAST, LEFT_HALF, RIGHT_HALF, BEGIN, END, CURVED = 0, 1, 2, 3, 4, 5, 6
 RADIUS, CENTER, FACTOR = 1, 2, 5
 
-# Columns of boxes: the center, half of the edges, and a point inside the pieces.
+# Columns of boxes: the center, the half-edges, and a point inside the pieces.
 HALF, INSIDE = 3, 6
 
-# Columns of bodies: the link in the model, the link of the robot that has its pose, and the cluster of all its pieces.
+# Columns of bodies: the link in the model, the robot's link that has its pose, and the cluster of all its pieces.
 LINK, PLACED_BY, ROOT = 0, 1, 2
 
-# Columns of joints: how they move, the length of the axis along which they slide, rotation, translation and unit axis;
-# of their numbers: the link above, and how many links are above; and of their speeds on a motion.
+# Columns of joints: how they move, the length of the axis along which they slide, rotation, translation and unit axis.
+# Then integer columns: the link above, and the number of links above. Then the speeds on a motion.
 TURNS = 1.0
 MOVES, LENGTH, TURN, SHIFT, AXIS = 0, 1, 2, 11, 14
 ABOVE, DEPTH = 0, 1
@@ -42,33 +42,35 @@ RATE, BEND, OFF, FAR = 0, 1, 2, 3
 # Tokens of the trees.
 HALVED, FIRST_DIVIDED, SECOND_DIVIDED, SAME, AXES, NORMAL, DOUBLES = 0, 1, 2, 3, 4, 16, 18
 
-# Trees get no deeper, so that intervals have few digits; checkers allow 64.
+# Trees are no deeper than this, so that intervals have few digits; checkers allow 64.
 DEEPEST = 40
 
-# Room for checkers that compute with enclosures, as a share of the lengths on the right.
+# Room for checkers that compute with enclosures, as a share of the lengths on the right-hand side.
 SHARE = 1.0 + 2e-9
 
-# Normals are whole numbers up to this one, at one of some scales, since rounding turns a normal. On deep levels, and
-# between bodies that do not move, they are also tried as they are, in doubles.
+# The entries of a normal are whole numbers up to this one, at one of several scales, since rounding turns a normal. On
+# deep levels, and for bodies that do not move, normals in doubles are also tried without rounding.
 LARGEST, SCALES, DEEP = 32767.0, 3, 10
 
-# Boxes are compared first, and must be apart by this much of the model's size: poses may bend a little.
+# Boxes are compared first, and must be apart by this share of the model's size, because poses may bend slightly.
 BOX_ROOM = 4e-6
 
-# A search ends at gaps that exceed the need by this much of the model's size: rounded normals still have them.
+# A search ends at gaps that exceed the need by this share of the model's size, so that rounded normals still have a
+# gap.
 ROUNDED = 4e-5
 
-# Candidates among the axes that are tried after the boxes.
+# How many of the best axes are tried after the boxes.
 BEST_AXES = 3
 
-# The poses of links are kept at multiples of 1 / KEPT, and at other times only for the middle of one interval on each
-# level: the search is depth first, so both halves of an interval are finished before another middle of its level.
+# Poses of links are kept at multiples of 1 / KEPT. At other times, they are kept only for the middle of one interval on
+# each level: the search is depth first, so both halves of an interval are finished before its level gets another
+# middle.
 LEVELS = 6
 KEPT = 1 << LEVELS
 SLOTS = KEPT + 1 + DEEPEST
 
-# Columns of `state`: the last normal that a search found for each pair, behind its side, and the last plane named,
-# behind its token; and then normals that are given, likewise. GJK finds none for pieces that touch or overlap.
+# Columns of `state`: for each pair, the last normal that a search found, after its side, and the last plane named,
+# after its token; then, likewise, the normals that are given. GJK finds no normal for pieces that touch or overlap.
 RECENT, NAMED, GIVEN, EACH = 0, 4, 8, 4
 
 
@@ -339,7 +341,7 @@ def _place(tree, course, times, slots, count, frames, memory):
         t = times[min(lane, count - 1)]
         for k in range(dof):
             value, share = 0.0, 1.0
-            for p in range(degree + 1):  # binomials one after the other
+            for p in range(degree + 1):  # binomials, in order
                 value += share * t**p * (1.0 - t) ** (degree - p) * course[p, k]
                 share = share * (degree - p) / (p + 1)
             Q[lane, k] = value
@@ -533,7 +535,7 @@ def _search(model, pair, clusters, sides, need, limits, deep, state, spare, memo
                 state[row, RECENT] = side
                 return (DOUBLES if doubles else NORMAL) + side, N, spare, False
             spare = max(spare[0], first - keep), max(spare[1], last - keep)
-    # No plane for the interval. Is there one at each end? Single pieces are not divided.
+    # There is no plane for the interval. Is there one at each end? Single pieces are not divided.
     if not (deep or _several(model, clusters)):
         return -1, old, spare, False
     side = 0 if pair.deviation[0] <= pair.deviation[1] else 1
@@ -542,7 +544,7 @@ def _search(model, pair, clusters, sides, need, limits, deep, state, spare, memo
     for end in range(2):
         if spare[end] > limits.room:
             continue
-        # The end in question is the first of the poses.
+        # The first pose belongs to the end in question.
         poses = ((turns[end], turns[end]), (shifts[end], shifts[end]))
         near, n = _direction(
             model, (clusters[side], clusters[1 - side]), poses, 1, shifts[end], keep - limits.of_boxes,

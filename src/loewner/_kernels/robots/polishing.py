@@ -24,18 +24,18 @@ from loewner._kernels.robots.free_motions import judge_of, random, sample_memory
 from loewner._kernels.robots.shortening import cut, motion_is_free, skip_corners
 from loewner._kernels.simd.memory import held
 
-# Shares of steps that cut, and that move a corner; the rest straightens a joint.
+# Shares of the steps that cut and of the steps that move a corner; the others straighten a joint.
 CUTS, MOVES = 0.2, 0.6
 
-# Corners are left out before every such step.
+# Corners are left out before each such step.
 SKIP_EVERY = 32
 
-# Size of the moves as a share of the distance of a corner to the straight way, at least and at most; and its factors
-# after a success and after a failure, so that about one success in five keeps it.
+# Size of the moves, as a share of a corner's distance from the straight way: its lower and upper limits, and its
+# factors after a success and after a failure, which balance if about one step in five succeeds.
 LEAST_SIZE, MOST_SIZE = 1e-4, 1.0
 LARGER, SMALLER = 1.5, 0.9
 
-# A step must lower the cost of the motions that it changes by this share.
+# A step must lower the cost of the motions that it changes by at least this share.
 GAIN = 1e-9
 
 

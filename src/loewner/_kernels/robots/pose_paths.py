@@ -5,7 +5,7 @@ import numpy as np
 from loewner._kernels._jit import njit
 from loewner._kernels.simd.trig import sine_of
 
-SMALL_ARC = 1e-6  # rad; for a smaller angle the chord is the arc
+SMALL_ARC = 1e-6  # rad; for smaller angles, the chord equals the arc
 
 
 @njit()

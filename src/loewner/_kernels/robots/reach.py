@@ -71,16 +71,17 @@ from loewner._kernels.simd.vectors import (
     store,
 )
 
-# A link this near to its target, in metres and radians, has reached it; times one plus the target's distance from the
-# origin in metres, whose rounding is far smaller.
+# A link this near to its target (in metres and radians) has reached it. The value is multiplied by one plus the
+# target's distance from the origin in metres; rounding is far smaller.
 REACHED = 1e-10
 
-# Squared damping, as a share of the squared error, and at least: on five arms, a hundredth to a tenth of it is good.
+# Squared damping, as a share of the squared error, and its minimum: on five arms, a hundredth to a tenth of the squared
+# error is good.
 DAMPING, LEAST_DAMPING = 0.02, 1e-24
 
 LONGEST = 1.0  # rad; the largest turn of a joint in a step
 
-# After every PATIENCE steps, a seed is given up unless its squared error became this much smaller.
+# After every PATIENCE steps, a seed is abandoned unless its squared error has fallen below this share.
 PATIENCE, GAIN = 6, 0.7
 
 # Two solutions that differ by less than this in every value [rad or m] are the same.
@@ -140,7 +141,7 @@ def follow(chain, constants, base, q, twists):
                     _add_twist(twists, column + 1, nothing, (R[1], R[4], R[7]))
                     _add_twist(twists, column + 2, nothing, (R[2], R[5], R[8]))
                 at, column = at + 3 * LANES, column + 3
-            if moves:  # a quaternion has three values here: turns about the axes of the frame that holds it
+            if moves:  # a quaternion counts as three values here: turns about the axes of the frame that holds it
                 x, y, z = (R[0], R[3], R[6]), (R[1], R[4], R[7]), (R[2], R[5], R[8])
                 _add_twist(twists, column, x, cross(t, x))
                 _add_twist(twists, column + 1, y, cross(t, y))
@@ -169,7 +170,7 @@ def deviation_of(R, t, tolerance):
     height = maximum(1.0 + z, 1e-6)
     g = sqrt(2.0 / height)
     k = 0.5 * g / height
-    # From the opposite direction, any way is right.
+    # From the opposite direction, any way is shortest.
     first, second = select(opposite, 2.0, -(y * g)), x * g
     cosine, sine = (R[0] + R[4]) / height, (R[3] - R[1]) / height
     half = maximum(0.5 + 0.5 * cosine, 1e-12)
@@ -387,7 +388,7 @@ def _one_pose(pose, chained, chain, constants, ranges, tolerance, targets, start
     R, t = follow(chain, constants, base, q, twists)
     store(squares, 0, sqrt(dot(t, t)))
     far = 1.0 + squares[0]
-    # The first seed is the start, the second the answer for the previous pose, if there is one in this round.
+    # The first seed is the start. The second one is the answer for the previous pose, if this round has one.
     follows = pose % chained > 0 and counts[pose - 1] > 0
     if follows:
         for column in range(values):
@@ -426,7 +427,7 @@ def _one_pose(pose, chained, chain, constants, ranges, tolerance, targets, start
             store(squares, 3 * LANES, error)
             fresh = reached
             if step % PATIENCE == 0:
-                # Written so that a seed whose error is not finite is given up, too.
+                # Written so that a seed whose error is not finite is abandoned, too.
                 fresh = live & (~movemask(error < GAIN * load(marks, 0)) | reached)
                 store(marks, 0, error)
             left = fresh

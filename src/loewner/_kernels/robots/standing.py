@@ -44,8 +44,8 @@ from loewner._kernels.simd.memory import held, integers_at
 from loewner._kernels.simd.vectors import LANES, broadcast, highest, load, lowest, maximum, minimum
 from loewner._kernels.tolerances import CHAIN_STRETCH, LEAST, OFF, ROTATION_TOLERANCE, SHAPE_ROUNDINGS, UP
 
-# An allowance for rounding, and for lengths that a pose accepted as rigid may stretch. Reaches are also stretched by
-# the pose of a base.
+# An allowance for rounding, and for the stretching of lengths by a pose that is accepted as rigid. Reaches are also
+# stretched by the pose of a base.
 STRETCH = 1.0 + 4.0 * ROTATION_TOLERANCE
 
 LINE = CACHE_LINE // 8  # words
@@ -137,7 +137,7 @@ def _joint(tree, link):
     axis = 0.0, 0.0, 0.0
     if tree.kind[link] == REVOLUTE or tree.kind[link] == PLANAR:
         largest = 0.0
-        for row in range(3):  # rows of R axis axisᵀ: along the axis
+        for row in range(3):  # rows of R axis axisᵀ, the component along the axis
             v = _three(tree.constants, link, ROTATION + 3 * row)
             if dot(v, v) > largest:
                 largest, axis = dot(v, v), v
@@ -150,7 +150,7 @@ def _swept(kind, center, radius, axis):
     """The farthest reach of a ball from a joint's axis, and the ball about the region swept as the joint turns."""
     if kind in (FIXED, PRISMATIC):
         return 0.0, center, radius
-    # A floating or ball joint may turn about any axis through its origin: its own is 0.
+    # A floating or ball joint may turn about any axis through its origin, so its own axis is set to 0.
     onto = scaled(dot(axis, center), axis)
     r = minus(center, onto)
     far = np.sqrt(dot(r, r)) + radius
@@ -207,7 +207,7 @@ def measure_moving(pack, problem_handle, tables_handle):
             c = _three(pieces.table, piece, OUTER_CENTER)
             least = min(least[0], c[0]), min(least[1], c[1]), min(least[2], c[2])
             most = max(most[0], c[0]), max(most[1], c[1]), max(most[2], c[2])
-        # The kernels take a single piece and its outer ellipsoid to have the same center.
+        # The kernels assume that a single piece and its outer ellipsoid have the same center.
         middle = scaled(0.5, plus(least, most))
         radius = _farthest(pieces, first, last, same, zero, middle) * STRETCH
         _write(problem.ball, body, 0, middle)
@@ -249,7 +249,7 @@ def place_static(pack, handle, block, poses):
     for k in range(len(poses)):
         moved = False
         for entry in range(16):
-            moved |= poses[k, entry] != problem.standing_poses[k, entry]  # NaN of a body that was not placed yet
+            moved |= poses[k, entry] != problem.standing_poses[k, entry]  # NaN for a body that has not been placed yet
         if moved:
             for entry in range(16):
                 problem.standing_poses[k, entry] = poses[k, entry]

@@ -91,7 +91,7 @@ def powers(tree, W, wrenches, dof, slopes):
         what, above = kind[link], parent[link]
         if what != FIXED:
             q = column[link] * LANES
-            # The moment about the link's own origin, which a turn does not move.
+            # The moment about the link's own origin, which does not move when the link turns.
             torque = minus(moment, cross(translation_of_link(W, link), force))
             seen = force
             if above >= 0:
@@ -148,7 +148,7 @@ def link_jacobians(parent, kind, column, multiplier, offset, constants, Q, start
     wrenches, slopes = np.empty(WRENCH * LANES * links), np.empty(LANES * dof)
     for first in range(start, stop, LANES):
         for lane in range(LANES):
-            rows[lane] = min(first + lane, stop - 1)  # filled up with repeats of the last
+            rows[lane] = min(first + lane, stop - 1)  # padded with repeats of the last one
         place_links(tree, Q, rows, 0, W)
         at = image(rotation_of_link(W, link), translation_of_link(W, link), (point[0], point[1], point[2]))
         for row in range(6):

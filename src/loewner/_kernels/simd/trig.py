@@ -35,7 +35,7 @@ def sine_cosine(x):
     if not everywhere(absolute(x) <= LARGEST):
         return sines(x), cosines(x)
     k = round_to_even(x * TURNS_PER_RADIAN)
-    # Every step before the last sum is exact, or its error is tiny beside r.
+    # Each step before the last sum is exact, or its error is tiny compared with r.
     most, second = x - k * QUARTER_TURN[0], k * QUARTER_TURN[1]
     r = most - second
     r = r + (((most - r) - second) - k * QUARTER_TURN[2])
@@ -70,7 +70,7 @@ def sine_of(x):
     return sine_cosine(x)[0]
 
 
-# π/2 as a sum of three floats, the first two with twelve bits, so their products with a whole number below 2^12 are
+# π/2 as a sum of three floats. The first two have twelve bits, so their products with a whole number below 2^12 are
 # exact. The error of the sum is below 2^-57.
 SINGLE_QUARTER_TURN = float.fromhex("0x1.922p+0"), float.fromhex("-0x1.2aep-18"), float.fromhex("-0x1.de973ep-31")
 

@@ -387,7 +387,7 @@ def share_of_roots(typingctx, x, y):
     return signature(x, x, y), generate
 
 
-# Added to a whole number, it leaves the number plus the bias of exponents in the lowest bits.
+# After this is added to a whole number, the lowest bits contain the number plus the bias of exponents.
 _TO_EXPONENT = 1.5 * 2.0**52 + 1023.0
 
 
@@ -588,8 +588,8 @@ def gather_transpose_single(typingctx, table, width, rows, at, column):
     return signature(types.UniTuple(single, 8), table, integer, rows, integer, integer), generate
 
 
-# LLVM calls the first-level cache 3 and the second 2. The first can wait for two dozen lines at a time only, the
-# second for more.
+# LLVM uses 3 for the first-level cache and 2 for the second. The first can hold only two dozen pending lines, the
+# second more.
 _FIRST_LEVEL, _SECOND_LEVEL = 3, 2
 
 
@@ -617,7 +617,7 @@ def _prefetching_line(level):
     return prefetch
 
 
-# For use soon, and for use some thousand instructions later.
+# Into the first-level cache for use soon, and into the second for use some thousand instructions later.
 prefetch, prefetch_far = _prefetching_line(_FIRST_LEVEL), _prefetching_line(_SECOND_LEVEL)
 
 

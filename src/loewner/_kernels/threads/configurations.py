@@ -79,19 +79,19 @@ from loewner._kernels.threads.pairs import MOST_PIECE_PAIRS, append
 from loewner._kernels.threads.searches import core_at, relative, search
 from loewner._kernels.tolerances import LEAST, OFF, SINGLE_ROUNDOFF, UP
 
-# Column of a placed body beside its bounds: the largest error of any of its points, in metres.
+# Extra column of a placed body, next to its bounds: the largest error of any of its points [m].
 ASTRAY = 7
 
-# Error of a pose in the frame of another link, times the lengths, in roundings.
+# Error of a pose in the frame of another link, in roundings, times the lengths.
 COMPOSED = 24.0  # derived 17, certified.md B63
 
-# Error that a joint adds to a rotation (spectral norm), and that its value adds, both in roundings; and error that a
-# joint adds to a translation, times the lengths from which it is computed.
+# Errors that a joint adds to a rotation (spectral norm) and that its value adds, both in roundings; and error that a
+# joint adds to a translation, in roundings, times the lengths from which it is computed.
 JOINT_TURN = 40.0  # derived 28, certified.md B45
 VALUE_TURN = 8.0  # derived 6, certified.md B46
 JOINT_SHIFT = 20.0  # derived 14, certified.md B47
 
-# State of a configuration: a number that only grows.
+# State of a configuration: a number that never decreases.
 SO_FAR_FREE, LEFT_OPEN, HIT = 0, 1, 2
 
 
@@ -180,7 +180,7 @@ def place_links(thread, S, Q, spans, dof, links, joints, constants, placed):
             if kind == REVOLUTE:
                 sine, cosine = sine_cosine_single(value)
                 R = turned(R, sine, _nine(c, SINE), cosine, _nine(c, COSINE))
-                # Of an angle that is too large, or no number, nothing is known: infinitely far off.
+                # If an angle is too large or not a number, the error is unknown, so it counts as infinite.
                 turn_off = turn_off + select(values < SINGLE_LARGEST, VALUE_TURN * values, lane_of(np.inf))
             else:
                 t = along(t, value, _three(c, ACROSS))
@@ -358,7 +358,7 @@ def _identity():
 @inline
 def list_piece_pair(code, i, j, searches, capacity):
     """Append two pieces of a listed pair of bodies to the searches; return whether there was room."""
-    # A full list is not counted on: pieces of all pairs may be more than an int32 counts.
+    # Do not count on a full list: an int32 may be too small for the number of piece pairs.
     if integer_at(searches, 0) >= capacity:
         return False
     at = add_to(searches, 0, 1)
@@ -403,7 +403,7 @@ def certify_survivor(
     if other < moving:
         b = _pose_of_body(placed, integer_at(bodies, BODY_INTEGERS * other + LINK_OF_BODY), S, s)
         astray = astray + number_at(bounds, (other * BOUNDS + ASTRAY) * S + s)
-    more = astray * (UP / OFF)  # a length for which positions have this slack
+    more = astray * (UP / OFF)  # a length whose positions have this slack
     i, last_a = pieces_of(bodies, one)
     first_b, last_b = pieces_of(bodies, other)
     found = SO_FAR_FREE
@@ -414,7 +414,7 @@ def certify_survivor(
         j = first_b
         while j < last_b and found != HIT:
             tier = OPEN
-            if not with_margin:  # with one the near points need the best s, in double precision
+            if not with_margin:  # with a margin, the near points need the best s, in double precision
                 tier = tier_of_one(a, rows + 4 * HOT * i, b, rows + 4 * HOT * j, more)
             if tier == BY_INNER:
                 found = HIT

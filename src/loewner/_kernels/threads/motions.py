@@ -74,11 +74,11 @@ from loewner._kernels.threads.pairs import MOST_PIECE_PAIRS
 from loewner._kernels.threads.searches import core_at, search
 from loewner._kernels.tolerances import OFF, SINGLE_ROUNDOFF, UP
 
-# The first intervals of a motion are so short that bodies bend by no more than this, in metres, and no more than 2 **
-# MOST_HALVINGS; an interval that was halved DEEPEST times is left to the CPU.
+# The first intervals of a motion are so short that bodies bend by no more than this [m], but there are at most 2 **
+# MOST_HALVINGS of them; an interval that was halved DEEPEST times is left to the CPU.
 FIRST_BEND, MOST_HALVINGS, DEEPEST = 0.05, 6, 10
 
-# Error of a value between the ends of a motion, in units of `configurations.VALUE_TURN` and of the largest magnitude.
+# Error of a value between the ends of a motion, in units of `configurations.VALUE_TURN` times the largest magnitude.
 SPAN = 2.0  # derived 1.1, certified.md B64
 
 # Allowance for the roundings of a bound on curvature, for up to a thousand joints; and error of a difference of sums of
@@ -86,7 +86,7 @@ SPAN = 2.0  # derived 1.1, certified.md B64
 STRETCH = 1e-3  # derived 2e-4, certified.md B65
 REST_ERROR = 4.0  # derived 2, certified.md B66
 
-# Error of the middle and of half the length of a chord together, in roundings of both.
+# Error of the middle and of half the length of a chord, in roundings of the sum of both.
 CHORD_ERROR = 8.0  # derived 4, certified.md B67
 
 
@@ -126,7 +126,7 @@ def bound_motion(thread, most, total, dof, Q0, Q1, table, bends):
     first, last = integer_at(cell.chain_start, chain), integer_at(cell.chain_start, chain + 1)
     every, bend, travel, speed = lane_of(0.0), lane_of(0.0), lane_of(0.0), lane_of(0.0)
     # The joints from the upper body to the lower one, as in `motion_bounds.ways_between`. The turns between a joint and
-    # the lower body follow it, so the sum runs backwards first.
+    # the lower body come after it, so the sum first runs backward.
     k = last - 1
     while k >= first:
         turn, slide, _ = _rates(cell, k, motion, dof, Q0, Q1)
@@ -209,7 +209,7 @@ def begin_motion(thread, most, moving, bends, state, items, capacity):
     at = add_to(items, 0, parts)
     if at + parts > capacity:
         raise_to(state, thread, LEFT_OPEN)
-        # As many are written as fit, since every listed interval is read.
+        # Write as many as fit, since every listed interval is read.
         parts = max(0, min(parts, capacity - at))
     k = 0
     while k < parts:
@@ -436,7 +436,7 @@ def search_interval(thread, S, log_S, most, table, items, placed, bends, state, 
     a, b = core_at(cell.cores, cell.numbers, cell.vertices, j), core_at(cell.cores, cell.numbers, cell.vertices, k)
     first, last, off = _ends_of(cell, asked, placed, S)
     n = scaled(0.5, plus(from_lower(cell, j, k, first[0], first[1]), from_lower(cell, j, k, last[0], last[1])))
-    # The hull of both ends, then the later end, then the first one of the whole motion.
+    # The hull of both ends, then the later end, then the first end of the whole motion.
     last_attempt = 2 if asked.node & (asked.node - 1) == 0 else 1
     attempt, keep = 0, asked.margin + asked.bend
     while attempt <= last_attempt:

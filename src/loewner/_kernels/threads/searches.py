@@ -48,9 +48,9 @@ from loewner._kernels.simd.scalars import eight_at, holds, integer_at, lane_of, 
 from loewner._kernels.simd.vectors import maximum, select, signed_one, sqrt
 from loewner._kernels.tolerances import SINGLE_ROUNDOFF
 
-ROUNDS = 12  # nine in ten pairs take six, and all except one in a hundred take ten
+ROUNDS = 12  # nine in ten pairs need six rounds, and 99 in 100 need ten
 
-# Error of the height of a support plane, and of a point of the difference, in roundings, times the lengths.
+# Errors of the height of a support plane and of a point of the difference, in roundings, times the lengths.
 PLANE_ERROR = 128.0  # derived 79, certified.md B61
 POINT_ERROR = 32.0  # derived 30, certified.md B62
 
@@ -196,7 +196,7 @@ def search(upper, first, last, swept, lower, n, keep, off):
     r = 0
     while r < ROUNDS:
         squared = dot(n, n)
-        if not holds(squared > SHORT):  # the square may lack digits, or be none
+        if not holds(squared > SHORT):  # the square may have lost some or all digits
             return UNSETTLED
         n = scaled(1.0 / sqrt(squared), n)
         back = negated(n)
@@ -209,13 +209,13 @@ def search(upper, first, last, swept, lower, n, keep, off):
             return APART
         largest = maximum(largest, dot(A, A))
         if r == 0:
-            # As in `gjk_fast.measure`, a direction between the first one and the first point's.
+            # As in `gjk_fast.measure`, a direction between the first one and the direction of the first point.
             rest = (1.0 - KEPT) / sqrt(dot(A, A))
             n = KEPT * n[0] + rest * A[0], KEPT * n[1] + rest * A[1], KEPT * n[2] + rest * A[2]
             B = A
         else:
             f, g, h, base, normals = faces(A, B, C, E)
-            # The origin is inside, and farther from the faces than points may be off.
+            # The origin is inside, farther from the faces than the error of a point.
             cube = SINGLE_ROUNDOFF * largest * sqrt(largest)
             last_normal = cross(minus(E, B), minus(C, B))
             inside = (f < -_slack(normals[0], point_off, VOLUME_ERROR * cube)) & three

@@ -1,4 +1,5 @@
 """Fit ellipsoids in high dimension, or to very many points or half-spaces, in NumPy.
 
-`outer` fits around points and `inner` inside half-spaces; `dense` has their triangular matrices and step lengths.
+`outer` fits ellipsoids around points and `inner` fits them inside half-spaces; `dense` contains their triangular
+matrices and step lengths.
 """

@@ -1,4 +1,5 @@
-"""Largest ellipsoid in half-spaces, in high dimension or very many: an interior point on a subset, in NumPy.
+"""Largest ellipsoid inside very many half-spaces, or half-spaces in high dimension: an interior-point method on a
+subset, in NumPy.
 
 The method is Zhang and Gao's (2003, doi:10.1137/S1052623401397230), as in `_kernels.fits.mvie`. With the multipliers y
 and the slacks z, E² = (Aᵀ Y A)⁻¹ = L Lᵀ, T = A L and h_i = |T_i|, a step solves systems with the matrix
@@ -8,9 +9,10 @@ and the slacks z, E² = (Aᵀ Y A)⁻¹ = L Lᵀ, T = A L and h_i = |T_i|, a ste
 which has a row for each half-space and, apart from its diagonal, the low rank n (n + 1) / 2. It is factorised directly,
 or by Woodbury's identity in that rank if this costs less.
 
-Few half-spaces touch the ellipsoid. The interior point works on a subset, from which half-spaces far from the ellipsoid
-are dropped by a guess. A pass over all half-spaces then finds those cutting the ellipsoid, which are added. A solution
-for the subset that also lies inside all other half-spaces is the answer, and its multipliers prove it.
+Few half-spaces touch the ellipsoid. The interior-point method works on a subset, from which half-spaces far from the
+ellipsoid are dropped by a heuristic. A pass over all half-spaces then finds those cutting the ellipsoid, which are
+added. A solution for the subset that also lies inside all other half-spaces is the answer, and its multipliers prove
+it.
 """
 
 from __future__ import annotations
@@ -92,7 +94,7 @@ def largest_inside(
     """Center, lower triangular factor, multipliers and steps of the largest ellipsoid in {x : A x <= b}.
 
     `center` and `frame` are the analytic center and the whitening there, from `entries.center_in`. The result holds up
-    to rounding; `proven` computes its quality. If nothing was found, the factor is zero.
+    to rounding; `proven` computes its quality. If no ellipsoid was found, the factor is zero.
     """
     _memory.expect_room_for_blas(4 * A.nbytes)  # for R, and as much again in each step and in its linear system
     n = A.shape[1]
@@ -332,13 +334,13 @@ def proven(
 ) -> tuple[Floats, float]:
     """Scale `factor` until the ellipsoid is certainly inside every half-space; return the factor and its certified gap.
 
-    Scaling is `_kernels.fits.mvie.inscribe`, block by block. For the gap let T be the computed rows of A times the
-    factor L, each off by at most `hidden` of its length, with slacks d, t = λᵀd, M = Σ λ T Tᵀ / |T| with trace τ and
-    least eigenvalue μ, and r = Lᵀ Σ λ a, which is not quite zero. A point x with T x <= d has |x| <= 2 t / (μ - |r|),
-    as μ |x| <= Σ λ |T x| <= 2 t + |r| |x|. So any ellipsoid F about c inside has tr(F M) <= t + |r| |c|, and its
-    log-volume exceeds the ball's by at most n log((t + |r| |c|) / n) - log det M. Rounding changes M by at most τ times
-    the sum of 2.1 `hidden` and √n (k + n + 10) u in the nuclear norm. That would be too much for r, which is multiplied
-    by n², so its sum is computed exactly.
+    Scaling is `_kernels.fits.mvie.inscribe`, block by block. For the gap, let T be the computed product of A and the
+    factor L, whose rows are each off by at most `hidden` of their length. Let d be the slacks, t = λᵀd, M = Σ λ T Tᵀ /
+    |T| with trace τ and least eigenvalue μ, and r = Lᵀ Σ λ a, which is not quite zero. A point x with T x <= d has |x|
+    <= 2 t / (μ - |r|), as μ |x| <= Σ λ |T x| <= 2 t + |r| |x|. Any ellipsoid F inside, about c, therefore has tr(F M)
+    <= t + |r| |c|, and its log-volume exceeds the ball's by at most n log((t + |r| |c|) / n) - log det M. Rounding
+    changes M by at most τ times the sum of 2.1 `hidden` and √n (k + n + 10) u in the nuclear norm. For r, which is
+    multiplied by n², this would be too much, so its sum is computed exactly.
 
     If the center is given (not `balanced`), c = 0 and λ is used unchanged.
     """

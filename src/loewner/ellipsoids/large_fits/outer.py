@@ -1,4 +1,4 @@
-"""Smallest ellipsoid around points in high dimension: coordinate ascent, then an interior point, in NumPy.
+"""Smallest ellipsoid around points in high dimension: coordinate ascent, then an interior-point method, in NumPy.
 
 The dual maximises log det M over weights u >= 0, Σ u = 1, with M = Σ u_i q_i q_iᵀ and q = (1, x) of length N = n + 1;
 if the center is given, q = x - center and N = n. With w_i = q_iᵀ M⁻¹ q_i the optimum has w <= N everywhere, and w = N
@@ -8,8 +8,8 @@ wherever u > 0.
   the point with the largest w, or from the one with the smallest, whichever is farther from N, with rank-one updates of
   M⁻¹ and w.
 - A point with w below N times a bound that depends on max w alone has no weight at the optimum (Harman and Pronzato
-  2007, doi:10.1016/j.spl.2006.05.014): such points are dropped. A bolder bound is tried first, and all points are
-  tested later.
+  2007, doi:10.1016/j.spl.2006.05.014): such points are dropped. A less cautious bound is tried first, and all points
+  are tested later.
 - On the remaining points, Newton's method solves u s = 0, s = N - w. Its matrix diag(s/u) + (W Wᵀ)∘(W Wᵀ) has a row for
   each point, not for each of the N (N + 1) / 2 entries of M as in `_kernels.fits.mvce`.
 

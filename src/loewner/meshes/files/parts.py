@@ -45,7 +45,7 @@ _NO_PLANE = (
 
 
 class Refusal(Exception):
-    """The reason why a file is refused, with the line if it is known."""
+    """The reason why a file is refused, and the line if it is known."""
 
     def __init__(self, message: str, line: int | None = None) -> None:
         super().__init__(message)
@@ -79,7 +79,7 @@ def is_integer(token: bytes) -> bool:
 
 
 def floats(tokens: Sequence[bytes]) -> Floats:
-    """Convert tokens to numbers, 1e400 to infinity; the first token that is not a number is refused."""
+    """Convert tokens to numbers, where 1e400 becomes infinity; the first token that is not a number is refused."""
     try:
         numbers = np.fromiter(map(float, tokens), dtype=np.float64, count=len(tokens))
         if b"_" not in b"".join(tokens):
@@ -91,7 +91,7 @@ def floats(tokens: Sequence[bytes]) -> Floats:
 
 
 def integers(tokens: Sequence[bytes]) -> Ints:
-    """Convert tokens to whole numbers; the first token that is no whole number, or is absurdly large, is refused."""
+    """Convert tokens to whole numbers; the first token that is not a whole number, or is absurdly large, is refused."""
     try:
         numbers = np.fromiter(map(int, tokens), dtype=np.int64, count=len(tokens))
         if b"_" not in b"".join(tokens):
@@ -123,7 +123,8 @@ def remarks(data: bytes) -> bytes:
 
 
 def fans(corners: Ints, sizes: Ints) -> Triangles:
-    """Cut polygons into fans of triangles about their first corners; `corners` has the corners of all, concatenated."""
+    """Cut polygons into fans of triangles about their first corners; `corners` contains the corners of all polygons,
+    concatenated."""
     count = sizes - 2
     expect(count.sum() <= MOST, f"expected at most {MOST} triangles, found {count.sum()}")
     first = np.repeat(np.cumsum(sizes) - sizes, count)
@@ -132,10 +133,11 @@ def fans(corners: Ints, sizes: Ints) -> Triangles:
 
 
 def cut(vertices: Floats, corners: Ints, sizes: Ints, tell: Tell, place: Callable[[int], str]) -> Triangles:
-    """Cut polygons into triangles, in their order: fans about their first corners, unless a polygon's fan leaves it.
+    """Cut polygons into triangles, in their order: a fan about the first corner, unless the fan leaves the polygon.
 
-    Triangles of a polygon have its boundary, and all face to the same side. They then are the polygon, each point once,
-    however they were found. A polygon for which none are found keeps its fan, whose triangles contain it.
+    The triangles of a polygon have its boundary, and all face to the same side. They therefore form the polygon and
+    cover each point once, however they were found. A polygon for which no such triangles are found keeps its fan, whose
+    triangles contain it.
 
     Parameters
     ----------
@@ -298,7 +300,8 @@ def strip(corners: Ints) -> Triangles:
 
 
 def joined(parts: Iterable[tuple[Floats, Triangles]]) -> tuple[Floats, Triangles]:
-    """Join meshes into one, in which meshes with the same array of vertices share it; refuse one that is too large."""
+    """Join meshes into one, in which meshes with the same array of vertices share it; refuse a result that is too
+    large."""
     vertices: list[Floats] = []
     triangles: list[Triangles] = []
     starts: dict[int, int] = {}  # of the arrays in `vertices`

@@ -129,7 +129,7 @@ def expect_pairs(ready: Problem, query: str) -> None:
 def nearest_columns(ready: Problem, Q: Floats, exact: bool, *, care: bool = True) -> list[Any]:
     """Compute the columns of `nearest` without the gradient, with indices of bodies instead of names.
 
-    Without `care`, distances that the fast searches cannot compute are NaN.
+    Without `care`, distances that the fast searches cannot determine are NaN.
     """
     n, m, pack = len(Q), len(Q) * exact, ready.packed
     numbers, vectors = np.empty((2 + exact, n)), np.empty((3, m, 3))

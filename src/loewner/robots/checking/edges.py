@@ -124,5 +124,5 @@ def checked_path(robot: Robot, path: ArrayLike) -> Floats:
 
 
 def flat(Q: Floats) -> Floats:
-    """Flatten configurations to rows, also for a robot without joints, for which NumPy cannot infer -1."""
+    """Flatten configurations to rows, even for a robot without joints, for which NumPy cannot infer -1."""
     return Q.reshape(math.prod(Q.shape[:-1]), Q.shape[-1])

@@ -25,7 +25,7 @@ _ARRAYS = ("lower", "upper", "nearest", "colliding", "free")
 
 
 def known_pairs(robot: Any) -> dict[Pair, tuple[ProvenPair, int]]:
-    """Return the answers that are kept for a robot, each with the number of boxes that were allowed for it."""
+    """Return the cached answers for a robot, each with the number of boxes that was allowed for it."""
     known, start = {}, _start(robot)
     with suppress(OSError, _sealed.DamagedFileError, ValueError, KeyError, TypeError):
         if any(path.name.startswith(start) for path in FOLDER.iterdir()):  # a digest takes milliseconds
@@ -35,7 +35,7 @@ def known_pairs(robot: Any) -> dict[Pair, tuple[ProvenPair, int]]:
 
 
 def keep(robot: Any, rows: Iterable[ProvenPair], allowed: int) -> None:
-    """Add answers to the kept ones; without a folder that can be written, do nothing."""
+    """Add answers to the cache; if there is no writable folder, do nothing."""
     known = known_pairs(robot) | {row.names: (row, allowed) for row in rows}
     content = json.dumps([_entry(row, allowed) for row, allowed in known.values()]).encode()
     with suppress(OSError):
@@ -44,7 +44,7 @@ def keep(robot: Any, rows: Iterable[ProvenPair], allowed: int) -> None:
 
 
 def refuted(robot: Any) -> list[ProvenPair]:
-    """Return kept answers about pairs of links, not adjacent, that are exempt from checking but can collide."""
+    """Return cached answers about non-adjacent pairs of links that are exempt from checking but can collide."""
     if not robot.disabled_pairs:
         return []
     wrong = PairVerdict.SOMETIMES, PairVerdict.CAN

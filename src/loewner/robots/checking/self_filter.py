@@ -48,8 +48,9 @@ def off_the_robot(
 ) -> Floats | Bools:  # fmt: skip
     """Keep the points of a sensor that are neither on the robot nor on a body that it carries.
 
-    A point is removed if it is within `clear` of a link's body or of a body that is attached to a link, or inside
-    one; with ``time``, also of a body of the scene that follows a motion, where it is then. All others stay, exactly.
+    A point is removed if it is inside, or within `clear` of, a link's body or a body that is attached to a link. With
+    ``time``, this also applies to a body of the scene that follows a motion, at its pose at that time. All others stay,
+    exactly.
 
     Parameters
     ----------
@@ -68,7 +69,7 @@ def off_the_robot(
     Returns
     -------
     ndarray, shape (m, 3)
-        The points that stay, in their order; with `mask`, an ndarray of bool, shape (...).
+        The remaining points, in their order; with `mask`, an ndarray of bool, shape (...).
 
     Raises
     ------

@@ -130,7 +130,7 @@ def classified(ready: Problem, mode: int, Q: Floats) -> Verdicts:
 
 
 def free(ready: Problem, Q: Floats) -> Bools:
-    """Return which configurations, shape (N, dof), are proven free; an unsettled one is not."""
+    """Return which configurations, shape (N, dof), are proven free; an unsettled one counts as not free."""
     return np.asarray(classified(ready, codes.EXACT, Q).verdicts == codes.FREE)
 
 
@@ -196,7 +196,7 @@ def verdicts_at(ready: Problem, q: Floats) -> NDArray[np.int8]:
 def pair_verdicts(ready: Problem, T: Floats, off: Floats | None = None) -> NDArray[np.int8]:
     """Compute the verdict of every pair with the bodies at T; AMBIGUOUS if unsettled, or if overflow distorts T.
 
-    Margins are larger by `off`, shape (pairs,).
+    Margins are increased by `off`, shape (pairs,).
     """
     groups = ready.grouped(ready.margins + off) if off is not None and off.any() else ready.by_margin
     pack, verdicts = ready.packed.handle, np.full(len(ready.pairs), codes.AMBIGUOUS, dtype=np.int8)
@@ -210,7 +210,7 @@ def pair_verdicts(ready: Problem, T: Floats, off: Floats | None = None) -> NDArr
 def collisions_by_pair(ready: Problem, Q: Floats, t: Floats | None = None) -> Bools:
     """Return whether each pair collides at each configuration, shape (N, pairs); ConvergenceError if unsettled.
 
-    Bodies that follow motions may be as far off as at the times t, shape (N,).
+    Bodies that follow motions may deviate by the amounts for the times t, shape (N,).
     """
     _validate.fits_memory(len(Q) * len(ready.pairs), f"{len(Q)} configurations of {len(ready.pairs)} pairs of bodies")
     out = np.empty((len(Q), len(ready.pairs)), dtype=bool)
@@ -264,7 +264,7 @@ def contacts(ready: Problem, q: Floats, t: float | None = None) -> tuple[tuple[C
 
 
 def lengths(ready: Problem, a: Floats, b: Floats, step: float) -> Floats:
-    """Compute lengths of motions; where the last bit decides the number of steps, one motion at a time."""
+    """Compute lengths of motions, one motion at a time if the last bit decides the number of steps."""
     found = np.asarray(ready.robot._distances(a, b))
     if ready.robot.runs_straight:
         with np.errstate(over="ignore"):

@@ -1,8 +1,8 @@
-"""Links on joints, and the files, models and bodies that they come from.
+"""Links, joints, and the files, models and bodies from which they come.
 
-`robot` defines `Robot`, `assembly` joins several, `links` and `tree` describe joints, and `reaching` solves inverse
-kinematics. `urdf`, `srdf`, `xacro_files`, `mjcf`, `drake` and `pinocchio` read; `exports` writes. `link_bodies`,
-`link_meshes` and `coal_shapes` make bodies of links, `pair_verdicts` holds whether each pair of links can ever collide,
-`watch` reports odd values, `other_models` has the orders of values in other libraries, and `xml_elements` reads
-elements of XML and remembers their lines.
+`robot` defines `Robot`, `assembly` joins several robots, `links` and `tree` describe joints, and `reaching` solves
+inverse kinematics. `urdf`, `srdf`, `xacro_files`, `mjcf`, `drake` and `pinocchio` read; `exports` writes.
+`link_bodies`, `link_meshes` and `coal_shapes` make bodies of links. `pair_verdicts` records whether each pair of links
+can ever collide, `watch` reports odd values, `other_models` contains the orders of values in other libraries, and
+`xml_elements` reads elements of XML and remembers their lines.
 """

@@ -1,4 +1,4 @@
-"""Assemble robots: several beside each other, one on a base that moves, or one with another body on a joint."""
+"""Assemble robots: several next to each other, one on a moving base, or one with another body on a joint."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ LIMITED = ("revolute", "prismatic")
 
 
 class Source(NamedTuple):
-    """Where the description of a robot came from, or of a part of one.
+    """The source of the description of a robot, or of a part of one.
 
     Attributes
     ----------
@@ -52,7 +52,7 @@ class Source(NamedTuple):
     path : Path
         The file, or a placeholder.
     text : str or None
-        The contents, if they were not in a file.
+        The contents, if they did not come from a file.
     package_dirs : tuple of Path
     """
 
@@ -65,15 +65,15 @@ class Source(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Part(Generic[R]):
-    """One robot of several that were joined; see `Robot.join`.
+    """One of several robots that were joined; see `Robot.join`.
 
     Attributes
     ----------
     robot : Robot
-        The robot that was joined, at its pose in the world; on a base that moves, at its pose in the frame of the base.
+        The robot that was joined, at its pose in the world or, on a moving base, at its pose in the frame of the base.
     columns : slice
-        Its values in a configuration of the joined robot: ``Q[..., part.columns]`` are configurations of `robot`, and
-        assigning to them moves this robot alone.
+        The columns of its values in a configuration of the joined robot: ``Q[..., part.columns]`` are configurations of
+        `robot`, and assigning to them moves only this robot.
     joint_names, link_names : tuple of str
         Its joints and links, by their names in the joined robot.
 
@@ -95,7 +95,7 @@ class Part(Generic[R]):
 
 
 def joined(kind: type[R], parts: Mapping[str, R], poses: Mapping[str, ArrayLike | None] | None) -> R:
-    """Make one robot of several; see `Robot.join`."""
+    """Make one robot from several; see `Robot.join`."""
     if not isinstance(parts, Mapping) or not parts:
         raise InputError(f"parts: expected a mapping from names to robots, found {_validate.short(parts)}")
     for name, robot in parts.items():
@@ -161,13 +161,13 @@ def part(self: R, name: str) -> Part[R]:
 
 
 def add_base(self: R, kind: Literal["planar", "floating"], bounds: ArrayLike | None = None, *, name: str = "base") -> R:
-    """Return the same robot on a base that moves.
+    """Return the same robot on a moving base.
 
     Parameters
     ----------
     kind : {"planar", "floating"}
-        "planar": joints that slide along x and along y and one that turns about z, which planners plan like all others.
-        "floating": one joint with a position and a quaternion.
+        "planar": joints that slide along x and along y and a joint that turns about z; planners move them like all
+        others. "floating": one joint with a position and a quaternion.
     bounds : array_like, shape (2, 2) for a planar base or (3, 2) for a floating one, optional
         Lowest and highest position along each axis, in metres; without them there are no limits.
     name : str
@@ -301,8 +301,8 @@ def with_body(
 ) -> R:
     """Return the same robot with a body as another link, on a joint of its own.
 
-    Thus a door, a drawer or an obstacle that moves becomes a part of the configuration, and its motions are proven
-    together with the robot's. If the parent has a body, the two are an adjacent pair.
+    A door, a drawer or a moving obstacle thus becomes part of the configuration, and its motions are proven together
+    with the robot's. If the parent has a body, the two are an adjacent pair.
 
     Parameters
     ----------
@@ -315,7 +315,8 @@ def with_body(
     joint : str
         Kind of the joint.
     parent : str, optional
-        The link to which the joint belongs. Default: the world; place the robot, or add its base, before.
+        The link to which the joint belongs. Default: the world; in this case, place the robot or add its base
+        beforehand.
     axis : array_like, shape (3,)
         Axis along which the joint slides or about which it turns.
     limits : (float, float), optional
@@ -323,24 +324,24 @@ def with_body(
     velocity : float, optional
         Largest rate of a joint of one value [rad/s or m/s], for trajectories. Default: none known.
     mimic : (str, float, float), optional
-        Makes a joint of one value follow a joint of the robot: the other's name, a multiplier and an offset. The limits
-        of the other are narrowed to values at which this joint is within its own.
+        Makes a joint with one value follow a joint of the robot: the other joint's name, a multiplier and an offset.
+        The limits of the other joint are narrowed to values at which this joint is within its own limits.
 
     Returns
     -------
     Robot
-        The new values are the last ones of its configurations.
+        Its new values are the last ones in configurations.
 
     Raises
     ------
     InputError
-        If a name is taken, `body` is not a body, the axis has no direction, or limits are missing or not in order; or
-        if there is a velocity or a mimic of a joint that has not one value, or no values are left to a joint that is to
-        be followed.
+        If a name is taken, `body` is not a body, the axis has no direction, or limits are missing or not in order; if a
+        velocity or a mimic is given for a joint that does not have exactly one value; or if a joint that is to be
+        followed would have no values left.
     PoseError
         If the pose is not a rigid motion.
     UnknownNameError
-        If there is no such kind of joint, or no such link, or no joint to follow that has one value of its own.
+        If there is no such kind of joint, no such link, or no joint to follow that has a value of its own.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Make bodies of Coal's shapes, through the objects that are given: Coal is not imported."""
+"""Make bodies from Coal's shapes, through the given objects: Coal is not imported."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ LEAST_DEPTH = 1e-6
 
 
 def coal_body(shape: Any, meshes: str, tol: float) -> Body:
-    """Make the body of a shape; Coal has half lengths.
+    """Make the body of a shape; Coal uses half lengths.
 
     Parameters
     ----------

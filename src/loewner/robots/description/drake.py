@@ -1,4 +1,4 @@
-"""Read robots from Drake's MultibodyPlant and SceneGraph, through the objects that are given: Drake is not imported."""
+"""Read robots from Drake's MultibodyPlant and SceneGraph, through the given objects: Drake is not imported."""
 
 from __future__ import annotations
 

@@ -47,7 +47,7 @@ class _Joint(NamedTuple):
 
 
 def save_urdf(robot: Any, path: Path, mesh_prefix: str, wider: float = 0.0) -> None:
-    """Write the meshes of a robot beside a URDF, then the URDF, and an SRDF of the same stem.
+    """Write the meshes of a robot next to a URDF, then the URDF, and an SRDF with the same stem.
 
     Shapes other than spheres and meshes are enlarged by `wider` [m] on each side.
     """
@@ -258,7 +258,8 @@ def _add_joint(root: ElementTree.Element, joint: _Joint) -> None:
 
 
 def mjcf_text(robot: Any, wider: float) -> str:
-    """Write a robot as MJCF: its shapes, its joints of one value, and the pairs that need no check as excluded.
+    """Write a robot as MJCF: its shapes, its joints with one value, and the pairs that are exempt from checking as
+    excluded.
 
     Shapes other than spheres and meshes are enlarged by `wider` [m] on each side.
     """

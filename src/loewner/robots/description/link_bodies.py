@@ -113,7 +113,8 @@ def link_bodies(
     Warns
     -----
     UserWarning
-        If a body is probably not in metres; given once. With "auto", if meshes are not closed; one warning names all.
+        If a body is probably not in metres; given once. With "auto", if meshes are not closed; one warning names them
+        all.
     """
     folders = list(package_dirs)
     for folder in folders:

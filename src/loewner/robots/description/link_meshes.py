@@ -64,7 +64,7 @@ def described(body: Body) -> str:
 
 
 def warn_of_open_meshes(title: object, named: Iterable[tuple[str, str]], instead: str) -> None:
-    """Name all meshes that have no inside as they are, in one warning.
+    """Name all meshes that have no inside in their present form, in one warning.
 
     Parameters
     ----------
@@ -73,7 +73,7 @@ def warn_of_open_meshes(title: object, named: Iterable[tuple[str, str]], instead
     named : iterable of (str, str)
         Names of meshes, and the results of `described`.
     instead : str
-        The option that takes triangles as they are.
+        The option that keeps triangles without change.
     """
     found: dict[str, list[str]] = {kind: [] for kind in OPENED}
     for name, words in named:
@@ -87,7 +87,7 @@ def warn_of_open_meshes(title: object, named: Iterable[tuple[str, str]], instead
 
 
 def hull_or_solid(vertices: Floats, triangles: Ints) -> tuple[Choice, tuple[Floats, Ints], int]:
-    """Choose the body of a mesh: a hull can be much larger, and a surface that is not closed has no inside.
+    """Choose the body of a mesh: a hull can be much larger, and an open surface has no inside.
 
     Parameters
     ----------
@@ -97,11 +97,11 @@ def hull_or_solid(vertices: Floats, triangles: Ints) -> tuple[Choice, tuple[Floa
     Returns
     -------
     choice : {"hull", "solid", "open"}
-        "hull": the mesh is closed, and it is proven that its hull sticks out by at most `NEAR`, or by at most
-        `NEAR_SHARE`. "solid": the mesh is closed, and this is not proven. "open": it has no inside.
+        "hull": the mesh is closed, and its hull is proven to stick out by at most `NEAR`, or by at most `NEAR_SHARE`.
+        "solid": the mesh is closed, and this is not proven. "open": it has no inside.
     mesh : tuple of ndarray
-        Vertices and triangles, closed if it was nearly closed, and with each closed part turned outward, unless all
-        points of it that were tried lie in a larger part: then it is a cavity of that part.
+        Vertices and triangles, closed if the mesh was nearly closed. Each closed part is turned outward, unless all of
+        its points that were tried lie in a larger part: it is then a cavity of that part.
     edges : int
         The number of edges at which the mesh was open.
     """

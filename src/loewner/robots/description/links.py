@@ -1,4 +1,4 @@
-"""Describe robots that are in memory: links and joints as plain data, checked to form a tree."""
+"""Describe robots in memory: links and joints as plain data, checked to form a tree."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ RATES = ("velocity", "acceleration", "jerk")
 class Joint:
     """A joint between two links, for `Robot.from_links`.
 
-    The pose of the child in the frame of the parent is ``T_parent_joint @ motion @ T_joint_child``, where the motion is
-    a turn about the axis, a shift along it, and so on.
+    The pose of the child in the frame of the parent is ``T_parent_joint @ motion @ T_joint_child``, where the motion
+    is, for example, a turn about the axis or a shift along it.
 
     Attributes
     ----------
@@ -46,17 +46,17 @@ class Joint:
     T_parent_joint : array_like, shape (4, 4), optional
         Pose of the joint in the frame of the parent; translation in metres. Default: the identity.
     T_joint_child : array_like, shape (4, 4), optional
-        Pose of the child in the frame that the joint moves. If it is given for a joint that moves, a link without a
-        body, CHILD/NAME, is that frame. Default: the identity.
+        Pose of the child in the frame that the joint moves. If it is given for a joint that moves, that frame becomes a
+        link without a body, CHILD/NAME. Default: the identity.
     axis : array_like, shape (3,)
         In the frame of the joint, of any length.
     lower, upper : float or array_like, shape (3,)
-        Limits [rad or m]; for planar joints of x, y and the angle, for floating joints of the position.
-        "revolute" without limits is "continuous".
+        Limits [rad or m]; for planar joints, the limits of x, y and the angle; for floating joints, the limits of the
+        position. "revolute" without limits is "continuous".
     velocity, acceleration, jerk : float, optional
-        Largest rates of a joint of one value [rad or m per s, s² and s³], above 0. Default: none known.
+        Largest rates of a joint with one value [rad or m per s, s² and s³], above 0. Default: none known.
     mimic : (str, float, float), optional
-        Makes a joint of one value follow another: its name, a multiplier and an offset.
+        Makes a joint with one value follow another: its name, a multiplier and an offset.
     reference : float
         The value [rad or m] at which the motion of a revolute or prismatic joint is the identity.
 
@@ -102,7 +102,7 @@ def described(
     bodies : dict
         Link name to body.
     bounds : dict
-        The lower and upper limits of joints of several values that have any, by their names.
+        The lower and upper limits, by name, of joints with several values that have limits.
     """
     if not isinstance(name, str) or not name:
         raise InputError(f"name: expected a name, found {_validate.short(name)}")
@@ -155,7 +155,7 @@ def _expect_name(name: Any, what: str) -> str:
 
 
 def unused(name: str, taken: Container[str]) -> str:
-    """Return a name that is not taken."""
+    """Return a name that is not yet taken."""
     while name in taken:
         name += "_"
     return name

@@ -34,7 +34,7 @@ class Shape(NamedTuple):
 
 
 class Model(NamedTuple):
-    """The parts of a robot that another library has modelled.
+    """The parts of a robot that was modelled with another library.
 
     Attributes
     ----------
@@ -44,7 +44,7 @@ class Model(NamedTuple):
     joints : tuple of Joint
     shapes : list of Shape
     checked : ndarray of bool, shape (n, n)
-        Which shapes are checked with each other; symmetric.
+        Which shapes are checked against each other; symmetric.
     order : Order
     """
 
@@ -57,7 +57,7 @@ class Model(NamedTuple):
 
 
 class Order(NamedTuple):
-    """Where a model has the values of joints in its configurations.
+    """The places of joint values in a model's configurations.
 
     Attributes
     ----------
@@ -65,9 +65,9 @@ class Order(NamedTuple):
     width : int
         Number of values of a configuration.
     columns : mapping
-        Joint to the columns of its values, in our order; two columns for one value are its cosine and sine.
+        Maps each joint to the columns of its values, in our order; two columns for one value are its cosine and sine.
     constants : mapping
-        Column to its value, if it does not change.
+        Maps each column whose value does not change to this value.
     """
 
     library: str
@@ -90,7 +90,7 @@ class Layout(KeepsReadOnly):
     own : ndarray, shape (dof,)
         The column of the model that equals each of ours.
     turning : ndarray, shape (k, 3)
-        Our columns that the model has as cosine and sine, and the columns of the cosine and the sine.
+        Our columns that the model represents by a cosine and a sine, and the columns of the cosine and the sine.
     """
 
     library: str
@@ -109,12 +109,12 @@ class Layout(KeepsReadOnly):
         return q
 
     def exported_rates(self, rates: Floats) -> Floats:
-        """Return the rates of the model's values for ours; there are no cosines and sines among them."""
+        """Return the rates of the model's values for ours; they contain no cosines and sines."""
         padded = np.concatenate([rates, np.zeros((*rates.shape[:-1], 1))], axis=-1)
         return np.asarray(self.factors * padded[..., self.source])
 
     def imported(self, q: Floats, tolerance: float) -> Floats:
-        """Return our configurations for the model's, shape (..., width), which must keep its couplings."""
+        """Return our configurations for the model's, shape (..., width), which must satisfy its couplings."""
         Q = q[..., self.own]
         for column, cosine, sine in self.turning.tolist():
             Q[..., column] = _elementary.arctan2(q[..., sine], q[..., cosine])
@@ -131,18 +131,18 @@ class Layout(KeepsReadOnly):
 def layout_of(
     order: Order, own_columns: Mapping[str, slice], above: Sequence[str], tree: Tree, references: Mapping[str, float]
 ) -> Layout:
-    """Find how configurations of a robot correspond to its model's.
+    """Determine how configurations of a robot correspond to its model's.
 
     Parameters
     ----------
     order : Order
     own_columns : mapping
-        Joint to its columns in our configurations.
+        Maps each joint to its columns in our configurations.
     above : sequence of str
-        The joint above each link of the tree; empty for none.
+        The joint above each link of the tree; empty if there is none.
     tree : Tree
     references : mapping
-        Joint to its value where the tree has 0, for joints where it is not 0.
+        Maps each joint to its value at the tree's 0, if this value is not 0.
     """
     dof = max((at.stop for at in own_columns.values()), default=0)
     source, factors, offsets = np.full(order.width, dof), np.zeros(order.width), np.zeros(order.width)
@@ -172,7 +172,7 @@ def layout_of(
 def chained(
     moves: Sequence[Joint], parent: str, child: str, T_parent_joint: Floats, T_joint_child: Floats
 ) -> Iterator[Joint]:
-    """List the joints, one behind the other, that together are one joint of a model between two links."""
+    """List the joints, one after another, that together represent one joint of a model between two links."""
     for move in moves:
         last = move is moves[-1]
         below = child if last else f"{child}/{move.name}"
@@ -193,10 +193,10 @@ def made_body(make: Callable[[], Body], what: str) -> Body:
 def with_shapes(
     links: Sequence[str], joints: Sequence[Joint], shapes: Sequence[Shape], checked: Bools
 ) -> tuple[dict[str, list[tuple[Body, Floats]] | None], list[Joint], list[Pair]]:
-    """Give links the shapes of a model, whose rules on pairs are for shapes instead of links.
+    """Assign to links the shapes of a model whose rules on pairs apply to shapes instead of links.
 
-    Shapes of a link that are checked with the same others form its body; each further class of them becomes a link
-    fixed to it. Each shape of the first link, the world, becomes a link of its own.
+    Shapes of a link that are checked against the same other shapes form its body; each further class of shapes becomes
+    a link fixed to it. Each shape of the first link, the world, becomes a link of its own.
 
     Returns
     -------
@@ -225,7 +225,7 @@ def with_shapes(
 def warn_of_fixed_contacts(
     model: Model, bodies: Mapping[str, Body], names: Sequence[str], tree: Tree, skipped: Container[Pair]
 ) -> None:
-    """Warn of bodies that are fixed to each other and collide: no checker checks them, but their library does."""
+    """Warn about bodies that are fixed to each other and collide: no checker checks them, but their library does."""
     fixed = tree.kind == columns.FIXED
     groups = np.where(fixed, tree.parent, np.arange(len(names)))
     poses = {
@@ -242,7 +242,7 @@ def warn_of_fixed_contacts(
 
 
 def unique(names: Sequence[str], scopes: Sequence[str]) -> list[str]:
-    """Return the names, with their scopes where a name occurs twice, and underscores where that is not enough."""
+    """Return the names, with their scopes if a name occurs twice, and with underscores if that is not enough."""
     found: list[str] = []
     for name, scope in zip(names, scopes, strict=True):
         made = name if names.count(name) == 1 else f"{scope}::{name}"
@@ -251,6 +251,6 @@ def unique(names: Sequence[str], scopes: Sequence[str]) -> list[str]:
 
 
 def expect(given: object, kind: str, what: str) -> None:
-    """Refuse an object whose class, or a class above it, is not of this name."""
+    """Refuse an object if neither its class nor a base class has this name."""
     if kind not in (base.__name__ for base in type(given).__mro__):
         raise InputError(f"{what}: expected a {kind}, found {_validate.short(given)}")

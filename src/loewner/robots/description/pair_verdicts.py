@@ -1,4 +1,4 @@
-"""Hold the answers to whether pairs of bodies can ever collide, and write them as rules of an SRDF."""
+"""Hold the answers to whether pairs of bodies can ever collide, and write them as SRDF rules."""
 
 from __future__ import annotations
 
@@ -43,9 +43,10 @@ class ProvenPair(_validate.Brief):
     names : tuple of str
     verdict : str
         NEVER: the bodies are proven to be farther apart than the margin at every configuration of the range. ALWAYS:
-        they are proven to be within the margin at every one. SOMETIMES: they are at ``colliding``, and not at ``free``.
-        CAN: they are at ``colliding``, and no configuration without contact was found. OPEN: no contact was found, and
-        not all of the range could be proven; see ``reason``.
+        they are proven to be within the margin at every configuration of the range. SOMETIMES: they are within the
+        margin at ``colliding``, but not at ``free``. CAN: they are within the margin at ``colliding``, and no
+        configuration without contact was found. OPEN: no contact was found, and not all of the range could be proven;
+        see ``reason``.
     columns : tuple of str
         The values on which the pair depends, named as in `Robot.configuration_names`.
     lower, upper : ndarray, shape (columns,)
@@ -65,7 +66,7 @@ class ProvenPair(_validate.Brief):
     share : float
         The share of the range that is proven.
     complete : bool
-        Whether the range holds all values between the hard limits of the robot.
+        Whether the range covers all values between the hard limits of the robot.
     reason : str
         Why the pair is OPEN or CAN; empty otherwise.
     """
@@ -103,9 +104,9 @@ class ProvenPairs:
     rows : tuple of ProvenPair
         Sorted by names.
     rigid : tuple of pairs of str
-        Pairs in question whose bodies are on one rigid part. They are never checked.
+        The requested pairs whose bodies are on the same rigid part. They are never checked.
     proof : Proof or None
-        A proof of all rows, which are NEVER, for other programs to verify; None if none was requested.
+        A proof of all rows, if these are NEVER, for other programs to verify; None if no proof was requested.
 
     Examples
     --------
@@ -161,10 +162,10 @@ class ProvenPairs:
         return frozenset(row.names for row in self.with_verdict(PairVerdict.NEVER, PairVerdict.ALWAYS))
 
     def to_srdf(self, path: str | os.PathLike[str], *, narrower: bool = False) -> tuple[Pair, ...]:
-        """Add the pairs that are proven to an SRDF, as pairs that need no check.
+        """Add the proven pairs to an SRDF, as pairs that are exempt from checking.
 
         A pair that is proven never to collide gets the reason "Never", one that always collides the reason "Always",
-        each with the range of the proof as a comment. All that the file contains already is left as it is.
+        each with the range of the proof as a comment. The existing contents of the file stay unchanged.
 
         Parameters
         ----------
@@ -176,13 +177,13 @@ class ProvenPairs:
         Returns
         -------
         tuple of pairs of str
-            The pairs that were written. Pairs that the file lists already are not written again.
+            The pairs that were written. Pairs that are already in the file are not written again.
 
         Raises
         ------
         InputError
             If a proven range is narrower than the hard limits, unless `narrower` is given; or if the margin is not 0
-            and a pair is ALWAYS within it, which proves no contact.
+            and a pair is ALWAYS within it, since this does not prove contact.
         FileError
             If the file is not an SRDF of this robot, or cannot be read or written.
         """

@@ -1,4 +1,4 @@
-"""Read robots from pinocchio's models, through the objects that are given: neither pinocchio nor Coal is imported."""
+"""Read robots from pinocchio's models, through the given objects: neither pinocchio nor Coal is imported."""
 
 from __future__ import annotations
 

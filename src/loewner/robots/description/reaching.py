@@ -55,12 +55,12 @@ class Reached(_validate.Brief):
     Attributes
     ----------
     configuration : ndarray, shape (..., dof)
-        A solution, or else the configuration that came nearest. With a checker, it is free if any solution is.
+        A solution, or otherwise the configuration that came nearest. With a checker, it is free if any solution is.
     reached : bool or ndarray, shape (...)
-        Whether it is a solution, which with a checker must be free.
+        Whether it is a solution; with a checker, only a free configuration counts.
     residual : ndarray, shape (..., 2)
-        Distance [m] and angle [rad] beyond the tolerance. If it is at most 1e-9 where
-        `reached` is False, then the pose can be reached, but the solutions found collide.
+        Distance [m] and angle [rad] by which it misses the tolerance. If it is at most 1e-9 although `reached` is
+        False, the pose can be reached, but the solutions found collide.
     solutions : ndarray, shape (k, dof), or tuple of such arrays, or None
         With ``all=True``: all distinct solutions found, free ones first, then those near the start first. For many
         poses, a tuple with one array for each pose in C order.
@@ -85,7 +85,7 @@ class Reached(_validate.Brief):
 
 
 class Chain(NamedTuple):
-    """The joints from the root to a link, as the kernel takes them (`_kernels/robots/reach.py`).
+    """The joints from the root to a link, in the form that the kernel takes (`_kernels/robots/reach.py`).
 
     Attributes
     ----------
@@ -99,7 +99,7 @@ class Chain(NamedTuple):
     usual : ndarray, shape (2, K)
         Finite limits within which seeds are drawn.
     kept : dict
-        Values derived from the chain: tables of seeds by their number.
+        Values derived from the chain: tables of seeds, keyed by the number of seeds.
     """
 
     links: Ints
@@ -158,7 +158,7 @@ def chain(tree: Tree, link: int, moves: Bools, limits: Floats, usual: Floats) ->
 
 
 def wrapping(tree: Tree, dof: int) -> Bools:
-    """Mark angles that return every link to its place after a whole turn."""
+    """Mark angles for which a whole turn returns every link to its place."""
     wraps = np.zeros(dof, dtype=bool)
     single = (tree.kind == columns.REVOLUTE) | (tree.kind == columns.PRISMATIC)
     turns = (tree.kind == columns.REVOLUTE) & (tree.multiplier == np.rint(tree.multiplier))
@@ -187,7 +187,7 @@ def _axis(constants: Floats) -> Floats:
 
 
 def seeded(chain: Chain, count: int) -> Floats:
-    """Make the table of seeds, shape (count, K), or return the one that was made before."""
+    """Make the table of seeds, shape (count, K), or return an existing one."""
     if count in chain.kept:
         return chain.kept[count]
     how, moving = chain.ranges[columns.HOW], np.flatnonzero(chain.moving)
@@ -209,7 +209,8 @@ def seeded(chain: Chain, count: int) -> Floats:
 
 
 def checked_tolerance(tolerance: ArrayLike) -> Floats:
-    """Check the tolerances of six coordinates, and return them as the kernel takes them: 2 sin(angle / 2) of angles."""
+    """Check the tolerances of six coordinates, and return them in the form that the kernel takes: 2 sin(angle / 2) for
+    angles."""
     given = _validate.float_array(tolerance, "tolerance")
     if given.shape != (6,) or not (given >= 0).all():
         raise InputError(
@@ -222,7 +223,7 @@ def checked_tolerance(tolerance: ArrayLike) -> Floats:
 
 
 def targets_of(T: Floats) -> Floats:
-    """Make rotations orthonormal up to rounding, of poses that may be off by `tolerances.ROTATION_TOLERANCE`."""
+    """Make the rotations of poses orthonormal up to rounding; they may be off by `tolerances.ROTATION_TOLERANCE`."""
     for _ in range(3):
         R = T[..., :3, :3]
         square = product(R.swapaxes(-1, -2), R)
@@ -253,7 +254,7 @@ def refuse_unsteady(chain: Chain, link: str) -> None:
 
 
 class Answers(NamedTuple):
-    """The kernel's results for each pose: distinct solutions, their number, and the first or nearest of all."""
+    """The kernel's results for each pose: distinct solutions, their number, and the first or nearest configuration."""
 
     solutions: Floats
     counts: Ints
@@ -270,7 +271,7 @@ class Answers(NamedTuple):
 def solve(chain: Chain, T: Floats, starts: Floats, seeds: Floats, most: int, tolerance: Floats) -> Answers:
     """Find up to `most` solutions for each of n poses, shape (n, 4, 4), with starts of shape (n, K).
 
-    The search begins where the limits come nearest to the start.
+    The search begins at the point within the limits that is nearest to the start.
     """
     # The kernel keeps its steps within the limits, but takes the start as it is; a held value has none.
     starts = starts.clip(chain.ranges[columns.LEAST], chain.ranges[columns.MOST])
@@ -291,7 +292,8 @@ def solve(chain: Chain, T: Floats, starts: Floats, seeds: Floats, most: int, tol
 
 
 class Solutions(NamedTuple):
-    """All solutions as configurations, the pose of each, and which are free: in the order of `Reached.solutions`."""
+    """All solutions as configurations, the pose of each, and which ones are free, in the order of
+    `Reached.solutions`."""
 
     Q: Floats
     poses: Ints
@@ -308,7 +310,7 @@ class Solutions(NamedTuple):
         return cls(Q[order], poses, free[order])
 
     def choose(self, Q: Floats, reached: Bools) -> None:
-        """Put the first solution of each pose that has one into Q, and whether it is free into `reached`."""
+        """Put the first solution of each pose that has one into Q, and put whether it is free into `reached`."""
         having, first = np.unique(self.poses, return_index=True)
         Q[having], reached[having] = self.Q[first], self.free[first]
 

@@ -132,16 +132,15 @@ class Robot(KeepsReadOnly):
         "j/qw", "j/qx", "j/qy", "j/qz"; a ball joint, which exists only in MJCF, has only the four quaternion entries.
     lower, upper : ndarray, shape (dof,)
         Limits for sampling, planning and `reach`, in radians for joints that turn and metres for joints that slide;
-        infinite for values without limits. They are within the limits of the file, and within its soft limits
-        (``<safety_controller>``); and joints that mimic the joint are within their own limits.
-        All functions accept configurations outside the limits; a configuration far outside causes a single warning (see
-        `checked`).
+        infinite for values without limits. They are within the limits and the soft limits (``<safety_controller>``) of
+        the file, and they keep joints that mimic the joint within their own limits. All functions accept configurations
+        outside the limits; a configuration far outside causes a single warning (see `checked`).
     hard_lower, hard_upper : ndarray, shape (dof,)
-        Limits of the joints as in the file. A plan may start between these and the narrower ones.
+        Limits of the joints as in the file. A plan may start between these limits and the narrower ones.
     velocity, acceleration, jerk : ndarray, shape (dof,)
         The largest rates of each value [rad or m per s, s² and s³]: the URDF's limits, or less if a mimic joint would
         otherwise exceed its own limit. NaN if the URDF gives no positive limit, and for planar and floating joints.
-        Only URDF 1.2 has limits of accelerations and jerk.
+        Only URDF 1.2 has acceleration and jerk limits.
     bodies : dict
         Link name to `Body`, in the frame of the link, for links with collision geometry. For this and the next three
         attributes, looking up an unknown name raises an UnknownNameError that lists the known names.
@@ -154,7 +153,7 @@ class Robot(KeepsReadOnly):
         Group name to joint names, from the SRDF.
     states : dict
         State name to (group, {joint: value}), from the SRDF; for a joint with several values a tuple in the order of
-        `configuration_names`. If several groups have a state of the same name, the second is "group/name".
+        `configuration_names`. If several groups have a state with the same name, the second one is called "group/name".
     disabled_pairs : frozenset
         Sorted pairs of links that the SRDF exempts from checking.
     adjacent_pairs : frozenset
@@ -165,8 +164,8 @@ class Robot(KeepsReadOnly):
     tree : Tree
         The arrays that kernels take; described in ``loewner/_kernels/robots/kinematics.py``.
     urdf : Path
-        The file that was read: a URDF or an MJCF. For a description given as a string, or a robot that was made in
-        memory, a placeholder name in the current working directory.
+        The file that was read: a URDF or an MJCF. For a description given as a string, or a robot made in memory, it is
+        a placeholder name in the current working directory.
     package_dirs : tuple of Path
         Additional folders that were searched for meshes.
 
@@ -244,14 +243,14 @@ class Robot(KeepsReadOnly):
         ----------
         path : path, optional
             A URDF file. If its name ends in ``.xacro``, the package xacro expands it (``pip install
-            "loewner[xacro]"``), which evaluates expressions of Python in the file: read only files that you trust.
-            Messages then have the lines of the expanded text.
+            "loewner[xacro]"``). This evaluates Python expressions in the file, so read only files that you trust. Line
+            numbers in messages then refer to the expanded text.
         text : str, optional
             The contents of such a file instead of a path, such as ROS's ``/robot_description``. Relative paths of
             meshes in it are resolved from the working directory.
         xacro_args : mapping of str to str, number or bool, optional
-            Values of a xacro file's arguments; a file of any name is then expanded. ``$(find package)`` is the folder
-            of a package, see `package_dirs`.
+            Values for the arguments of a xacro file; with these, a file of any name is expanded. ``$(find package)`` is
+            the folder of a package, see `package_dirs`.
         srdf : path, optional
             Groups, states and disabled pairs. A file whose name ends in ``.xacro`` is expanded as well.
         package_dirs : path or iterable of paths
@@ -260,15 +259,16 @@ class Robot(KeepsReadOnly):
         meshes : {"auto", "hull", "pieces", "surface"}
             Representation of each collision mesh. "auto", the default: the hull of a closed mesh if it is proven to
             stick out by at most 1 mm or 1 % of the mesh's diameter (the larger of the two counts), and otherwise the
-            solid that the mesh encloses. Holes of a nearly closed mesh are closed first; of any other mesh, the hull is
-            taken. `shapes` has the results. "hull": the convex hull, which contains the mesh. "pieces": convex pieces
+            solid that the mesh encloses. Holes of a nearly closed mesh are closed first; for any other mesh, the hull
+            is used. `shapes` has the results. "hull": the convex hull, which contains the mesh. "pieces": convex pieces
             (`Body.from_mesh`), into which a non-convex mesh is split once (see `cache`). "surface": its triangles
             (`Body.from_surface`), including the enclosed space if the mesh is closed.
         decompose : bool
             True means the same as ``meshes="pieces"``.
         pairs : {"adjacent", "proven"}, optional
-            Which pairs need no check if there is no SRDF. "adjacent", the default: links that a joint connects.
-            "proven": also the pairs that are proven to collide never, or at all configurations (`prove_pairs`).
+            Which pairs are exempt from checking if there is no SRDF. "adjacent", the default: links that are connected
+            by a joint. "proven": also the pairs that are proven to collide never, or at all configurations
+            (`prove_pairs`).
         tol : float
             Certified log-volume gap of all fits.
         cache : bool
@@ -298,12 +298,11 @@ class Robot(KeepsReadOnly):
         Warns
         -----
         UserWarning
-            If meshes are not closed, with "auto"; one warning names them all.
-            If the URDF or the SRDF has parts that its format does not define (docs/robots.md); if limits of a joint
-            that mimics another would leave that one hardly any range. If the SRDF names links or joints that the robot
-            does not have, or none that it has; if it names a different robot, or has passive joints, or a base that
-            moves. If a body is probably not in metres, or the angles of an origin or the limits of revolute joints are
-            probably not in radians.
+            If meshes are not closed, with "auto"; one warning names them all. If the URDF or the SRDF has parts that
+            its format does not define (docs/robots.md); if the limits of a mimicking joint would leave the other joint
+            hardly any range. If the SRDF names links or joints that the robot does not have, or none that it has; if it
+            is for a different robot; or if it contains passive joints, or a base that moves. If a body is probably not
+            in metres, or the angles of an origin or the limits of revolute joints are probably not in radians.
 
         Examples
         --------
@@ -429,8 +428,8 @@ class Robot(KeepsReadOnly):
         Warns
         -----
         UserWarning
-            If the file has parts with which MuJoCo computes and that are not read, such as flexible bodies and
-            constraints; if limits of hinges are probably not in radians after MuJoCo's conversion.
+            If the file has parts that MuJoCo uses in its computations but that are not read, such as flexible bodies
+            and constraints; if limits of hinges are probably not in radians after MuJoCo's conversion.
 
         Examples
         --------
@@ -450,7 +449,7 @@ class Robot(KeepsReadOnly):
     @classmethod
     @guarded
     def from_mujoco(cls, model: Any, data: Any = None, *, couplings: bool = True, tol: float = 1e-4) -> Robot:
-        """Read a robot, with the world around it, from a model of MuJoCo in memory.
+        """Read a robot, with the world around it, from a MuJoCo model in memory.
 
         As for `from_mjcf`, pairs that MuJoCo does not check are in `disabled_pairs`, and keyframes are in `states`.
         `imported` and `exported` convert configurations from and to `qpos`.
@@ -459,10 +458,10 @@ class Robot(KeepsReadOnly):
         ----------
         model : mujoco.MjModel
         data : mujoco.MjData, optional
-            Has the poses of mocap bodies and the active constraints. Default: as in the model.
+            Supplies the poses of mocap bodies and the active constraints. Default: as in the model.
         couplings : bool
-            Let joints follow others if an active equality couples them linearly. If it is False, or there are none, a
-            configuration equals `qpos`, entry by entry.
+            Let joints follow others if an active equality couples them linearly. If it is False, or there are no such
+            equalities, a configuration equals `qpos`, entry by entry.
         tol : float
             Certified log-volume gap of the fits of meshes.
 
@@ -474,8 +473,8 @@ class Robot(KeepsReadOnly):
         Raises
         ------
         InputError
-            If `model` or `data` are not MuJoCo's, or of different models; if a geom that collides is a signed distance
-            field.
+            If `model` or `data` are not MuJoCo's, or belong to different models; if a geom that collides is a signed
+            distance field.
         GeometryError
             If a mesh that collides is flat.
 
@@ -527,13 +526,13 @@ class Robot(KeepsReadOnly):
         height : float
             In metres.
         bounds : array_like, shape (2, 2), optional
-            Lowest and highest x and y, in metres; a plan needs them.
+            Lowest and highest x and y, in metres; planning requires them.
 
         Returns
         -------
         Robot
             With the link "footprint" on the joints ``base/x``, ``base/y`` and ``base/theta``, as from `add_base`. It
-            may move in each direction: a proof of its motions is one for a base that can drive sideways.
+            may move in each direction: a proof of its motions is valid for a base that can drive sideways.
 
         Raises
         ------
@@ -560,18 +559,18 @@ class Robot(KeepsReadOnly):
         disabled: Iterable[Pair] | None = None,
         name: str = "robot",
     ) -> Robot:
-        """Make a robot of links and joints in memory.
+        """Make a robot from links and joints in memory.
 
         Parameters
         ----------
         links : mapping from str to Body, None, or list of (Body, pose)
-            The body of each link, in the frame of the link; None if it has none; or several bodies, each at its pose of
-            shape (4, 4) in the link, with translation in metres.
+            The body of each link, in the frame of the link. None stands for a link without a body. For several bodies,
+            give each with its pose of shape (4, 4) in the link, with translation in metres.
         joints : iterable of Joint
-            They connect all links to one root. Their order is the order of the values of a configuration.
+            They connect all links to one root. Their order is the order of the values in a configuration.
         disabled : iterable of pairs of str, optional
-            Pairs of links that need no check; all others are checked. Default: adjacent pairs need no check, as for a
-            URDF without an SRDF.
+            Pairs of links that are exempt from checking; all others are checked. Default: adjacent pairs are exempt, as
+            for a URDF without an SRDF.
         name : str
 
         Returns
@@ -581,17 +580,18 @@ class Robot(KeepsReadOnly):
         Raises
         ------
         InputError
-            If links and joints do not form a tree; if a name is used twice, limits are not in order, or something is
-            given for a joint of a kind that has none of it.
+            If links and joints do not form a tree; if a name is used twice, limits are not in order, or a value is
+            given that this kind of joint does not have.
         PoseError
             If a pose is not a rigid motion.
         UnknownNameError
-            If a joint, a mimicking joint or a pair has a name that does not exist, or there is no such kind of joint.
+            If a joint, a mimicking joint or a pair refers to a name that does not exist, or there is no such kind of
+            joint.
 
         Warns
         -----
         UserWarning
-            If limits of a joint that mimics another would leave that one hardly any range; if the limits of revolute
+            If the limits of a mimicking joint would leave the other joint hardly any range; if the limits of revolute
             joints are probably not in radians.
 
         Examples
@@ -642,21 +642,22 @@ class Robot(KeepsReadOnly):
             fixed. Default: as in the model.
         mimic : mapping, optional
             Joints that follow others, since Drake's Python cannot read couplers: ``{joint: (other, gear ratio,
-            offset)}``, in the names of the robot.
+            offset)}``, with the robot's names.
         tol : float
             Certified log-volume gap of the fits of meshes.
 
         Returns
         -------
         Robot
-            Every body of the plant is a link, by its name, or MODEL::NAME if several models have it. Each shape of the
-            world is a link of its own, and so are shapes of a body with other filters than its first one.
+            Every body of the plant is a link with the same name, or with the name MODEL::NAME if several models have
+            it. Each shape of the world is a link of its own, and so are shapes of a body whose filters differ from its
+            first shape's.
 
         Raises
         ------
         InputError
-            If the plant is not finalized, a joint or a shape cannot be represented, or the context is not of the
-            diagram.
+            If the plant is not finalized, a joint or a shape cannot be represented, or the context is not the
+            diagram's.
         UnknownNameError
             If `mimic` names a joint that does not exist.
         GeometryError
@@ -665,8 +666,8 @@ class Robot(KeepsReadOnly):
         Warns
         -----
         UserWarning
-            If the plant has more constraints than `mimic` couples, or geometry that is deformable or not of the plant;
-            if bodies that are fixed to each other collide, which is not checked.
+            If the plant has more constraints than `mimic` couples, or geometry that is deformable or not part of the
+            plant; if bodies that are fixed to each other collide, which is not checked.
 
         Examples
         --------
@@ -696,16 +697,16 @@ class Robot(KeepsReadOnly):
         model : pinocchio.Model
         geometry_model : pinocchio.GeometryModel
         meshes : {"auto", "hull", "pieces", "surface"}
-            Representation of meshes of triangles, as for `from_urdf`. The default, like Coal, is their triangles; the
-            space that a closed one encloses belongs to it as well.
+            Representation of triangle meshes, as for `from_urdf`. By default, as in Coal, they are their triangles; the
+            space that a closed mesh encloses is included as well.
         tol : float
             Certified log-volume gap of the fits of meshes.
 
         Returns
         -------
         Robot
-            Every body frame is a link, by its name. Each shape of the universe is a link of its own, and so are shapes
-            of a link that are checked with other shapes than its first one.
+            Every body frame is a link with the same name. Each shape of the universe is a link of its own, and so are
+            shapes of a link that are checked against other shapes than its first one.
 
         Raises
         ------
@@ -738,7 +739,7 @@ class Robot(KeepsReadOnly):
 
     @guarded
     def exported(self, Q: ArrayLike) -> Floats:
-        """Convert configurations to the order of this robot's model of Drake, pinocchio or MuJoCo.
+        """Convert configurations to the order of the Drake, pinocchio or MuJoCo model from which this robot was made.
 
         Parameters
         ----------
@@ -752,7 +753,7 @@ class Robot(KeepsReadOnly):
         Raises
         ------
         InputError
-            If the robot was made otherwise, or has got values since, as by `join`; use the parts then.
+            If the robot was made in another way, or has gained values since, for example by `join`; use the parts then.
 
         Examples
         --------
@@ -769,7 +770,7 @@ class Robot(KeepsReadOnly):
         ----------
         q : array_like, shape (..., nq)
         tolerance : float
-            Largest deviation [rad or m] of values that follow others, or do not change, from where the robot has them.
+            Largest deviation [rad or m] of values that follow others or do not change from the robot's values.
 
         Returns
         -------
@@ -801,7 +802,7 @@ class Robot(KeepsReadOnly):
 
     @guarded
     def as_scene(self, q: ArrayLike) -> Scene:
-        """Return the bodies where they are at a configuration as a scene, for other robots to avoid.
+        """Return the bodies, at their poses for a configuration, as a scene for other robots to avoid.
 
         Parameters
         ----------
@@ -810,7 +811,8 @@ class Robot(KeepsReadOnly):
         Returns
         -------
         Scene
-            Bodies have the names of their links. Pairs that need no check of the robot may touch in the scene.
+            Bodies have the names of their links. Pairs that are exempt from checking for the robot may touch in the
+            scene.
 
         Examples
         --------
@@ -827,21 +829,21 @@ class Robot(KeepsReadOnly):
         return scene
 
     def to_urdf(self, path: str | os.PathLike[str], *, mesh_prefix: str = "") -> None:
-        """Write the robot as a URDF, with an SRDF of the same stem, so that other programs, and `from_urdf`, read it.
+        """Write the robot as a URDF, with an SRDF of the same stem, for other programs and for `from_urdf`.
 
         Together the files describe the same kinematics, limits, rates, groups, states and shapes, up to the rounding of
-        poses, and a `CollisionChecker` checks the same pairs. A root link "world" is added before the others if the
-        robot has several roots, or is placed; links fixed to it can be adjacent through it, so do not give
-        ``skip_adjacent=True`` then. Visual geometry, masses and efforts are not written. Limits that are narrower than
-        `hard_lower` and `hard_upper` become soft limits. Without the SRDF, pairs may be exempt that this robot checks:
-        pass it to `from_urdf`, too. Solids are written as their triangles, which some other programs replace by their
-        convex hulls. Existing files are replaced.
+        poses, and a `CollisionChecker` checks the same pairs. A root link "world" is added if the robot has several
+        roots or is placed. Links fixed to it can be adjacent through it, so do not pass ``skip_adjacent=True`` in this
+        case. Visual geometry, masses and efforts are not written. Limits that are narrower than `hard_lower` and
+        `hard_upper` become soft limits. Pass the SRDF to `from_urdf`, too: without it, pairs that this robot checks may
+        be exempt. Solids are written as their triangles, which some other programs replace by their convex hulls.
+        Existing files are replaced.
 
         Parameters
         ----------
         path : path
-            The URDF. The SRDF has the suffix ``.srdf`` instead, and meshes are files next to them,
-            ``STEM-DIGEST.obj``, as for `Body.to_urdf`.
+            The URDF. The SRDF has the suffix ``.srdf``, and meshes are files next to them, ``STEM-DIGEST.obj``, as for
+            `Body.to_urdf`.
         mesh_prefix : str
             Prefix for the names of mesh files in the URDF, for instance ``"package://my_robot/meshes/"``.
 
@@ -849,10 +851,9 @@ class Robot(KeepsReadOnly):
         ------
         InputError
             If the robot has something that URDF cannot express: a ball joint, bounds of a floating base, a cone, an
-            ellipsoid or a cloud of points; or a surface that ``meshes="auto"`` would not read as the
-            same solid. If readers would change a name, since it has
-            characters that cannot be printed, a dollar sign, or spaces at its ends; or if the path ends in ``.srdf`` or
-            ``.xacro``.
+            ellipsoid or a point cloud, or a surface that ``meshes="auto"`` would not read as the same solid. If readers
+            would change a name, since it contains unprintable characters, a dollar sign, or spaces at its ends; or if
+            the path ends in ``.srdf`` or ``.xacro``.
         FileError
             If a file cannot be written.
 
@@ -901,7 +902,7 @@ class Robot(KeepsReadOnly):
     def placed(self, T_world_base: ArrayLike) -> Robot:
         """Return the same robot with its root link at a pose of shape (4, 4) instead of the world's origin.
 
-        If the robot has been placed before, the new pose replaces the old one. A robot that was joined of several is
+        If the robot has been placed before, the new pose replaces the old one. A robot that was joined from several is
         placed as a whole: the poses of its parts are relative to this pose.
 
         Parameters
@@ -935,13 +936,13 @@ class Robot(KeepsReadOnly):
     @classmethod
     @guarded
     def join(cls, parts: Mapping[str, Robot], poses: Mapping[str, ArrayLike | None] | None = None) -> Robot:
-        """Make one robot of several, so that they are checked and planned together.
+        """Make one robot from several, so that they are checked and planned together.
 
         Parameters
         ----------
         parts : mapping from str to Robot
-            The robots by name. The names of their links, joints, groups and states get this name and a slash as a
-            prefix: "left/panda_joint1".
+            The robots by name. This name and a slash become a prefix of the names of their links, joints, groups and
+            states: "left/panda_joint1".
         poses : mapping from str to array_like, shape (4, 4), optional
             Pose in the world of the root link of each part; translation in metres. A part without a pose stays where
             it is.
@@ -1023,28 +1024,28 @@ class Robot(KeepsReadOnly):
         links : str or iterable of str, optional
             Names of links with bodies, or of bodies that are attached to links in `scene`. Default: all of them.
         tolerance : float
-            The largest distance in metres by which the body may stick out of the links' swept volume. A larger one
-            leaves fewer pieces.
+            The largest distance in metres by which the body may stick out of the links' swept volume. A larger
+            tolerance gives fewer pieces.
         joint_error : float, or array_like of shape (dof,)
             The body also contains the links if each value deviates from the curve by up to this much [rad or m]. These
             deviations count as sticking out.
         scene : Scene, optional
-            Bodies that are attached there are carried along; its other bodies do not matter.
+            Bodies that are attached there are carried along; its other bodies are ignored.
         progress : callable, optional
             Called as ``progress(done, total)`` with numbers of pieces.
 
         Returns
         -------
         Body
-            In the frame of the world, of convex pieces. Its `Body.covering` has the proven excess, `max_protrusion`:
-            no point of the body is farther from the links' swept volume. The coordinates of vertices are numbers of
-            single precision, so `Body.to_stl` writes exactly this body.
+            In the frame of the world, of convex pieces. Its `Body.covering` contains the proven excess,
+            `max_protrusion`: no point of the body is farther than this from the links' swept volume. The coordinates of
+            vertices have single precision, so `Body.to_stl` writes exactly this body.
 
         Raises
         ------
         InputError
-            As for `CollisionChecker.certify_trajectory`; also if the tolerance is not positive and finite, or so small
-            that it cannot be kept, or that the curve has to be divided.
+            As for `CollisionChecker.certify_trajectory`; also if the tolerance is not positive and finite, is too small
+            to be kept, or is so small that the curve has to be divided.
         UnknownNameError
             If there is no such link or body.
         GeometryError
@@ -1056,9 +1057,9 @@ class Robot(KeepsReadOnly):
 
         Notes
         -----
-        Links are taken as their bodies (`bodies`): a solid is cut into convex pieces that stick out by two fifths of
-        the tolerance, as far as ten seconds of work for each suffice. docs/certified.md, "Swept volumes", derives both
-        bounds.
+        Links are represented by their bodies (`bodies`): a solid is cut into convex pieces that stick out by two fifths
+        of the tolerance, as far as ten seconds of work for each suffice. docs/certified.md, "Swept volumes", derives
+        both bounds.
 
         Examples
         --------
@@ -1101,21 +1102,22 @@ class Robot(KeepsReadOnly):
         margin : float
             A distance in metres that counts as contact; larger margins of the scene are kept.
         limits : mapping from str to (float, float), optional
-            Ranges of values by their names in `configuration_names`, in radians or metres. All others have the hard
-            limits of the file; a joint without limits makes a full turn, or as many as the joints that follow it need
-            to return.
+            Ranges of values, keyed by their names in `configuration_names`, in radians or metres. All other values have
+            the hard limits of the file; a joint without limits makes a full turn, or as many turns as the joints that
+            follow it need to return.
         scene : Scene, optional
             Other bodies. Bodies that are attached there move with the robot's links.
         boxes : int
             At most this many boxes of configurations are examined for all pairs together.
         cache : bool
-            Keep answers about the hard limits, without a margin or a scene, on disk, keyed by everything on which they
-            depend, so that later calls only read them.
+            Keep answers about the hard limits, without a margin or a scene, on disk under a key of everything on which
+            they depend, so that later calls only read them.
         progress : callable, optional
             Called as ``progress(done, total)`` with numbers of pairs.
         proof : bool
-            Write a proof of all rows for other programs to verify, `ProvenPairs.proof`. All have to be NEVER, with
-            bodies of convex pieces, joints that turn or slide, and at most eight values with a range between them.
+            Write a proof of all rows for other programs to verify, `ProvenPairs.proof`. All rows must be NEVER, with
+            bodies of convex pieces, joints that turn or slide, and at most eight values with a range between the two
+            bodies.
 
         Returns
         -------
@@ -1127,10 +1129,10 @@ class Robot(KeepsReadOnly):
         UnknownNameError
             If there is no such link, body or value.
         InputError
-            If an entry is not a pair of two different bodies, or none of the two moves; if a link has no body; if a
-            range has its lower end above its upper one; if the robot has no collision geometry; or if a body of the
-            scene follows a motion. With `proof`, also if a row is not NEVER, and if the format cannot express the model
-            or the proof, or in 5 MB.
+            If an entry is not a pair of two different bodies, or neither of the two moves; if a link has no body; if
+            the lower end of a range is above the upper one; if the robot has no collision geometry; or if a body of the
+            scene follows a motion. With `proof`, also if a row is not NEVER, or if the format cannot express the model
+            or the proof within 5 MB.
         ConvergenceError
             With `proof`, if a pair comes too near to its margin for the format.
 
@@ -1142,7 +1144,7 @@ class Robot(KeepsReadOnly):
         -----
         NEVER and ALWAYS are proofs, like FREE of `CollisionChecker.certify_edges`; docs/certified.md derives the
         bounds. Planar joints need ranges for their positions, and pairs with a floating or ball joint between them are
-        OPEN. A pair with many joints between its bodies takes many boxes: six or more rarely settle.
+        OPEN. A pair with many joints between its bodies takes many boxes: with six or more, it rarely settles.
 
         Examples
         --------
@@ -1177,11 +1179,11 @@ class Robot(KeepsReadOnly):
         Parameters
         ----------
         joints : str or iterable of str
-            One value by its name in `configuration_names`, or several. The range of one value ends where contact
-            begins, up to 1e-9 rad or m, or at its limit. The range of several is a box: all ends are the same share of
-            the way to their limits.
+            One value by its name in `configuration_names`, or several. The range of a single value ends where contact
+            begins, up to 1e-9 rad or m, or at the value's limit. The range of several values is a box: all of its ends
+            are at the same share of the way to their limits.
         about : array_like, shape (dof,), optional
-            The configuration; all other values stay as they are in it. Default: `configuration`.
+            The configuration; all other values keep their values in it. Default: `configuration`.
         pairs : iterable of pairs of str, optional
             As for `prove_pairs`. Default: the pairs that a `CollisionChecker` of this robot checks.
         margin, limits, scene
@@ -1231,15 +1233,15 @@ class Robot(KeepsReadOnly):
 
         Shapes that stick out of links can meet where the links never do, and a planner would then find no path. Such
         pairs are found in random configurations. A pair that is proven never to collide (`prove_pairs`) is added to
-        `disabled_pairs`; the others stay checked, and a warning lists the pairs that always meet.
+        `disabled_pairs`; other pairs stay checked, and a warning lists the ones that always meet.
 
         Parameters
         ----------
         kind : {"spheres", "capsules", "boxes", "ellipsoids"}
             As for `Body.cover`.
         n : int, optional
-            The largest number of shapes of the whole robot. All links then have the same bound on how far shapes stick
-            out. This takes several times as long as a given ``protrusion``.
+            The largest number of shapes for the whole robot. All links then have an equal
+            bound on how far shapes stick out. This takes several times as long as a given ``protrusion``.
         protrusion : float, optional
             The largest distance by which shapes may stick out of a link [m]. Default: 0.02, unless `n` is given.
         progress : callable, optional
@@ -1284,7 +1286,7 @@ class Robot(KeepsReadOnly):
         Parameters
         ----------
         model : Robot
-            A robot with links of the same names and frames, such as `with_cover` returns.
+            A robot with links of the same names and frames, such as the result of `with_cover`.
         tolerance : float, optional
             As for `Body.covered_by` [m].
         progress : callable, optional
@@ -1323,9 +1325,9 @@ class Robot(KeepsReadOnly):
         Parameters
         ----------
         path : path
-            A configuration of cuRobo, or the file of its spheres, or an XRDF; a URDF of VAMP or foam with spheres; a
-            JSON file of pyroki's or foam's spheres; any URDF, with the SRDF of the same stem if there is one; an MJCF
-            file whose bodies have the names of the links; or a scene whose bodies have these names and poses in the
+            A configuration of cuRobo, its file of spheres, or an XRDF; a URDF from VAMP or foam with spheres; a JSON
+            file with spheres for pyroki or from foam; any URDF, with the SRDF of the same stem if there is one; an MJCF
+            file whose bodies have the names of the links; or a scene whose bodies have these names, and poses in the
             frames of the links.
         format : str, optional
             The program for which the file was made. Default: by the suffix and the keys. The numbers of "curobo",
@@ -1340,7 +1342,7 @@ class Robot(KeepsReadOnly):
         FileError
             If the file is missing or malformed, or has no shapes; the message gives the place.
         UnknownNameError
-            If the file has shapes of a link that the robot does not have, or there is no such format.
+            If the file has shapes for a link that the robot does not have, or there is no such format.
         InputError
             If the suffix does not determine the format.
         MissingExtraError
@@ -1370,7 +1372,7 @@ class Robot(KeepsReadOnly):
     ) -> None:
         """Write the bodies of links, and the pairs that need no check, for a planner.
 
-        The shapes in the file contain the bodies of this robot: numbers are rounded outwards to float32 for programs
+        The shapes in the file contain the bodies of this robot: numbers are rounded outward to float32 for programs
         that use it, and shapes whose angles are rounded are 1 nm larger on each side. `with_cover` reads the file, so
         that `covered_by` can prove it. Existing files are replaced.
 
@@ -1386,8 +1388,7 @@ class Robot(KeepsReadOnly):
         Raises
         ------
         InputError
-            If the format has other shapes only, or the suffix does not determine the format. As for
-            `to_urdf`.
+            If the format has only other shapes, or the suffix does not determine the format. As for `to_urdf`.
         UnknownNameError
             If there is no such format.
         FileError
@@ -1537,27 +1538,27 @@ class Robot(KeepsReadOnly):
         T : array_like, shape (..., 4, 4)
             The poses T_world_link, with translation in metres.
         joints : str or iterable of str, optional
-            A group, or names of joints. Only these joints move. Default: all that move the link.
+            A group, or names of joints. Only these joints move. Default: all joints that move the link.
         start : array_like, shape (..., dof), optional
-            Broadcast with the poses. All other joints keep these values, which are also the first seed, moved into the
-            limits. The second seed is the answer for the previous pose, so the poses of a line are best given in order.
-            Default: `configuration()`, moved into the limits.
+            Broadcast with the poses. All other joints keep these values. They are also the first seed, after being
+            moved into the limits. The second seed is the answer for the previous pose, so pass the poses of a line in
+            order. Default: `configuration()`, moved into the limits.
         seeds : int
             Number of further configurations from which to search, spread evenly within the limits; at least 1.
         checker : CollisionChecker, optional
-            Look for a solution that is free, as decided by `CollisionChecker.collide`.
+            Look for a solution that is free, according to `CollisionChecker.collide`.
         all : bool
             Return all distinct solutions found. Otherwise the search for a pose ends with its first solution.
         tolerance : array_like, shape (6,), optional
-            Largest deviations, in the frame of the target, to either side; ``inf`` leaves a direction free.
-            Three lengths along x, y and z [m], the tilt of the link's z axis about x and y [rad], and the spin about
-            its z axis [rad]. ``[0, 0, 0, inf, inf, inf]`` seeks a position only, ``[0, 0, 0, 0, 0, inf]`` a z axis.
-            With both tilts a and b in use, the z axis deviates by arccos(cos a + cos b - 1). Default: zeros.
+            Largest deviations, in the frame of the target, to either side; ``inf`` leaves a direction free. Three
+            lengths along x, y and z [m], the tilt of the link's z axis about x and y [rad], and the spin about its z
+            axis [rad]. ``[0, 0, 0, inf, inf, inf]`` seeks a position only, ``[0, 0, 0, 0, 0, inf]`` a z axis. With both
+            tilts a and b in use, the z axis deviates by arccos(cos a + cos b - 1). Default: zeros.
 
         Returns
         -------
         Reached
-            One solution for each pose, and where there is none, how near the best attempt came.
+            One solution for each pose; for poses without a solution, how near the best attempt came.
 
         Raises
         ------
@@ -1572,12 +1573,12 @@ class Robot(KeepsReadOnly):
         -----
         Solutions are within the limits, except for values that are kept from a start outside them. They reach the
         tolerance to 1e-10 m and rad, times one plus the sum of the absolute values of the pose's coordinates in metres.
-        That no solution was found does not prove that there is none; more seeds find more. A joint that turns by more
-        than a whole turn is returned at the angle that is nearest to the start. Which solution comes first does not
-        depend on the number of threads.
+        If no solution was found, this does not prove that there is none; more seeds find more. A joint that can turn by
+        more than a whole turn is returned at the angle nearest to the start. Which solution comes first does not depend
+        on the number of threads.
 
-        Each seed is improved by damped Newton steps, eight seeds at a time, and given up where these gain too little. A
-        redundant arm has infinitely many solutions, one for each seed or so.
+        Each seed is improved by damped Newton steps, eight seeds at a time, and is abandoned when these gain too
+        little. A redundant arm has infinitely many solutions, one for each seed or so.
 
         Examples
         --------
@@ -1613,7 +1614,7 @@ class Robot(KeepsReadOnly):
         Parameters
         ----------
         Q : array_like, shape (..., dof)
-            A table with names of columns must have the order of `configuration_names`.
+            The columns of a table with column names must be in the order of `configuration_names`.
         name : str
             The caller's name for it, for messages.
 
@@ -1935,12 +1936,12 @@ def exported_rates(robot: Robot, rates: Floats) -> Floats:
 
 
 def joints_above(robot: Robot) -> tuple[str, ...]:
-    """Return the name of the joint above each link, in the order of the links; empty where it has none."""
+    """Return the name of the joint above each link, in the order of the links; empty if there is none."""
     return tuple(robot._above.get(link, ("", None))[0] for link in robot.link_names)
 
 
 def sources_of(robot: Robot) -> tuple[Source, ...]:
-    """Return where the descriptions of a robot and of its parts came from."""
+    """Return the sources from which a robot and its parts were read."""
     return robot._sources
 
 
@@ -1970,7 +1971,7 @@ def interpolated(robot: Robot, a: Floats, b: Floats, at: Floats) -> Floats:
 
 
 def on_the_way(robot: Robot, a: Floats, b: Floats) -> Floats:
-    """Return the ends b with the signs of quaternions that `between` uses; at half a turn, rounding decides."""
+    """Return the ends b with the quaternion signs that `between` uses; at half a turn, rounding decides."""
     if robot.runs_straight:
         return b
     ends = b.copy()
@@ -1980,7 +1981,7 @@ def on_the_way(robot: Robot, a: Floats, b: Floats) -> Floats:
 
 
 def unlimited(robot: Robot) -> tuple[Bools, Bools, Bools]:
-    """Mark the columns without a lower limit, those without an upper limit, and angles without any limit.
+    """Mark the columns without a lower limit, the columns without an upper limit, and angles without any limit.
 
     Some programs write 1e16 or the largest number for "no limit"; such values count as no limit.
     """
@@ -2023,13 +2024,13 @@ def _nearer(p: Floats, q: Floats) -> tuple[Floats, Floats]:
 
 
 def first_shown(robot: Robot) -> tuple[str | None, Floats]:
-    """Return the state of the most joints and its configuration, or zero; joints are within their limits."""
+    """Return the state that names the most joints and its configuration, or zero; joints are within their limits."""
     state = max(robot.states, key=lambda name: len(robot.states[name][1]), default=None)
     return state, np.clip(robot.configuration(state), robot.lower, robot.upper)
 
 
 def drawn(robot: Robot) -> tuple[list[Shape], dict[str, Floats], str]:
-    """Return shapes of links, poses of all links, and a note, at the configuration that is shown first."""
+    """Return shapes of links, poses of all links, and a note, for the configuration that is shown first."""
     state, q = first_shown(robot)
     poses = dict(zip(robot.link_names, robot.forward_kinematics(q), strict=True))
     shapes = [

@@ -50,7 +50,7 @@ class Semantics:
     states : dict
         State name to (group, {driven joint: value or tuple of values}).
     disabled_pairs : frozenset
-        Sorted pairs of links that need no check.
+        Sorted pairs of links that are exempt from checking.
     ruled : bool
         Whether there are rules on pairs; then adjacent pairs are checked unless a rule disables them.
     """
@@ -131,7 +131,7 @@ def read_srdf(path: str | os.PathLike[str], robot: Description, text: str | None
         If some of the links and joints do not belong to this robot (an SRDF is often shared with a larger variant), or
         the SRDF names a group that it does not contain; if it names no link or joint of this robot, is for a robot of a
         different name, or has parts that are not defined in SRDF. If joints are passive; if the base moves, or a state
-        places it; or a state has a value of a joint outside its group.
+        places it; or if a state has a value for a joint outside its group.
     """
     root = read_xml(path, "an SRDF", text)
     urdf = next((c for c in root.children if c.tag in ("link", "joint")), None)

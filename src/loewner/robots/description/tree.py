@@ -37,7 +37,8 @@ def columns_of(robot: Description) -> tuple[dict[str, slice], int]:
 
 
 def adjacent_pairs(robot: Description, bodies: Collection[str] | None = None) -> frozenset[Pair]:
-    """Find pairs of links with bodies (default: shapes) that are joined by one joint, or over links without bodies.
+    """Find pairs of links with bodies (default: shapes) that are connected by one joint, or through links without
+    bodies.
 
     The path over links without bodies may have at most one moving joint. MoveIt's setup assistant allows any number,
     but links separated by two moving joints may well collide, and a collision of an unchecked pair is never found.

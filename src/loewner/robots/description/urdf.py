@@ -155,7 +155,7 @@ class Joint:
 
     `velocity`, `acceleration` and `jerk` are the largest rates of the joint's value [rad or m per s, s² and s³], or NaN
     if the URDF gives no positive ones. The child is at `origin` when the value is `reference`. `lower` and `upper` are
-    the limits as in the file; `soft` are narrower ones of its controller, and of the joints that mimic it.
+    the limits in the file; `soft` are narrower limits, from its controller and from the joints that mimic it.
     """
 
     name: str
@@ -242,8 +242,8 @@ def read_urdf(path: str | os.PathLike[str], text: str | None = None) -> Descript
     -----
     UserWarning
         If the file has parts that URDF does not define, or its version is newer than 1.2; if a joint mimics a joint
-        that does not exist, or limits of a mimicking joint would leave another one hardly any range; if the angles of
-        an origin, or limits, are probably in degrees.
+        that does not exist, or the limits of a mimicking joint would leave the other joint hardly any range; if the
+        angles of an origin, or limits, are probably in degrees.
     """
     root = read_xml(path, "a URDF", text)
     name, version = root.get("name"), _version(root)
@@ -314,7 +314,7 @@ def read_visuals(path: Path, text: str | None) -> tuple[dict[str, list[Shape]], 
 def parents_first(
     fault: Callable[[str, str], NoReturn], links: list[str], joint_above: Mapping[str, Joint]
 ) -> list[str]:
-    """Order links depth first from the root, which must be unique; `fault` raises an error about it."""
+    """Order links depth first from the root, which must be unique; if it is not, `fault` raises an error."""
     tops = [name for name in links if name not in joint_above]
     if len(tops) > 1:
         fault("a tree with one root", f"{len(tops)} links that hang on no joint: {some(tops)}")

@@ -1,4 +1,5 @@
-"""Detect values of configurations that cannot be computed with, or are probably a slip, such as degrees for radians."""
+"""Detect values in configurations that cannot be used in computations, or that are probably a mistake, such as degrees
+for radians."""
 
 from __future__ import annotations
 
@@ -26,7 +27,7 @@ LARGEST_VALUE = 1e200
 
 
 class Watch(KeepsReadOnly):
-    """Find values of configurations that cannot be computed with, and values far outside the limits.
+    """Find values in configurations that cannot be used in computations, and values far outside the limits.
 
     Parameters
     ----------
@@ -50,7 +51,8 @@ class Watch(KeepsReadOnly):
 
     Notes
     -----
-    After one warning, only values that cannot be computed with are looked for. Copies of a robot share one watch.
+    After one warning, only values that cannot be used in computations are looked for. Copies of a robot share one
+    watch.
     """
 
     def __init__(
@@ -89,7 +91,7 @@ class Watch(KeepsReadOnly):
         return bool((least <= Q).all() and (most >= Q).all())
 
     def refused(self, Q: Floats) -> tuple[int, ...] | None:
-        """Return the index of the first entry that cannot be computed with; None if there is none."""
+        """Return the index of the first entry that cannot be used in computations; None if there is none."""
         wrong = ~(np.abs(Q) <= LARGEST_VALUE)
         return tuple(int(i) for i in np.argwhere(wrong)[0]) if wrong.any() else None
 

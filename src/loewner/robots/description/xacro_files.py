@@ -1,6 +1,6 @@
 """Expand xacro files to URDF, with the package xacro.
 
-Such files contain expressions of Python. They are evaluated only if the caller names such a file, or gives arguments.
+Such files contain Python expressions. They are evaluated only if the caller names such a file or passes arguments.
 """
 
 from __future__ import annotations

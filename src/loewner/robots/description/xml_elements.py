@@ -126,7 +126,7 @@ def read_xml(path: str | os.PathLike[str], what: str, text: str | None = None) -
 
 
 def settle(root: Element, what: str, harmless: Mapping[str, AbstractSet[str]]) -> None:
-    """Warn, once, of all parts of a file that its reader has not read, unless they are harmless.
+    """Warn once about all parts of a file that its reader has not read, unless they are harmless.
 
     Parameters
     ----------

@@ -1,9 +1,9 @@
-"""Bound how near a robot comes to contact on each piece of a curve: from below with proof, from above by a moment.
+"""Bound how near a robot comes to contact on each piece of a curve: from below by a proof, and from above by a moment.
 
-A piece is sampled, and the smallest distance is taken down into its valley. The proof of motions then shows that all
-pairs keep all but a hundredth of this distance; where it cannot, it names a moment that is nearer, and so on. Where
-the robot collides, there are no planes. Such pieces are divided until no point moves farther within a part than the
-bounds may differ.
+A piece is sampled, and a descent starts from the smallest distance. The proof of motions then shows that all pairs keep
+all but a hundredth of this distance; where it cannot, it names a moment that is nearer, and so on. Where the robot
+collides, there are no planes. Such pieces are divided until no point moves farther within a part than the bounds may
+differ.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ class ClosestApproach(_validate.Brief):
         Seconds; times at which the pieces begin and end.
     lower : ndarray, shape (n,)
         Metres. No pair of bodies is nearer than this at any instant of the piece, with proof; a negative value bounds
-        the depth of all overlaps. -inf where surfaces overlap, for which depths have no upper bound.
+        the depth of all overlaps. It is -inf if surfaces overlap, since their depths have no upper bound.
     distance : ndarray, shape (n,)
         The least distance found: the exact distance at ``time``, or minus the depth. It is at least `lower`, and larger
         by at most a hundredth or 10 µm, unless a search ended early.
@@ -117,8 +117,8 @@ def closest(self: Any, curve: Any, *, t0: float | None = None) -> ClosestApproac
     Parameters
     ----------
     curve : PPoly, BPoly, BSpline, planners.Trajectory, planners.ControllerPoints, or a list of curves
-        As for `certify_trajectory`. Bodies that follow motions move at the same times; where they change their rates,
-        a piece ends.
+        As for `certify_trajectory`. Bodies that follow motions move at the same times; a piece ends where they change
+        their rates.
     t0 : float, optional
         Seconds that are added to the curve's times, as for `certify_trajectory`.
 
@@ -159,7 +159,7 @@ def closest(self: Any, curve: Any, *, t0: float | None = None) -> ClosestApproac
 
 
 def measured(ready: Problem, curve: Curve, number: int = 0) -> ClosestApproach:
-    """Measure one curve, on whose courses the moving bodies have their places; `number` is the curve's."""
+    """Measure one curve whose courses include the poses of the moving bodies; `number` is the curve's."""
     expect_pairs(ready, "closest")
     ready, curve = ready.without_margins, curve._replace(off=curve.off[:, : curve.courses.shape[2]])
     search = Search.of(ready, curve)
@@ -246,7 +246,7 @@ def contacts(ready: Problem, curve: Curve, pieces: Ints, approach: ClosestApproa
     -------
     ndarray, shape (m, 2)
         Seconds. At both times, which are as near as numbers get to the end of a collision, the robot collides. A
-        collision ends where the pieces end.
+        collision ends at the latest where the pieces end.
     """
     found: list[tuple[float, float]] = []
     for group in np.split(pieces, np.flatnonzero(np.diff(pieces) > 1) + 1) if len(pieces) else []:
@@ -275,7 +275,7 @@ def _allowed(distance: Floats) -> Floats:
 
 
 class Search:
-    """The least distance found on each piece of a curve, with its place.
+    """The least distance found on each piece of a curve, and its location.
 
     Attributes
     ----------
@@ -292,7 +292,7 @@ class Search:
 
     @classmethod
     def of(cls, ready: Problem, curve: Curve) -> Search:
-        """Measure some distances on each piece, and go down from the least of them."""
+        """Measure several distances on each piece, and descend from the least of them."""
         made, n = cls(ready, curve), len(curve.courses)
         pieces, shares = np.repeat(np.arange(n), len(FIRST)), np.tile(FIRST, n)
         distances = made.look(np.append(pieces, n - 1), np.append(shares, 1.0))
@@ -318,7 +318,7 @@ class Search:
         return np.asarray(distance)
 
     def descend(self, pieces: Ints, shares: Floats) -> None:
-        """Go down into the valleys about fractions of pieces."""
+        """Descend into the valleys around fractions of pieces."""
         half, middle = WIDE, shares.copy()
         for _ in range(STEPS):
             if len(pieces) == 0:

@@ -34,12 +34,12 @@ APEXES, TRIANGLES = 4, 2
 
 
 def blocks(packs: Sequence[Packed], poses: Floats, near: Floats) -> Iterator[bytes]:
-    """Make the contents of proofs that two bodies have a common point, likely ones first.
+    """Make the contents of proofs that two bodies have a common point, likely points first.
 
     Parameters
     ----------
     packs : sequence of Packed
-        The bodies, with their surfaces in parts.
+        The bodies, with their surfaces cut into parts.
     poses : ndarray, shape (2, 4, 4)
     near : ndarray, shape (2, 3)
         Witnesses of the depth, see `loewner.distance`.

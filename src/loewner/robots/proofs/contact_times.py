@@ -38,12 +38,12 @@ class TrajectoryContact(_validate.Brief):
         FREE: proven free at every instant of the curve. COLLIDING: the robot collides at `touching_at`, which may be
         rounded. AMBIGUOUS: the robot comes within the tolerance at `free_until`, and no collision is known.
     free_until : float
-        Seconds. At every real time from the start of the curve to this time, except the time itself, every pair is
-        proven to be farther apart than its margin, or in contact as `Scene.leave` or `Scene.reach` allows; inf if FREE.
-        At this time, the pair is within the tolerance of its margin, or of the depth that the rule allows.
+        Seconds. Before this time, every pair is proven to be farther apart than its margin at every real time from the
+        start of the curve on, or in contact as `Scene.leave` or `Scene.reach` allows; inf if FREE. At this time, the
+        pair is within the tolerance of its margin, or of the depth that the rule allows.
     touching_at : float
-        Seconds; the earliest time at which a collision is known. The two times differ by the time that the pair takes
-        for the tolerance, unless it grazes before it collides. inf if there is none.
+        Seconds; the earliest time at which a collision is known. The two times differ by the time that the pair needs
+        to cross the tolerance, unless it grazes before it collides. inf if there is no such time.
     names : tuple of str
         The pair; empty strings if FREE.
 
@@ -101,11 +101,11 @@ def first_contact(
 
     Notes
     -----
-    The first piece that is not proven free is cut into eight parts, again and again, until the pair is near enough
-    where the proof ends. Two things end the proof earlier: many triangles of two surfaces that come near each other at
-    the same time; and rounding, about 1e-11 of the lengths involved, and 2e-14 of the times.
+    The first piece that is not proven free is cut into eight parts, repeatedly, until the pair is near enough where the
+    proof ends. The proof ends earlier in two cases: many triangles of two surfaces come near each other at the same
+    time; or rounding, which is about 1e-11 of the lengths involved and 2e-14 of the times, matters.
 
-    Contact that `Scene.leave` or `Scene.reach` allows on this curve is not reported. A contact at the end that gets
+    Contact that `Scene.leave` or `Scene.reach` allows on this curve is not reported. A contact at the end that becomes
     deeper than its rule allows is reported from where it begins.
 
     Examples

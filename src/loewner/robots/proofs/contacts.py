@@ -61,8 +61,8 @@ class Settled(NamedTuple):
     Attributes
     ----------
     verdicts : ndarray of int8, shape (n,)
-        FREE; COLLIDING if the two get deeper into each other than allowed, or touch after they have parted; else
-        AMBIGUOUS.
+        FREE; COLLIDING if the two become deeper in contact than allowed, or touch again after they have parted;
+        otherwise AMBIGUOUS.
     fractions : ndarray, shape (n,)
         Fractions of the segments; NaN if FREE.
     """
@@ -72,14 +72,14 @@ class Settled(NamedTuple):
 
 
 class Run(NamedTuple):
-    """Consecutive courses that are parts of a curve's segments, possibly passed backwards.
+    """Consecutive courses that are parts of a curve's segments, possibly traversed backward.
 
     Attributes
     ----------
     number : ndarray of int64, shape (n,)
         The segments.
     low, high : ndarray, shape (n,)
-        Their fractions at which the courses begin and end.
+        The fractions of the segments at which the courses begin and end.
     courses : ndarray, shape (n, degree + 1, dof)
     off : ndarray, shape (n, dof)
         How far values may deviate from the courses.
@@ -93,7 +93,7 @@ class Run(NamedTuple):
 
     @classmethod
     def whole(cls, courses: Floats, off: Floats) -> Run:
-        """Take whole segments; deviations also cover the rounding of control points when courses are cut."""
+        """Take whole segments; the deviations also cover the rounding of control points when courses are cut."""
         roundings = OFF if courses.shape[1] == 2 else CURVE_ROUNDINGS
         off = off + roundings * np.maximum(np.abs(courses).max(axis=1), 1.0)
         return cls(np.arange(len(courses)), np.zeros(len(courses)), np.ones(len(courses)), courses, off)
@@ -103,7 +103,7 @@ class Run(NamedTuple):
         return int(self.number[k]), float(self.low[k] + fraction * (self.high[k] - self.low[k]))
 
     def backwards(self) -> Run:
-        """Pass the courses from the last to the first, each from its end to its start."""
+        """Traverse the courses from the last to the first, each from its end to its start."""
         courses, off = self.courses[::-1, ::-1], self.off[::-1]
         return Run(
             self.number[::-1], self.high[::-1], self.low[::-1], np.ascontiguousarray(courses), np.ascontiguousarray(off)
@@ -135,12 +135,12 @@ class Stage(NamedTuple):
     Attributes
     ----------
     problem : Problem
-        The pair, or on a stretch of contact its pieces and the planes behind which they may not go.
+        The pair or, on a stretch of contact, its pieces and the planes behind which they may not go.
     run : Run
     tolerance : float
-        Metres by which `problem` is in doubt too early.
+        Distance in metres by which `problem` is in doubt too early.
     least : float or None
-        The signed distance at which the pair collides on a stretch of contact; None elsewhere.
+        On a stretch of contact, the signed distance at which the pair collides; None elsewhere.
     """
 
     problem: Problem
@@ -151,13 +151,13 @@ class Stage(NamedTuple):
 
 @dataclass
 class Work:
-    """How many steps proofs may take, None for no limit, and how many they took."""
+    """Limit on the steps of proofs, None for no limit, and the steps that they took."""
 
     most: int | None
     taken: int = 0
 
     def is_spent(self) -> bool:
-        """Return whether they took more than they may."""
+        """Return whether they took more steps than allowed."""
         return self.most is not None and self.taken > self.most
 
 
@@ -170,11 +170,11 @@ def settle(ready: Problem, pair: int, courses: Floats, off: Floats, tolerance: f
     pair : int
         Index of the pair, for which `ready.leaving` or `ready.reaching` is true.
     courses : ndarray, shape (n, degree + 1, dof)
-        The segments of the curve; a straight motion has one.
+        The segments of the curve; a straight motion has one segment.
     off : ndarray, shape (n, dof)
         How far values may deviate from the courses.
     tolerance : float
-        Distance in metres by which the contact may get deeper.
+        Distance in metres by which the contact may become deeper.
     work : Work
         Counts the steps.
     """
@@ -198,10 +198,10 @@ def settle(ready: Problem, pair: int, courses: Floats, off: Floats, tolerance: f
 
 
 def stages(ready: Problem, pair: int, courses: Floats, off: Floats, tolerance: float) -> list[Stage]:
-    """Divide a curve into the parts on which a pair may be in contact and the others, in order.
+    """Divide a curve into the parts on which a pair may be in contact and the other parts, in order.
 
-    See `settle` for the parameters. If a contact at the end is not as its rule allows, it is no contact that is
-    allowed.
+    See `settle` for the parameters. If a contact at the end is not as its rule allows, it does not count as an allowed
+    contact.
     """
     found, alone = [], ready.only(np.array([pair]))
     for run, leaving, deepest in _runs(ready, pair, courses, off, tolerance):
@@ -219,7 +219,8 @@ def stages(ready: Problem, pair: int, courses: Floats, off: Floats, tolerance: f
 def deeper_than_ends(ready: Problem, path: Floats, rows: Ints, tolerance: float) -> tuple[int, int] | None:
     """Find the first row of a path at which a pair is in deeper contact than its rules allow, and the pair.
 
-    On each motion of a path a contact may get deeper by the tolerance, but not by more along the whole path.
+    On each motion of a path, a contact may become deeper by the tolerance, but not by more than that along the whole
+    path.
     """
     for pair in ready.ruled.tolist():
         allowed = float(ready.margins[pair])
@@ -234,7 +235,7 @@ def deeper_than_ends(ready: Problem, path: Floats, rows: Ints, tolerance: float)
 
 
 def farthest(ready: Problem, pair: int, run: Run) -> tuple[int, float]:
-    """Find a course, and a fraction of it, at which a pair is apart by the largest of the distances measured."""
+    """Find a course, and a fraction of it, at which a pair has the largest of the measured distances."""
     at, distances, _ = _samples(ready, pair, run)
     return _on_course(at[distances.argmax()])
 

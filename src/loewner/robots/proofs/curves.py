@@ -57,7 +57,7 @@ class Curve(NamedTuple):
     off : ndarray, shape (n, dof)
         Bounds on the rounding error of each value.
     carried : tuple of (str, str)
-        Bodies that the robot has to carry, and their links; an empty link for a body that it must not carry.
+        Bodies that the robot has to carry, mapped to their links; an empty link for a body that it must not carry.
     """
 
     names: tuple[str, ...] | None
@@ -83,13 +83,13 @@ class CertifiedTrajectory(_validate.Brief):
     names : tuple of str
         The pair of bodies; empty strings if FREE.
     first : float
-        Seconds; the curve is proven free until then, at the least. inf if FREE.
+        Seconds; the curve is proven free at least until then. inf if FREE.
     times : ndarray, shape (n + 1,)
         Times at which the segments begin and end.
     segments : CertifiedMotions
         Results for the n segments, with fractions of a segment instead of times.
     proof : Proof or None
-        A proof that the curve is free, if one was requested and it is; a motion for each segment.
+        A proof that the curve is free, if one was requested and the curve is free; it has one motion for each segment.
 
     Examples
     --------
@@ -114,7 +114,7 @@ class CertifiedTrajectory(_validate.Brief):
 
     @property
     def first(self) -> float:
-        """Time until which the curve is proven free, at the least: its first segment that is not FREE begins then.
+        """Time until which the curve is proven free at least: its first segment that is not FREE begins then.
 
         inf if FREE. With bodies that follow motions, segments also begin where these change their rates;
         `CollisionChecker.first_contact` is more precise.
@@ -134,7 +134,7 @@ def certified(
 ) -> list[CertifiedTrajectory]:
     """Prove which curves are free, including all configurations that deviate by no more than `joint_error`.
 
-    Proofs of free curves are written if there is a model for them. Each curve may take this number of steps.
+    Proofs of free curves are written if there is a model for them. Each curve may take this many steps.
     """
     curves = [curve._replace(off=curve.off + joint_error) for curve in curves]
     curves = [cut_in_time(robot, ready, curve) for curve in curves]
@@ -215,7 +215,7 @@ def proven(
 ) -> tuple[Curve, CertifiedTrajectory]:
     """Return the courses of a curve, and whether it is free.
 
-    An ndarray of shape (k, dof) is a path of straight motions; the numbers of its configurations serve as times.
+    An ndarray of shape (k, dof) is a path of straight motions; the indices of its configurations serve as times.
     """
     if not isinstance(given, np.ndarray):
         curve = cut_in_time(checker.robot, checker._ready(timed=True), started(checker.robot, given, name))
@@ -265,7 +265,7 @@ def curves_of(robot: Robot, scene: Scene, given: Any, t0: float | None = None) -
 
 
 def expect_carried(held: Mapping[str, str], carried: Iterable[Pair]) -> None:
-    """Refuse bodies that the robot carries, with their links, unless these links hold them."""
+    """Refuse bodies that the robot carries, mapped to their links, unless these links carry them."""
     for body, link in carried:
         if not link and body in held:
             raise InputError(
@@ -281,7 +281,8 @@ def expect_carried(held: Mapping[str, str], carried: Iterable[Pair]) -> None:
 
 
 def started(robot: Robot, given: Any, name: str, t0: float | None = None) -> Curve:
-    """Return the courses of a curve, `t0` seconds later; by default, a trajectory is later by its own start time."""
+    """Return the courses of a curve, shifted by `t0` seconds; by default, a trajectory is shifted by its own start
+    time."""
     curve = curve_of(robot, given, name)
     own = t0 is None
     later = _validate.real(getattr(given, "start_time", 0.0) if own else t0, "start_time" if own else "t0")
@@ -297,8 +298,8 @@ def curve_of(robot: Robot, given: Any, name: str) -> Curve:
     Raises
     ------
     InputError
-        If the curve is of the wrong type, its columns are not the robot's, a number is not finite, times do not
-        increase, the degree is above 7, the curve jumps, or a SciPy curve has other values than its coefficients
+        If the curve has the wrong type, its columns are not the robot's, a number is not finite, times do not increase,
+        the degree is above 7, the curve jumps, or the values of a SciPy curve are not the ones that its coefficients
         define.
     """
     with np.errstate(over="ignore", invalid="ignore"):  # refused below

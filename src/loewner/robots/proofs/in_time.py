@@ -1,9 +1,9 @@
-"""Motions of a robot among bodies that follow motions of their own: both together, as motions of one robot.
+"""Motions of a robot among bodies that follow motions of their own, treated together as motions of one robot.
 
 A body that follows a motion is a link on a floating joint (`assembly.with_moving_bodies`). Between two of its times it
-moves straight and turns at a constant rate, as such a joint does. So a motion of the robot is cut at these times, and
-each piece is proven as usual. Ends of pieces are rounded; the bounds below are derived in docs/certified.md, "Motions
-in time".
+moves straight and turns at a constant rate, as such a joint does. A motion of the robot is therefore cut at these
+times, and each piece is proven as usual. The ends of pieces are rounded; docs/certified.md, "Motions in time", derives
+the bounds below.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ class Pieces(NamedTuple):
         Seconds.
     courses : ndarray, shape (M, degree + 1, dof + 7 bodies)
     off : ndarray, shape (M, dof + 7 bodies + 3 growing)
-        How far values may deviate from the courses; and how far points of bodies may be off (`PackedPaths.off`).
+        How far values may deviate from the courses, and how far points of bodies may deviate (`PackedPaths.off`).
     """
 
     owner: Ints
@@ -146,14 +146,14 @@ def _joined(paths: PackedPaths, begin: Floats, end: Floats, courses: Floats, off
 
 
 def write_bodies(paths: PackedPaths, begin: Floats, end: Floats, courses: Floats, off: Floats) -> None:
-    """Write courses of all bodies between times, shape (M,) each, between which no body changes its rates.
+    """Write courses of all bodies between times, shape (M,) each; between these times, no body changes its rates.
 
     Parameters
     ----------
     courses : ndarray, shape (M, points, 7 bodies)
         Receives them.
     off : ndarray, shape (M, 7 bodies + 3 growing)
-        Receives how far values may deviate from the courses, and points of bodies from their places, as in `Pieces`.
+        Receives how far values may deviate from the courses, and points of bodies from their positions, as in `Pieces`.
     """
     values, farthest = WIDTH * len(paths.far), np.maximum(np.abs(begin), np.abs(end))
     off[:, values:] = paths.off(begin, end, TIME_ROUNDINGS * (farthest + paths.spans.max(initial=0.0)))
@@ -202,7 +202,7 @@ def prove_edges(
     """Prove which straight motions between `ends`, shape (N, dof) each, at `times` are free.
 
     COLLIDING is confirmed at the configuration and the time that a user computes from the fraction. Each motion may
-    take this number of steps.
+    take this many steps.
     """
     (a, b), (t0, t1) = ends, times
     courses = straight(robot, a, b)

@@ -41,15 +41,16 @@ class CertifiedMotions(_validate.Brief):
         tolerance, or arithmetic could not settle it; treat it as not free.
     fraction : float or ndarray
         Fraction of the motion, as in `Robot.between`; NaN if FREE. If COLLIDING, the configuration at this fraction
-        collides, but it is not necessarily the first that does.
+        collides, but it need not be the first one that does.
     names : tuple of str, or ndarray of str, shape (..., 2)
         The pair that is COLLIDING or AMBIGUOUS at this fraction; empty strings if FREE.
     poses, searches : int or ndarray of int64
         Work of the proof: the number of configurations at which the robot was placed, and the number of searches on
         pairs of pieces.
     steps : int or ndarray of int64
-        The whole work, in steps, as `CollisionChecker.certify_edges` limits it. An AMBIGUOUS motion that took more than
-        it might was given up at `fraction`, and nothing more is known about it; `names` are empty if nothing was begun.
+        The total work, in steps, which `CollisionChecker.certify_edges` can limit. An AMBIGUOUS motion that took more
+        steps than allowed was given up at `fraction`, and nothing more is known about it; `names` are empty if the
+        proof had not begun.
     proof : Proof or None
         A proof that all motions are free, if one was requested and all of them are.
 
@@ -79,7 +80,7 @@ class CertifiedMotions(_validate.Brief):
 
 
 class Limit(NamedTuple):
-    """How much work motions may take, in groups of successive ones that share it.
+    """How much work motions may take, in groups of successive motions that share it.
 
     Attributes
     ----------
@@ -159,18 +160,19 @@ def settle(
     tolerance : float
         Metres.
     off : ndarray, shape (N, dof + 3 growing), optional
-        How far each value may deviate from the course at any fraction; FREE covers all such deviations. Then, how far
-        points of bodies may be off, as the kernel takes it; COLLIDING counts this as a margin, unless `as_given`.
+        How far each value may deviate from the course at any fraction; FREE covers all such deviations. After them, how
+        far points of bodies may deviate, in the form that the kernel takes; COLLIDING counts this as a margin, unless
+        `as_given`.
     clear : ndarray, shape (N,), optional
-        Distances in metres that all pairs must keep on a motion in addition to their margins; COLLIDING, too, then
-        refers to them.
+        Distances in metres that all pairs must keep on a motion in addition to their margins; COLLIDING then refers to
+        them, too.
     limit : Limit, optional
     as_given : bool
-        Whether COLLIDING refers to bodies at their given poses, without their errors, too.
+        Whether COLLIDING refers to bodies at their given poses, without their errors.
 
     Notes
     -----
-    If `ready.starts_matter`, FREE presupposes that the motion is free at its start.
+    If `ready.starts_matter`, FREE is valid only if the motion is free at its start.
     """
     total = len(courses)
     if as_given and ready.off is not None:

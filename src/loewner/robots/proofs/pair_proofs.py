@@ -1,4 +1,4 @@
-"""Prove the verdict of two bodies at two poses: a plane between them, or a point of both."""
+"""Prove the verdict about two bodies at two poses: by a plane between them, or by a common point."""
 
 from __future__ import annotations
 
@@ -33,22 +33,23 @@ def prove(
     T_world_a, T_world_b : array_like, shape (4, 4), or None
         Poses; translation in metres. None is the identity.
     margin : float
-        Distance in metres that the bodies have to keep. If they are farther apart, this is proven.
+        Distance in metres that the bodies have to keep. If they are farther apart than this, the proof shows it.
 
     Returns
     -------
     Proof
-        Its `verdict` is FREE or COLLIDING. A proof of FREE names planes between the bodies: one, if both are single
-        pieces. A proof of COLLIDING names a common point.
+        Its `verdict` is FREE or COLLIDING. A proof of FREE contains planes between the bodies, and only one if both are
+        single pieces. A proof of COLLIDING contains a common point.
 
     Raises
     ------
     PoseError, InputError
         As for `collide`, and if there is more than one pair.
     ConvergenceError
-        If the format cannot express a proof of the answer: the bodies are apart, but not by more than the margin; they
-        touch, or nearly touch, so that no point is inside both, or no plane between them, by more than rounding; a
-        surface takes part in a collision; or hulls of parts of surfaces and clouds meet, while the bodies do not.
+        If the format cannot express a proof of the answer, which has four possible reasons: the bodies are apart, but
+        not by more than the margin; they touch or nearly touch, so that no point is inside both, or no plane is between
+        them, by more than rounding; a surface takes part in a collision; or hulls of parts of surfaces and clouds meet
+        although the bodies do not.
 
     Examples
     --------

@@ -1,10 +1,10 @@
 """Decide which pairs of bodies can ever collide, at any configuration within the ranges of the joints between them.
 
-Only the joints between two bodies matter, so the question is small. A box of configurations, one range for each value,
-is proven by the kernel that proves motions: along its longest side as a motion, and with its other sides as deviations
-of the joints from that motion. Boxes that are not proven are halved. A pair that collides in every configuration is
-proven by depth: two convex pieces deeper in each other than any of their points moves in a box meet in all of it. See
-docs/certified.md, "Pairs over whole ranges".
+Only the joints between two bodies matter, so the question is small. A box of configurations, with one range for each
+value, is proven by the kernel that proves motions: along its longest side as a motion, with its other sides as joint
+deviations from that motion. Boxes that are not proven are halved. A pair that collides in every configuration is proven
+by its depth: two convex pieces meet in a whole box if they overlap more deeply than any of their points moves in the
+box. See docs/certified.md, "Pairs over whole ranges".
 """
 
 from __future__ import annotations
@@ -444,7 +444,8 @@ def prove_pairs(
     proof: bool,
     only_free: bool = False,
 ) -> ProvenPairs:
-    """Answer `Robot.prove_pairs`, which has the defaults; `only_free`, least distances of other pairs are left out."""
+    """Compute the result of `Robot.prove_pairs`, which has the defaults; if `only_free`, least distances of other pairs
+    are left out."""
     cache = _validate.flag(cache, "cache")
     margin = _validate.positive_scalar(margin, "margin", zero=True)
     boxes = _validate.whole_number(boxes, "boxes", 1)
@@ -490,7 +491,7 @@ def free_range(
     scene: Scene | None,
     boxes: int,
 ) -> dict[str, tuple[float, float]]:
-    """Answer `Robot.free_range`, which has the defaults."""
+    """Compute the result of `Robot.free_range`, which has the defaults."""
     names = [joints] if isinstance(joints, str) else _validate.listed(joints, "joints", wanted="a name or several")
     for name in names:
         _expect_value(self, name, "joints")

@@ -1,7 +1,7 @@
-"""Models of a robot and its surroundings as proofs hold them: in bytes, and as arrays for the search of planes.
+"""Models of a robot and its surroundings as stored in proofs: as bytes, and as arrays for the search for planes.
 
-docs/proof-format.md describes the bytes. Links that do not move become frames of bodies, planar joints two links that
-slide and one that turns, and surfaces the hulls of their parts.
+docs/proof-format.md describes the bytes. Links that do not move become frames of bodies, a planar joint becomes two
+links that slide and one that turns, and surfaces become the hulls of their parts.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ PAIR = "a", "b"
 
 
 class Links(NamedTuple):
-    """Links in the order of the format; arrays with an entry or a row for each.
+    """Links in the order of the format, as arrays with an entry or a row for each.
 
     Attributes
     ----------
@@ -130,7 +130,7 @@ class Model(NamedTuple):
     pairs : ndarray of int64, shape (pairs, 2)
     margins : ndarray, shape (pairs,)
     rules : ndarray of int64, shape (pairs,)
-        1 for pairs that may be in contact at the start of motions, 2 at the end, 3 at both, else 0.
+        1 for pairs that may be in contact at the start of motions, 2 at the end, 3 at both, and otherwise 0.
     """
 
     data: bytes
@@ -180,19 +180,19 @@ def model_of(ready: Problem) -> Model:
 
 
 def model_of_pair(packs: Sequence[Packed], cut: Sequence[Packed], poses: Floats, margin: float) -> Model:
-    """Make the model of two bodies that do not move, which it calls a and b.
+    """Make the model of two static bodies, which it calls a and b.
 
     Parameters
     ----------
     packs, cut : sequences of Packed
-        The two bodies, and the same with their surfaces in parts.
+        The two bodies, and the same bodies with their surfaces cut into parts.
     poses : ndarray, shape (2, 4, 4)
     margin : float
 
     Raises
     ------
     InputError
-        If lengths are longer than checkers take.
+        If lengths are longer than checkers accept.
     """
     none, nothing = np.array([-1]), np.zeros((1, 3))
     identity = quaternions_of(np.eye(3)[None])
@@ -364,7 +364,7 @@ def of_bodies(bodies: Placed, hollow: Bools) -> bytes:
 
 
 def of_pairs(group: Ints, pairs: Ints, margins: Floats) -> bytes:
-    """Write which of all pairs are not to be checked, and the margins of the others."""
+    """Write which pairs are not to be checked, and the margins of the others."""
     moving = int((group >= 0).sum())  # these come first, and bodies in the world are not checked among themselves
     unchecked = np.triu(group[:moving, None] != group, 1)
     unchecked[pairs[:, 0], pairs[:, 1]] = False
@@ -383,12 +383,12 @@ def of_pairs(group: Ints, pairs: Ints, margins: Floats) -> bytes:
 
 
 def contents(data: bytes) -> tuple[list[str], dict[str, Any]]:
-    """Read the names of a model's values, and the contents of each of its parts by the part's name.
+    """Read the names of a model's values, and the contents of each of its parts, keyed by the part's name.
 
     Raises
     ------
     struct.error, IndexError
-        If the bytes are no model.
+        If the bytes are not a model.
     """
     at, values, found, links, bodies = 0, list[str](), dict[str, Any](), list[str](), list[str]()
 

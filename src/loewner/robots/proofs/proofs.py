@@ -1,4 +1,4 @@
-"""Prove motions: run the kernel, confirm collisions, check for starts inside solids, and apply rules of contact."""
+"""Prove motions: run the kernel, confirm collisions, check for starts inside solids, and apply contact rules."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def prove_by_rules(
     """Prove which straight motions between configurations a and b, shape (N, dof) each, are free.
 
     Pairs named by `Scene.leave` and `Scene.reach` may be in contact at the ends, unless there is a joint error. Each
-    motion may take this number of steps.
+    motion may take this many steps.
     """
     courses = straight(ready.robot, a, b)
     off = deviations(courses, joint_error)
@@ -86,9 +86,9 @@ def apply_rules(
     tolerance : float
         In metres.
     found : Found
-        The results of `prove`, which are changed.
+        The results of `prove`, which are modified.
     steps : int, optional
-        How much work each curve may take, with what `found` took.
+        The limit on the work for each curve, including the work that `found` took.
     """
     at = np.flatnonzero(found.verdicts != codes.FREE) if len(ready.ruled) else ready.ruled[:0]
     if len(at) == 0:
@@ -116,7 +116,7 @@ def apply_rules(
 
 
 def deviations(courses: Floats, joint_error: Floats | None) -> Floats | None:
-    """Add to a joint error the rounding of configurations on courses, as users compute them; None for no error.
+    """Add to a joint error the rounding of configurations on courses as users compute them; None for no error.
 
     Returns
     -------
@@ -145,7 +145,7 @@ def _confirm(ready: Problem, courses: Floats, found: Found) -> None:
 
 
 def refuse_starts(ready: Problem, a: Floats, found: Found) -> None:
-    """Keep FREE only for motions whose starts are free, if the result of `motions.settle` presupposes that."""
+    """Keep FREE only for motions whose starts are free, if the result of `motions.settle` presupposes free starts."""
     free = np.flatnonzero(found.verdicts == codes.FREE) if ready.starts_matter else ready.ruled[:0]
     if len(free) == 0:
         return

@@ -1,8 +1,8 @@
 """Write proofs that pairs are never nearer than a margin over ranges of values, see docs/proof-format.md.
 
 The box of all values between two bodies is halved until a plane separates the bodies in each part. The plane is
-perpendicular to the shortest way between the bodies in the middle of the box, and its condition is about the corners.
-Boxes are examined in batches, with floating point and with room for the checkers' rounding.
+perpendicular to the shortest connection between the bodies in the middle of the box, and its condition refers to the
+corners. Boxes are examined in batches, in floating point, with room for the checkers' rounding.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ HALVED, LAST, NORMAL, DOUBLES = 0, 3, 16, 18
 
 
 class Claim(NamedTuple):
-    """A pair of bodies, as numbers in the model, its margin, and the columns between the bodies with their ranges."""
+    """A pair of bodies, as indices in the model; its margin; and the columns between the bodies with their ranges."""
 
     pair: tuple[int, int]
     margin: float
@@ -69,10 +69,10 @@ def proof_of_ranges(model: Model, ready: Problem, claims: list[Claim]) -> Proof:
     Raises
     ------
     InputError
-        If a body of a pair has a surface, if a joint turns too far, if too many values are between two bodies, or if
-        the file would be larger than `MOST_BYTES`.
+        If a body of a pair has a surface, a joint turns too far, there are too many values between two bodies, or the
+        file would be larger than `MOST_BYTES`.
     ConvergenceError
-        If the bounds of the format do not suffice: a pair comes too near to its margin.
+        If the bounds of the format do not suffice because a pair comes too near to its margin.
     """
     blocks, nodes, work = [struct.pack("<I", len(claims))], 0, 0
     for claim in sorted(claims, key=lambda claim: claim.pair):

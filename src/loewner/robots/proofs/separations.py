@@ -1,7 +1,7 @@
 """Find planes that separate all pairs of bodies along motions: the trees of a proof, see docs/proof-format.md.
 
-The kernel `plane_trees` searches. It uses no result of the kernel that proved the motions. Here its input is prepared:
-the pieces of all bodies, which trees may divide, and the joints between the bodies of each pair.
+The kernel `plane_trees` searches. It uses no result of the kernel that proved the motions. This module prepares the
+input: the pieces of all bodies, which trees may divide, and the joints between the bodies of each pair.
 """
 
 from __future__ import annotations
@@ -49,18 +49,18 @@ _NO_TREE = records.Tree(_NONE, _NONE, _NONE, np.empty(0), np.empty(0), np.empty(
 
 
 class Clusters(NamedTuple):
-    """Consecutive pieces of bodies, as trees may divide them.
+    """Consecutive pieces of bodies that trees may divide.
 
     Attributes
     ----------
     points : ndarray
-        Corners of hulls in the frame of the link, and the radius about each, in blocks of eight columns, each with four
+        Corners of hulls in the frame of the link, and the radius around each, in blocks of eight columns with four
         rows.
     pieces : ndarray, shape (P, 14)
-        Kind, radius, center and factor of each piece in the frame of its link; the last two for curved ones.
+        Kind, radius, center and factor of each piece in the frame of its link; the last two only for curved pieces.
     numbers : ndarray of int64, shape (C, 7)
-        The first piece and the one after the last; the two halves, or -1 for a single piece; the columns of `points`
-        where its corners begin and end; and how many of its pieces are curved.
+        The first piece and the index after the last one; the two halves, or -1 for a single piece; the columns of
+        `points` where its corners begin and end; and the number of its curved pieces.
     of_body : ndarray of int64
         The cluster of all pieces of each body.
     """
@@ -84,7 +84,7 @@ class Contact(NamedTuple):
 def trees(
     ready: Problem, model: Model, courses: Floats, deviations: Floats, tolerance: float | None
 ) -> tuple[list[Contact], bytes]:
-    """Make the trees of all motions and pairs, in order, with the contacts that they need.
+    """Make the trees for all motions and pairs, in order, with the contacts that they need.
 
     Parameters
     ----------
@@ -151,9 +151,9 @@ def _expect_tree(
 
 
 def still(model: Model, room: float, normal: Floats | None = None) -> bytes | None:
-    """Make the tree of two bodies that do not move, with a gap that exceeds the margin by `room` of all lengths.
+    """Make the tree for two static bodies, with a gap that exceeds the margin by `room` of all lengths.
 
-    A normal in the world, from the first body to the second one, is tried before others are searched. If planes that
+    A normal in the world, from the first body to the second one, is tried before a search for others. If planes that
     the format can express do not separate the bodies, the result is None.
     """
     none = np.empty((1, 2, 0))
@@ -166,7 +166,7 @@ def still(model: Model, room: float, normal: Floats | None = None) -> bytes | No
 
 
 class Failed(NamedTuple):
-    """A pair without planes, the part of the motion for which there are none, and whether there were too many nodes."""
+    """A pair without planes, the part of the motion that lacks them, and whether there were too many nodes."""
 
     pair: int
     low: float
@@ -364,7 +364,7 @@ class _Search(NamedTuple):
 
 
 def clusters_of(model: Model) -> Clusters:
-    """Place the pieces of all bodies, and divide the pieces of each body again and again."""
+    """Place the pieces of all bodies, and divide the pieces of each body repeatedly."""
     start, pieces = model.pieces.start, model.pieces
     body_of = np.repeat(np.arange(len(start) - 1), np.diff(start))
     curved = pieces.kind != HULL

@@ -1,4 +1,4 @@
-"""Find the largest tracking error, of each joint, within which motions are proven free."""
+"""Find the largest tracking error of each joint for which motions are proven free."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ FIRST, STEP = 1e-6, 8.0
 def largest(ready: Problem, a: Floats, b: Floats, weights: Floats, most: float, tolerance: float) -> float:
     """Compute the largest e <= most for which all motions are proven free within the joint errors e * weights.
 
-    The motions are between configurations a and b, shape (N, dof) each. The result may be up to `NEAR` times too small;
-    it is 0.0 if `FIRST` is not proven.
+    The motions are between configurations a and b, shape (N, dof) each. The result may be too small by a factor of up
+    to `NEAR`; it is 0.0 if `FIRST` is not proven.
     """
     starts, ends = a, b
     low, high, e = 0.0, math.inf, min(FIRST, most)
@@ -51,14 +51,15 @@ def largest(ready: Problem, a: Floats, b: Floats, weights: Floats, most: float, 
 def joint_error(
     self: Any, path: ArrayLike, *, weights: ArrayLike = 1.0, most: float = 0.1, tolerance: float = 1e-5
 ) -> float:
-    """Compute, within 2 %, the largest error of the joints within which a whole path is proven free.
+    """Compute, to within 2 %, the largest joint error within which a whole path is proven free.
 
     Parameters
     ----------
     path : array_like, shape (k, dof) or (dof,)
-        Configurations, with motions between them as in `certify_edges`; a single one does not move.
+        Configurations, with motions between them as in `certify_edges`; a single configuration represents a robot at
+        rest.
     weights : float or array_like, shape (dof,)
-        Each value may deviate by the error times its weight. Default: all alike, in radians or metres.
+        Each value may deviate by the error times its weight. Default: all equal, in radians or metres.
     most : float
         The largest error to try.
     tolerance : float

@@ -1,4 +1,4 @@
-"""Proofs of motions that other programs can verify: `Proof`, and how one is made."""
+"""Proofs of motions that other programs can verify: `Proof`, and functions that make one."""
 
 from __future__ import annotations
 
@@ -31,7 +31,8 @@ MOST_BYTES, FARTHEST_TURN = 2**24, 1e6
 
 @dataclass(frozen=True, repr=False)
 class Proof:
-    """A proof that motions or ranges are free of collisions, or of two bodies' verdict, as in docs/proof-format.md.
+    """A proof that motions or ranges are free of collisions, or of the verdict about two bodies, as in
+    docs/proof-format.md.
 
     `loewner.verify`, a program that shares no code with the rest of this library, checks such proofs.
 
@@ -43,7 +44,7 @@ class Proof:
     Raises
     ------
     InputError
-        If these are not the contents of a whole file.
+        If these are not the contents of a complete file.
 
     Examples
     --------
@@ -134,7 +135,7 @@ class Proof:
             raise FileError(f"proof: {error}") from None
 
     def differences(self, checker: Any) -> list[str]:
-        """Describe in words how the model differs from the model of a checker.
+        """Describe how the model differs from the model of a checker.
 
         Parameters
         ----------
@@ -159,7 +160,7 @@ class Proof:
             raise InputError("data: expected a model, found something else") from None
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the file, under a temporary name that is then changed.
+        """Write the file under a temporary name, and then rename it.
 
         Parameters
         ----------
@@ -175,7 +176,7 @@ class Proof:
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Proof:
-        """Read a file, whose length and checksum are compared, but which is not verified.
+        """Read a file; its length and checksum are compared, but it is not verified.
 
         Parameters
         ----------
@@ -213,7 +214,7 @@ def _fault(data: bytes) -> str | None:
 
 
 def assembled(what: int, model: bytes, proof: bytes, version: int = WITHOUT_RULES) -> Proof:
-    """Make a file of its blocks, unless it is larger than checkers take."""
+    """Make a file from its blocks, unless it is larger than checkers accept."""
     data = _HEAD.pack(MAGIC, version, what, len(model), len(proof)) + model + proof
     if len(data) + 32 > MOST_BYTES:
         raise InputError(
@@ -235,13 +236,13 @@ def proof_of(model: Model, ready: Problem, courses: Floats, deviations: Floats, 
     deviations : ndarray, shape (dof,)
         How far each value may deviate from the courses.
     tolerance : float or None
-        Distance in metres by which allowed contacts may get deeper than at the ends of joined motions; None if rules of
-        contact do not apply.
+        Distance in metres by which allowed contacts may become deeper than at the ends of joined motions; None if
+        contact rules do not apply.
 
     Raises
     ------
     InputError
-        If checkers might refuse the file: it is too large, has no motions, or a joint turns too far.
+        If checkers might refuse the file because it is too large, has no motions, or has a joint that turns too far.
     ConvergenceError
         If the format's bounds do not suffice.
     """

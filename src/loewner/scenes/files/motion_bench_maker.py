@@ -59,7 +59,8 @@ class Problem:
     scene : Scene
         Obstacles, in the frame of the robot's base.
     valid : bool or None
-        Whether the file claims that the problem is valid, which is not checked here; None if the file claims nothing.
+        Whether the problem is valid according to the file, which is not checked here; None if the file has no such
+        entry.
 
     Examples
     --------

@@ -17,10 +17,10 @@ Keys = tuple[tuple[str, ...], tuple[str, ...]]
 
 
 def keys_of(place: str) -> Keys:
-    """Return the keys of a mapping in the entry of a body, and the keys that it must have."""
+    """Return the possible keys and the required keys of a mapping in the entry of a body."""
     return keys_in(BODY["properties"][place])
 
 
 def keys_in(rule: dict[str, Any]) -> Keys:
-    """Return the keys of a rule for a mapping, and the keys that it must have."""
+    """Return the possible keys and the required keys of a rule for a mapping."""
     return tuple(rule["properties"]), tuple(rule.get("required", ()))

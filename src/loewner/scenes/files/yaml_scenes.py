@@ -73,7 +73,8 @@ def load_scene(path: str | PathLike[str]) -> Scene:
     FileError
         If the file, or a file that it names, is missing or malformed. The message gives the line and the key.
     MissingExtraError
-        If PyYAML is not installed, or MuJoCo if the file is a model, or a package that a mesh needs.
+        If PyYAML is not installed; if MuJoCo is not installed and the file is a model; or if a package that a mesh
+        needs is not installed.
     InputError, GeometryError
         As for `Robot.from_mjcf`, if a colliding geom of a model cannot be read.
 
@@ -135,17 +136,17 @@ def _set_margin(scene: Scene, entry: YamlNode) -> None:
 def save_scene(scene: Scene, path: str | PathLike[str]) -> None:
     """Write a scene to YAML, so that `load_scene` returns a scene with the same verdicts.
 
-    Boxes, spheres, cylinders, capsules, cones and ellipsoids are written by their sizes. Any other body is saved
-    next to the file, as ``STEM-NAME-DIGEST.npz``; a body that several names share is saved once. The scene file
-    contains the SHA-256 of each saved body, whose first digits are the digest, and refuses any other body.
+    Boxes, spheres, cylinders, capsules, cones and ellipsoids are written by their sizes. Any other body is saved next
+    to the file, as ``STEM-NAME-DIGEST.npz``; a body that several names share is saved once. The scene file contains the
+    SHA-256 of each saved body, whose first digits are the digest; reading refuses any other body.
 
     Parameters
     ----------
     scene : Scene
-        The scene as it is at one instant, even if other threads change it meanwhile.
+        The scene as it is at one instant, even if other threads change it at the same time.
     path : path
         The files of the bodies are written first; then this file is written under a temporary name and renamed. Files
-        of an older scene are neither changed nor removed, except the one of this name.
+        of an older scene are neither changed nor removed, except a file with this name.
 
     Raises
     ------
