@@ -7,7 +7,7 @@ import pytest
 
 from checker_oracle import random_robot
 from families import translation
-from loewner import Body, CollisionChecker, Scene
+from loewner import Body, CollisionChecker, Robot, Scene
 from loewner._kernels import columns, tolerances
 from loewner._native import entries
 
@@ -81,3 +81,13 @@ def test_paths_orders_and_chains_are_as_defined(rng, tmp_path):
     R = (fixed + turns * (np.sin(angles) * sine + np.cos(angles) * cosine)).reshape(len(tree.kind), 8, 3, 3)
     departures = np.linalg.norm(R.swapaxes(2, 3) @ R - np.eye(3), axis=(2, 3))
     assert tables.chain[2] == pytest.approx(2 * departures.max(axis=1).sum(), rel=1e-6)
+
+
+def test_a_robot_of_moving_joints_alone_has_an_order():
+    """No link of it is fixed to the world, so its chain has as many joints as links."""
+    scene = Scene()
+    scene.add("ball", Body.sphere(0.1), translation(3.0, 0.0, 0.0))
+    base = Robot.footprint([[0.2, 0.1], [-0.2, 0.1], [-0.2, -0.1], [0.2, -0.1]], height=0.5)
+    ready = CollisionChecker(base, scene)._ready()
+    assert (ready.robot.tree.kind != columns.FIXED).all()
+    assert ready.tables.order.tolist() == [0]
