@@ -74,7 +74,8 @@ def text() -> str:
 
 def constants() -> dict[str, str]:
     """Constants by their names in C, where all codes begin with ``CODE_``."""
-    mesh, boxes = numbers_of("trees/triangle_tree.py"), numbers_of("trees/boxes.py", WIDE=columns.WIDE)
+    mesh = numbers_of("trees/triangle_tree.py", NODE_BITS=columns.NODE_BITS)
+    boxes = numbers_of("trees/boxes.py", WIDE=columns.WIDE)
     values = {
         **{f"CODE_{name}": value for name, value in vars(codes).items() if name.isupper()},
         **{name: getattr(columns, name) for name in COLUMNS},

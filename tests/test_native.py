@@ -376,7 +376,12 @@ def test_structs_for_c_are_the_signatures_of_the_kernels():
         ):
             found = zip(structs.pop(name, []), words, strict=True)
             assert all(kind in types.get(word, {array + word[-1]}) for kind, word in found), name
-    assert {name: len(fields) for name, fields in structs.items()} == {"pieces": 12, "problem": 14, "motion_tables": 10}
+    assert {name: len(fields) for name, fields in structs.items()} == {
+        "pieces": 12,
+        "problem": 14,
+        "motion_tables": 10,
+        "search": 13,
+    }
     assert records.MOTIONS == 8 * records.ENTRIES * 14
 
 

@@ -1,14 +1,16 @@
 """The kernel that lists pairs and lays out tables, against references that are written as the definitions."""
 
 import itertools
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from checker_oracle import random_robot
 from families import translation
-from loewner import Body, CollisionChecker, Robot, Scene
+from loewner import Body, CollisionChecker, Scene
 from loewner._kernels import columns, tolerances
+from loewner._kernels.robots import pair_lists
 from loewner._native import entries
 
 
@@ -83,11 +85,9 @@ def test_paths_orders_and_chains_are_as_defined(rng, tmp_path):
     assert tables.chain[2] == pytest.approx(2 * departures.max(axis=1).sum(), rel=1e-6)
 
 
-def test_a_robot_of_moving_joints_alone_has_an_order():
-    """No link of it is fixed to the world, so its chain has as many joints as links."""
-    scene = Scene()
-    scene.add("ball", Body.sphere(0.1), translation(3.0, 0.0, 0.0))
-    base = Robot.footprint([[0.2, 0.1], [-0.2, 0.1], [-0.2, -0.1], [0.2, -0.1]], height=0.5)
-    ready = CollisionChecker(base, scene)._ready()
-    assert (ready.robot.tree.kind != columns.FIXED).all()
-    assert ready.tables.order.tolist() == [0]
+def test_a_chain_of_moving_joints_alone_has_an_order():
+    """If no link is fixed to the world, the last one has as many joints before it as there are links."""
+    problem = SimpleNamespace(pairs=np.array([[0, 2], [1, 2]]), link=np.array([0, 1]))
+    tables = SimpleNamespace(order=np.full(2, -1))
+    pair_lists._write_order.py_func(np.array([1, 2]), problem, tables)
+    assert tables.order.tolist() == [1, 0]

@@ -37,6 +37,7 @@ DEEPEST = 14  # limit on divisions: the vertices of a flat face share the cells 
 GRID = 1 << DEEPEST
 
 WIDE = 8  # boxes in a group of a tree
+NODE_BITS = 4  # binary logarithm of the number of boxes in a node of a tree over triangles
 FEW = 8  # with fewer pieces than this, each is tried
 
 # -- robots, described in `robots.kinematics` and `robots.placement` -------------------------------

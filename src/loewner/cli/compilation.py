@@ -18,11 +18,18 @@ from loewner.errors import FileError
 
 # Modules below `loewner._kernels`, or prefixes of their names, by the part to which their entries belong.
 _MODULES = {
-    "verdicts": ("elementary", "pipeline.verdicts", "pipeline.fallback", "pipeline.workspace", "pieces.rigid"),
+    "verdicts": (
+        "elementary",
+        "pipeline.verdicts",
+        "pipeline.fallback",
+        "pipeline.workspace",
+        "pieces.rigid",
+        "pieces.joining",
+    ),
     "crowds": ("trees.boxes",),
     "robots": ("robots.", "low_discrepancy"),
     "fits": ("fits.", "ellipsoids.", "pieces.directions"),
-    "surfaces": ("narrow.mesh_points", "trees.piece_tree", "trees.triangle", "trees.cuts"),
+    "surfaces": ("narrow.mesh_points", "narrow.inscribed", "trees.piece_tree", "trees.triangle", "trees.cuts"),
     "distances": ("pipeline.distances", "pipeline.first_contacts"),
     "estimates": ("pipeline.bounds",),
     "paper": ("paper.",),

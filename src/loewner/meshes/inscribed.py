@@ -11,7 +11,7 @@ from loewner._base import _validate
 from loewner._base._guard import guarded
 from loewner._base._validate import Floats, Ints
 from loewner._base._workspaces import workspace
-from loewner._kernels.trees.triangle_tree import ROWS, WIDE
+from loewner._kernels.columns import NODE_BITS
 from loewner._native import entries
 from loewner.ellipsoids.polytopes import writeable
 from loewner.errors import InputError
@@ -97,7 +97,7 @@ def inscribed_ellipsoids(
 
 def _extent(boxes: NDArray[Any]) -> tuple[float, float]:
     """Return half the longest edge of the box around a tree, and the largest coordinate."""
-    middle, half = boxes[:ROWS:WIDE].astype(float).reshape(2, 3)
+    middle, half = boxes[: 6 << NODE_BITS : 1 << NODE_BITS].astype(float).reshape(2, 3)
     return float(half.max()), float((np.abs(middle) + half).max())
 
 

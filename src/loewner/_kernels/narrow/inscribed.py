@@ -37,7 +37,7 @@ MOST_ON = 512
 # is small enough if it would be smaller by less than the second factor; largest number of attempts to find it.
 ROUGH = 0.8
 PLACES = (1.0, 0.3)
-TOUCHING = 0.87
+OFF_SURFACE = 0.87
 SHRINKS = 12
 
 # The least semi-axis, as a share of the mesh's size. Rounding grows with its inverse: see `prove`.
@@ -411,7 +411,7 @@ def ball_at(mesh, start, n):
     for _ in range(SHRINKS):
         center = along(start, radius, n)
         distance, q = nearest(mesh, center, IDENTITY, radius, ROUGH)
-        if distance >= TOUCHING * radius:
+        if distance >= OFF_SURFACE * radius:
             if winds_around(mesh, center):
                 return radius, distance
             limit = (1.0 - LEAST_AXIS) * radius  # the center may be behind a thin wall

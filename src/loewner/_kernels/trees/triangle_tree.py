@@ -26,10 +26,11 @@ doi:10.1109/RT.2007.4342588.
 import numpy as np
 
 from loewner._kernels._jit import inline, njit
+from loewner._kernels.columns import NODE_BITS
 from loewner._kernels.linalg3 import minus, negated, plus
 from loewner._kernels.simd.vectors import broadcast, highest, load, lowest, maximum, minimum, store
 
-WIDE_BITS, LEAF_BITS = 4, 3
+WIDE_BITS, LEAF_BITS = NODE_BITS, 3
 WIDE = 1 << WIDE_BITS  # boxes of a node
 ROWS = 6 * WIDE  # numbers of a node
 LEAF = 1 << LEAF_BITS  # largest number of triangles of a leaf
