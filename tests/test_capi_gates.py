@@ -34,8 +34,7 @@ class Both:
         self.checker = capi.Checker(folder / "cell.lwn")
         for name in scene.bounds:
             self.see(name)
-        fastest = self.robot.velocity
-        given = {"acceleration": self.robot.acceleration, "velocity": fastest, "wants_scale": 1} | options
+        given = {"acceleration": self.robot.acceleration, "wants_scale": 1} | options
         self.mine = capi.Gate(self.checker, MOST, **given)
         self.states: list[GateState] = []
 
@@ -460,3 +459,15 @@ def test_forged_ticks_let_nothing_through(tmp_path, brake, grows):
             now += 1e-3 * (k % 40 == 0)
             assert raw_check(both.mine, Q0, V0, targets, 20, DT, now, answer) == 0
             assert (answer.state, answer.steps) == (GateState.GO, 19)
+
+
+def test_velocities_are_limited_as_the_robot_says_unless_others_are_given(tmp_path):
+    """A chunk faster than the URDF allows needs other limits, which a gate may be given."""
+    targets = along_the_rail(50.0, 20)
+    for velocity, is_allowed in ((None, False), ([100.0, 100.0, 100.0], True)):
+        given = {} if velocity is None else {"velocity": velocity}
+        robot = arm()
+        CollisionChecker(robot, wall(3.0)).save(tmp_path / "cell.lwn")
+        gate = capi.Gate(capi.Checker(tmp_path / "cell.lwn"), MOST, acceleration=robot.acceleration, **given)
+        found = gate.check(Q0, np.zeros(3), targets, DT, 0.0)
+        assert (REASONS[found.reason] != "limits") == is_allowed

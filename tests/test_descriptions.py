@@ -282,6 +282,14 @@ def test_limits_that_leave_no_value_are_refused(limits, tmp_path):
         read(tmp_path, chain(2, lambda k: limit))
 
 
+@pytest.mark.parametrize("kind", ["revolute", "prismatic"])
+def test_limits_without_ends_are_told(kind, tmp_path):
+    """By URDF's defaults, such a joint cannot move, which hardly anybody means."""
+    with pytest.warns(UserWarning, match=r"line 2: joint 'j0' cannot move: expected 'lower' and 'upper'"):
+        robot = read(tmp_path, chain(2, lambda k: '<limit effort="1" velocity="1"/>', kind))
+    assert robot.lower[0] == robot.upper[0] == 0.0
+
+
 @pytest.mark.parametrize(
     ("limits", "within"),
     [

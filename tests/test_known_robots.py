@@ -16,8 +16,10 @@ PAGE = Path(__file__).parents[1] / "docs" / "robots.md"
 # Files that cause a warning, and its reason, which is in the file.
 REASONS = {
     "alex_psyonic_hands": "to mimic, found",
+    "centauro": "'lower' and 'upper' in its <limit>",
     "kinova": "<limit lower>",
     "pr2": "that leave 'r_gripper_l_finger_joint'",
+    "quadruped": "'lower' and 'upper' in its <limit>",
     "tiago_pro": "velocity of 'wheel_front_right_joint' in <ros2_control>",
 }
 EMPTY = "ur3.urdf"  # it has no links
@@ -40,7 +42,7 @@ def mimics_of(text: str) -> dict[str, tuple[str, float, float]]:
 
 
 def test_known_robots_warn_for_reasons_only():
-    """Of the URDF files of example-robot-data, four warn: each for a reason that is in the file."""
+    """Of the URDF files of example-robot-data, six warn: each for a reason that is in the file."""
     paths = urdfs()
     assert len(paths) > 60
     for path in paths:

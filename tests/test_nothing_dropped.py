@@ -660,7 +660,9 @@ def test_files_of_other_projects_are_read_in_whole(format, name, tmp_path):
         mutants=partial(xml_mutants, once=True),
     )
     if format == "SRDF":
-        robot = description(next((path.parents[1]).rglob(f"{path.stem}.urdf")))
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of the URDF alone
+            robot = description(next((path.parents[1]).rglob(f"{path.stem}.urdf")))
         form = form._replace(read=lambda file: read_srdf(file, robot))
     quiet = without_a_word(form, tmp_path / "file")
     listed = (*form.harmless, *ALSO_HARMLESS[format])

@@ -61,7 +61,7 @@ def at(x, y, z):
         ({"link": BOX.replace("<box", '<box scale="2 2 2"')}, "<box scale>"),
         ({"joint": "<pose>1 0 0 0 0 0</pose>"}, "<pose> in <joint>"),
         ({"joint": '<Origin xyz="1 0 0"/>'}, "<Origin> in <joint>"),
-        ({"limit": '<limit min="-1" max="1"/>'}, r"<limit min> \(line 4\), <limit max>"),
+        ({"limit": '<limit lower="-9" upper="9" min="-1" max="1"/>'}, r"<limit min> \(line 4\), <limit max>"),
         ({"limit": '<limit lower="-9" upper="9" unit="deg"/>'}, "<limit unit>"),
         ({"limit": HARD.replace("effort", 'acceleration="2" jerk="3" effort')}, "<limit acceleration>.*, <limit jerk>"),
         ({"limit": HARD.replace('velocity="1"', 'velocity="-1"')}, "<limit velocity>"),

@@ -389,7 +389,7 @@ static loewner_status take_robot(File *file, const Header *header)
     TRY(take(file, FILE_MULTIPLIER, DOUBLES, links, 1, "multiplier", &tree->multiplier, NULL));
     TRY(take(file, FILE_OFFSET, DOUBLES, links, 1, "offset", &tree->offset, NULL));
     TRY(take(file, FILE_CONSTANTS, DOUBLES, links, LINK_CONSTANTS, "constants", &tree->constants, NULL));
-    TRY(take(file, FILE_LIMITS, DOUBLES, 4, dof, "limits", &file->limits, NULL));
+    TRY(take(file, FILE_LIMITS, DOUBLES, 5, dof, "limits", &file->limits, NULL));
     TRY(take(file, FILE_JOINTS, INTEGERS, dof, 1, "joints", &file->joints, NULL));
     TRY(take(file, FILE_QUATERNIONS, INTEGERS, -1, 1, "quaternions", &file->quaternions, &file->quaternion_count));
     TRY(take(file, FILE_LINK, INTEGERS, moving, 1, "link", &file->link, NULL));
@@ -417,8 +417,8 @@ static loewner_status take_robot(File *file, const Header *header)
     EXPECT(are_finite(tree->multiplier, links) && are_finite(tree->offset, links) &&
                are_finite(tree->constants, LINK_CONSTANTS * links),
            "numbers that are not finite");
-    for (int64_t k = 0; k < 4 * dof; k++)
-        EXPECT(!isnan(file->limits[k]), "limits");
+    for (int64_t k = 0; k < 5 * dof; k++)
+        EXPECT(!isnan(file->limits[k]) && (k < 4 * dof || file->limits[k] > 0), "limits");
     EXPECT(dof < 4096 && links < 4096, "the size of the robot");
     EXPECT(is_within(file->joints, dof, 0, 16) && is_within(file->quaternions, file->quaternion_count, 0, dof - 3) &&
                is_within(file->link, moving, 0, links) && is_within(file->order, file->pairs, 0, file->pairs),

@@ -86,6 +86,8 @@ static loewner_status take_options(loewner_gate *gate, const loewner_gate_option
     TRY(take("acceleration", options->acceleration, dof, INFINITY, gate->strongest));
     TRY(take("jerk", options->jerk, dof, INFINITY, gate->jerk));
     TRY(take("velocity", options->velocity, dof, INFINITY, gate->fastest));
+    if (options->velocity == NULL)
+        memcpy(gate->fastest, gate->checker->file->limits + 4 * dof, sizeof(double) * (size_t)dof);
     TRY(take("joint_error", options->joint_error, dof, 0, gate->error));
     TRY(take("velocity_error", options->velocity_error, dof, 0, gate->rate_error));
     gate->on_path = options->brake == LOEWNER_BRAKE_PATH;

@@ -112,7 +112,7 @@ typedef struct {
     int has_cut;
     const char **names; /* of bodies, links and values */
     Tree tree;
-    const double *limits; /* lower, upper; the same without soft limits */
+    const double *limits; /* lower, upper; the same without soft limits; velocity */
     const int64_t *joints; /* bits: JOINT_... */
     const int64_t *quaternions;
     int64_t quaternion_count;

@@ -14,7 +14,7 @@
    OWNERSHIP. What a function makes belongs to the caller, who passes it to `..._close` or `..._free` once; both accept
    NULL. No function keeps a pointer to an argument. Texts that functions return belong to the library.
 
-   LIMITS of joints are ignored, except by `loewner_checker_plan`.
+   LIMITS of joints are ignored, except by `loewner_checker_plan` and gates.
 
    THREADS. Any number of threads may query a checker or bodies at the same time, each with a workspace of its own; a
    workspace that another thread uses at this moment is refused. A
@@ -167,9 +167,10 @@ typedef struct {
 } loewner_proof_options;       /* fields that are 0 have no effect, so new ones come last */
 
 /* STEPS count the work of a proof: configurations placed, pairs of bodies and of pieces compared, searches, and boxes
-   about parts of surfaces and about many pieces opened. A motion takes no more than `steps` and a number that depends on the scene only; docs/certified.md,
-   "Bounded work", has both and their time. Beside the steps, COLLIDING on a curve is confirmed as by `..._collide`, and
-   so is the start of a motion that is free among solid surfaces: once for each motion. */
+   about parts of surfaces and about many pieces opened. A motion takes no more than `steps` and a number that depends
+   on the scene only; docs/certified.md, "Bounded work", has both and their time. Beside the steps, COLLIDING on a curve
+   is confirmed as by `..._collide`, and so is the start of a motion that is free among solid surfaces: once for each
+   motion. */
 
 /* Prove n motions on which all values change linearly from `starts` to `ends`, shape (n, dof) each, and orientations
    take the shorter way. FREE holds at every real fraction of the motion; COLLIDING at the fraction that `fractions`,
@@ -292,7 +293,7 @@ typedef struct {
     int32_t brake;                /* each joint as fast as it can, off the path; or on the path, which is run slower */
     const double *acceleration;   /* shape (dof,), as all others: limits, > 0 */
     const double *jerk;           /* > 0, or NULL: accelerations jump */
-    const double *velocity;       /* > 0, or NULL: none */
+    const double *velocity;       /* > 0, or NULL: the limits of the robot that was saved, if it has any */
     const double *joint_error;    /* by which the robot may deviate from the motions and the brakes, or NULL */
     const double *velocity_error; /* by which its velocity may be another one when it begins to brake, or NULL */
     double latency;               /* seconds until the robot brakes; rounded up to whole periods */
@@ -312,8 +313,9 @@ typedef struct {
     int64_t work;      /* steps of the proofs */
     /* The brake, which begins so many seconds after the tick of this check if no other answer arrives: after `steps`
        targets and the latency. If the state is BRAKE, the order to brake is due at once, and the robot runs to targets
-       of the answer before until the latency is over. The gate owns these numbers until its next check. From each time to
-       the next one, accelerations change linearly; velocities and accelerations hold from the time on. */
+       of the answer before until the latency is over. The gate owns these numbers until its next check. Between
+       two times, positions follow the cubic that has these positions and velocities at both; accelerations are those
+       just after each time. */
     double begins;
     size_t brake_count; /* joint by joint at most 3 dof + 1 */
     const double *times;                                  /* seconds since it began, shape (brake_count,) */

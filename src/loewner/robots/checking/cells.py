@@ -41,10 +41,11 @@ def save(path: str | os.PathLike[str], robot: Robot, scene: Scene, ready: Proble
     tree, whole = robot.tree, ready.packed
     below, above, turning = unlimited(robot)
     joints = np.array([name in robot.joint_names for name in robot.configuration_names], dtype=np.int64)
+    fastest = np.where(np.isnan(robot.velocity), np.inf, robot.velocity)
     starts = [quaternion.start for quaternion in robot._quaternions.values()]
     arrays = {
         **tree._asdict(),
-        "limits": np.stack([robot.lower, robot.upper, robot.hard_lower, robot.hard_upper]),
+        "limits": np.stack([robot.lower, robot.upper, robot.hard_lower, robot.hard_upper, fastest]),
         "joints": joints + 2 * below + 4 * above + 8 * turning,
         "quaternions": np.array(starts, dtype=np.int64),
         "link": ready.link,

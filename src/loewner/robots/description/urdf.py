@@ -415,6 +415,11 @@ def _range(joint: Element, limit: Element, kind: str) -> tuple[float, float]:
         if -FARTHEST_LIMIT < lower < upper < FARTHEST_LIMIT:
             limit.disown("@lower", "@upper")  # 0 .. 0 is how programs write that there is no range
         return -math.inf, math.inf
+    if not {"lower", "upper"} & limit.attributes.keys() and joint.one("mimic") is None:
+        warn(
+            f"{joint.path}, line {limit.line}: joint {joint.text('name')!r} cannot move: expected 'lower' and 'upper' "
+            "in its <limit>, found neither, and URDF's default for both is 0"
+        )
     if lower > upper:
         limit.fault(f"lower <= upper for joint {joint.text('name')!r}", f"{lower:g} > {upper:g}")
     if lower > FARTHEST_LIMIT or upper < -FARTHEST_LIMIT:
