@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 import loewner
-from families import random_poses
+from families import random_poses, translation
 from loewner import Bodies, Body, CollisionChecker, InputError, Scene, classify, collide, distance, planners
 from loewner._native import library
 from loewner.bodies import native_files
@@ -723,6 +723,19 @@ def test_a_part_is_grasped(panda, tmp_path, rng):
     command = [str(tmp_path / "grasp"), str(tmp_path / "cell.lwn"), str(tmp_path / "parts.lwn")]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.stdout.startswith("carried along"), done.stderr
+
+
+def test_a_gate_brakes_in_front_of_a_box(panda, tmp_path):
+    """The example lets targets through and brakes before the arm meets the box, at rest and without a collision."""
+    expect_programs("c++")
+    scene = Scene(margin=0.005)
+    scene.add("box", Body.box([0.15, 0.15, 0.15]), translation(0.5, 0.0, 0.2))
+    CollisionChecker(panda, scene).save(tmp_path / "cell.lwn")
+    compiled("gate.cpp", tmp_path / "gate")
+    done = subprocess.run([str(tmp_path / "gate"), str(tmp_path / "cell.lwn")], capture_output=True, text=True)
+    told = re.fullmatch(r"(\d+) targets passed, then the robot braked \(contact, panda_\w+, box\) .*\n", done.stdout)
+    assert told, (done.stdout, done.stderr)
+    assert int(told[1]) > 50
 
 
 def test_a_workspace_serves_one_thread(pair):
