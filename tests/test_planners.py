@@ -15,6 +15,7 @@ from loewner import (
     Body,
     CollisionChecker,
     InputError,
+    Joint,
     PlanningError,
     Robot,
     Scene,
@@ -521,3 +522,14 @@ def test_floating_joints_have_no_limits_to_search_within(tmp_path):
     with pytest.raises(InputError, match="found 'fly', which is planar or floating"):
         planners.plan(checker, q, goal)
     np.testing.assert_array_equal(planners.plan(checker, q, goal, joints="bend")[-1], goal)
+
+
+@pytest.mark.parametrize("far", [1e154, 1e170, 1e200])
+def test_differences_whose_squares_overflow_are_no_proof(far):
+    """A straight motion through a wall is not taken for free because its length is not a number."""
+    slide = Joint("x", "prismatic", "base", "cart", axis=[1, 0, 0], lower=-10 * far, upper=10 * far)
+    robot = Robot.from_links({"base": None, "cart": Body.box([1, 1, 1])}, [slide])
+    scene = Scene()
+    scene.add("wall", Body.box([1, 1, 1]))
+    with pytest.raises(PlanningError):
+        planners.plan(CollisionChecker(robot, scene), [-far], [far], max_iterations=20)

@@ -274,7 +274,8 @@ def _lead(work, tree, last):
         first[c] = trees.nodes[tree, c, last]
         here[c] = first[c]
     aim, distance = _nearest(search, trees.nodes[other], state[STARTS + other], first, trees.squares)
-    steps = np.int64(min(max(np.ceil(distance / reach[STEP]), 1.0), MOST_STEPS + 1.0))
+    share = distance / reach[STEP]  # NaN if squares overflow: then the trees do not meet, as if far apart
+    steps = np.int64(np.ceil(max(share, 1.0))) if share <= MOST_STEPS else MOST_STEPS + 1
     met = steps <= MOST_STEPS
     for step in range(1, min(steps, MOST_STEPS) + 1):
         for c in range(joints):
