@@ -1,6 +1,6 @@
 /* Queries of one configuration of a robot, and of one motion, each as one call from Python: the usual case.
 
-   `Configurations` has what `robots.problem` prepared: it is made anew whenever that is. */
+   `Configurations` holds the data that `robots.problem` prepared, and is made anew whenever these are. */
 
 #include "single.h"
 
@@ -10,17 +10,17 @@
 
 typedef struct {
     PyObject_HEAD
-    PyObject *held; /* owners of the memory behind the rest */
+    PyObject *held; /* owners of the memory of the other fields */
     Function check_configurations, check_motion;
     int64_t pack, problem, memory, width, piece_pairs;
-    const double *least, *most; /* of values without a warning: `Watch` may move them outwards */
+    const double *least, *most; /* limits without a warning: `Watch` may move them outwards */
     Array1 hits;
 } Configurations;
 
-/* Pairs of pieces above which other threads may run meanwhile. */
+/* Number of pairs of pieces above which other threads may run meanwhile. */
 #define MANY 64
 
-/* The entries of a configuration if it is a usual one, of values that neither are refused nor warned about. */
+/* The entries of a configuration if it is a usual one, with values that cause neither an error nor a warning. */
 static const double *take_configuration(const Configurations *self, PyObject *given)
 {
     if (!is_plain(given, 1) || PyArray_DIM((PyArrayObject *)given, 0) != self->width)
@@ -70,7 +70,7 @@ static PyObject *configurations_classify(Configurations *self, PyObject *q)
 
 /* -- motions ------------------------------------------------------------------------------------------------------- */
 
-/* Steps of a motion at most: the results of more are not worth keeping with a thread. */
+/* Largest number of steps of a motion: results for more steps are not worth keeping for a thread. */
 #define MOST_STEPS 4096
 
 static PyObject *dist; /* math.dist */

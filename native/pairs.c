@@ -5,7 +5,7 @@
 #include <math.h>
 #include <string.h>
 
-/* What `_settle.py` calls ONE_PAIR and NO_ROWS, and a pose that does nothing. */
+/* ONE_PAIR and NO_ROWS of `_settle.py`, and the identity as a pose. */
 static const int64_t one_pair[5] = {1, 0, 0, 0, 0}, no_rows[1];
 static const double identity[16] = {1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1};
 
@@ -14,7 +14,7 @@ static const double identity[16] = {1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0,
 
 /* -- bodies and poses ---------------------------------------------------------------------------------------------- */
 
-/* Pairs of pieces above which other threads may run meanwhile: below, letting them costs more than it gains. */
+/* Number of pairs of pieces above which other threads may run meanwhile; below, this costs more than it gains. */
 #define MANY 64
 
 static PyObject *word_exact, *name_packed, *name_handle;
@@ -248,7 +248,7 @@ static PyObject *pairs_distance(Pairs *self, PyObject *const *given, Py_ssize_t 
     PyObject *made = is_found ? distance_of(given[1], &found, wanted) : NULL;
     if (made != NULL)
         return made;
-    PyErr_Clear(); /* out of memory: so will the long way be, or not */
+    PyErr_Clear(); /* out of memory: the long way tries again */
     Py_RETURN_NONE;
 }
 

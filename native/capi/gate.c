@@ -23,7 +23,7 @@ typedef struct {
 
 /* A chunk, and how far it is proven; see `_Chunk` in gates.py. */
 typedef struct {
-    double *rows; /* `count` + 1 of them, after the one before them */
+    double *rows; /* `count` + 1 rows, after the row before them */
     double *rates;
     int64_t *ends; /* how many targets were known when the brake from each tick was proven */
     double dt, t0;
@@ -35,13 +35,13 @@ typedef struct {
 typedef struct {
     int32_t reason;
     int64_t pair, most, work;
-    int is_attempt; /* which counts only if it is free */
+    int is_attempt; /* an attempt, which counts only if it is free */
 } Proof;
 
 struct loewner_gate {
     const loewner_checker *checker;
     loewner_workspace *workspace;
-    int64_t dof, most, steps, pieces; /* `pieces` is the room for the times of a brake */
+    int64_t dof, most, steps, pieces; /* `pieces`: most times of a brake */
     int on_path, has_jerk, has_last, wants_scale;
     double latency, horizon, tolerance, now;
     double *strongest, *jerk, *fastest, *error, *rate_error, *widened, *looser, *resting, *q, *at; /* the first are VECTORS */
@@ -655,7 +655,7 @@ static loewner_status begin_chunk(loewner_gate *gate, int goes_on, const double 
     if (verdict == LOEWNER_FREE)
         return LOEWNER_OK;
     TRY(certify(gate->checker, its, still, 1, 2, its->off, 0, gate->tolerance, 0, gate->steps, work, &verdict,
-                &fraction, &proof->pair)); /* a motion that stays where it begins has the pair */
+                &fraction, &proof->pair)); /* a motion that stays where it begins finds the pair */
     proof->reason = LOEWNER_REASON_CONTACT;
     return LOEWNER_OK;
 }

@@ -52,7 +52,7 @@ void write_distance(loewner_distance *found, const double *lower, const double *
 /* Call a kernel with the address of a struct of slots; kernels fail only where memory is short. */
 loewner_status call(Kernel kernel, const void *arguments, void *results);
 
-/* Call a kernel with its arguments by their names; omitted ones are 0. Without results, pass NULL. */
+/* Call a kernel with its arguments by their names; omitted ones are 0. Pass NULL if there are no results. */
 #define CALL(name, results, ...) call(kernels()->name, &(const struct name){__VA_ARGS__}, results)
 
 /* -- packs: bodies as kernels take them, see `loewner/_kernels/pieces/shapes.py` ----------------------------------- */
@@ -176,13 +176,13 @@ typedef struct {
 typedef struct {
     int64_t moving, attached, standing, pairs; /* attached bodies move */
     int64_t growing; /* bodies with bounds */
-    int has_cut, starts_matter, is_as_saved; /* the last: the bodies and pairs are the file's, and its arrays are used */
+    int has_cut, starts_matter, is_as_saved; /* the last: bodies and pairs are the file's, and its arrays are used */
     int32_t *body;  /* the body at each place: first the moving ones */
     int32_t *place; /* of a body, -1 if it is absent */
     Tree tree;      /* with a link for each attached body */
     int64_t *link, *pair_list, *rows, *order;
     double *margins, *poses;
-    Half halves[CUTTINGS]; /* without a block: there is none, and `half_of` returns the first one */
+    Half halves[CUTTINGS]; /* without a block, a half is missing, and `half_of` returns the first one */
     void *memory[32];
     int memory_count;
 } State;
@@ -195,7 +195,7 @@ struct loewner_checker {
     size_t rule_count;
     pthread_mutex_t lock;
     atomic_int is_stale; /* 1: poses; 2: all */
-    uint64_t serial;     /* of the state: another for each, also of other checkers */
+    uint64_t serial;     /* of the state: different for each state, even of other checkers */
     State state;
 };
 
@@ -207,7 +207,7 @@ struct loewner_workspace {
     int64_t *order, *hits, seen, next_look;
     char *memory; /* for kernels */
     char *validator;         /* for `free_motions`, which keeps an order of pairs in it from call to call */
-    int64_t is_ready;        /* whether it does */
+    int64_t is_ready;        /* whether it keeps one */
     double *link_poses, *poses, *courses, *off, *fractions, *numbers, *vectors, *slopes;
     int64_t *found_pairs, *work, *pieces;
     int8_t *tiers, *pair_verdicts, *found;

@@ -19,7 +19,7 @@ typedef struct {
 /* A search in the form that kernels take, and its memory. */
 typedef struct {
     struct search arrays;
-    int64_t dof, joints, state[STATE]; /* values of a configuration, and how many move */
+    int64_t dof, joints, state[STATE]; /* number of values of a configuration; number that move */
     int64_t *columns, *turning;
     double reach[3], *lower, *upper, *start, *goals; /* goals that are free */
     size_t goal_count;
@@ -27,7 +27,7 @@ typedef struct {
 
 static void leave_search(Search *search)
 {
-    free(search->columns); /* the beginning of all memory but the trees */
+    free(search->columns); /* the first array in the memory of all but the trees */
     free((void *)search->arrays.trees.data);
 }
 
@@ -47,8 +47,8 @@ static Judge judge_of(const loewner_checker *checker, loewner_workspace *workspa
     };
 }
 
-/* Whether all motions of a path are proven free, whose rows are `step` numbers apart; `at` receives the first one that
-   is not, or -1. */
+/* Whether all motions of a path, whose rows are `step` numbers apart, are proven free; `at` receives the first motion
+   that is not, or -1. */
 static loewner_status is_free(const Judge *judge, const double *path, int64_t step, int64_t count, int64_t *at)
 {
     const loewner_checker *checker = judge->checker;
@@ -76,7 +76,7 @@ static loewner_status is_free_at(const Judge *judge, const double *q, int *is)
     int64_t at = -1;
     TRY(collide(judge->checker, judge->workspace, CODE_EXACT, q, 1, &verdict));
     if (verdict == LOEWNER_FREE && judge->joint_error != NULL)
-        TRY(is_free(judge, q, 0, 2, &at)); /* the motion that stays there */
+        TRY(is_free(judge, q, 0, 2, &at)); /* a motion that stays there */
     *is = verdict == LOEWNER_FREE && at < 0;
     return LOEWNER_OK;
 }

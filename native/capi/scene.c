@@ -34,7 +34,7 @@ static void leave_state(State *state)
 
 /* -- packs of chosen bodies ---------------------------------------------------------------------------------------- */
 
-/* The first link with which one is rigidly joined; -1 is the world. */
+/* The first link with which a link is rigidly joined; -1 is the world. */
 static int64_t rigid_link(const Tree *tree, int64_t link)
 {
     return tree->kind[link] == FIXED ? tree->parent[link] : link;
@@ -166,7 +166,7 @@ static void list_rules(const loewner_checker *checker, const State *state, Rules
 {
     const File *file = checker->file;
     int64_t at = 0;
-    for (int64_t a = 0; a < file->moving; a++) /* of a body that moves in the file, the file lists all pairs */
+    for (int64_t a = 0; a < file->moving; a++) /* the file lists all pairs of a body that moves in it */
         for (int64_t b = a + 1; b < file->bodies; b++) {
             const int64_t *pair = file->pair_list + 2 * at;
             int is_listed = at < file->pairs && pair[0] == a && pair[1] == b;
@@ -188,7 +188,7 @@ static void list_rules(const loewner_checker *checker, const State *state, Rules
         }
 }
 
-/* Choose the pairs among all that contain a moving body, for which there is room. */
+/* Choose pairs among all pairs that contain a moving body; there is room for all of them. */
 static loewner_status choose_pairs(const loewner_checker *checker, State *state, int64_t most)
 {
     const File *file = checker->file;

@@ -14,8 +14,8 @@ def irrationals(strides, shifts):
     """Compute powers of the root of x^(d + 1) = x + 1 (the golden ratio for d = 1), and numbers independent of them.
 
     Multiples of the first, modulo 1, fill the unit cube evenly. The root is found by halving the interval from 1 to 2
-    until its ends are neighbours. Products are rounded one by one: no power of a library, whose last bit depends on the
-    processor, decides where the points are.
+    until its ends are neighbours. Products are rounded one by one: the points do not depend on a library's power
+    function, whose last bit depends on the processor.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Fit few convex elements that hold a whole body and stick out of it little (docs/design/covers.md)."""
+"""Fit a few convex elements that hold a whole body and stick out of it only a little (docs/design/covers.md)."""
 
 from __future__ import annotations
 
@@ -20,21 +20,21 @@ from loewner.ellipsoids.fits import mvce
 from loewner.errors import GeometryError, InputError
 from loewner.meshes.triangles import halved, longest_edges, unit_normals
 
-# Points of the surface, corners, and points of the inside that balls have to hold at first.
+# Numbers of points of the surface, corners, and points of the inside that balls have to hold at first.
 SURFACE, CORNERS, INSIDE = 6000, 1500, 500
 
-# Points of a surface for a square with the protrusion as its edge, and the least share of points and candidates.
+# Number of surface points per square with the protrusion as its edge; and the least share of points and candidates.
 DENSITY, LEAST_SHARE = 8.0, 0.2
 
 # Candidates for the centers of balls.
 CANDIDATES = 2500
 
-# Steps of the local search for the fewest balls; its rounds, in which points that the proof misses are added, and more
-# rounds until there is a proof; and in each round, steps in which balls are added for such points.
+# Steps of the local search for the fewest balls; its rounds, which add the points that the proof misses; further rounds
+# until there is a proof; and the steps of each round that add balls for such points.
 STEPS, ROUNDS, MORE_ROUNDS, REPAIRS = 1000, 5, 8, 5
 
-# Pairs of centers that are tried as axes of capsules, and the least depth of an axis relative to its ends; points of an
-# axis at which its depth is measured.
+# Number of pairs of centers that are tried as axes of capsules; the least depth of an axis, relative to its ends; and
+# the number of its points at which the depth is measured.
 PAIRS, FALL, AXIS_POINTS = 16_384, 0.7, 24
 
 # Points and candidates are counted in words of this number of bits.
@@ -193,7 +193,7 @@ class Candidates:
         self.points = np.concatenate([self.points, np.column_stack([points, around])])
 
     def made(self, chosen: Ints, protrusion: float) -> Packed:
-        """Make a body of chosen candidates, whose radii are rounded down."""
+        """Make a body of the chosen candidates, with radii rounded down."""
         radii = np.floor((self.depth[chosen] + protrusion) / self.grid - 1e-6) * self.grid
         centers, axes = self.centers[chosen], self.axes[chosen]
         plain = ~axes.any(axis=1)
@@ -211,7 +211,7 @@ class Candidates:
         """Choose balls that are proven to hold the body; None if that takes more than `most`."""
         chosen, best, packed = None, None, None
         for round_ in range(ROUNDS + MORE_ROUNDS):
-            # Without a proof, balls have to hold points with more room to spare.
+            # If there is no proof, balls have to hold points with more room to spare.
             reserve = min(RESERVE * 1.5 ** max(0, round_ - ROUNDS + 1), 0.9)
             chosen = trial = self.chosen(protrusion, steps, chosen, reserve)
             for _ in range(REPAIRS):
@@ -335,7 +335,7 @@ class _Clusters:
         self.excess[k : k + 1] = [self.sticks(element) for element in best[2]]
 
     def grow(self, limit: float) -> list[Packed]:
-        """Let elements stick out as far as they may, up to the size of a cell, which closes gaps between the cells."""
+        """Grow elements until they stick out as far as they may, by at most the size of a cell: this closes gaps."""
         grown = []
         for cluster, element, excess in zip(self.clusters, self.elements, self.excess, strict=True):
             # The corners of a box move by more than its faces.

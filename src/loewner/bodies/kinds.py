@@ -67,7 +67,7 @@ class Kind(NamedTuple):
     is_ball: bool = False
 
     def share(self, points: Floats) -> Floats:
-        """Compute a share of the way from the origin to each point, at which the way is still in the unit shape.
+        """Compute a share of the way from the origin to each point up to which the way stays in the unit shape.
 
         A convex function that is below zero at the origin is at most zero at this share of the way.
         """
@@ -124,7 +124,7 @@ def revolved(*profile: tuple[float, float]) -> Mesh:
 
 
 def _around_axis(function: Callable[[Floats, Floats], Floats]) -> Function:
-    """Make a function of points, or directions, of one of their distances from the third axis and their heights."""
+    """Turn a function of distances from the third axis and heights into a function of points or directions."""
     return lambda x: np.asarray(function(np.hypot(x[:, 0], x[:, 1]), x[:, 2]))
 
 

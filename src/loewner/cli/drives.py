@@ -25,7 +25,7 @@ from loewner.scenes import maps
 # Number of configurations per motion, including its ends, at which the distance of the nearest pair is measured.
 MEASURED = 33
 
-# Options of other plans, which drives have no use for, and options of drives.
+# Options of other plans, which drives do not use, and options of drives.
 OF_OTHERS = (
     "goal_pose", "joints", "leave", "reach", "sampled", "planner", "resolution", "improve_for", "weights", "clearance",
     "start_time", "arrive_by", "velocity",
@@ -46,7 +46,7 @@ def add_options(plan: argparse.ArgumentParser) -> None:
 
 
 def refuse_unused(options: argparse.Namespace) -> None:
-    """Refuse options of drives without a base, and with one the options that only other plans take."""
+    """Refuse options of drives if there is no base; with a base, refuse options that only other plans take."""
     wrong, wanted = (OF_DRIVES, "expected --base with it") if options.base is None else (OF_OTHERS, "")
     for name in wrong:
         if getattr(options, name):

@@ -1,10 +1,10 @@
 /* loewner.h: certified collision detection from C, without Python in the process.
 
-   Python prepares, C asks: `CollisionChecker.save("cell.lwn")` writes a robot in its scene to a file, and
+   Python prepares, C queries: `CollisionChecker.save("cell.lwn")` writes a robot in its scene to a file, and
    `loewner_checker_open` maps it. The answers are those of Python, from the same machine code.
 
    VERDICTS. FREE and COLLIDING are proven, including all rounding. AMBIGUOUS means that nothing is proven; treat it as
-   not free. `loewner_checker_classify` looks at ellipsoids only and is often AMBIGUOUS; `..._collide` is exact, and
+   not free. `loewner_checker_classify` uses only ellipsoids and is often AMBIGUOUS; `..._collide` is exact, and
    AMBIGUOUS only where arithmetic could not settle a configuration.
 
    UNITS are metres and radians. ARRAYS are in C order. A pose is 16 doubles: a 4x4 matrix in row order, which maps
@@ -17,8 +17,8 @@
    LIMITS of joints are ignored, except by `loewner_checker_plan` and gates.
 
    THREADS. Any number of threads may query a checker or bodies at the same time, each with a workspace of its own; a
-   workspace that another thread uses at this moment is refused. A
-   function that takes a `loewner_checker *` that is not const changes it: no other thread may then use this checker.
+   workspace that another thread is using is refused. A function that takes a `loewner_checker *` that is not const
+   changes it: no other thread may then use this checker.
 
    ERRORS. Functions return LOEWNER_OK or the kind of the error, and `loewner_error_text` describes this thread's last
    one. After an error, outputs have no meaning. Queries check their arguments: sizes, finite numbers, rigid poses.
@@ -46,14 +46,14 @@ extern "C" {
 
 typedef enum {
     LOEWNER_OK = 0,
-    LOEWNER_BAD_ARGUMENT = 1,  /* a size, a number, a pose or an index that cannot be */
+    LOEWNER_BAD_ARGUMENT = 1,  /* an invalid size, number, pose or index */
     LOEWNER_BAD_FILE = 2,      /* no such file, not written by loewner, or damaged */
     LOEWNER_OTHER_VERSION = 3, /* the file belongs to another version of loewner: save it again */
     LOEWNER_NO_KERNELS = 4,    /* the machine code is missing, or not for this processor */
     LOEWNER_NO_MEMORY = 5,
     LOEWNER_UNKNOWN_NAME = 6, /* of loewner.hpp only: in C, the functions that look names up return -1 */
     LOEWNER_NOT_FREE = 7, /* the start, all goals, or a motion of a path are outside the limits, or not proven free */
-    LOEWNER_NO_PATH = 8,  /* none was found within the iterations or in time */
+    LOEWNER_NO_PATH = 8,  /* no path was found within the iterations or in time */
     LOEWNER_OVERFLOW = 9  /* positions overflow at a configuration */
 } loewner_status;
 
@@ -72,8 +72,8 @@ LOEWNER_API const char *loewner_status_name(loewner_status status);
 /* What was expected and what was found at this thread's last error; valid until its next one. */
 LOEWNER_API const char *loewner_error_text(void);
 
-/* Level of the processor whose machine code is in use, such as "x86-64-v3"; NULL if there is none, with an error text.
- */
+/* Level of the processor whose machine code is in use, such as "x86-64-v3"; NULL, with an error text, if there is
+   none. */
 LOEWNER_API const char *loewner_level(void);
 
 /* -- workspaces ---------------------------------------------------------------------------------------------------- */
@@ -92,7 +92,7 @@ LOEWNER_API void loewner_workspace_free(loewner_workspace *workspace);
 LOEWNER_API loewner_status loewner_checker_open(const char *path, loewner_checker **checker);
 LOEWNER_API void loewner_checker_close(loewner_checker *checker);
 
-/* Values of a configuration, links, bodies (those of links first), and pairs of bodies that are checked. */
+/* Numbers of values of a configuration, links, bodies (bodies of links first), and checked pairs of bodies. */
 LOEWNER_API int32_t loewner_checker_dof(const loewner_checker *checker);
 LOEWNER_API int32_t loewner_checker_link_count(const loewner_checker *checker);
 LOEWNER_API int32_t loewner_checker_body_count(const loewner_checker *checker);
@@ -125,8 +125,8 @@ LOEWNER_API loewner_status loewner_checker_collide(const loewner_checker *checke
 LOEWNER_API loewner_status loewner_checker_collide_by_pair(const loewner_checker *checker, loewner_workspace *workspace,
                                                            const double *configuration, int8_t *verdicts);
 
-/* The same for poses of all links in the world, shape (links, 16), that somebody else computed. `verdict` receives the
-   verdict of all pairs together; `verdicts` may be NULL. */
+/* Likewise for poses of all links in the world, shape (links, 16), that another program computed. `verdict` receives
+   the verdict of all pairs together; `verdicts` may be NULL. */
 LOEWNER_API loewner_status loewner_checker_collide_placed(const loewner_checker *checker, loewner_workspace *workspace,
                                                           const double *link_poses, int8_t *verdict, int8_t *verdicts);
 
@@ -162,15 +162,15 @@ typedef struct {
     double tolerance;          /* motions that come nearer than this to contact may be AMBIGUOUS [m]; 0: 1e-5 */
     const double *joint_error; /* shape (dof,), or NULL: FREE then holds for all deviations up to these */
     const double *t0, *t1;     /* shape (n,), or NULL: seconds at which the motions begin and end, see loewner_bounds */
-    int64_t steps;             /* a motion whose proof takes more steps than this is given up as AMBIGUOUS; 0: none is */
+    int64_t steps;             /* steps after which the proof of a motion is given up as AMBIGUOUS; 0: no limit */
     int64_t *steps_taken;      /* shape (n,), or NULL: receives the steps that each motion took */
 } loewner_proof_options;       /* fields that are 0 have no effect, so new ones come last */
 
 /* STEPS count the work of a proof: configurations placed, pairs of bodies and of pieces compared, searches, and boxes
-   about parts of surfaces and about many pieces opened. A motion takes no more than `steps` and a number that depends
-   on the scene only; docs/certified.md, "Bounded work", has both and their time. Beside the steps, COLLIDING on a curve
-   is confirmed as by `..._collide`, and so is the start of a motion that is free among solid surfaces: once for each
-   motion. */
+   about parts of surfaces and about many pieces opened. A motion takes at most `steps` plus a number that depends only
+   on the scene; docs/certified.md, "Bounded work", gives both, and the time that they take. Some work is not counted:
+   COLLIDING on a curve is confirmed as by `..._collide`, and so is the start of a motion that is free among solid
+   surfaces, once for each motion. */
 
 /* Prove n motions on which all values change linearly from `starts` to `ends`, shape (n, dof) each, and orientations
    take the shorter way. FREE holds at every real fraction of the motion; COLLIDING at the fraction that `fractions`,
@@ -182,14 +182,14 @@ LOEWNER_API loewner_status loewner_checker_certify_edges(const loewner_checker *
                                                          const loewner_proof_options *options, int8_t *verdicts,
                                                          double *fractions, int32_t (*bodies)[2]);
 
-/* Whether each of n straight motions is proven free, 1 or 0, for validators of motions: as `..._certify_edges`, in less
-   time where many of them collide, since the workspace learns which pairs do. `options` may be NULL. */
+/* Whether each of n straight motions is proven free, 1 or 0, for validators of motions: as by `..._certify_edges`, but
+   in less time if many of them collide, since the workspace learns which pairs do. `options` may be NULL. */
 LOEWNER_API loewner_status loewner_checker_motions_free(const loewner_checker *checker, loewner_workspace *workspace,
                                                         const double *starts, const double *ends, size_t n,
                                                         const loewner_proof_options *options, int8_t *is_free);
 
-/* The same for n curves: polynomials of a degree from 1 to 7, by their Bezier points, shape (n, degree + 1, dof). The
-   robot must have no quaternions. */
+/* As `..._certify_edges`, for n curves: polynomials of a degree from 1 to 7, given by their Bezier points, shape (n,
+   degree + 1, dof). The robot must have no quaternions. */
 LOEWNER_API loewner_status loewner_checker_certify_curves(const loewner_checker *checker, loewner_workspace *workspace,
                                                           const double *points, size_t n, int32_t degree,
                                                           const loewner_proof_options *options, int8_t *verdicts,
@@ -199,7 +199,7 @@ typedef struct {
     const uint8_t *joints;     /* shape (dof,): 1 for values that may change, of joints of one value; NULL: all */
     const double *joint_error; /* shape (dof,), or NULL */
     int64_t max_iterations;    /* random configurations to draw; 0: no limit */
-    double timeout;            /* seconds, looked at after 64 to 512 iterations; 0: 10 */
+    double timeout;            /* seconds, checked after 64 to 512 iterations; 0: 10 */
     int64_t cuts;              /* attempts to shorten the path; 0: 60; -1: none */
     uint32_t seed;             /* equal seeds give equal paths, the same as in Python */
 } loewner_plan_options;
@@ -224,29 +224,29 @@ LOEWNER_API loewner_status loewner_checker_shorten(const loewner_checker *checke
 LOEWNER_API loewner_status loewner_checker_move(loewner_checker *checker, const int32_t *bodies, const double *poses,
                                                 size_t n);
 
-/* Add one of the bodies of a file, at a pose, under a name that no other body or link has. It is checked against all
-   that moves, at the larger one of the scene's margin and the other body's own margin. `body` receives its number and
-   may be NULL. The bodies may be closed afterwards. */
+/* Add one of the bodies of a file, at a pose, under a name that no other body or link has. It is checked against
+   everything that moves, with the larger of the scene's margin and the other body's own margin. `body` receives its
+   number and may be NULL. The bodies may be closed afterwards. */
 LOEWNER_API loewner_status loewner_checker_add(loewner_checker *checker, const char *name, const loewner_bodies *bodies,
                                                int64_t which, const double *pose, int32_t *body);
 
-/* Take a body of the scene, or of a link, out of all checks, or back; numbers of bodies do not change. */
+/* Exclude a body of the scene or of a link from all checks, or include it again; numbers of bodies do not change. */
 LOEWNER_API loewner_status loewner_checker_set_present(loewner_checker *checker, int32_t body, int present);
 
-/* Attach a body of the scene, also one that is attached already, to a link, at a pose in the frame of the link. It is
-   then checked against the scene and the robot, except for `touch_count` links, and links that are rigidly joined with
-   its link. What Python had attached when the file was saved belongs to the robot, and cannot be attached or detached.
- */
+/* Attach a body of the scene, even if it is attached already, to a link, at a pose in the frame of the link. It is then
+   checked against the scene and the robot, except for the `touch_count` links that it may touch, and links that are
+   rigidly joined with its link. Bodies that Python had attached when the file was saved belong to the robot, and cannot
+   be attached or detached. */
 LOEWNER_API loewner_status loewner_checker_attach(loewner_checker *checker, int32_t body, int32_t link,
                                                   const double *pose_in_link, const int32_t *touch_links,
                                                   size_t touch_count);
 
-/* Let an attached body stand in the scene again, at a pose in the world. */
+/* Detach a body: it is at rest in the scene again, at a pose in the world. */
 LOEWNER_API loewner_status loewner_checker_detach(loewner_checker *checker, int32_t body, const double *pose);
 
-/* Allow two bodies to touch, or take that back; and set the distance in metres, >= 0, that they have to keep. A pair
-   that was not checked when the file was saved cannot be checked. What is said of two bodies of the scene takes effect
-   when one of them is attached. */
+/* Allow two bodies to touch, or forbid it again, and set the distance in metres, >= 0, that they have to keep. A pair
+   that was not checked when the file was saved cannot be checked. Settings for two bodies of the scene take effect when
+   one of them is attached. */
 LOEWNER_API loewner_status loewner_checker_allow(loewner_checker *checker, int32_t a, int32_t b, int allowed);
 LOEWNER_API loewner_status loewner_checker_set_margin(loewner_checker *checker, int32_t a, int32_t b, double margin);
 
@@ -262,8 +262,8 @@ typedef struct {
 /* Set the bounds of a body of the scene, or end them with NULL; attaching it ends them, too. As long as a body has
    bounds, only motions and curves are proven, and other queries are refused. FREE then holds for all places of the
    bodies within their bounds at the times in `loewner_proof_options`, which are required for a speed or a turn;
-   COLLIDING means with the bodies at their poses. To change the bounds of a body that has some, and to move it, takes
-   no longer next to bodies of many pieces. */
+   COLLIDING means with the bodies at their poses. Changing the bounds of a body that has some, or moving it, takes no
+   longer next to bodies of many pieces. */
 LOEWNER_API loewner_status loewner_checker_set_bounds(loewner_checker *checker, int32_t body,
                                                       const loewner_bounds *bounds);
 
@@ -273,8 +273,8 @@ typedef struct loewner_gate loewner_gate;
 
 enum { LOEWNER_BRAKE_JOINTS = 0, LOEWNER_BRAKE_PATH = 1 };
 
-/* What may be executed: all targets; the first `steps` targets; no new target, but the brake; and, since the robot is in
-   contact already or nearer to something than its margin, no target, but a brake that is not proven. */
+/* What may be executed: all targets; the first `steps` targets; no new target, only the brake; or, because the robot is
+   already in contact or nearer to something than its margin, only a brake that is not proven. */
 enum { LOEWNER_GATE_GO = 0, LOEWNER_GATE_PREFIX = 1, LOEWNER_GATE_BRAKE = 2, LOEWNER_GATE_INSIDE = 3 };
 
 /* Why not all targets may be executed: the robot collides on the way to a target, or while it brakes (or the targets
@@ -290,12 +290,12 @@ enum {
 };
 
 typedef struct {
-    int32_t brake;                /* each joint as fast as it can, off the path; or on the path, which is run slower */
+    int32_t brake;                /* each joint as fast as it can, off the path; or on the path, more and more slowly */
     const double *acceleration;   /* shape (dof,), as all others: limits, > 0 */
     const double *jerk;           /* > 0, or NULL: accelerations jump */
     const double *velocity;       /* > 0, or NULL: the limits of the robot that was saved, if it has any */
     const double *joint_error;    /* by which the robot may deviate from the motions and the brakes, or NULL */
-    const double *velocity_error; /* by which its velocity may be another one when it begins to brake, or NULL */
+    const double *velocity_error; /* by which its velocity may deviate when it begins to brake, or NULL */
     double latency;               /* seconds until the robot brakes; rounded up to whole periods */
     double horizon;               /* seconds: only targets within it are examined; 0: all */
     double tolerance;             /* as in loewner_proof_options */
@@ -311,33 +311,34 @@ typedef struct {
     int32_t joint;     /* the value whose target is outside the limits; -1 for none */
     int32_t is_proven; /* whether the brake is */
     int64_t work;      /* steps of the proofs */
-    /* The brake, which begins so many seconds after the tick of this check if no other answer arrives: after `steps`
-       targets and the latency. If the state is BRAKE, the order to brake is due at once, and the robot runs to targets
-       of the answer before until the latency is over. The gate owns these numbers until its next check. Between
-       two times, positions follow the cubic that has these positions and velocities at both; accelerations are those
-       just after each time. */
+    /* The brake. If no other answer arrives, it begins `begins` seconds after the tick of this check: after `steps`
+       targets and the latency. If the state is BRAKE, the order to brake is due at once, and the robot continues to
+       targets of the previous answer until the latency is over. The gate owns these numbers until its next check.
+       Between two times, positions follow the cubic that has these positions and velocities at both; accelerations are
+       those just after each time. */
     double begins;
     size_t brake_count; /* joint by joint at most 3 dof + 1 */
     const double *times;                                  /* seconds since it began, shape (brake_count,) */
     const double *positions, *velocities, *accelerations; /* shape (brake_count, dof) */
 } loewner_gate_answer;
 
-/* Make a gate for chunks of up to `most_targets`: `loewner.planners.Gate` of Python, whose page has what it claims. It is
-   no safety function in the sense of IEC 61508 or ISO 13849. The robot must have no floating and no ball joints, and
-   targets must be within `loewner_checker_limits`. The checker must live longer than the gate; its scene may change
-   between checks. A gate has memory of its own for one thread at a time. A check allocates nothing, unless more than
-   poses and bounds of bodies has changed in the scene, or a new chunk begins within rounding of contact; and it waits
-   for no other thread, unless both are the first to query a checker whose scene has changed. */
+/* Make a gate for chunks of up to `most_targets`: the counterpart of Python's `loewner.planners.Gate`, whose page
+   states its claims. It is no safety function in the sense of IEC 61508 or ISO 13849. The robot must have no floating
+   and no ball joints, and targets must be within `loewner_checker_limits`. The checker must live longer than the gate;
+   its scene may change between checks. A gate has memory of its own for one thread at a time. A check allocates
+   nothing, unless more than poses and bounds of bodies has changed in the scene, or a new chunk begins within rounding
+   of contact; and it waits for no other thread, unless both are the first to query a checker whose scene has
+   changed. */
 LOEWNER_API loewner_status loewner_gate_new(const loewner_checker *checker, const loewner_gate_options *options,
                                             size_t most_targets, loewner_gate **gate);
 LOEWNER_API void loewner_gate_free(loewner_gate *gate);
 
 /* Judge a chunk, before it is executed and again at each tick: from the measured state `q`, `dq`, the robot is to be at
-   the first of n targets, shape (n, dof), after `dt` seconds. A tick later, a chunk that goes on begins with the second
-   of these targets, and only what is new is proven. `time` is that of the tick on the clock of `loewner_bounds`, and
-   must not run back; without bounds, any constant does, but with a latency the brake of a slow robot is then not proven
-   if it may be at several ticks. After an error, the brake of the last answer, which the caller
-   should have copied, is the safe motion. */
+   the first of n targets, shape (n, dof), after `dt` seconds. A tick later, a chunk that continues this one begins with
+   the second of these targets, and only its new part is proven. `time` is the time of the tick on the clock of
+   `loewner_bounds`, and must not run backwards. Without bounds, any constant will do, but with a latency the brake of a
+   slow robot is then not proven if the robot may be at several ticks. After an error, the brake of the last answer,
+   which the caller should have copied, is the safe motion. */
 LOEWNER_API loewner_status loewner_gate_check(loewner_gate *gate, const double *q, const double *dq,
                                               const double *targets, size_t n, double dt, double time,
                                               loewner_gate_answer *answer);
@@ -357,7 +358,7 @@ typedef struct {
     size_t pose_count;   /* n or 1 */
 } loewner_side;
 
-/* Verdicts of n pairs, shape (n,). They have to keep `margin` metres apart to be FREE. */
+/* Verdicts of n pairs, shape (n,). To be FREE, a pair has to be more than `margin` metres apart. */
 LOEWNER_API loewner_status loewner_classify(loewner_workspace *workspace, const loewner_side *a, const loewner_side *b,
                                             size_t n, double margin, int8_t *verdicts);
 LOEWNER_API loewner_status loewner_collide(loewner_workspace *workspace, const loewner_side *a, const loewner_side *b,

@@ -43,29 +43,32 @@ Kind = Literal["differential", "car"]
 # Steps of the lattice: the turn of one arc or of a turn in place [rad]; and the longest line, in steps.
 STEP, LONG = math.pi / 8.0, 4.0
 
-# Searches with motions that are this many times finer, one after another where all poses were tried; and their factor.
+# Number of searches with finer and finer motions, one after another when all poses were tried; and the factor between
+# them.
 LEVELS, FINER = 3, 4.0
 
 # Cells of the lattice: edges in steps, and headings in a whole turn.
 EDGE, HEADINGS = 0.8, 24
 
-# Poses that are taken from the queue at a time, and ways to the goal that are tried from each.
+# Number of poses that are taken from the queue at a time, and of ways to the goal that are tried from each.
 BATCH, SHOTS = 16, 4
 
-# Cells of the grid at most, the headings that are tried in each, and how many times farther a blocked cell counts.
+# Largest number of cells of the grid; number of headings that are tried in each; and how many times farther a blocked
+# cell counts.
 GRID, TRIED, BLOCKED = 2**13, 4, 5.0
 
-# The estimate counts this many times in the order of the queue: shorter searches, longer ways before shortening.
+# Weight of the estimate in the order of the queue: a larger one makes searches shorter, and ways longer before
+# shortening.
 GREED = 1.5
 
 # A change between forwards and backwards costs as much as this share of a step.
 CHANGE = 1.0
 
-# Ways to the goal are tried from the first few poses of a batch for which the distance on the grid is at most this many
-# times the straight one, and two radii.
+# Ways to the goal are tried from the first few poses of a batch for which the distance on the grid is at most DETOUR
+# times the straight one plus SHOOTING radii.
 MOST_SHOOTING, DETOUR, SHOOTING = 4, 1.15, 2
 
-# Shortening: passes over the way, and poses on it.
+# Number of passes over a way that shorten it, and of poses on it.
 PASSES, PLACES = 3, 32
 
 # Largest radius, and largest distance of limits [m].
@@ -162,8 +165,7 @@ class Base:
         return free
 
     def best(self, a: Floats, b: Floats, count: int) -> tuple[Floats, Floats]:
-        """Return the cheapest ways, shape (N, count, motions, 2), and their costs, which include changes of
-        direction."""
+        """Return the cheapest ways, shape (N, count, motions, 2), and their costs, with changes of direction."""
         ways = self.ways(a, b)
         costs, count = ways.costs, min(count, ways.lengths.shape[1])
         order = np.argpartition(costs, count - 1, axis=1)[:, :count]
@@ -195,7 +197,7 @@ def plan_drive(
         drives is the origin of the base: put it midway between the driven wheels of a differential base, and in the
         middle of the rear axle of a car.
     start, goal : array_like, shape (dof,)
-        Nothing but the base moves, so the goal has the start's values of all other joints.
+        Only the base moves, so the goal must have the start's values of all other joints.
     base : {"differential", "car"}
     radius : float, optional
         Least radius of a car's turns, in metres; required for a car.
@@ -204,14 +206,15 @@ def plan_drive(
     joint_error
         As for `plan`.
     search : Search, optional
-        Its `max_iterations`, `timeout` and `simplify` count; it has no `planner` and proves its motions.
+        Its `max_iterations`, `timeout` and `simplify` apply; `planner` must not be set, and motions are always proven.
     proof : bool
         Also write a `Proof` of the drive, as `CollisionChecker.certify_trajectory` does.
 
     Returns
     -------
     Drive
-        Arcs, straight lines and turns in place, as a whole proven FREE. It ends at the goal, or whole turns from it.
+        Arcs, straight lines and turns in place, proven FREE as a whole. The drive ends at the goal, or whole turns away
+        from it.
 
     Raises
     ------
@@ -354,9 +357,9 @@ def _search(
 ) -> tuple[Path | None, int, tuple[float, float, float]]:
     """Search the lattice from the start until a way from one of its poses to the goal is proven.
 
-    Finer motions, by powers of `FINER`, lead to finer cells, and cost as much as others. The way is followed by the
-    number of poses from which the search went on, and by the least cost of a pose's distance and turn from the goal,
-    with these two.
+    Finer motions, by powers of `FINER`, lead to finer cells, and cost as much as others. Besides the way, the result
+    has the number of poses from which the search continued, and the pose nearest to the goal: the cost of its distance
+    and turn from the goal, and these two.
     """
     fine, coarse = FINER ** np.arange(finest + 1.0), base.lattice()
     steps, costs = np.concatenate([coarse / scale for scale in fine]), np.tile(_costs(coarse), finest + 1)
@@ -455,7 +458,7 @@ def _costs(ways: Floats) -> Floats:
 
 
 def _changes(ways: Floats) -> Floats:
-    """Mark the motions, shape (..., k, 2), that go the other way than the last one before them that goes any way."""
+    """Mark the motions, shape (..., k, 2), that reverse the direction of the last one before them that has any."""
     signs = np.sign(ways[..., 0])
     for k in range(1, signs.shape[-1]):
         signs[..., k] = np.where(signs[..., k] == 0.0, signs[..., k - 1], signs[..., k])
@@ -548,7 +551,7 @@ def _shortened(base: Base, path: Path) -> Path:
 
 
 def _pass(base: Base, path: Path) -> tuple[Path, float, float]:
-    """Search the cheapest sequence of motions of a path and proven ways between its poses; return both costs."""
+    """Find the cheapest sequence of motions of a path and proven ways between its poses; return both costs."""
     path = _cut(path)
     n, ways = len(path.poses), path.motions[:, None]
     plain = _costs(path.motions) + CHANGE * base.step * _changes(path.motions)
@@ -570,7 +573,7 @@ def _pass(base: Base, path: Path) -> tuple[Path, float, float]:
 
 
 def _cheapest(cost: Floats) -> list[int]:
-    """Return the nodes of the cheapest sequence from the first to the last, of edges to later nodes only."""
+    """Return the nodes of the cheapest sequence from the first to the last one; edges lead only to later nodes."""
     n = len(cost)
     least, before = np.full(n, np.inf), np.zeros(n, dtype=np.int64)
     least[0] = 0.0

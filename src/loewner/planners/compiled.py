@@ -20,8 +20,8 @@ from loewner.planners.space import Space
 from loewner.queries.pairs import Verdict
 from loewner.robots.proofs.proofs import prove_by_rules
 
-# The longest motion of a tree with an axis to keep, over the square root of its angle: chords of longer motions leave
-# the angle.
+# The longest motion of a tree with an axis to keep, divided by the square root of its angle: chords of longer motions
+# leave the angle.
 KEPT = 2.0
 
 # Initial capacity of trees, in configurations.

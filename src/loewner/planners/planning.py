@@ -173,15 +173,12 @@ def plan(
     Raises
     ------
     PlanningError
-        If a pose cannot be reached (the message states how near the link came), or has no free approach or retreat (the
-        message counts the reasons); if the start or all goals are outside
-        the limits or collide (the message names joints, or pairs and depths), or
-        do not keep the axis, or
-        are not proven free within the joint error (the message states the largest error that is proven); if no short
-        motion along the contact normal ends a contact at the start, or begins a contact at the goal; if no path was
-        found within the iterations or in time (the message reports how far the search got, and which pairs prevent the
-        motions between the trees); or if OMPL's path fails the
-        final check (the message names the motion).
+        If a pose cannot be reached, or has no free approach or retreat; if the start or all goals are outside the
+        limits, collide, do not keep the axis, or are not proven free within the joint error; if no short motion along
+        the contact normal ends a contact at the start, or begins a contact at the goal; if no path was found within the
+        iterations or in time; or if OMPL's path fails the final check. The message gives the reason with its numbers:
+        how near the link came, joints or pairs and depths, the largest error that is proven, how far the search got and
+        which pairs prevent motions between the trees, or the motion that fails.
     InputError
         If an argument has the wrong shape or value, a goal moves a joint that is not among `joints`, or one of `joints`
         is a planar, floating or ball joint, which has no limits to search within; or if options exclude each other.
@@ -324,7 +321,7 @@ def _planned(
     keep: Keep | None, joint_error: ArrayLike, search: Search, seed: int, improve: Improve | None, full: bool,
     proof: bool,
 ) -> Any:  # fmt: skip
-    """Find a path, and improve it as requested; return a `Plan` if it is to be full."""
+    """Find a path, and improve it as requested; return a `Plan` if `full` is set."""
     robot, seed = checked_checker(checker).robot, checked_seed(seed)
     if proof and not search.certified:
         raise InputError("proof=True needs certified=True: sampled motions have no proof")

@@ -21,10 +21,10 @@ from loewner.robots.checking.verdicts import contacts, free
 from loewner.robots.description.reaching import MOST_SEEDS, checked_tolerance
 from loewner.robots.description.robot import chain_to
 
-# Configurations that are tried as goals at most: free ones first, then those nearest to the start.
+# Largest number of configurations that are tried as goals: free ones first, then the ones nearest to the start.
 MOST_GOALS = 16
 
-# A goal in contact that has lines counts as this many goals: rules of contact take twenty times as long to prove.
+# A goal in contact that has lines counts as this many goals, since contact rules take twenty times as long to prove.
 TOUCHING = 4
 
 # A displacement: "link" or "world" for the frame of its vector, shape (3,) [m].
@@ -52,7 +52,7 @@ class PoseGoal:
 
     Notes
     -----
-    Only configurations are accepted from which both lines can be followed, as by `straight`, and are proven free. The
+    A configuration is accepted only if both lines can be followed from it, as by `straight`, and are proven free. The
     path of `plan` ends with the approach; with ``full=True``, ``Plan.approach`` is the row at which it begins, and
     ``Plan.retreat`` is the path of the retreat. Lines are proven in the scene in which the path is planned: after a
     change of the scene, such as `Scene.attach`, `retreat_path` proves the retreat again.
@@ -99,7 +99,7 @@ class PoseGoal:
     def configurations(
         self, checker: CollisionChecker, start: ArrayLike, joints: str | Iterable[str] | None = None
     ) -> Floats:
-        """Find configurations that reach the goal: free ones first, then those nearest to the start.
+        """Find configurations that reach the goal: free ones first, then the ones nearest to the start.
 
         Parameters
         ----------

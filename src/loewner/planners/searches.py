@@ -1,4 +1,4 @@
-"""Define `Search`: how a path is searched for, in one record for all functions that plan."""
+"""Define `Search`, one record of search options for all functions that plan."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from loewner._base import _validate
 from loewner.errors import InputError
 from loewner.planners import compiled, ompl_planners
 
-# Plans by searches of their own, by the option that chooses them.
+# Kinds of plans with searches of their own, by the option that chooses them.
 OF_ITS_OWN = {"start_time": "plans in time are proven and shortened", "base": "drives are proven"}
 
 
@@ -29,8 +29,8 @@ class Search:
         For motions that are not proven, the largest Euclidean distance between two successive checked configurations,
         in the units of the joints. OMPL planners that divide motions themselves always use it.
     max_iterations : int, optional
-        Number of random configurations that the compiled planner draws before it gives up; for a drive, of poses from
-        which the search goes on. Default: no limit, so that only the timeout ends the search.
+        Number of random configurations that the compiled planner draws before it gives up; for a drive, the number of
+        poses from which the search continues. Default: no limit, so that only the timeout ends the search.
     timeout : float
         Time limit of the search, in seconds; simplifying takes additional time. OMPL planners that seek a shortest path
         always use the whole time.
@@ -89,7 +89,7 @@ class Search:
         return compiled.UNLIMITED if self.max_iterations is None else self.max_iterations
 
     def _refuse(self, name: str, others: Sequence[str] = ()) -> None:
-        """Beside the option that chooses another kind of plan, refuse options that only paths have."""
+        """Refuse options that only paths have, if an option chooses another kind of plan."""
         refused = ["planner"] * (self.planner is not None) + ["certified=False"] * (not self.certified) + [*others]
         if refused:
             raise InputError(

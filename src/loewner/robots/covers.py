@@ -27,14 +27,15 @@ KINDS: tuple[Kind, ...] = get_args(Kind)
 # How far shapes may stick out of links by default [m].
 USUAL = 0.02
 
-# Configurations in which pairs are searched that only the shapes of a cover bring into contact: such a pair that meets
-# in one of a hundred configurations is missed once in thirty thousand robots.
+# Number of configurations in which pairs are sought that meet only because of a cover's shapes: a pair that meets in
+# one of a hundred configurations is missed once in thirty thousand robots.
 TRIED = 1000
 
-# Boxes of configurations for the proofs that these pairs never collide; most pairs take some thousands.
+# Largest number of boxes of configurations for the proofs that these pairs never collide; most pairs take a few
+# thousand.
 BOXES = 200_000
 
-# Links that are covered at a time, since each takes 100 MB.
+# Number of links that are covered at a time; each takes 100 MB.
 MOST_THREADS = 4
 
 # For a number of shapes: the range of protrusions [m] that is searched, the first one, and the number of steps; and the
@@ -115,7 +116,7 @@ def _never(robot: Robot, pairs: list[Pair]) -> frozenset[Pair]:
 def _covered(
     robot: Robot, kind: Kind, protrusion: float, progress: Progress | None, before: int, steps: int
 ) -> dict[str, Body]:
-    """Cover all links; of all steps, some were done before."""
+    """Cover all links; `before` of all steps, for the progress, were done earlier."""
     # Robots have several links of one shape, such as fingers.
     shapes: dict[tuple[bytes, ...], int] = {}
     links = {link: shapes.setdefault(_bytes_of(body), len(shapes)) for link, body in robot.bodies.items()}
@@ -139,7 +140,7 @@ def _bytes_of(body: Body) -> tuple[bytes, ...]:
 
 
 def _of_number(robot: Robot, kind: Kind, n: int, progress: Progress | None) -> dict[str, Body]:
-    """Cover all links with at most n shapes, and with most of them, which stick out of all links by one length."""
+    """Cover all links with at most n shapes, but nearly as many, that stick out of all links by the same length."""
     low, high, best, protrusion = LEAST, LARGEST, None, FIRST
     for step in range(STEPS):
         if n < len(robot.bodies):

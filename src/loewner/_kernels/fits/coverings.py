@@ -15,13 +15,14 @@ WORD = 64
 # Rows of numbers of candidates: center, axis, the axis's inverse squared length, and the radius.
 ROWS = 8
 
-# An exchange compares the candidates of one point by about this number of the points that are missed.
+# An exchange compares the candidates of one point on about this number of missed points.
 SEEN = 128
 
-# Largest number of exchanges for each candidate that is chosen at first; and after how many one may be dropped again.
+# Largest number of exchanges for each candidate that is chosen at first; and the number of exchanges after which a
+# candidate may be dropped again.
 STEPS_EACH, WAITS = 50, 3
 
-# A prime, by which steps go through the missed points.
+# The stride through the missed points, a prime.
 STRIDE = 7919
 
 
@@ -61,7 +62,7 @@ def find_held(first, points, candidates, by_point, by_candidate):
 
 @inline
 def _held(points, p, candidates, m, at, round_):
-    """Bits of the eight candidates from one on that hold a ball."""
+    """Bits of eight candidates, from one on: whether they hold a ball."""
     x = points[p, 0] - load(candidates, at)
     y = points[p, 1] - load(candidates, m + at)
     z = points[p, 2] - load(candidates, 2 * m + at)
@@ -104,7 +105,7 @@ def choose_few(count, steps, start, by_point, by_candidate, chosen):
     start : ndarray of int64, shape (k,)
         Candidates that are chosen first, if they hold points that the ones before them do not.
     by_point, by_candidate : ndarray of int64
-        Bits, as of `find_held`.
+        Bits, as `find_held` writes them.
     chosen : ndarray of int64, shape (count,)
         Receives the candidates.
 
@@ -125,7 +126,7 @@ def choose_few(count, steps, start, by_point, by_candidate, chosen):
 
 @njit()
 def _greedy(start, by_candidate, missed, chosen):
-    """Take the candidate that holds most of the missed points, until none holds any; returns their number."""
+    """Take the candidate that holds most of the missed points, until none holds any; return how many were taken."""
     m, words = by_candidate.shape
     gains, found = np.zeros(m, np.int64), 0
     for k in start:
@@ -159,7 +160,7 @@ def _greedy(start, by_candidate, missed, chosen):
 
 @inline
 def _drop_held(by_candidate, k, missed):
-    """Take the points of a candidate from the missed ones, and return whether it holds any of them."""
+    """Remove a candidate's points from the missed ones, and return whether it holds any of them."""
     any_ = False
     for w in range(len(missed)):
         both = by_candidate[k, w] & missed[w]
@@ -170,15 +171,16 @@ def _drop_held(by_candidate, k, missed):
 
 @njit()
 def _exchange(count, steps, by_point, by_candidate, missed, chosen, found):
-    """Replace candidates, to hold all points with fewer; returns their number.
+    """Replace candidates, so that fewer hold all points; return their number.
 
-    Each step drops a candidate and adds another one that holds some missed point; before, candidates are dropped until
-    points are missed.
+    Each step drops a candidate and adds another one that holds some missed point. If no point is missed, candidates are
+    dropped first, until some are.
     """
     m = len(by_candidate)
-    # How many chosen candidates hold a point, and the sum of their numbers, which is the number of a single one.
+    # How many chosen candidates hold a point, and the sum of their numbers: the number itself if there is only one.
     held, holder = np.zeros(count, np.int64), np.zeros(count, np.int64)
-    # The weight of points, in whole numbers, and for chosen candidates, of the points that no other one holds.
+    # The weights of points, which are whole numbers; and for each chosen candidate, the weight of the points that no
+    # other one holds.
     weight, loss = np.ones(count), np.zeros(m)
     last, now, used = np.full(m, -10), np.empty(found, np.int64), found
     seen, gain = np.empty(count, np.int64), np.zeros(m)
@@ -210,7 +212,7 @@ def _exchange(count, steps, by_point, by_candidate, missed, chosen, found):
 
 @njit()
 def _add(by_candidate, k, held, holder, weight, loss, missed):
-    """Let a candidate hold its points."""
+    """Choose a candidate, which then holds its points."""
     loss[k] = 0.0
     for w in range(len(missed)):
         bits = by_candidate[k, w]
@@ -228,7 +230,7 @@ def _add(by_candidate, k, held, holder, weight, loss, missed):
 
 @njit()
 def _drop(by_candidate, now, used, last, step, waits, held, holder, weight, loss, missed):
-    """Drop the candidate with the least loss among all that did not change lately; returns how many are left."""
+    """Drop the candidate with the least loss among all that did not change recently; return how many are left."""
     at, least = 0, np.inf
     for j in range(used):
         k = now[j]
@@ -268,7 +270,7 @@ def _bits_of(words, places):
 
 @njit()
 def _best_for(point, step, by_point, missed, left, weight, last, gain):
-    """The candidate that holds a point and the most weight of missed ones, and that was not dropped in this step."""
+    """The candidate that holds a point and the most weight of missed points, and was not dropped in this step."""
     words, every = by_point.shape[1], (left + SEEN - 1) // SEEN
     for j in range(0, left, every):
         p = missed[j]

@@ -33,8 +33,9 @@ POINTS_ON = 16
 FEWEST_ON = 64
 MOST_ON = 512
 
-# Squares of distances from seeds may be less by this factor, which saves most of the search. A ball next to the surface
-# is small enough if it would be smaller by less than the second factor; largest number of attempts to find it.
+# Squares of distances from seeds may be underestimated by this factor, which saves most of the search. A ball next to
+# the surface is small enough if no triangle is nearer to its center than OFF_SURFACE times its radius. SHRINKS is the
+# largest number of attempts to find such a ball.
 ROUGH = 0.8
 PLACES = (1.0, 0.3)
 OFF_SURFACE = 0.87
@@ -64,8 +65,8 @@ CLOSE = 0.01
 # times.
 REPAIRS = 3
 
-# Number of seeds that grow as far as they can, since one large ellipsoid is worth most. Later seeds stay out of the
-# existing ellipsoids, except BEYOND, in units of their semi-axes from their centers.
+# Number of seeds that grow as far as they can, since one large ellipsoid is worth most. Ellipsoids of later seeds stay
+# out of the existing ones, up to planes at the distance BEYOND from their centers, in units of their semi-axes.
 UNCUT = 5
 BEYOND = 0.2
 
@@ -342,7 +343,8 @@ def add_planes(mesh, center, G, limit, first, count, most):
 
 @njit()
 def write_rows(mesh, count, center, F, rows):
-    """Write rows {y : rows y <= 1} for the box of half size REACH, and for planes, around a center; their number."""
+    """Write rows {y : rows y <= 1} for the box of half size REACH and for planes around a center; return their
+    number."""
     for side in range(6):
         for k in range(3):
             rows[side, k] = 0.0
@@ -425,7 +427,7 @@ def ball_at(mesh, start, n):
 
 @njit()
 def find_seeds(mesh, wanted, seeds, radii):
-    """Balls that no triangle meets, near to points all over the surface; returns their number."""
+    """Find balls that no triangle meets, near points all over the surface; return their number."""
     tree = mesh.tree
     cumulated = np.zeros(len(tree.blocks) // BLOCK * LEAF)
     volume6 = 0.0
@@ -567,7 +569,7 @@ def prove(mesh, origin, scale, center, factor):
         need = 1.0 + error + doubt
         share, _ = nearest(mesh, middle, G, 2.0 * need - 1.0, 1.0)
         if share >= need:
-            # Any point of the ellipsoid is valid; off its center, no ray runs along an edge of a symmetric mesh.
+            # Any point of the ellipsoid will do; away from its center, no ray runs along an edge of a symmetric mesh.
             return winds_around(mesh, plus(middle, lower(low, OFF_CENTER)))
         shrink = (share - 2.0 * doubt) / (1.0 + 2.0 * error) * (1.0 - attempt * 1e-9)
         if not shrink > 0.0:

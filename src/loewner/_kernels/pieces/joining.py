@@ -61,7 +61,8 @@ def join_bodies(chosen, block):
 
 @inline
 def _ends(pack, body):
-    """A body's first piece and the one after its last, the same of its numbers in `points`, and its groups' end."""
+    """A body's first piece and the one after its last, likewise for its numbers in `points`, and the end of its
+    groups."""
     first, last = pack.piece_start[body], pack.piece_start[body + 1]
     number = 3 * pack.layout[first, POINTS_FROM] if first < len(pack.layout) else len(pack.points)
     end = 3 * pack.layout[last, POINTS_FROM] if last < len(pack.layout) else len(pack.points)
@@ -121,7 +122,7 @@ def _fill(made, chosen):
 
 @inline
 def _copy_parts(pack, source, made, piece, part):
-    """Copy the rows of a piece's parts; others than surfaces keep zeros, since any other end is a surface's."""
+    """Copy the rows of a piece's parts; other pieces keep zeros, since any other end is a surface's."""
     at, to = PARTS * source, PARTS * piece
     first, last = (pack.part_start[at], pack.part_start[at + 2]) if len(pack.part_start) > 0 else (0, 0)
     for n in range(PARTS):

@@ -44,18 +44,18 @@ from loewner._kernels.simd.vectors import (
 from loewner._kernels.tolerances import POSITION_ROUNDINGS, UNIT_ROUNDOFF
 from loewner._kernels.trees import piece_tree
 
-SEED_ROUNDS = 3  # from one center to the nearest of the other body and back
+SEED_ROUNDS = 3  # searches from one center for the nearest one of the other body, and back
 
-POSE_ENTRIES = 16  # of a pose
+POSE_ENTRIES = 16  # numbers of a pose
 
 AHEAD = 2  # lanes between the prefetch of a piece's vertices and their use
 
 # A distance is settled when its bounds are this close, relative to the lengths involved.
 SETTLED = 1e-9
 
-# Curved pieces other than ellipsoids and balls may tie in every direction: the depth found is then correct to rounding,
-# but the 1,500 points of the expanding polytope only prove it to 4e-4. Such a depth is returned: it belongs to a plane
-# and two witnesses, and is never less than the true one.
+# Curved pieces other than ellipsoids and balls may have the same depth in every direction. The depth found is then
+# correct up to rounding, but the 1,500 points of the expanding polytope prove it only to 4e-4. Such a depth is
+# returned, since it belongs to a plane and two witnesses, and is never less than the true one.
 SETTLED_CURVED = 1e-3
 
 NEVER = -1.0  # a tolerance at which no distance is settled
@@ -114,9 +114,9 @@ class Searches(NamedTuple):
 
 
 class Round(NamedTuple):
-    """What is found of pairs of ellipsoids, eight at a time: an entry or a column for each pair of the queue.
+    """Results for pairs of ellipsoids, eight at a time: an entry or a column for each pair of the queue.
 
-    Their distance, a bound on its error (infinite: not found), and the normal and both witnesses.
+    They are the distance, a bound on its error (infinite if it was not found), the normal and both witnesses.
     """
 
     distance: Any
@@ -146,7 +146,7 @@ class Measured(NamedTuple):
 
 
 class Late(NamedTuple):
-    """Places in the queue of the pairs that the fast searches leave, and whether their cores overlap for sure."""
+    """Places in the queue of the pairs that the fast searches leave open, and whether their cores certainly overlap."""
 
     place: Any
     inside: Any
@@ -171,9 +171,9 @@ class Left(NamedTuple):
     Attributes
     ----------
     pieces : ndarray of int64, shape (m, LEFT_INTEGERS)
-        The entries of the pair list, and whether the cores overlap for sure.
+        The entries of the pair list, and whether the cores certainly overlap.
     values : ndarray, shape (m, LEFT_FLOATS)
-        From the queue: the shift, the size, the lower bound and the normal.
+        The shift, the size, the lower bound and the normal, from the queue.
     """
 
     pieces: Any
@@ -196,8 +196,9 @@ def _distance_with_care(A, B, shift, n, error, inside, work, result):
     if k < 4 and upper + ra + rb > 4.0 * error and lower + ra + rb > 0.0 and status != UNSETTLED:
         write_simplex(G, k, weights, d, result)
         return upper, upper - lower
-    # The depth sought is the upper bound, from the support plane of its normal. Only a graze needs more accuracy, to be
-    # distinguished from a gap; deep in a curved piece this is not achievable, and requesting it degrades the witnesses.
+    # The depth that is returned is the upper bound, from the support plane of its normal. Only a graze needs more
+    # accuracy, so that it can be distinguished from a gap; deep in a curved piece, such accuracy is not achievable, and
+    # requesting it degrades the witnesses.
     shallow, deep = penetration(A, B, shift, DEPTH_ACCURACY, work, result)
     graze = k < 4 and deep != NO_VOLUME and deep <= SETTLED / POSITION_ROUNDINGS * error
     if graze:
@@ -230,7 +231,7 @@ def _distance_with_care(A, B, shift, n, error, inside, work, result):
 
 @njit()
 def _miss(result, distance):
-    """Deviation of the two points from being `distance` apart along the normal."""
+    """How far the two points miss being `distance` apart along the normal."""
     squared = 0.0
     for c in range(3):
         squared += (result[6 + c] - result[3 + c] - distance * result[c]) ** 2
@@ -258,7 +259,7 @@ def _placed_eight(R, pieces, rows, at):
 
 @njit()
 def _measure_round(count, operands, work, distance):
-    """Measure the queued pairs of ellipsoids, eight at a time; those that take more care have an infinite gap."""
+    """Measure the queued pairs of ellipsoids, eight at a time; pairs that need more care get an infinite gap."""
     a, b, queue, found = pieces_of(operands.a), pieces_of(operands.b), queue_of(queued_at(work)), round_of(work)
     pairs = queue.pairs
     pair_list.fill(pairs, count)
@@ -291,7 +292,7 @@ def _measure_round(count, operands, work, distance):
 
 @inline
 def _of_eight(eight, lane, result):
-    """What `_measure_round` found of two ellipsoids."""
+    """The result of `_measure_round` for two ellipsoids."""
     for c in range(9):
         result[c] = eight.result[c, lane]
     return Measured(eight.distance[lane], eight.gap[lane], SETTLED, 0.0, 0.0)
@@ -299,10 +300,11 @@ def _of_eight(eight, lane, result):
 
 @inline
 def _of_surfaces(A, B, lane, queue, known, searches):
-    """Distance of a surface and another piece, if it is less than the one that is `known` of their bodies."""
+    """Distance of a surface and another piece, if it is less than the `known` distance of their bodies."""
     ra, rb, size, above = radius(A), radius(B), queue.size[lane], queue.above[lane]
     limit = above if above < known else known
-    # Slightly more than the ellipsoids' bounds, for the bounds' rounding; they stretch with poses, and radii do not.
+    # The limit is slightly larger than the ellipsoids' bounds, because these are rounded, and because poses stretch
+    # them but not the radii.
     limit = max(limit, 0.0) * (1.0 + SETTLED) + SETTLED * size + swollen_radii(A, B)
     value, gap = surface_distance(
         A, B, _column(queue.normal, lane), limit, searches.faces, searches.edges, searches.surfaces, searches.result
@@ -317,24 +319,24 @@ def _of_surfaces(A, B, lane, queue, known, searches):
 
 @inline
 def _of_balls(A, B, lane, queue, result):
-    """Distance of two ellipsoids or balls that are not among eight."""
+    """Distance of two ellipsoids or balls that are not measured eight at a time."""
     value, gap = round_distance(A, B, _column(queue.normal, lane), queue.size[lane], result)
     return Measured(value, gap, SETTLED, 0.0, 0.0)
 
 
 @inline
 def _of_overlap(A, B, n, faces, edges, result):
-    """Whether two polytopes overlap for sure, and then their depth."""
+    """Whether two polytopes certainly overlap, and their depth if they do."""
     searched, shallow, deep = overlap_depth(A, B, n, faces, edges, result)
     return searched == DEPTH_FOUND, Measured(-deep, deep - shallow, SETTLED, 0.0, 0.0)
 
 
 @inline
 def _of_cores(A, B, lane, queue, searches):
-    """Distance of any other pieces, after its status: NEAREST, or OVERLAPPING or another one if it is not found."""
+    """Status and distance of any other pieces: NEAREST if it is found, otherwise OVERLAPPING or another status."""
     shift, n, size = _column(queue.shift, lane), _column(queue.normal, lane), queue.size[lane]
     plain = not (_is_curved(A) or _is_curved(B))
-    if plain and queue.contact[lane] < 1.0:  # they overlap, by the look of it
+    if plain and queue.contact[lane] < 1.0:  # they probably overlap
         settled, depth = _of_overlap(A, B, n, searches.faces, searches.edges, searches.result)
         if settled:
             return NEAREST, depth
@@ -342,7 +344,8 @@ def _of_cores(A, B, lane, queue, searches):
     ends = begin(A, B, shift, searches.vertices)
     status, below, above = measure(A, B, shift, searches.vertices, ends, n, error, -np.inf, np.inf, searches.result)
     ra, rb = radius(A), radius(B)
-    # Cores that inner ellipsoids prove to overlap are not apart: what a search found between them was rounding.
+    # Cores that inner ellipsoids prove to overlap are not apart: a distance that a search found between them was
+    # rounding.
     if status == NEAREST and not above - ra - rb <= queue.above[lane] + SETTLED * size:
         status = UNSETTLED
     return status, Measured(above - ra - rb, above - below, SETTLED, ra, rb)
@@ -350,7 +353,8 @@ def _of_cores(A, B, lane, queue, searches):
 
 @njit()
 def measure_near(count, operands, work, exact):
-    """Exact distances of the queued pairs by the fast searches; returns how many they leave, which are listed."""
+    """Exact distances of the queued pairs by the fast searches; list the pairs that they leave open, and return their
+    number."""
     a, b = pieces_of(operands.a), pieces_of(operands.b)
     Ta, Tb = borrowed(operands.poses_a), borrowed(operands.poses_b)
     queue, eight, left, searches = queue_of(queued_at(work)), round_of(work), late_of(work), searches_of(work)
@@ -410,7 +414,7 @@ def measure_late(late, operands, queued, left, exact):
         ra, rb = radius(A), radius(B)
         missed = _miss(result, value + ra + rb)
         if np.isnan(missed) or (value < 0.0 and missed > WITNESSES * queue.size[lane]):
-            tolerance = NEVER  # a depth whose witnesses do not bear it out, or pieces whose points are no numbers
+            tolerance = NEVER  # a depth that its witnesses do not confirm, or points that are not numbers
         _record(lane, queue, Ta, Measured(value, gap, tolerance, ra, rb), result, exact)
 
 
@@ -423,7 +427,7 @@ def _record(lane, queue, Ta, measured, result, exact):
     pairs = queue.pairs
     k, ka = pairs.pair[lane], pairs.pose_a[lane]
     value, gap, tolerance, ra, rb = measured
-    # The ellipsoids' own bound may be the better one. A value far below it is none, whatever its own bounds say.
+    # The ellipsoids' own bound may be the better one. A value far below it is not valid, even within its own bounds.
     gap = min(gap, abs(value - queue.below[lane]))
     if not gap <= tolerance * queue.size[lane]:
         exact.status[k] = NOT_SETTLED
@@ -439,7 +443,7 @@ def _record(lane, queue, Ta, measured, result, exact):
 
 @njit()
 def _leave(late, work, kept, left):
-    """Note the pairs that the fast search left for `measure_left`, from row `kept` of the lists on; where they end."""
+    """List the pairs that the fast search left for `measure_left`, from row `kept` on; return where they end."""
     queue, which = queue_of(queued_at(work)), late_of(work)
     for m in range(late):
         lane = which.place[m]
@@ -455,11 +459,12 @@ def _leave(late, work, kept, left):
 
 @njit()
 def _room(kept, left):
-    """Lists of what is left with room for a queue more."""
+    """The lists in `left`, with room for the pairs of another queue."""
     if kept + QUEUED <= len(left.pieces):
         return left
     more = Left(np.empty((2 * kept + QUEUED, LEFT_INTEGERS), np.int64), np.empty((2 * kept + QUEUED, LEFT_FLOATS)))
-    # By loops, here and elsewhere: should the shapes of two arrays differ, Numba would raise an error of Python's.
+    # Entries are copied by loops, here and elsewhere, since Numba would raise a Python error if the shapes of two
+    # arrays differed.
     for n in range(kept):
         for c in range(LEFT_INTEGERS):
             more.pieces[n, c] = left.pieces[n, c]
@@ -470,7 +475,7 @@ def _room(kept, left):
 
 @njit()
 def _measure(wanted, count, operands, work, kept, left, bounds, exact):
-    """Measure the queued piece pairs and merge them into the results of their pairs; what is left by now."""
+    """Measure the queued piece pairs and merge them into the results of their pairs; return the pairs left so far."""
     write_bounds(count, operands, queued_at(work))
     queue, lower, upper, estimate = queue_of(queued_at(work)), bounds.lower, bounds.upper, bounds.estimate
     for lane in range(count):
@@ -488,12 +493,12 @@ def _measure(wanted, count, operands, work, kept, left, bounds, exact):
 
 @njit()
 def _measure_many(wanted, k, ia, ka, ib, kb, operands, work, kept, left, bounds, exact):
-    """Measure a pair of bodies of which one has many pieces: only the piece pairs that may be the nearest."""
+    """Measure a pair of bodies, one with many pieces: only the piece pairs that may be the nearest."""
     a, b = pieces_of(operands.a), pieces_of(operands.b)
     steps = np.empty(piece_tree.STEPS, np.int64)
     numbers = np.empty(piece_tree.NUMBERS)
     piece_tree.begin(a, ia, operands.poses_a, ka, b, ib, operands.poses_b, kb, steps, numbers)
-    # A first bound on the distance saves the walk most pairs.
+    # With a first bound on the distance, the walk skips most pairs.
     i, j = piece_tree.nearest_centers(a, ia, b, ib, numbers, SEED_ROUNDS)
     pair_list.put(queue_of(queued_at(work)).pairs, 0, k, i, j, ka, kb)
     found = 1
@@ -508,7 +513,7 @@ def _measure_many(wanted, k, ia, ka, ib, kb, operands, work, kept, left, bounds,
 
 @inline
 def _ask(pieces, piece, poses, row):
-    """Prefetch a piece and its pose, which may be anywhere in memory, and arrive while the queue fills."""
+    """Prefetch a piece and its pose: they may be anywhere in memory, and arrive while the queue fills."""
     for at in range(0, COLUMNS, LINE):
         prefetch_far(pieces.table, piece * COLUMNS + at)
     prefetch_far(pieces.table, piece * COLUMNS + COLUMNS - 1)
@@ -529,7 +534,7 @@ def distance_range(wanted, start, stop, plan, rows, pack_a, Ta, pack_b, Tb, memo
     Parameters
     ----------
     wanted : bool
-        Whether exact distances are; only then are they, the vectors and the status written.
+        Whether exact distances are requested; only then are they, the vectors and the status written.
     plan, rows, pack_a, Ta, pack_b, Tb
         Operands as in `verdicts`.
     memory : int
@@ -553,7 +558,7 @@ def distance_range(wanted, start, stop, plan, rows, pack_a, Ta, pack_b, Tb, memo
     operands = Operands(pack_a, Ta, pack_b, Tb)
     a, b = pieces_of(pack_a), pieces_of(pack_b)
     shape, body_a, pose_a, body_b, pose_b = plan[0], plan[1], plan[2], plan[3], plan[4]
-    # No room to begin with: an array made here, even an empty one, would be an allocation for every query.
+    # The lists have no room at first: an array made here, even an empty one, would be an allocation in every query.
     left = Left(integers_at(memory, (0, LEFT_INTEGERS)), floats_at(memory, (0, LEFT_FLOATS)))
     count, kept = 0, 0
     for k in range(start, stop):
@@ -580,7 +585,7 @@ def distance_range(wanted, start, stop, plan, rows, pack_a, Ta, pack_b, Tb, memo
                     kept, left = _measure(wanted, count, operands, memory, kept, left, bounds, exact)
                     count = 0
     kept, left = _measure(wanted, count, operands, memory, kept, left, bounds, exact)
-    return left.pieces[:kept], left.values[:kept]  # no record: Python would make it by a slow call
+    return left.pieces[:kept], left.values[:kept]  # not as a record, which Python would make by a slow call
 
 
 @njit()

@@ -55,8 +55,8 @@ from loewner._kernels.pipeline.workspace import (
 from loewner._kernels.simd.vectors import SINGLE_LANES, prefetch
 from loewner._kernels.trees import piece_tree
 
-# Hints of one block for the next one, and flags of `_flush`: mostly pairs far apart; mostly pairs that single precision
-# could not settle.
+# Hints from one block to the next, and flags of `_flush`: most pairs are far apart; or single precision could not
+# settle most pairs.
 FAR, CLOSE = 1, 2
 
 # Further flags of `_flush`.
@@ -108,7 +108,7 @@ def _entry(array, place):
 
 @njit()
 def is_identity(T):
-    """Whether an operand only has one pose, and this is the identity."""
+    """Whether an operand has only one pose, and this pose is the identity."""
     if T.shape[0] != 1:
         return False
     for r in range(4):

@@ -1,4 +1,4 @@
-"""Decide whether a robot is free, for blocks of configurations side by side through all pairs of bodies.
+"""Decide whether a robot is free: blocks of configurations go through all pairs of bodies side by side.
 
 The steps for a block, cheapest first:
 
@@ -169,7 +169,7 @@ def _ended(query):
 
 @njit()
 def _improve(query, held):
-    """Certify the waiting pairs again, at the best s in double precision, margin 0."""
+    """Certify the waiting pairs again, at the best s in double precision, with margin 0."""
     work = query.work
     pieces = pieces_of(query.pack)
     hot, poses = pieces.hot, _placement_of(query).poses
@@ -267,7 +267,7 @@ def _certify(query, keep, count, held):
         if not certificate.certify_best(
             count, keep, pieces.hot, poses, True, pieces.hot, poses, True, listed, tier, normals
         ):
-            tier[:count] = OPEN  # a link whose pose is not rigid by overflow: nothing is proven about it
+            tier[:count] = OPEN  # overflow made the pose of a link non-rigid: nothing is proven about it
     refined = query.mode == CERTIFY and has_parts(pieces)
     for lane in range(count):
         code = listed.pair[lane]
@@ -295,7 +295,7 @@ def _certify(query, keep, count, held):
             _mark_open(query, s)
     if _ended(query):
         return 0
-    # The last step, since it writes its own lists to `listed`.
+    # This is the last step, since it writes its own lists to `listed`.
     if held > WAITING - BLOCK:
         held = _settle_waiting(query, held)
     return held
@@ -395,7 +395,7 @@ def _settle_block(query, Q, first, last, S):
     moving, moving_pieces, live = counts.moving, counts.moving_pieces, _live_of(work)
     codes, masks = _codes_of(work), _masks_of(work)
     verdicts = _verdicts_of(work)
-    # For few configurations, the bodies of the first pairs are placed and these are settled before the others.
+    # If there are few configurations, the bodies of the first pairs are placed, and these pairs are settled first.
     few, alone = last - first < LANES, last == first
     if few:
         place_joints(problem, Q, first, last, placement)

@@ -21,7 +21,7 @@ SMALLEST_SINE = 1e-12
 
 @inline
 def _value(course, c, t):
-    """Value of a column at a fraction, or at eight; of polynomials by Horner's scheme for Bernstein's form."""
+    """Value of a column at a fraction, or at eight; polynomials by Horner's scheme for the Bernstein form."""
     degree = course.shape[0] - 1
     if degree == 1:
         a, b = course[0, c], course[1, c]

@@ -425,7 +425,7 @@ def _collides(motion, i, poses, row, j, others, other_row, margin, n, tally):
 
 @apart
 def _hits(motion, near, t, poses, row, others, other_row, n, tally):
-    """As `_collides`, with the margin at t; MAY_BE_HIT if only bodies that are not where they are given collide."""
+    """As `_collides`, with the margin at t; MAY_BE_HIT if only bodies off their given places collide."""
     margin, own = _margin_at(near, t), problem_of(motion.problem).margins[near.pair] + motion.clear
     hit = _collides(motion, near.i, poses, row, near.j, others, other_row, margin, n, tally)
     if hit != FREE and motion.as_given and margin > own:
@@ -670,7 +670,7 @@ def _write_ends(motion, near, W, first, last):
 def _test_middle(motion, near, t, width, poses, row, other_row, toward, tally):
     """Test two pieces exactly at t, in the middle of an interval: FREE, or the verdict for it.
 
-    AMBIGUOUS if they come within the tolerance where points move by less than that.
+    The verdict is AMBIGUOUS if they come within the tolerance and points move by less than the tolerance.
     """
     hit = _hits(motion, near, t, poses, row, poses, other_row, toward, tally)
     if hit == FREE and _off(near, width) <= motion.tolerance:
@@ -700,7 +700,7 @@ def _halve(motion, near, back, low, high, n, tally):
     t : float
         Fraction at which it is COLLIDING, AMBIGUOUS or UNFINISHED.
     by_triangles : bool
-        Whether it is FREE since all triangles of the surfaces are apart, in other parts, too.
+        Whether it is FREE because all triangles of the surfaces are apart, including their other parts.
     """
     problem, by_triangles, has_surface = problem_of(motion.problem), True, _row_of_answers(motion, near) >= 0
     stands = problem.pairs[near.pair, 1] >= motion.counts.moving
@@ -882,7 +882,7 @@ def _halve_waiting(motion, count, found, tally):
 
 @apart
 def _settled_by_triangles(motion, near, k, is_first, tally):
-    """The intervals of the block, as bits, in which the triangles of two pieces are proven apart: of all or of k.
+    """The intervals of the block, as bits, in which the triangles of two pieces are proven apart: all of them, or k.
 
     All intervals are tried as a single one if `is_first`, and this is marked by a further bit.
     """
@@ -1159,7 +1159,7 @@ def _list_pair(motion, pair, live, bend, speed, slack, stray, found, count, tall
                 n = ways[to + deepest], ways[to + LANES + deepest], ways[to + 2 * LANES + deepest]
                 near = _listed_pair(motion, count)
                 row = _row_of_answers(motion, near)
-                if row < 0 or answers[row, 4] == 0:  # for the parts of surfaces, only the first ones
+                if row < 0 or answers[row, 4] == 0:  # for parts of surfaces, only the first pair is tested
                     found, listed[count, 4] = _test(motion, near, swept, deepest + end, n, found, 0, tally)
                     if _hit(found):
                         return found, count
@@ -1196,7 +1196,7 @@ def _measure(motion, course, width):
 
 @njit()
 def _find_near_pairs(motion, widest):
-    """Find out which pairs with static bodies may be near each other in a block; bound all bodies."""
+    """Find the pairs with static bodies that may be near each other in a block, and bound all bodies."""
     tables, swept, ways, near_pairs = (
         motion_tables_of(motion.tables), _swept_of(motion), _ways_of(motion), _near_pairs_of(motion),
     )  # fmt: skip
@@ -1372,7 +1372,7 @@ def make_ready(pack, problem_handle, tables_handle, dof, memory):
 
 @njit()
 def _write_growth(motion, off):
-    """Write how far points of bodies may be off on a motion, as `certify_motions` is given it."""
+    """Write how far points of bodies may be off on a motion, from the argument of `certify_motions`."""
     growth, most, start, end, any_off = _growth_of(motion), _most_growth_of(motion), 0.0, 0.0, False
     for at in range(motion.counts.dof, len(off), 3):
         body = int(off[at])
@@ -1409,11 +1409,11 @@ def certify_motions(
         See `motion_path`.
     off : ndarray, shape (N, dof + 3 growing) or (0, dof)
         Allowed deviation of each value from the course at the same fraction: FREE holds for all such configurations,
-        and COLLIDING for one on the course itself. No rows: no deviation. Then, for each body whose points may be
-        off: its number, and by how many metres at the start and at the end; in between, by as much as on the line
-        through both. A negative number stands for no body.
+        and COLLIDING for one on the course itself. Without rows, there is no deviation. Three more numbers follow for
+        each body whose points may be off: its number, and how far they may be off at the start and at the end, in
+        metres; in between, this changes linearly. A negative number of a body means that there is none.
     clear : ndarray, shape (N,) or (0,)
-        Distances in metres that all pairs must keep on a motion in addition to their margins. No rows: none.
+        Distances in metres that all pairs must keep on a motion in addition to their margins; none without rows.
     tolerance : float
         In metres; a motion that comes within the margin plus this may be AMBIGUOUS.
     pack : int
@@ -1421,16 +1421,18 @@ def certify_motions(
     problem_handle, tables_handle : int
         Handles of the problem and the tables, see `pack.problem_of` and `pack.motion_tables_of`.
     out : ndarray of int8, shape (N,)
-        Receives FREE, COLLIDING, AMBIGUOUS, TOO_LONG or BY_CARE. Contains, at first, 0 where COLLIDING refers to
-        margins that are larger by how far points may be off, and 1 where it refers to the margins alone: a motion that
-        may only be hit is then AMBIGUOUS where this is first found, and the search goes on for a collision.
+        Receives FREE, COLLIDING, AMBIGUOUS, TOO_LONG or BY_CARE. On entry, it contains 0 where COLLIDING refers to
+        margins enlarged by how far points may be off, and 1 where it refers to the margins alone. In the latter case, a
+        motion on which a body may be hit is AMBIGUOUS where this is first found, and the search continues for a
+        collision.
     t_out : ndarray, shape (N,)
         Receives fractions at which a motion is colliding or ambiguous; NaN for the others.
     pair_out : ndarray of int64, shape (N,)
         Receives the number of the colliding or ambiguous pair; -1 for the others.
     tallies : ndarray of int64, shape (N, 3)
-        Receives the numbers of configurations placed, of searches, and of steps. The last one contains, at first, how
-        many steps a motion may take before it is given up as AMBIGUOUS; -1 for as many as the motion before left over.
+        Receives the numbers of configurations placed, of searches, and of steps. On entry, the last one contains how
+        many steps a motion may take before it is given up as AMBIGUOUS; -1 stands for as many as the previous motion
+        left.
     memory : int
         Address of `motion_memory` scratch bytes; one thread uses them at a time.
     """
@@ -1463,8 +1465,8 @@ def certified(pack, problem_handle, tables_handle, tolerance, error, ends, tally
 
     FREE covers all configurations whose values deviate by no more than the numbers at the address `error`, shape
     (dof,), if it is not 0. The work is added to `tally`, shape (3,): configurations placed and searches; the last entry
-    is how many steps are left, and is lowered. A pair that is found not to be free is moved forward, so that pairs that
-    collide most often come first.
+    is the number of remaining steps, which is reduced. A pair that is found not to be free is moved forward, so that
+    pairs that collide most often come first.
     """
     dof = ends.shape[1]
     motion = _motion(pack, problem_handle, tables_handle, tolerance, error != 0, 0.0, False, 2, dof, memory)
@@ -1496,7 +1498,7 @@ def free_motions(
     Parameters
     ----------
     prepared : int
-        0 in the first call with a memory. The order of the pairs stays in it from call to call.
+        0 in the first call with a memory, which then keeps the order of the pairs from call to call.
     courses, tolerance, pack, problem_handle, tables_handle, memory
         As for `certify_motions`; courses of two points.
     error : int

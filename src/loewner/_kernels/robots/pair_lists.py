@@ -1,4 +1,4 @@
-"""Which pairs of bodies are checked, and what kernels take of them besides bodies and poses: for Python and for C.
+"""List the pairs of bodies to check, and make the tables that kernels take besides bodies and poses, for Python and C.
 
 `list_pairs` applies the rules of a scene. `lay_out` divides memory into the arrays of `records.Problem` and
 `records.MotionTables`, and writes what depends neither on poses of static bodies nor on values of joints: paths and
@@ -97,7 +97,7 @@ def list_pairs(parent, kind, link, marks, own, least, rules, rule_margins, pairs
 
 @inline
 def _rigid_with(parent, kind, link):
-    """The first link with which one is rigidly joined; -1 is the world."""
+    """The first link with which a link is rigidly joined; -1 is the world."""
     return parent[link] if kind[link] == FIXED else link
 
 
@@ -178,7 +178,7 @@ def lay_out(pack, handle, lasting, block):
 
 @inline
 def _divide(table, at, shapes):
-    """Write the rows of arrays that follow each other from an address on; returns the words that they take.
+    """Write the table rows of arrays stored one after another from an address on; return the words that they take.
 
     A shape has the number of the row, rows, columns, and the bytes of an entry.
     """
@@ -207,7 +207,7 @@ def _write_paths(tree, tables):
 
 @njit()
 def _write_order(depths, problem, tables):
-    """Order the pairs, stably, by their bodies' depths: the ones far out on the robot move most, and collide most."""
+    """Order the pairs, stably, by their bodies' depths: bodies far out on the robot move most, and collide most."""
     at = 0
     for depth in range(len(depths), -1, -1):
         for k in range(len(problem.pairs)):
@@ -223,7 +223,7 @@ def _write_group_pairs(counts, pairs, tables):
     start[0] = 0
     for body in range(moving):
         start[body + 1] = start[body] + (counts[body] + LANES - 1) // LANES
-        counts[body] = LANES * start[body]  # from here on, where the next pair goes
+        counts[body] = LANES * start[body]  # from here on, the place of the next pair
     for k in range(len(pairs)):
         body = pairs[k, 0]
         if pairs[k, 1] >= moving:

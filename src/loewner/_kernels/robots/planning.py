@@ -1,21 +1,23 @@
 """RRT-Connect: two trees of free motions, from the start and from the goals, that grow until they meet.
 
-A tree grows by a motion towards a drawn configuration; then its new node is led to the other tree as far as motions are
-free [1]. Configurations that failed are extended only towards configurations near by: the dynamic domain [2]. Trees are
-kept column by column, so that the search for the nearest configuration runs in lanes; they are small as a rule.
+A tree grows by a motion towards a drawn configuration. From its new node it then continues towards the other tree, as
+far as motions are free [1]. A node from which a motion failed is extended only towards configurations nearby, in its
+dynamic domain [2]. Trees are stored column by column, so that the search for the nearest configuration runs in lanes;
+most trees are small.
 
-It differs from the papers in the following:
+It differs from the papers in these points:
 
-1. The smaller tree grows, where [1] takes the trees in turns.
+1. The smaller tree grows, whereas [1] alternates between the trees.
 2. Configurations are drawn from a sequence of low discrepancy, not at random.
-3. The way to the other tree leads straight to one node of it, the nearest at first, in at most `MOST_STEPS` equal
+3. The way to the other tree leads straight to one of its nodes, the nearest one at first, in at most `MOST_STEPS` equal
    steps.
-4. Before anything is drawn, the start is led to the nearest goal. The goals are roots of one tree.
+4. Before anything is drawn, the straight way from the start to the nearest goal is tried. All goals are roots of one
+   tree.
 5. The radius of a dynamic domain changes a little with every failure and success.
-6. Whole turns are left out of the differences of joints without limits.
+6. Differences of joints without limits are taken modulo whole turns.
 7. If a path must cost less than a bound, configurations are drawn from the ellipsoids of all paths that do [3], one for
    each goal.
-8. If an axis of a link is kept near a direction, every new node is moved until it is.
+8. If an axis of a link has to stay near a direction, every new node is moved until it does.
 
 [1] Kuffner, LaValle: RRT-Connect: An efficient approach to single-query path planning. ICRA 2000.
 [2] Yershova, Jaillet, Siméon, LaValle: Dynamic-domain RRTs. ICRA 2005.
@@ -36,14 +38,14 @@ from loewner._kernels.robots.lines import bring_back
 from loewner._kernels.simd.memory import floats_at, held, integers_at, reader, record_kind
 from loewner._kernels.simd.vectors import rounded_product
 
-# The longest motion of a tree, as a share of the diagonal of the limits: 1 rad for a usual arm.
+# The longest motion of a tree (its range), as a share of the diagonal of the limits: 1 rad for a usual arm.
 SHARE = 1 / 12
 
-# Of the dynamic domain, in ranges: what a configuration is first limited to when a motion from it fails, what it is
-# limited to at least, and the share that a failure takes and a success gives.
+# Radius of the dynamic domain of a node, in units of the range: the radius after the first failure of a motion from it,
+# and the least radius; then the share by which a failure reduces the radius and a success enlarges it.
 FIRST_DOMAIN, LEAST_DOMAIN, CHANGE = 4.0, 1.0, 1e-4
 
-# Steps that a tree is led on by, at most, before the next draw.
+# Maximum number of steps by which a tree is led to the other one before the next draw.
 MOST_STEPS = 64
 
 TURN = 2.0 * np.pi
@@ -59,7 +61,7 @@ class Trees(NamedTuple):
     nodes : ndarray, shape (2, joints, capacity)
         Values of the joints that move.
     domains : ndarray, shape (2, capacity)
-        How near a configuration drawn must be for the node to be extended; infinite until a motion from it fails.
+        How near a drawn configuration must be for the node to be extended; infinite until a motion from it fails.
     parents : ndarray of int64, shape (2, capacity)
         -1 for roots.
     squares : ndarray, shape (capacity,)
@@ -108,13 +110,13 @@ def _trees_of(search):
 
 @inline
 def _turns(search, c, way):
-    """Whole turns to leave out of a way."""
+    """Number of whole turns to leave out of a difference."""
     return np.rint(way / TURN) if search.turning[c] != 0 else 0.0
 
 
 @njit()
 def _nearest(search, nodes, count, q, squares):
-    """Which of a tree's nodes is nearest to q, and how far it is."""
+    """The node of a tree that is nearest to q, and its distance."""
     for k in range(count):
         squares[k] = 0.0
     for c in range(nodes.shape[0]):
@@ -137,7 +139,7 @@ def _nearest(search, nodes, count, q, squares):
 
 @inline
 def _free(work, a, b):
-    """Is the motion between two settings of the joints that move free?"""
+    """Whether the motion between two settings of the moving joints is free."""
     columns, ends, state = work.search.columns, work.ends, work.search.state
     for c in range(len(a)):
         ends[0, columns[c]] = a[c]
@@ -148,7 +150,7 @@ def _free(work, a, b):
 
 @inline
 def _brought_back(work, q):
-    """Move q until it keeps an axis, if one is to be kept; return whether that worked."""
+    """Move q until it keeps the axis, if there is one to keep; return whether this succeeded."""
     columns, row = work.search.columns, work.ends[1]
     if work.judge.kept == 0:
         return True
@@ -172,7 +174,7 @@ def _add(trees, tree, count, q, parent):
 
 @inline
 def _way(search, nodes, goal, q, axis):
-    """Length of the straight way from the start to a goal, written to `axis`, and of the way by q."""
+    """Write the straight way from the start to a goal to `axis`; return its length and that through q."""
     straight = before = after = 0.0
     for c in range(len(q)):
         weight, way = search.weights[c], nodes[1, c, goal] - nodes[0, c, 0]
@@ -186,10 +188,11 @@ def _way(search, nodes, goal, q, axis):
 
 @njit()
 def _draw_within(search, nodes, roots, drawn, axis):
-    """Draw from the ellipsoid about the start and a goal, unless q lies in one: all ways that cost less than a bound.
+    """Draw from an ellipsoid about the start and a goal, which holds all ways that cost less than a bound.
 
-    A direction has sums of four uniform numbers for coordinates, nearly normal; a radius is the largest of as many
-    uniform numbers as there are joints, which is distributed as in a ball.
+    Nothing is drawn if the configuration lies in one of the ellipsoids already. The coordinates of a direction are sums
+    of four uniform numbers, which are nearly normal. A radius is the largest of as many uniform numbers as there are
+    joints, so it is distributed as in a ball.
     """
     state, start, bound = search.state, nodes[0], search.reach[BOUND]
     for goal in range(roots):
@@ -231,7 +234,7 @@ def _rows(trees, tree, node):
 
 @njit()
 def _iterate(work, roots):
-    """Grow one tree and lead it to the other; MET if they meet, else SPENT."""
+    """Grow one tree and lead it to the other; return MET if they meet, otherwise SPENT."""
     search, trees, points = work.search, work.trees, work.points
     state, longest, joints = search.state, search.reach[STEP], len(search.columns)
     drawn, here, there = points[0], points[1], points[2]
@@ -265,7 +268,7 @@ def _iterate(work, roots):
 
 @njit()
 def _lead(work, tree, last):
-    """Lead the last node of a tree straight to the nearest one of the other, as far as motions are free."""
+    """Extend a tree from its last node straight to the nearest node of the other, as far as motions are free."""
     search, trees, points = work.search, work.trees, work.points
     state, reach, joints = search.state, search.reach, len(search.columns)
     count, other = last + 1, 1 - tree
@@ -308,7 +311,7 @@ def _lead(work, tree, last):
 
 @njit()
 def begin_search(search, goals, seed):
-    """Begin a search anew: trees of nothing but roots, and the range and the sequence to draw from.
+    """Begin a search anew: trees that have only roots, the range, and the sequence of draws.
 
     Parameters
     ----------
@@ -344,19 +347,19 @@ def begin_search(search, goals, seed):
 
 @njit()
 def connect_trees(search, most):
-    """Let the trees grow until they meet, or have had a number of iterations.
+    """Let the trees grow until they meet, or for a number of iterations.
 
     Parameters
     ----------
     search : int
-        Handle of a `records.Search` that has begun. A later call goes on from where this one ends.
+        Handle of a `records.Search` that has begun. A later call continues where this one ends.
     most : int
-        Number of iterations, of earlier calls too.
+        Number of iterations, including earlier calls.
 
     Returns
     -------
     int
-        MET; SPENT: all iterations are done; or FULL: the trees need more memory to go on.
+        MET; SPENT if all iterations are done; or FULL if the trees need more memory to continue.
     """
     begun = _search_of(search)
     samples, state, trees = sample_memory(begun.handles), begun.state, _trees_of(begun)
@@ -372,7 +375,7 @@ def connect_trees(search, most):
             outcome = FULL
         else:
             state[ITERATION] += 1
-            # Straight to the nearest goal, before anything is drawn.
+            # Before anything is drawn, try the straight way to the nearest goal.
             outcome = _lead(work, 0, 0) if state[ITERATION] == 1 else _iterate(work, roots)
     held(samples)
     return outcome

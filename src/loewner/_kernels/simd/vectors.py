@@ -301,7 +301,8 @@ lowest, highest = _reduction("lowest", "<", "least"), _reduction("highest", ">",
 
 @intrinsic
 def entry_at_highest(typingctx, x, y):
-    """Entry of y, which are `numbers`, in the lane where x, without NaN, is largest. Ties go the same way."""
+    """Entry of y, a vector of `numbers`, in the lane where x is largest; x has no NaN. Equal values always give the
+    same one."""
 
     def generate(context, builder, sig, args):
         x, y = args
@@ -617,16 +618,16 @@ def _prefetching_line(level):
     return prefetch
 
 
-# Into the first-level cache for use soon, and into the second for use some thousand instructions later.
+# Into the first-level cache for use soon, and into the second for use about a thousand instructions later.
 prefetch, prefetch_far = _prefetching_line(_FIRST_LEVEL), _prefetching_line(_SECOND_LEVEL)
 
 
 def _prefetching_rows(count):
     @intrinsic
     def prefetch_rows(typingctx, table, width, rows, at):
-        """Prefetch the first two cache lines of as many rows as a vector has lanes, some thousand instructions ahead.
+        """Prefetch the first two cache lines of as many rows as a vector has lanes, a thousand instructions ahead.
 
-        The first-level cache can wait for less than a pair's rows and poses at the pace of the certificate.
+        The first-level cache has too few pending lines for a pair's rows and poses at the pace of the certificate.
         """
 
         def generate(context, builder, sig, args):

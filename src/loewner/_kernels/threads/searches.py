@@ -76,7 +76,7 @@ def core_at(integers, numbers, vertices, piece):
     numbers : float32, shape (pieces, CORE_NUMBERS)
         Center and factor of a curved core, radius of the ball that is added, and reach, rounded up.
     vertices : float32, shape (vertices, 4)
-        Each followed by a number that means nothing; as many of each piece as fill multiples of four.
+        Each row ends with an unused number; each piece has a multiple of four rows.
     """
     at = CORE_INTEGERS * piece
     return Core(
@@ -93,7 +93,7 @@ def _better(product, number, best, at):
 
 @inline
 def _farthest_vertex(core, n):
-    """Four searches side by side: each step of a search depends on its previous step."""
+    """Farthest vertex, by four searches side by side, since each step of a search depends on its previous step."""
     least = lane_of(-np.inf)
     b0, b1, b2, b3 = least, least, least, least
     k0 = k1 = k2 = k3 = core.start

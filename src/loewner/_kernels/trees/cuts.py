@@ -1,8 +1,9 @@
 """Surfaces cut into parts, with a box and an ellipsoid around each: proofs of motions replace a surface by its parts.
 
 The part whose box has the most empty space is cut next, across an axis of its box, where the boxes of its halves are
-smallest. Up to some five hundred of its items suggest where: they are sorted into bins along each axis, and only those
-next to the best boundary one by one. Between two walls, the cut is halfway between the items on either side.
+smallest. At most about five hundred of its items suggest the place: they are sorted into bins along each axis, and only
+the items next to the best boundary are sorted one by one. Between two walls, the cut is halfway between the items on
+either side.
 
 Corners are stored by coordinate, and all corners of a part one after the other, so that eight are processed at a time.
 
@@ -23,18 +24,19 @@ from loewner._kernels.trees.triangle_tree import principal
 # to the coordinates.
 THICKNESS, FLAT_BOX, FLAT_OVAL, DIGITS = 0.01, 0.01, 1e-4, 1e-8
 
-# When a part is cut in two, each side gets at least one in this many items. With 16, cuts leave parts of three quarters
-# over and over, and no more is proven.
+# When a part is cut in two, each side gets at least one in this many items. With 16, one cut after another leaves three
+# quarters of a part, and no more is proven.
 LEAST_SHARE = 4
 
-# Largest number of triangles that suggest axes, number of directions in which a hull's points are looked for, and of
-# its edges, the longest, along which a box is tried.
+# Largest number of triangles that suggest axes; number of directions in which points of a hull are sought; and number
+# of its longest edges along which a box is tried.
 MOST_ASKED, LOOKS, MOST_EDGES = 128, 64, 8
 
-# Bins along each axis, up to how many items are sorted at once, and half the number of items that suggest a cut.
+# Bins along each axis; largest number of items that are sorted without bins; and half the number of items that suggest
+# a cut.
 BINS, FEW, MANY = 128, 32, 512
 
-# Bound on the rounding of a rotation there and back, by a matrix that is itself orthonormal up to some roundings.
+# Bound on the rounding of a rotation and its inverse, by a matrix that is itself orthonormal up to some roundings.
 TURN_ROUNDINGS = 128 * 2.0**-53
 
 # Rounds of the search for a small ellipsoid, its least semi-axis relative to the box, and an allowance for rounding:
@@ -134,7 +136,7 @@ def _corner(corners, n, triangle, corner):
 
 @inline
 def _eight(corners, n, triangle, first, last, corner):
-    """A corner of eight triangles of a part, from one on or up to its last; if it has fewer than eight, of that one."""
+    """A corner of eight triangles of a part, from one on or its last eight; if it has fewer, eight copies of one."""
     if last - first < LANES:
         x, y, z = _corner(corners, n, triangle, corner)
         return broadcast(x), broadcast(y), broadcast(z)
@@ -222,7 +224,7 @@ def _measure(corners, n, part, thick, grown, numbers):
         best = _along_faces(some, count, middle, least, best)
         for k in range(first, last):
             v = _normal(corners, n, k)
-            # Flat boxes are given a volume too, partly filled by triangles: triangles in one plane may be far apart.
+            # Triangles count as thin slabs, since a flat box has a volume, too, which triangles far apart do not fill.
             filled += thick * 0.5 * np.sqrt(dot(v, v))
     low, high = _box(corners, n, first, last, best)
     for c in range(9):
@@ -319,7 +321,7 @@ def _items(faces, order, first, last, begin):
 
 @njit()
 def _place_of_cut(corners, n, begin, items, numbers, grown, rows, listed, bins, held):
-    """Axis at which a part is cut, and the place there, times two: items whose middles are before it come first.
+    """Axis across which a part is cut, and twice the place on it: items whose middles are before it come first.
 
     Parameters
     ----------
@@ -381,7 +383,7 @@ def _place_of_cut(corners, n, begin, items, numbers, grown, rows, listed, bins, 
 
 @inline
 def _between(rows, listed, rank, count, axis, left, right):
-    """Halfway between the middles of a listed item and the one before it, times two; `left` and `right` are beyond."""
+    """Twice the place halfway between a listed item and the one before it; `left` and `right` replace missing ones."""
     left = _middle(rows, listed[rank - 1], axis) if rank > 0 else left
     right = _middle(rows, listed[rank], axis) if rank < count else right
     return 0.5 * (left + right)
@@ -397,7 +399,7 @@ def _divided(corners, n, order, begin, items, along, key, rest, lists):
     begin : ndarray
         Where items begin; overwritten.
     key : float
-        The place, times two.
+        Twice the place.
     rest, lists : ndarray
         Memory.
     """
@@ -592,7 +594,7 @@ def _along(way, p):
 
 @njit()
 def _extend(corners, n, first, count, corner, numbers, middle, per, way, points, ends):
-    """Keep the farthest of some corners in a direction and its opposite, if they are farther than those before."""
+    """Keep the farthest of some corners in a direction and its opposite, if they are farther than the ones before."""
     for k in range(first, first + count):
         p = _relative(numbers, _corner(corners, n, k, corner), middle, per)
         along = _along(way, p)
@@ -611,7 +613,7 @@ def _relative(numbers, p, middle, per):
 
 @inline
 def _form(Q, r):
-    """r · Q r of a symmetric matrix."""
+    """r · Q r for a symmetric matrix."""
     return dot(r, apply_symmetric(Q, r))
 
 

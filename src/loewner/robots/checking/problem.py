@@ -26,13 +26,13 @@ from loewner.bodies.parts import in_open_parts, in_parts, in_small_parts
 from loewner.queries.pose_paths import OFF_ROUNDINGS, PackedPaths, PoseBounds, PosePath
 from loewner.robots.description.robot import Robot, link_poses
 
-# Configurations a thread takes at a time, at least: about half a millisecond of work.
+# Least number of configurations that a thread takes at a time: about half a millisecond of work.
 LEAST_SHARE = 512
 
-# Configurations whose poses are made at a time: of a hundred bodies, they take 13 MB.
+# Number of configurations whose poses are made at a time: with a hundred bodies, they take 13 MB.
 IN_TURN = 1024
 
-# Poses of bodies at most, of all those configurations together: 100 MB.
+# Largest number of poses of bodies in all these configurations together: 100 MB.
 POSES_AT_ONCE = 2**20 * 3 // 4
 
 _NONE = np.zeros(0)
@@ -62,7 +62,7 @@ class Problem:
     Attributes
     ----------
     robot : Robot
-        Behind its own joints, a floating one for each body that follows a motion.
+        After its own joints, it has a floating joint for each body that follows a motion.
     version, structure_version : int
         Versions of the scene's state.
     names : tuple of str
@@ -131,7 +131,7 @@ class Problem:
     ) -> Problem:
         """Prepare pairs of bodies for a version and structure version of the scene; `with_poses` sets static poses.
 
-        Bodies that are joined already can be given so.
+        `moving` and `packed` are the joined bodies, if these exist already.
         """
         moving = join(packs[: len(link)]) if moving is None else moving
         packed = join([moving, *packs[len(link) :]]) if packed is None else packed
@@ -410,7 +410,7 @@ class Problem:
         return self.off_at_start(self.paths.off(at, at)[0])
 
     def off_at_start(self, off: Floats) -> Floats:
-        """The same where a motion starts, from what `in_time.Pieces.off` has about bodies."""
+        """Compute this at the start of a motion, from the numbers of bodies in `in_time.Pieces.off`."""
         of_bodies = np.zeros(len(self.names) + 1)
         of_bodies[off[::3].astype(np.int64)] = off[1::3]
         of_bodies[-1] = 0.0
