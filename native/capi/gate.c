@@ -333,7 +333,7 @@ static int goes_on(loewner_gate *gate, int64_t tick, const double *targets, int6
     while (gate->on_path && made->braked >= first && made->ends[made->braked] > count) /* its path was longer */
         made->braked--;
     const Stop none = {-1, 0, -1, 0}, stops[] = {later(last->motion_stop, tick), later(last->brake_stop, tick)};
-    int is_same = is_same_world(gate); /* and with fewer targets before it; others may follow */
+    int is_same = is_same_world(gate); /* a failure stays known if all its targets are still there */
     made->motion_stop = is_same && stops[0].needed <= count ? stops[0] : none;
     made->brake_stop = is_same && stops[1].needed <= count ? stops[1] : none;
     return 1;

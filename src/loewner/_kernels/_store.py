@@ -24,7 +24,7 @@ from loewner._kernels import _sealed, _sources
 
 FOLDER = _sources.cache_folder() / "kernels"
 
-# Times in seconds: a file that nothing reads for the first is removed; a file in use is marked again after the second.
+# In seconds: the time after which an unused file is removed, and the time after which a file in use is marked again.
 KEPT, DAY = 30 * 86_400.0, 86_400.0
 
 # Types choose the vector operations, so the modules that use them need not import them.

@@ -106,7 +106,7 @@ class Target:
         return np.concatenate(of_parts), np.repeat(np.arange(len(of_parts)), [len(part) for part in of_parts])
 
     def below(self, points: Floats) -> Floats:
-        """Bound from below the distances of points from the body, negative in a solid."""
+        """Compute lower bounds on the distances of points from the body, negative in a solid."""
         found = self.depths(points)
         for surface in self.open:
             found = np.minimum(found, surface.signed_distances(points)[0] - surface.rounding)
@@ -120,7 +120,7 @@ class Target:
         return np.asarray(self.depths(points) < -clear)
 
     def depths(self, points: Floats) -> Floats:
-        """Bound from below the distances of points from the triangles of all solids, negative if in one of them."""
+        """Compute lower bounds on the distances of points from the triangles of all solids, negative within a solid."""
         found = np.full(len(points), np.inf)
         for solid in self.solids:
             found = np.minimum(found, solid.signed_distances(points)[0] - solid.rounding)

@@ -1,4 +1,4 @@
-"""Find the smallest ellipsoid around points by the largest in a polytope of one more dimension (appendix B).
+"""Find the smallest ellipsoid around points as the largest one in a polytope with one more dimension (appendix B).
 
 The method serves as a check on `loewner.mvce`, which is faster, since the lifted problem has dimension n + 1 and two
 half-spaces per point.

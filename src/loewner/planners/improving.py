@@ -207,7 +207,7 @@ class Improvement:
 
     @classmethod
     def of(cls, robot: Robot, improve: Improve, search: Search) -> Improvement:
-        """Check what depends on the robot and the search; the call begins now."""
+        """Check the options that depend on the robot and the search; time counts from now on."""
         began, most, seconds = time.monotonic(), improve.iterations, improve.seconds
         if improve._wanted and search.planner is not None:
             raise InputError(

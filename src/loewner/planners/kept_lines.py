@@ -110,7 +110,7 @@ class KeptLine:
     ----------
     robot : Robot
     line : Line
-        With `first` and `last` of at least 0.
+        Its `first` and `last` are at least 0.
     steps : list of Step
     joints : int
         Number of links of the chain plus one.

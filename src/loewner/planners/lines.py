@@ -129,7 +129,7 @@ def followed(
     Q : ndarray, shape (k, dof)
         Configurations at these fractions.
     fault : (str, str) or None
-        For messages in case the link cannot follow the line: the expectation, and the fault.
+        If the link cannot follow the line: the expectation and the fault, for a message.
     """
     target = targets_of(target[None])[0]
     refuse_far(chain, target, q)

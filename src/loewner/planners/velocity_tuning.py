@@ -155,7 +155,7 @@ def time_path(
         Two or more configurations, for example from `plan` with a scene without the moving bodies. Its motions must be
         proven free in this scene.
     start_time : float
-        When the robot is at rest at the first configuration [s], on the clock of the bodies' motions.
+        Time at which the robot is at rest at the first configuration [s], on the clock of the bodies' motions.
     arrive_by : float, optional
         The latest arrival [s]. Default, and at most: after all motions of bodies have ended, and two periods of
         motions that repeat, twice the time that the path takes without them.
@@ -198,8 +198,8 @@ def time_path(
     "path-velocity decomposition", IJRR 1986). The search has a finite resolution: it may fail although a timing exists,
     and the result need not arrive as early as possible. If nothing is in the way, the result is the trajectory that
     `trajectory` finds. Otherwise, with limited jerk, the robot follows the average of its positions over a window of
-    time, such as 0.2 s for 10 rad/s² and 100 rad/s³. The average keeps the limits of velocity and acceleration, and
-    takes longer by the length of the window; the robot stays at stops for the same time.
+    time, such as 0.2 s for 10 rad/s² and 100 rad/s³. This average is within the limits of velocity and acceleration. It
+    takes longer by the length of the window, and the robot stays at each stop for the same time.
 
     Examples
     --------

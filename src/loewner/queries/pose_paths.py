@@ -106,7 +106,7 @@ class PosePath(_validate.Brief, KeepsReadOnly):
     positions : ndarray, shape (n, 3)
         Metres. Between two times the position changes linearly.
     quaternions : ndarray, shape (n, 4)
-        Real part first. Between two times the body turns at a constant rate, the shorter way.
+        Real part first. Between two times the body turns at a constant rate, by the shorter way.
     repeat : bool
         Whether the motion starts again when it ends. Otherwise the body waits at the first pose before the motion, and
         at the last pose after it.

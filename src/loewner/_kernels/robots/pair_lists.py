@@ -165,7 +165,7 @@ def lay_out(pack, handle, lasting, block):
         for k in range(TABLE):
             integers_at(made, (TABLE,))[k] = table[k]
         problem, tables = problem_of(made), motion_tables_of(made + MOTIONS)
-        problem.standing_poses[:] = np.nan  # which differs from all poses
+        problem.standing_poses[:] = np.nan  # NaN differs from all poses
         _write_paths(tree, tables)
         _write_order(depths, problem, tables)
         _write_group_pairs(counts, pairs, tables)

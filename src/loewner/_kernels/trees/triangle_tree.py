@@ -42,7 +42,7 @@ OVAL = 9 * WIDE  # numbers of the ellipsoids
 # Numbers of a box while the tree is built: its lower corner, its upper one negated, and two zeros.
 BOX = 8
 
-BINS, FEW_BINS, MANY = 16, 8, 256  # fewer for this many triangles or less
+BINS, FEW_BINS, MANY = 16, 8, 256  # FEW_BINS for at most MANY triangles
 DEEP = 40  # after this many splits ranges are halved, so that no tree is deeper than LEVELS
 LEVELS = DEEP + 28  # 2^31 triangles, halved down to leaves
 

@@ -325,7 +325,7 @@ def reach(
     every: bool,
     tolerance: Floats,
 ) -> Reached:
-    """Reach poses, shape (..., 4, 4), from starts that broadcast with them; all arguments are checked."""
+    """Reach poses, shape (..., 4, 4), from starts that broadcast with them; all arguments have been checked."""
     refuse_far(chain, T, starts)
     shape = _validate.broadcast({"T": T.shape[:-2], "start": starts.shape[:-1]})
     count, values = math.prod(shape), len(chain.columns)

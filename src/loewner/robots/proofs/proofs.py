@@ -116,7 +116,7 @@ def apply_rules(
 
 
 def deviations(courses: Floats, joint_error: Floats | None) -> Floats | None:
-    """Add to a joint error the rounding of configurations on courses as users compute them; None for no error.
+    """Enlarge a joint error by the rounding of the configurations that users compute on courses; None for no error.
 
     Returns
     -------
