@@ -27,7 +27,7 @@ typedef struct {
 
 static void leave_search(Search *search)
 {
-    free(search->columns); /* the first array in the memory of all but the trees */
+    free(search->columns); /* this block holds everything but the trees */
     free((void *)search->arrays.trees.data);
 }
 

@@ -240,7 +240,8 @@ static loewner_status list_pairs(const loewner_checker *checker, State *state)
 
 /* -- halves -------------------------------------------------------------------------------------------------------- */
 
-/* Place the static bodies that have moved where they are, since no other thread may query this checker meanwhile. */
+/* Place the static bodies that have moved, in the same memory, since no other thread may query this checker
+   meanwhile. */
 static loewner_status place(const State *state, Half *half)
 {
     return CALL(place_static, &half->handle, .pack = (int64_t)&half->pieces, .handle = half->handle,

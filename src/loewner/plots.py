@@ -235,7 +235,7 @@ def cover(robot: Robot, model: Robot, q: ArrayLike | None = None, *, ax: Any = N
     ----------
     robot : Robot
     model : Robot
-        Has links of the same names, for instance from `Robot.with_cover`.
+        A robot whose links have the same names, for instance from `Robot.with_cover`.
     q : array_like, shape (dof,), optional
         Default: the state with the most joints, or zero.
     ax : matplotlib 3-D axes, optional

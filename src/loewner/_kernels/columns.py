@@ -82,7 +82,7 @@ POSES, SEARCHES, STEPS_LEFT = 7, 8, 9  # work of proofs, see `robots.motions`
 ROWS = 10  # of the path, once the trees have met
 STATE = 11
 STEP, BOUND, GAP = 0, 1, 2  # of `records.Search.reach`
-TREE_ROWS = 5  # of the memory of both trees, besides the values of their nodes
+TREE_ROWS = 5  # rows in the memory of both trees, besides the values of their nodes
 
 # -- inverse kinematics, described in `robots.reach` ------------------------------------------------
 

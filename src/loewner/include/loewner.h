@@ -78,7 +78,7 @@ LOEWNER_API const char *loewner_level(void);
 
 /* -- workspaces ---------------------------------------------------------------------------------------------------- */
 
-/* Memory for the queries of one thread at a time, of any checkers and bodies. */
+/* Memory for the queries of one thread at a time, for any checkers and bodies. */
 LOEWNER_API loewner_status loewner_workspace_new(loewner_workspace **workspace);
 LOEWNER_API void loewner_workspace_free(loewner_workspace *workspace);
 
@@ -262,7 +262,7 @@ typedef struct {
 /* Set the bounds of a body of the scene, or end them with NULL; attaching it ends them, too. As long as a body has
    bounds, only motions and curves are proven, and other queries are refused. FREE then holds for all places of the
    bodies within their bounds at the times in `loewner_proof_options`, which are required for a speed or a turn;
-   COLLIDING means with the bodies at their poses. Changing the bounds of a body that has some, or moving it, takes no
+   COLLIDING refers to the bodies at their poses. Changing the bounds of a body that has some, or moving it, takes no
    longer next to bodies of many pieces. */
 LOEWNER_API loewner_status loewner_checker_set_bounds(loewner_checker *checker, int32_t body,
                                                       const loewner_bounds *bounds);
@@ -315,7 +315,7 @@ typedef struct {
        targets and the latency. If the state is BRAKE, the order to brake is due at once, and the robot continues to
        targets of the previous answer until the latency is over. The gate owns these numbers until its next check.
        Between two times, positions follow the cubic that has these positions and velocities at both; accelerations are
-       those just after each time. */
+       the values just after each time. */
     double begins;
     size_t brake_count; /* joint by joint at most 3 dof + 1 */
     const double *times;                                  /* seconds since it began, shape (brake_count,) */

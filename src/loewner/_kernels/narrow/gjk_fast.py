@@ -142,7 +142,7 @@ def decide(A, B, shift, W, ends, n, error):
         if k == 0:
             k = 1
             b = a
-            # As in `measure`, between the first direction and the direction of the first point.
+            # As in `measure`, start between the first direction and the direction of the first point.
             kept = KEPT / length
             rest = (1.0 - KEPT) / np.sqrt(dot(a, a))
             p = kept * p[0] + rest * a[0], kept * p[1] + rest * a[1], kept * p[2] + rest * a[2]

@@ -320,7 +320,7 @@ def _relative(frames, fixed, poses, row, to, k):
 
 @apart
 def _proven_standing(motion, i, poses, first, last, j, still, row, least, keep, n):
-    """Whether piece i, at two poses, is apart from the static piece j; then as `separated`, with n from j to i."""
+    """Whether piece i, at two poses, is apart from the static piece j, as by `separated`; n is from j to i."""
     pieces, tables = pieces_of(motion.pack), motion_tables_of(motion.tables)
     return separated(
         placed(pieces, j, still, row), placed(pieces, i, poses, first), placed(pieces, i, poses, last), n, least, keep,

@@ -531,7 +531,7 @@ class Robot(KeepsReadOnly):
         Returns
         -------
         Robot
-            With the link "footprint" on the joints ``base/x``, ``base/y`` and ``base/theta``, as from `add_base`. It
+            It has the link "footprint" on the joints ``base/x``, ``base/y`` and ``base/theta``, as from `add_base`. It
             may move in each direction: a proof of its motions is valid for a base that can drive sideways.
 
         Raises
