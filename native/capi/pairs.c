@@ -16,7 +16,7 @@ typedef struct {
     Array3 poses;
 } View;
 
-/* View the bodies that pairs first .. first + n - 1 take. */
+/* View the bodies of the pairs first .. first + n - 1. */
 static loewner_status view(const loewner_side *side, size_t first, size_t n, const char *name, View *made)
 {
     if (side == NULL || side->bodies == NULL)

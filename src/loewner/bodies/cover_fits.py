@@ -76,9 +76,8 @@ class Candidates:
     """Candidates for balls or capsules that hold a body, and the points that they have to hold.
 
     A ball around a point at the depth d in the body, with the radius d + e, sticks out by no more than e. If the point
-    moves away from the nearest point of the surface, the ball grows to contain the old one, so that only points of the
-    medial axis count, which have several nearest points. A capsule is a union of balls: d is the least depth of its
-    axis.
+    moves away from the nearest point of the surface, the new ball contains the old one. Only points of the medial axis
+    therefore count: they have several nearest points. A capsule is a union of balls: d is the least depth of its axis.
     """
 
     def __init__(self, target: Target, capsules: bool, protrusion: float | None = None) -> None:
