@@ -447,7 +447,7 @@ def test_origins_in_degrees_are_told_once(tmp_path):
     text = chain(3).replace('<origin xyz="0.5 0 0"/>', '<origin rpy="0 0 90"/>')
     with pytest.warns(UserWarning, match="line 2: expected roll, pitch and yaw in radians, found 90") as told:
         read(tmp_path, text)
-    assert len(told) == 1
+    assert [warning.filename for warning in told] == [read.__code__.co_filename]  # the caller's line
     (tmp_path / "s.yaml").write_text("bodies:\n  a:\n    sphere: {radius: 1}\n    rpy: [0, 0, 90]\n")
     with pytest.warns(UserWarning, match="s.yaml, line 4: expected roll, pitch and yaw in radians, found 90"):
         load_scene(tmp_path / "s.yaml")

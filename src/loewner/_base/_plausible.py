@@ -30,6 +30,9 @@ FARTHEST_LIMIT = 1e6
 # Bodies and places that ask for another unit [m]: a hall in millimetres, a screw scaled twice by a thousandth.
 LARGEST_RADIUS, SMALLEST_RADIUS, LARGEST_DISTANCE = 1000.0, 1e-5, 2000.0
 
+# Modules whose frames belong to a call of the library; `contextlib` wraps functions that contexts decorate.
+OF_THE_CALL = ("loewner", "contextlib")
+
 # A comment about units other than metres. The word "in" alone is an inch only where nothing follows.
 _UNIT = re.compile(
     r"(?<![a-z])units?[\s:=\"'(]+(?:(?:is|are|in|of|length)[\s:=\"'(]+)*"
@@ -64,7 +67,7 @@ def warn(text: str) -> None:
         _listener.texts.append(text)
         return
     level, frame = 2, sys._getframe(1)
-    while frame.f_back is not None and frame.f_globals.get("__name__", "").partition(".")[0] == "loewner":
+    while frame.f_back is not None and frame.f_globals.get("__name__", "").partition(".")[0] in OF_THE_CALL:
         level, frame = level + 1, frame.f_back
     warnings.warn(text, stacklevel=level)
 
