@@ -1444,6 +1444,14 @@ def test_wrong_usage_exits_with_2(capsys):
     assert caught.value.code == 2
 
 
+def test_numbers_without_quotes_are_asked_for_in_quotes(capsys):
+    """The shell takes the numbers of a configuration apart; an option that does not exist has no such hint."""
+    for arguments, hint in ((["-0.7", "0.9"], True), (["0", "--wrong"], False)):
+        with pytest.raises(SystemExit):
+            cli.main(["plan", "arm.urdf", "--goal", "home", "--start", *arguments])
+        assert ("write numbers that belong together in quotes" in capsys.readouterr().err) == hint
+
+
 def test_a_crash_is_not_a_collision(saved, capsys, monkeypatch):
     """A bug in the library shows its traceback, and its status is that of errors."""
 

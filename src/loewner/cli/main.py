@@ -17,7 +17,7 @@ import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import loewner
 from loewner._base import _validate
@@ -43,6 +43,9 @@ from loewner.cli.completion import SHELLS, PrintCompletion
 from loewner.cli.output import ERROR, PrintPath, standard_output
 from loewner.errors import InputError, LoewnerError
 from loewner.scenes.files.schema import SCHEMA_FILE
+
+# What argparse reports if numbers of a configuration are not in quotes.
+STRAY_NUMBER = re.compile(r"unrecognized arguments: -?\.?\d")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -95,11 +98,16 @@ class _Parser(argparse.ArgumentParser):
     """A parser that, also in subcommands, does not mistake arguments that begin like negative numbers for options.
 
     Before Python 3.14, argparse recognises "-0.5" as a number, but treats "-0.5,0.3" and "-5e-1" as unknown options.
+    The error about numbers without quotes says that they need them.
     """
 
     def __init__(self, *arguments: Any, **named: Any) -> None:
         super().__init__(*arguments, **named)
         self._negative_number_matcher = re.compile(r"-\.?\d")
+
+    def error(self, message: str) -> NoReturn:
+        hint = "; write numbers that belong together in quotes" if STRAY_NUMBER.match(message) else ""
+        super().error(message + hint)
 
 
 def _parser() -> argparse.ArgumentParser:

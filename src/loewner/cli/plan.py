@@ -46,8 +46,8 @@ EXAMPLES = """examples:
   loewner plan cart.urdf --base car --radius 0.8 --map map.yaml 1.0 --start "1 0.5 0" --goal "3 2.5 3.14" -o drive.csv
 
 configurations: the name of a state of the SRDF; a .npy, .csv or .json file, as for loewner robot check; or the
-  numbers themselves. A file may contain several goals, and reaching any one is enough. A named goal keeps the
-  start's values for joints that its state does not name; in a named start these are 0.
+  numbers themselves, in quotes: --start "0 0.5 -0.7". A file may contain several goals, and reaching any one is
+  enough. A named goal keeps the start's values for joints that its state does not name; in a named start these are 0.
 
 poses: "x y z qw qx qy qz" in metres, with a unit quaternion; "x y z" for the position alone; or a .npy file with
   T_world_link, shape (4, 4) or (poses, 4, 4).
@@ -76,7 +76,7 @@ def add(commands: Any) -> None:
     inputs.add_robot_options(plan)
     plan.add_argument("--scene", type=Path, metavar="FILE", help="obstacles and attached bodies (.yaml)")
     inputs.add_rule_options(plan, "start", "goal")
-    plan.add_argument("--start", required=True, metavar="Q", help="start: a state, a file, or numbers")
+    plan.add_argument("--start", required=True, metavar="Q", help='start: a state, a file, or numbers in quotes, "0 0.5 -0.7"')
     ends = plan.add_mutually_exclusive_group(required=True)
     ends.add_argument("--goal", metavar="Q", help="goal, likewise")
     ends.add_argument(
