@@ -218,8 +218,14 @@ def test_damaged_images_are_refused(tmp_path, data):
     """Too few pixels, values beyond white, and texts that are no image."""
     path = written(tmp_path, [[BLACK]])
     (tmp_path / "map.pgm").write_bytes(data)
-    with pytest.raises(FileError):
+    with pytest.raises(FileError, match=r"map.yaml, line 1: image: .*map.pgm: expected [^<]*$"):
         Scene.from_map(path, height=1.0)
+
+
+def test_the_place_of_a_missing_image_is_named(tmp_path):
+    """The name of the image is in the map's file, and the error says where."""
+    with pytest.raises(FileError, match=r"map.yaml, line 1: image: .*nope.pgm: expected the image of a map, but there"):
+        read_map(written(tmp_path, [[BLACK]], image="nope.pgm"))
 
 
 def test_heights_are_lengths(tmp_path):

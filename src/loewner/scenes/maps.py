@@ -78,7 +78,8 @@ def read_map(path: str | os.PathLike[str]) -> Map:
     mode = values["mode"].text() if "mode" in values else "trinary"
     if mode not in ("trinary", "scale"):
         raise values["mode"].error(f"expected trinary or scale, found {mode!r}")
-    grey, most = _grey(file.parent / values["image"].text())
+    with values["image"].blamed():
+        grey, most = _grey(file.parent / values["image"].text())
     share = (grey if negate else most - grey) / most
     if most == 255 and not negate and (grey == UNKNOWN_GREY).any() and free > (255 - UNKNOWN_GREY) / 255:
         warn(
@@ -161,7 +162,7 @@ def _grey(file: Path) -> tuple[Ints, int]:
 def _grey_by_pillow(data: bytes, file: Path) -> tuple[Ints, int]:
     """Read PNG, BMP and the like."""
     try:
-        from PIL import Image
+        from PIL import Image, UnidentifiedImageError
     except ImportError as error:
         raise MissingExtraError(f"{file}: expected Pillow for images other than PGM; {installing('plots')}") from error
     try:
@@ -169,7 +170,8 @@ def _grey_by_pillow(data: bytes, file: Path) -> tuple[Ints, int]:
             image.load()
             mode, pixels = image.mode, np.asarray(image)
     except Exception as error:  # Pillow raises errors of many kinds about damaged files
-        raise FileError(f"{file}: expected an image, found one that cannot be read ({error})") from error
+        why = "no known kind of image" if isinstance(error, UnidentifiedImageError) else error
+        raise FileError(f"{file}: expected an image, found one that cannot be read ({why})") from error
     if mode == "1":
         return pixels.astype(np.int64) * 255, 255
     if mode in ("RGB", "RGBA") and (pixels[..., :1] == pixels[..., :3]).all() and (pixels[..., 3:] == 255).all():
