@@ -1,5 +1,7 @@
 """Depth images: their points, the space that rays have passed, and the robot's own points."""
 
+from contextlib import nullcontext
+
 import numpy as np
 import pytest
 import trimesh
@@ -250,7 +252,7 @@ def test_space_outside_the_grid_is_closed():
 def test_depths_in_millimetres_cause_a_warning():
     """Floats in millimetres would make cells behind things seen."""
     with pytest.warns(UserWarning, match="are they in millimetres"):
-        points_of(np.full((4, 4), 1500.0), K)
+        points_of(np.full((24, 32), 1500.0), K)
 
 
 @pytest.mark.parametrize("matrix", [K / [[32], [24], [1]], np.linalg.inv(K)], ids=["normalised", "inverse"])
@@ -258,6 +260,16 @@ def test_matrices_of_other_conventions_cause_a_warning(matrix):
     """A normalised matrix, or the inverse one, would make a camera that sees nearly a half-space."""
     with pytest.warns(UserWarning, match="of 640 x 480 pixels wider than 170 degrees; is the matrix normalised"):
         points_of(np.ones((480, 640)), matrix)
+
+
+@pytest.mark.parametrize(
+    ("shape", "cx", "doubt"),
+    [((24, 32), 31.5, None), ((24, 32), 32.0, "outside an image of 32 x 24"), ((32, 24), 15.5, "is it transposed")],
+)
+def test_principal_points_of_other_images_cause_a_warning(shape, cx, doubt):
+    """A matrix for another resolution has its middle outside; one for a turned image has it elsewhere."""
+    with nullcontext() if doubt is None else pytest.warns(UserWarning, match=f"K: a principal point .*{doubt}"):
+        points_of(np.ones(shape), [[40.0, 0, cx], [0, 40, 11.5], [0, 0, 1]])
 
 
 # -- bad input ------------------------------------------------------------------------------------
@@ -280,28 +292,28 @@ def test_matrices_of_other_conventions_cause_a_warning(matrix):
             InputError,
             "points are finite",
         ),
-        (lambda: Body.from_depth(np.ones((4, 4)), K), InputError, "radius, voxel: expected one"),
-        (lambda: Body.from_depth(np.zeros((4, 4)), K, radius=0.1), GeometryError, "image: expected an echo"),
-        (lambda: Body.from_depth(np.ones((4, 4)), np.eye(3)[::-1], radius=0.1), InputError, "K: expected an intrin"),
-        (lambda: Body.from_depth(np.ones((4, 4)), K, -np.eye(4), radius=0.1), PoseError, "T_world_camera"),
-        (lambda: Body.from_depth(np.ones((4, 4)), K, radius=0.1, q=[0, 0]), InputError, "checker, q: expected both"),
+        (lambda: Body.from_depth(np.ones((24, 32)), K), InputError, "radius, voxel: expected one"),
+        (lambda: Body.from_depth(np.zeros((24, 32)), K, radius=0.1), GeometryError, "image: expected an echo"),
+        (lambda: Body.from_depth(np.ones((24, 32)), np.eye(3)[::-1], radius=0.1), InputError, "K: expected an intrin"),
+        (lambda: Body.from_depth(np.ones((24, 32)), K, -np.eye(4), radius=0.1), PoseError, "T_world_camera"),
+        (lambda: Body.from_depth(np.ones((24, 32)), K, radius=0.1, q=[0, 0]), InputError, "checker, q: expected both"),
         (
-            lambda: Body.from_depth(np.ones((4, 4)), K, radius=0.1, checker=arm(), q=[0, 0]),
+            lambda: Body.from_depth(np.ones((24, 32)), K, radius=0.1, checker=arm(), q=[0, 0]),
             InputError,
             "checker: expected a CollisionChecker, found",
         ),
-        (lambda: SeenSpace([0, 0, 0], (1, 1, 1), 0.1).see(np.ones((4, 4)), K, time="now"), InputError, "time"),
-        (lambda: SeenSpace([0, 0, 0], (1, 1, 1), 0.1).see(np.ones((4, 4)), K, time=np.nan), InputError, "time: .*nan"),
+        (lambda: SeenSpace([0, 0, 0], (1, 1, 1), 0.1).see(np.ones((24, 32)), K, time="now"), InputError, "time"),
+        (lambda: SeenSpace([0, 0, 0], (1, 1, 1), 0.1).see(np.ones((24, 32)), K, time=np.nan), InputError, "time: .*nan"),
         (lambda: points_of(np.ones(4), K), InputError, "image: .* found float64 of shape \\(4,\\)"),
-        (lambda: points_of(np.ones((4, 4)), np.eye(4)), InputError, "K: expected shape"),
-        (lambda: points_of(np.ones((4, 4)), -K), InputError, "K: expected an intrinsic matrix"),
-        (lambda: points_of(np.ones((4, 4)), K.T), InputError, "K: expected an intrinsic matrix"),
-        (lambda: points_of(np.ones((4, 4)), 0 * K), InputError, "K: expected an intrinsic matrix"),
-        (lambda: points_of(np.ones((4, 4)), 2 * K), InputError, "K: expected an intrinsic matrix"),
-        (lambda: points_of(np.ones((4, 4)), [40, 40, 15, 11]), InputError, "K: expected shape .3, 3., found"),
-        (lambda: points_of(np.ones((4, 4)), np.nan * K), InputError, "K: expected finite numbers"),
-        (lambda: points_of(np.ones((4, 4)), K, 2 * np.eye(4)), PoseError, "T_world_camera"),
-        (lambda: points_of(np.ones((4, 4)), K, [np.eye(4)] * 2), InputError, "T_world_camera: expected one pose"),
+        (lambda: points_of(np.ones((24, 32)), np.eye(4)), InputError, "K: expected shape"),
+        (lambda: points_of(np.ones((24, 32)), -K), InputError, "K: expected an intrinsic matrix"),
+        (lambda: points_of(np.ones((24, 32)), K.T), InputError, "K: expected an intrinsic matrix"),
+        (lambda: points_of(np.ones((24, 32)), 0 * K), InputError, "K: expected an intrinsic matrix"),
+        (lambda: points_of(np.ones((24, 32)), 2 * K), InputError, "K: expected an intrinsic matrix"),
+        (lambda: points_of(np.ones((24, 32)), [40, 40, 15, 11]), InputError, "K: expected shape .3, 3., found"),
+        (lambda: points_of(np.ones((24, 32)), np.nan * K), InputError, "K: expected finite numbers"),
+        (lambda: points_of(np.ones((24, 32)), K, 2 * np.eye(4)), PoseError, "T_world_camera"),
+        (lambda: points_of(np.ones((24, 32)), K, [np.eye(4)] * 2), InputError, "T_world_camera: expected one pose"),
         (lambda: SeenSpace([0, 0], (1, 1, 1), 0.1), InputError, "low: expected shape"),
         (lambda: SeenSpace([0, 0, 0], (1, 1), 0.1), InputError, "shape: expected three numbers, found 2"),
         (lambda: SeenSpace([0, 0, 0], (1, 1, 0), 0.1), InputError, "shape: expected .* 1"),

@@ -20,6 +20,10 @@ FARTHEST = 100.0
 # An image this many times as wide or as high as the focal length, 170 degrees, probably has another matrix.
 WIDEST = 23.0
 
+# How far principal points are from the middle, as a share of the image: cameras are nearer than the first; the matrix of
+# a turned image is farther than that, and nearer than the second to the middle with width and height exchanged.
+OFF, CENTRAL = 0.1, 0.05
+
 
 @guarded
 def points_of(image: ArrayLike, K: ArrayLike, T_world_camera: ArrayLike | None = None) -> Floats:
@@ -78,10 +82,25 @@ def camera_of(image: ArrayLike, K: ArrayLike, T_world_camera: ArrayLike | None) 
             f"K: focal lengths of {matrix[0, 0]:.3g} and {matrix[1, 1]:.3g} pixels make an image of {width} x {height} "
             "pixels wider than 170 degrees; is the matrix normalised, or the inverse one?"
         )
+    elif doubt := _doubt_about_middle(matrix[0, 2], matrix[1, 2], width, height):
+        warn(f"K: a principal point of {matrix[0, 2]:.6g}, {matrix[1, 2]:.6g} {doubt}")
     T = _validate.poses(T_world_camera, "T_world_camera")
     if T.shape != (4, 4):
         raise InputError(f"T_world_camera: expected one pose, found shape {_validate.shape_text(T.shape)}")
     return depths, matrix, T
+
+
+def _doubt_about_middle(cx: float, cy: float, width: int, height: int) -> str:
+    """Why a principal point may be for another image; empty if plausible."""
+
+    def off(width: int, height: int) -> float:
+        return max(abs((cx + 0.5) / width - 0.5), abs((cy + 0.5) / height - 0.5))
+
+    if off(width, height) > OFF and off(height, width) < CENTRAL:
+        return f"is the middle of an image of {height} x {width} pixels, found {width} x {height}; is it transposed?"
+    if off(width, height) > 0.5:
+        return f"is outside an image of {width} x {height} pixels; is the matrix for another resolution, or cropped?"
+    return ""
 
 
 def _depths(image: ArrayLike) -> Floats:
