@@ -359,21 +359,23 @@ def test_bad_paths(checker, path, message):
 
 
 def test_colliding_start_and_goal_name_the_pairs(checker):
-    """A start or goal in collision is refused with the pairs that meet."""
-    with pytest.raises(PlanningError, match=r"start: .* collision of ball and wall \(30 mm deep\), rod and wall \("):
+    """A start or goal in collision is refused with the pairs that meet, and a start with a way to allow it."""
+    cure = r"deep\); if they may touch, scene.allow\('ball', 'wall'\)$"
+    with pytest.raises(PlanningError, match=rf"start: .* of ball and wall \(30 mm deep\), rod and wall \(.* {cure}"):
         planners.plan(checker, [-0.12, -0.5, 0.0], RIGHT)
-    with pytest.raises(PlanningError, match=r"goal: .* collision of ball and wall \(150 mm deep\)"):
+    with pytest.raises(PlanningError, match=r"goal: .* of ball and wall \(150 mm deep\), rod and wall \([^;]*$"):
         planners.plan(checker, LEFT, IN_WALL, joints="slide")
     with pytest.raises(PlanningError, match=r"goal: .* found none: goal\[0\]: .*wall.*; goal\[1\]: x = 2 outside -1"):
         planners.plan(checker, LEFT, [IN_WALL, [2, 0, UP]], joints="slide")
 
 
 def test_margins_are_told_from_depths(robot):
-    """A start that only comes too near says how near."""
+    """A start that only comes too near says how near, and how to allow it if that is meant."""
     scene = Scene(margin=0.05)
     scene.add("wall", Body.box([0.1, 4.0, 1.0]), translation(y=-1.5))
     start = [-0.17, -0.5, UP]
-    with pytest.raises(PlanningError, match=r"ball and wall \(within their margin, 20 mm apart\)"):
+    cure = r"margin 50 mm; if they may touch, scene.allow\('ball', 'wall'\)"
+    with pytest.raises(PlanningError, match=r"ball and wall \(within their margin, 20 mm apart\); " + cure):
         planners.plan(CollisionChecker(robot, scene), start, RIGHT)
 
 

@@ -122,7 +122,7 @@ class Space:
         if judge.joint_error is not None:
             free &= judge.free(Q[within], Q[within])
         if not free[0]:
-            _refuse_start(self._fault(q, judge))
+            _refuse_start(self._fault(q, judge) + self._cure(q))
         good: Floats = goals[inside][free[1:]]
         if len(good):
             return good
@@ -186,6 +186,18 @@ class Space:
         return f"a collision of {touching(contacts)}" + (
             "; with a joint error, contact at the ends is not allowed" if rules else ""
         )
+
+    def _cure(self, q: Floats) -> str:
+        """Make an addition to a message: the margin of a link and a body around the robot in contact, and the way to
+        allow the contact; "" if there are none.
+        """
+        scene, links = self.checker.scene, self.checker.robot.link_names
+        for contact in verdicts.contacts(prepared_of(self.checker), q)[0]:
+            a, b = contact.name_a, contact.name_b
+            if (a in links) != (b in links) and not {a, b} & {*scene.attachments}:
+                margin = scene.margin_of(a, b)
+                return f"; {f'margin {1e3 * margin:g} mm; ' * (margin > 0)}if they may touch, scene.allow({a!r}, {b!r})"
+        return ""
 
     def _too_near(self, q: Floats, judge: Judge, error: Floats) -> str:
         """Explain why a free configuration is not proven free within the joint error.
