@@ -442,6 +442,18 @@ def test_a_robot_in_millimetres_is_told_once(tmp_path):
     assert len(told) == 1
 
 
+def test_a_mesh_in_millimetres_is_told_once(tmp_path):
+    """A mesh without a scale that is wider than any link, one that its hull does not fit; a wide box is no mesh."""
+    part = trimesh.util.concatenate([trimesh.creation.box((120, 10, 10)), trimesh.creation.box((10, 120, 10))])
+    part.export(tmp_path / "part.stl")
+    wide = '<collision><geometry><box size="200 200 1"/></geometry></collision>'
+    mesh = '<collision><geometry><mesh filename="part.stl"{}/></geometry></collision>'
+    with pytest.warns(UserWarning, match="'l0': expected lengths in metres, found .* is it in millimetres") as told:
+        read(tmp_path, chain(2, body=mesh.format("")), cache=False)
+    assert len(told) == 1
+    read(tmp_path, chain(1, body=wide + mesh.format(' scale="0.001 0.001 0.001"')), cache=False)
+
+
 def test_origins_in_degrees_are_told_once(tmp_path):
     """In a URDF, and in a scene."""
     text = chain(3).replace('<origin xyz="0.5 0 0"/>', '<origin rpy="0 0 90"/>')

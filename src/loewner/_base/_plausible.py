@@ -30,6 +30,9 @@ FARTHEST_LIMIT = 1e6
 # Bodies and places that ask for another unit [m]: a hall in millimetres, a screw scaled twice by a thousandth.
 LARGEST_RADIUS, SMALLEST_RADIUS, LARGEST_DISTANCE = 1000.0, 1e-5, 2000.0
 
+# A robot's mesh of 50 m across asks for it, too: a part of 0.05 m in millimetres.
+LARGEST_MESH_RADIUS = 25.0
+
 # Modules whose frames belong to a call of the library; `contextlib` wraps functions that contexts decorate.
 OF_THE_CALL = ("loewner", "contextlib")
 
@@ -72,9 +75,9 @@ def warn(text: str) -> None:
     warnings.warn(text, stacklevel=level)
 
 
-def doubt_about_size(radius: float, distance: float) -> str:
+def doubt_about_size(radius: float, distance: float, largest: float = LARGEST_RADIUS) -> str:
     """Why a body of this radius [m] at this distance from the origin [m] may be in another unit; empty if plausible."""
-    if radius > LARGEST_RADIUS:
+    if radius > largest:
         return f"lengths in metres, found a body {2 * radius:.3g} m across; is it in millimetres?"
     if 0 < radius < SMALLEST_RADIUS:
         return f"lengths in metres, found a body {2 * radius:.3g} m across; was it scaled twice?"

@@ -17,7 +17,7 @@ import numpy as np
 from loewner._base._files import read_regular
 from loewner._base._log import log
 from loewner._base._matrices import image
-from loewner._base._plausible import doubt_about_size, warn
+from loewner._base._plausible import LARGEST_MESH_RADIUS, LARGEST_RADIUS, doubt_about_size, warn
 from loewner._base._validate import Floats, Progress
 from loewner._kernels import _sources
 from loewner._kernels.columns import OUTER_CENTER, OUTER_RADIUS
@@ -121,10 +121,12 @@ def link_bodies(
         if not os.path.isdir(folder):
             raise FileError(f"{folder}: expected a folder of packages, found no such folder")
     total, done, made, told = sum(len(shapes) for shapes in robot.shapes.values()), 0, {}, {}
+    placed: list[tuple[str, str, Body]] = []
     for link, shapes in robot.shapes.items():
         parts = []
         for shape in shapes:
             parts.append(_body(shape, link, robot.path, folders, model=model, tol=tol, cache=cache))
+            placed.append((link, shape.kind, parts[-1]))
             done += 1
             if progress is not None:
                 progress(done, total)
@@ -145,19 +147,21 @@ def link_bodies(
             ],
             "meshes='surface' (--model surface)",
         )  # fmt: skip
-    doubts = (f"{robot.path}, link {name!r}: expected {doubt}" for name, doubt in _doubts(made) if doubt)
+    doubts = (f"{robot.path}, link {name!r}: expected {doubt}" for name, doubt in _doubts(placed) if doubt)
     for first in islice(doubts, 1):
         warn(first)
     return made, told
 
 
-def _doubts(made: dict[str, Body]) -> Iterator[tuple[str, str]]:
-    """Collect reasons to doubt that bodies are in metres, keyed by body."""
-    for name, body in made.items():
+def _doubts(placed: list[tuple[str, str, Body]]) -> Iterator[tuple[str, str]]:
+    """Collect reasons to doubt that bodies are in metres, with their links; bodies have the kinds of their shapes."""
+    for link, kind, body in placed:
         rows = packed_of(body).kernel.table
         if len(rows):
-            away = float(np.abs(rows[:, OUTER_CENTER : OUTER_CENTER + 3]).max())
-            yield name, doubt_about_size(float(rows[:, OUTER_RADIUS].max()), away)
+            centers = rows[:, OUTER_CENTER : OUTER_CENTER + 3]
+            radius = rows[:, OUTER_RADIUS].max() + np.ptp(centers, axis=0).max() / 2
+            largest = LARGEST_MESH_RADIUS if kind == "mesh" else LARGEST_RADIUS
+            yield link, doubt_about_size(float(radius), float(np.abs(centers).max()), largest)
 
 
 def _body(

@@ -22,6 +22,10 @@ from loewner.meshes.protrusion import Solid, protrusions
 # A hull is near its mesh if it sticks out by at most this length [m], or this share of the mesh's diameter.
 NEAR, NEAR_SHARE = 1e-3, 0.01
 
+# The accuracy at which bounds count for nothing: a hull that is found to stick out too far is examined no further. No
+# bound exceeds such a distance by as much, and no distance times this overflows.
+AT_ONCE = 1e12
+
 # A part that encloses less than this share of the cube of the mesh's diameter has no inside: far above rounding.
 NO_INSIDE = 1e-12
 
@@ -119,8 +123,8 @@ def hull_or_solid(vertices: Floats, triangles: Ints) -> tuple[Choice, tuple[Floa
     if not all(_has_inside(vertices, part, NO_INSIDE * diameter**3) for part in parts):
         return "open", (vertices, triangles), edges
     triangles = np.concatenate([part.triangles for part in parts])
-    limit, at_once = max(NEAR, NEAR_SHARE * diameter), np.finfo(float).max
-    reached = protrusions([hull], Solid(vertices[triangles], closed=True), floor=limit, relative=at_once)
+    limit = max(NEAR, NEAR_SHARE * diameter)
+    reached = protrusions([hull], Solid(vertices[triangles], closed=True), floor=limit, relative=AT_ONCE)
     return "hull" if reached.bounds.max() <= limit else "solid", (vertices, triangles), edges
 
 
