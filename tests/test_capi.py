@@ -194,8 +194,17 @@ def test_some_joints_move_and_goals_are_refused(pair):
     assert np.array_equal(mine.plan(start, goal, joints=only), wanted)
     with pytest.raises(capi.Error, match="does not move"):
         mine.plan(start, start + 0.01, joints=only)
-    with pytest.raises(capi.Error, match="within the limits"):
+    beyond = rf"expected values within the limits, found {name} = .* outside "
+    with pytest.raises(capi.Error, match=f"start: {beyond}"):
         mine.plan(start + 100.0, goal)
+    with pytest.raises(capi.Error, match=rf"goals\[0\]: {beyond}"):
+        mine.plan(start, start + 100.0)
+    q = next(q for q in checker.robot.random_configurations(300, seed=3) if checker.collide(q))
+    pairs = "|".join(f"{a} and {b}|{b} and {a}" for a, b in ((c.name_a, c.name_b) for c in checker.pairs(q)))
+    with pytest.raises(capi.Error, match=f"start: expected a free configuration, found a collision of ({pairs})$"):
+        mine.plan(q, start)
+    with pytest.raises(capi.Error, match=rf"goals\[1\], no other being free: .*, found a collision of ({pairs})$"):
+        mine.plan(start, [start + 100.0, q])
 
 
 def around(tmp_path, turning, gap):

@@ -146,3 +146,31 @@ def test_what_a_controller_commands_is_proven(control, event, lasts, rng):
     elif lasts > 1:
         assert commands[20, 0] == pytest.approx(passed[-1] + DT - 2.0 * DT * DT)
         assert commands[-1, 0] == pytest.approx(passed[-1] + 0.125)
+
+
+NARROW = """#include <loewner.hpp>
+#include <iostream>
+int main(int, char **words)
+{
+    const loewner::Checker checker(words[1]);
+    const std::vector<double> most(8, 1.0), row(8), less(7), other(9);
+    loewner_gate_options options{};
+    options.velocity = options.acceleration = most.data();
+    loewner::Gate gate(checker, options, 2);
+    try {
+        gate.check(row, less, other, 0.1);
+    } catch (const loewner::Error &error) {
+        std::cout << error.what();
+    }
+}
+"""
+
+
+@pytest.mark.verify
+def test_a_gate_names_how_many_numbers_it_was_given(cell, tmp_path):
+    """Rows of another length are refused with the lengths of all."""
+    checker, path = cell
+    assert checker.robot.dof == 8
+    (tmp_path / "narrow.cpp").write_text(NARROW)
+    run = subprocess.run([built(tmp_path / "narrow", tmp_path / "narrow.cpp"), path], capture_output=True, text=True)
+    assert run.stdout.endswith("expected 8, 8 and a multiple of 8 numbers, found 8, 7 and 9"), run.stderr

@@ -257,6 +257,10 @@ enum { HASTY = -1 };
 loewner_status collide(const loewner_checker *checker, loewner_workspace *workspace, int mode,
                        const double *configurations, size_t n, int8_t *verdicts);
 
+/* The verdict on one configuration, which was checked, and the first pair that has it; -1 if all pairs are free. */
+loewner_status worst_pair(const loewner_checker *checker, loewner_workspace *workspace, const double *q,
+                          int8_t *verdict, int64_t *pair);
+
 /* Prove motions by their control points, shape (n, degree + 1, dof), which were checked; n <= MOTIONS_AT_ONCE.
    `fractions` and `pairs` have room for n. `t0` and `t1`, shape (n,), may be NULL. Each motion may take `steps`, and
    row k of `workspace->work` receives its poses, searches and steps. */

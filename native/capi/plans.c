@@ -4,6 +4,7 @@
 #include "internal.h"
 
 #include <math.h>
+#include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 #include <time.h>
@@ -133,14 +134,36 @@ static loewner_status make_search(const Judge *judge, const double *start, const
                      : fail(LOEWNER_BAD_ARGUMENT, "joints: expected one or more that can move, found none");
 }
 
-static int is_inside(const Search *search, const double *q)
+/* The first of the joints whose value is outside its limits, or -1. */
+static int64_t outside(const Search *search, const double *q)
 {
-    int is = 1;
     for (int64_t k = 0; k < search->joints; k++) {
         double value = q[search->columns[k]];
-        is &= value >= search->lower[k] - ON_LIMIT && value <= search->upper[k] + ON_LIMIT;
+        if (!(value >= search->lower[k] - ON_LIMIT && value <= search->upper[k] + ON_LIMIT))
+            return k;
     }
-    return is;
+    return -1;
+}
+
+/* Explain why a configuration of this name cannot be on a path. */
+static loewner_status refuse(const Judge *judge, const Search *search, const double *q, const char *name)
+{
+    const loewner_checker *checker = judge->checker;
+    int64_t k = outside(search, q), pair;
+    int8_t verdict;
+    if (k >= 0)
+        return fail(LOEWNER_NOT_FREE, "%s: expected values within the limits, found %.100s = %g outside %g .. %g", name,
+                    loewner_checker_value_name(checker, (int32_t)search->columns[k]), q[search->columns[k]],
+                    search->lower[k], search->upper[k]);
+    TRY(worst_pair(checker, judge->workspace, q, &verdict, &pair));
+    if (pair < 0)
+        return fail(LOEWNER_NOT_FREE, "%s: expected a free configuration, found one that is not proven free%s", name,
+                    judge->joint_error != NULL ? " with the joint_error" : "");
+    const int32_t *body = checker->state.body;
+    const int64_t *places = checker->state.pair_list + 2 * pair;
+    return fail(LOEWNER_NOT_FREE, "%s: expected a free configuration, found %s %.100s and %.100s", name,
+                verdict == LOEWNER_COLLIDING ? "a collision of" : "no proof for",
+                loewner_checker_body_name(checker, body[places[0]]), loewner_checker_body_name(checker, body[places[1]]));
 }
 
 /* Give the trees more memory, and copy their rows to it. */
@@ -247,18 +270,17 @@ static loewner_status check_plan_options(const loewner_checker *checker, const l
 static loewner_status choose_goals(const Judge *judge, Search *search, const double *goals, size_t goal_count)
 {
     size_t dof = (size_t)search->dof;
-    int is = is_inside(search, search->start), inside = 0;
+    size_t named = goal_count; /* in a message: the first goal within the limits, if there is one */
+    int is = outside(search, search->start) < 0;
+    if (is)
+        TRY(is_free_at(judge, search->start, &is));
     if (!is)
-        return fail(LOEWNER_NOT_FREE, "start: expected values within the limits, found others");
-    TRY(is_free_at(judge, search->start, &is));
-    if (!is)
-        return fail(LOEWNER_NOT_FREE,
-                    "start: expected a free configuration, found one that collides, or is not proven free");
+        return refuse(judge, search, search->start, "start");
     for (size_t g = 0; g < goal_count; g++) {
         const double *goal = goals + g * dof;
-        if (!is_inside(search, goal))
+        if (outside(search, goal) >= 0)
             continue;
-        inside++;
+        named = g < named ? g : named;
         int64_t moved = 0;
         for (size_t c = 0; c < dof; c++) {
             while (moved < search->joints && search->columns[moved] < (int64_t)c)
@@ -272,11 +294,12 @@ static loewner_status choose_goals(const Judge *judge, Search *search, const dou
         if (is)
             memcpy(search->goals + search->goal_count++ * dof, goal, dof * sizeof *goal);
     }
-    return search->goal_count > 0 ? LOEWNER_OK
-                                  : fail(LOEWNER_NOT_FREE,
-                                         "goals: expected a free configuration within the limits, found %d within "
-                                         "them, none of them proven free",
-                                         inside);
+    if (search->goal_count > 0)
+        return LOEWNER_OK;
+    char name[80];
+    named = named < goal_count ? named : 0;
+    snprintf(name, sizeof name, goal_count > 1 ? "goals[%zu], no other being free" : "goals[%zu]", named);
+    return refuse(judge, search, goals + named * dof, name);
 }
 
 loewner_status loewner_checker_plan(const loewner_checker *checker, loewner_workspace *workspace, const double *start,

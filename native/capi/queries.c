@@ -131,6 +131,18 @@ static loewner_status settle_one(const loewner_checker *checker, loewner_workspa
     return settle_pairs(state, workspace, workspace->poses, verdicts);
 }
 
+loewner_status worst_pair(const loewner_checker *checker, loewner_workspace *workspace, const double *q,
+                          int8_t *verdict, int64_t *pair)
+{
+    TRY(settle_one(checker, workspace, q, workspace->pair_verdicts));
+    *verdict = worst(workspace->pair_verdicts, checker->state.pairs);
+    *pair = -1;
+    for (int64_t p = checker->state.pairs - 1; p >= 0 && *verdict != LOEWNER_FREE; p--)
+        if (workspace->pair_verdicts[p] == *verdict)
+            *pair = p;
+    return LOEWNER_OK;
+}
+
 /* From now on, the pairs that have collided most often come first. */
 static void learn(const State *state, loewner_workspace *workspace, size_t n)
 {
@@ -519,14 +531,9 @@ loewner_status prove(const loewner_checker *checker, loewner_workspace *workspac
             TRY(collide(checker, workspace, CODE_EXACT, course, 1, &found));
             if (found == LOEWNER_FREE)
                 continue;
-            TRY(settle_one(checker, workspace, course, workspace->pair_verdicts));
-            verdicts[k] = worst(workspace->pair_verdicts, state->pairs);
+            TRY(worst_pair(checker, workspace, course, &verdicts[k], &pairs[k]));
             verdicts[k] = verdicts[k] == LOEWNER_FREE ? LOEWNER_AMBIGUOUS : verdicts[k];
             fractions[k] = 0;
-            pairs[k] = -1;
-            for (int64_t p = state->pairs - 1; p >= 0; p--)
-                if (workspace->pair_verdicts[p] == verdicts[k])
-                    pairs[k] = p;
         }
     }
     return LOEWNER_OK;

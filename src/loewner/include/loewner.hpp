@@ -338,7 +338,8 @@ private:
     {
         const std::size_t width = dof();
         if (width == 0 || numbers.size() % width != 0)
-            throw Error(LOEWNER_BAD_ARGUMENT, "expected whole configurations, found " + std::to_string(numbers.size()));
+            throw Error(LOEWNER_BAD_ARGUMENT, "expected whole configurations of " + std::to_string(width) +
+                                                  " numbers, found " + std::to_string(numbers.size()));
         return numbers.size() / width;
     }
     void expect_gradient(View<double> gradient) const
@@ -366,7 +367,11 @@ public:
     {
         loewner_gate_answer found;
         if (q.size() != dof_ || dq.size() != dof_ || targets.size() % dof_ != 0)
-            throw Error(LOEWNER_BAD_ARGUMENT, "q, dq, targets: expected whole configurations, found others");
+            throw Error(LOEWNER_BAD_ARGUMENT,
+                        "q, dq, targets: expected " + std::to_string(dof_) + ", " + std::to_string(dof_) +
+                            " and a multiple of " + std::to_string(dof_) + " numbers, found " +
+                            std::to_string(q.size()) + ", " + std::to_string(dq.size()) + " and " +
+                            std::to_string(targets.size()));
         expect(loewner_gate_check(held_.get(), q.data(), dq.data(), targets.data(), targets.size() / dof_, dt, time,
                                   &found));
         return found;
