@@ -507,6 +507,9 @@ def test_bad_configurations(checker, robot):
     """Start and goals of wrong shapes, and what is no checker, are refused by name."""
     with pytest.raises(InputError, match=r"start: expected one configuration, shape \(3,\)"):
         planners.plan(checker, [LEFT], RIGHT)
+    for named in ({"x": 0.7}, "home"):
+        with pytest.raises(InputError, match=r"goal: expected numbers, found .*; robot\.configuration\(\.\.\.\) makes"):
+            planners.plan(checker, LEFT, named)
     with pytest.raises(InputError, match=r"goal: expected shape \(\.\.\., 3\)"):
         planners.plan(checker, LEFT, RIGHT[:2])
     with pytest.raises(InputError, match=r"goal: expected shape \(3,\) or \(goals, 3\), found \(0, 3\)"):

@@ -1641,6 +1641,11 @@ class Robot(KeepsReadOnly):
         plain = type(Q) is np.ndarray and Q.dtype == np.float64 and Q.shape == (self.dof,) and self.runs_straight
         if plain and isinstance(Q, np.ndarray) and Q.flags.carray and self._watch.passes_one(Q.tolist()):
             return Q
+        if isinstance(Q, (Mapping, str)):
+            raise InputError(
+                f"{name}: expected numbers, found {_validate.short(Q)}; robot.configuration(...) makes them from "
+                "named values or the name of a state"
+            )
         _expect_order(self, Q, name)
         array = _validate.float_array(Q, name)
         expect_width(self, array.shape, name)
