@@ -303,7 +303,11 @@ def test_principal_points_of_other_images_cause_a_warning(shape, cx, doubt):
             "checker: expected a CollisionChecker, found",
         ),
         (lambda: SeenSpace([0, 0, 0], (1, 1, 1), 0.1).see(np.ones((24, 32)), K, time="now"), InputError, "time"),
-        (lambda: SeenSpace([0, 0, 0], (1, 1, 1), 0.1).see(np.ones((24, 32)), K, time=np.nan), InputError, "time: .*nan"),
+        (
+            lambda: SeenSpace([0, 0, 0], (1, 1, 1), 0.1).see(np.ones((24, 32)), K, time=np.nan),
+            InputError,
+            "time: .*nan",
+        ),
         (lambda: points_of(np.ones(4), K), InputError, "image: .* found float64 of shape \\(4,\\)"),
         (lambda: points_of(np.ones((24, 32)), np.eye(4)), InputError, "K: expected shape"),
         (lambda: points_of(np.ones((24, 32)), -K), InputError, "K: expected an intrinsic matrix"),

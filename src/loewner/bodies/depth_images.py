@@ -20,8 +20,8 @@ FARTHEST = 100.0
 # An image this many times as wide or as high as the focal length, 170 degrees, probably has another matrix.
 WIDEST = 23.0
 
-# How far principal points are from the middle, as a share of the image: cameras are nearer than the first; the matrix of
-# a turned image is farther than that, and nearer than the second to the middle with width and height exchanged.
+# How far principal points are from the middle, as a share of the image: cameras are nearer than the first; the matrix
+# of a turned image is farther, and nearer than the second to the middle with width and height exchanged.
 OFF, CENTRAL = 0.1, 0.05
 
 

@@ -76,7 +76,9 @@ def add(commands: Any) -> None:
     inputs.add_robot_options(plan)
     plan.add_argument("--scene", type=Path, metavar="FILE", help="obstacles and attached bodies (.yaml)")
     inputs.add_rule_options(plan, "start", "goal")
-    plan.add_argument("--start", required=True, metavar="Q", help='start: a state, a file, or numbers in quotes, "0 0.5 -0.7"')
+    plan.add_argument(
+        "--start", required=True, metavar="Q", help='start: a state, a file, or numbers in quotes, "0 0.5 -0.7"'
+    )
     ends = plan.add_mutually_exclusive_group(required=True)
     ends.add_argument("--goal", metavar="Q", help="goal, likewise")
     ends.add_argument(
