@@ -30,7 +30,7 @@ FARTHEST_LIMIT = 1e6
 # Bodies and places that ask for another unit [m]: a hall in millimetres, a screw scaled twice by a thousandth.
 LARGEST_RADIUS, SMALLEST_RADIUS, LARGEST_DISTANCE = 1000.0, 1e-5, 2000.0
 
-# A robot's mesh of 50 m across asks for it, too: a part of 0.05 m in millimetres.
+# A robot's mesh of 50 m across is probably in millimetres, too.
 LARGEST_MESH_RADIUS = 25.0
 
 # Modules whose frames belong to a call of the library; `contextlib` wraps functions that contexts decorate.

@@ -98,7 +98,7 @@ class _Parser(argparse.ArgumentParser):
     """A parser that, also in subcommands, does not mistake arguments that begin like negative numbers for options.
 
     Before Python 3.14, argparse recognises "-0.5" as a number, but treats "-0.5,0.3" and "-5e-1" as unknown options.
-    The error about numbers without quotes says that they need them.
+    An error about numbers without quotes contains a hint.
     """
 
     def __init__(self, *arguments: Any, **named: Any) -> None:
