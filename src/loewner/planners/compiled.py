@@ -181,7 +181,8 @@ def _what_is_between(growth: Growth) -> str:
     spread = [np.unique(np.linspace(0, count - 1, BETWEEN, dtype=np.int64)) for count in counts]
     halves = np.split(growth.search.trees[:-TREE_ROWS], 2)
     first, last = (nodes[:, numbers].T for nodes, numbers in zip(halves, spread, strict=True))
-    nearest = lengths(first[:, None] - last).argmin(axis=1)
+    with np.errstate(over="ignore"):  # of differences beyond 1e154: then any node is as good
+        nearest = lengths(first[:, None] - last).argmin(axis=1)
     a, b = growth.space.configurations(first), growth.space.configurations(last[nearest])
     found, parts = prove_by_rules(judge.ready, a, b, TOLERANCE, judge.joint_error), []
     close = f"come within {TOLERANCE:g} m of their margin"
