@@ -380,7 +380,7 @@ def test_nothing_is_kept_where_the_sources_cannot_be_told(tmp_path: Path):
     """From a zip, where two versions could not be told apart, nothing is written and nothing read."""
     archive, home = tmp_path / "app.zip", Path(loewner.__file__).parent
     with zipfile.ZipFile(archive, "w") as zipped:
-        for path in home.rglob("*.py"):
+        for path in (*home.rglob("*.py"), *home.glob("share/*.json")):
             if "_kernels" not in path.parts:
                 zipped.write(path, Path("loewner") / path.relative_to(home))
         for name, content in _sources.sources().items():

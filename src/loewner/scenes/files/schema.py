@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pkgutil
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,7 @@ from loewner._base import _json
 # `loewner --scene-schema` prints this path.
 SCHEMA_FILE = Path(__file__).parents[2] / "share" / "scene.schema.json"
 
-SCHEMA: dict[str, Any] = _json.parsed(SCHEMA_FILE.read_bytes(), str(SCHEMA_FILE))
+SCHEMA: dict[str, Any] = _json.parsed(pkgutil.get_data("loewner", "share/scene.schema.json") or b"", str(SCHEMA_FILE))
 BODY: dict[str, Any] = SCHEMA["definitions"]["body"]
 
 Keys = tuple[tuple[str, ...], tuple[str, ...]]
