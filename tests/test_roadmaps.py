@@ -346,7 +346,7 @@ def test_no_free_sample(checker):
         (10**400, {}, InputError, "samples: expected an integer <="),
         (2**62, {}, InputError, "fit into memory"),
         (2.5, {}, InputError, r"samples: expected shape \(\.\.\., 3\)"),
-        ("many", {}, InputError, "samples: expected an array of numbers, found 'many'"),
+        ("many", {}, InputError, "samples: expected numbers, found 'many'"),
         (True, {}, InputError, "samples: expected real numbers, found dtype bool"),
         ([0.1, 0.2, 0.3], {}, InputError, r"samples: .* shape \(n, 3\) with n >= 1, found shape \(3,\)"),
         (np.empty((0, 3)), {}, InputError, r"samples: .* found shape \(0, 3\)"),
