@@ -39,8 +39,8 @@ def campaign(folder, seed, cases, motions, samples):
 
 def test_motions_hold_at_samples(tmp_path):
     """Of bodies of all kinds, both moving, one inside the other, in whole numbers; and nearly all are decided."""
-    free, colliding, ambiguous = campaign(tmp_path, 1, cases=12, motions=25, samples=40)
-    assert min(free, colliding) > 50
+    free, colliding, ambiguous = campaign(tmp_path, 1, cases=24, motions=25, samples=40)
+    assert min(free, colliding) > 100
     assert ambiguous < 0.03 * (free + colliding)
 
 
@@ -65,7 +65,7 @@ def test_a_part_that_is_missing_is_noticed(tmp_path, monkeypatch):
 
     monkeypatch.setattr(parts, "_cut", without_one)
     with pytest.raises(AssertionError):
-        campaign(tmp_path, 1, cases=12, motions=25, samples=40)
+        campaign(tmp_path, 1, cases=24, motions=25, samples=40)
 
 
 # -- starts ---------------------------------------------------------------------------------------

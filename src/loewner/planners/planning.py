@@ -150,7 +150,7 @@ def plan(
         The planner, its limits, and whether it proves its motions. Default: ``Search()``.
     seed : int
         Equal seeds give equal paths, unless the timeout ends the search. With an OMPL planner, this sets OMPL's seed,
-        which applies to the whole process.
+        which applies to the whole process. The search for drives draws nothing, so it has no effect there.
     planner, certified, resolution, max_iterations, timeout, simplify : optional
         A field of `search` by itself, which replaces it there.
     full, proof, improve_for, improve_iterations, weights, clearance : optional
@@ -236,6 +236,7 @@ def plan(
         if "base" not in options:
             raise InputError("base: expected it with radius or reverse, found none")
         search._refuse("base", refused + ["joints"] * (joints is not None))
+        checked_seed(seed)  # which has no effect, since the search draws nothing
         return bases.plan_drive(
             checker, start, cast(Any, goal), options["base"], radius=options.get("radius"), reverse=reverse,
             joint_error=joint_error, search=search, proof=proof,
