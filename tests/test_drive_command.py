@@ -128,3 +128,12 @@ def test_a_robot_needs_a_base_or_a_map(room, capsys):
     """Without a map, a robot that stands is refused; one that slides and turns by its own joints needs none."""
     assert main(["plan", "cart.urdf", "--base", "differential", *TRIP]) == 2
     assert "or --map, within which a base is added, found the joints none" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("origin", "goal"), [("-1, -1, 0", "2.9 1 0"), ("-1, -1, 0.7", "-2 -0.5 0")])
+def test_nothing_is_free_where_the_map_ends(room, capsys, origin, goal):
+    """Neither for a part of the base that reaches over the edge, nor in the box around a turned map."""
+    Path("map.yaml").write_text(MAP.replace("-1, -1, 0", origin))
+    status, _, err = plan(capsys, "--start", "0 0 0", "--goal", goal, "--base", "differential")
+    assert status == 1
+    assert "outside of the map" in err

@@ -25,6 +25,9 @@ from loewner.scenes import maps
 # Number of configurations per motion, including its ends, at which the distance of the nearest pair is measured.
 MEASURED = 33
 
+# Metres by which the space around a map that counts as occupied is wider than the map, so that no robot reaches over it.
+BEYOND = 10.0
+
 # Options of other plans, which drives do not use, and options of drives.
 OF_OTHERS = (
     "goal_pose", "joints", "leave", "reach", "sampled", "planner", "resolution", "improve_for", "weights", "clearance",
@@ -70,7 +73,7 @@ def run(options: argparse.Namespace) -> int:
             drive = planners.plan(
                 checker, start, goal, base=options.base, radius=options.radius, reverse=not options.no_reverse,
                 joint_error=options.joint_error, timeout=options.timeout, simplify=not options.no_simplify,
-                proof=options.proof is not None, **limits,
+                proof=options.proof is not None, seed=options.seed, **limits,
             )  # fmt: skip
     except PlanningError as error:
         print(f"loewner: no path: {error}", file=sys.stderr)
@@ -88,7 +91,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _add_map(scene: loewner.Scene, options: argparse.Namespace) -> Floats | None:
-    """Add the occupied and the unknown cells of the map to the scene, and return the bounds of the map."""
+    """Add occupied and unknown cells of the map, and all space around it, to the scene; return the map's bounds."""
     if options.map is None:
         return None
     file, text = options.map
@@ -100,7 +103,10 @@ def _add_map(scene: loewner.Scene, options: argparse.Namespace) -> Floats | None
     body = maps.body_of(grid, height, unknown=True)
     if body is not None:
         scene.add("map", body, maps.corner(grid))
-    return maps.bounds_of(grid)
+    bounds = maps.bounds_of(grid)
+    width = BEYOND + float(np.ptp(bounds, axis=1).sum())
+    scene.add("outside of the map", maps.around(grid, height, width), maps.corner(grid))
+    return bounds
 
 
 def _on_a_base(robot: loewner.Robot, bounds: Floats | None) -> loewner.Robot:

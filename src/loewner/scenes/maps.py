@@ -123,6 +123,15 @@ def body_of(grid: Map, height: float, *, unknown: bool) -> Body | None:
     return Body.boxes(centers, np.column_stack([high - low, np.full(len(low), height)]))
 
 
+def around(grid: Map, height: float, width: float) -> Body:
+    """Make four boxes of a width [m] around a map, in the frame of its lowest corner: what lies beyond is unknown."""
+    a, b = grid.resolution * np.array(grid.occupied.shape)
+    low = np.array([[-width, -width], [a, -width], [0.0, -width], [0.0, b]])
+    high = np.array([[0.0, b + width], [a + width, b + width], [a, 0.0], [a, b + width]])
+    centers = np.column_stack([(low + high) / 2.0, np.full(4, height / 2.0)])
+    return Body.boxes(centers, np.column_stack([high - low, np.full(4, height)]))
+
+
 def bounds_of(grid: Map) -> Floats:
     """Compute the least and the largest x and y of a map in the world, shape (2, 2), a row for each axis."""
     corners = grid.resolution * np.array(grid.occupied.shape) * [[0, 0], [0, 1], [1, 0], [1, 1]]
