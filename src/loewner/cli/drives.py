@@ -25,7 +25,7 @@ from loewner.scenes import maps
 # Number of configurations per motion, including its ends, at which the distance of the nearest pair is measured.
 MEASURED = 33
 
-# Metres by which the space around a map that counts as occupied is wider than the map, so that no robot reaches over it.
+# Metres by which the occupied space around a map is wider than the map, so that no robot reaches over it.
 BEYOND = 10.0
 
 # Options of other plans, which drives do not use, and options of drives.

@@ -124,7 +124,7 @@ def body_of(grid: Map, height: float, *, unknown: bool) -> Body | None:
 
 
 def around(grid: Map, height: float, width: float) -> Body:
-    """Make four boxes of a width [m] around a map, in the frame of its lowest corner: what lies beyond is unknown."""
+    """Make four boxes of a width [m] around a map, in the frame of its lowest corner."""
     a, b = grid.resolution * np.array(grid.occupied.shape)
     low = np.array([[-width, -width], [a, -width], [0.0, -width], [0.0, b]])
     high = np.array([[0.0, b + width], [a + width, b + width], [a, 0.0], [a, b + width]])
