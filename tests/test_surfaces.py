@@ -971,6 +971,21 @@ def test_checkers_are_their_pairs(seed: int, tmp_path: Path):
         assert named == {frozenset(pair) for pair, hit in zip(names, hits, strict=True) if hit}
 
 
+@pytest.mark.parametrize("length", [0.1, 9.0])
+@pytest.mark.parametrize("margin", [0.0, 1e-9, 0.01])
+def test_a_skin_s_point_in_a_solid(length: float, margin: float):
+    """The inner ellipsoid of a skin is a single point: in that of a solid, it proves a collision, with any margin."""
+    skin = surface(Mesh(length * np.array(CORNERS), np.array([[0, 1, 2]]), False))
+    assert np.count_nonzero(skin.inner.factor) == 0
+    solid, T = Body.box([2, 0.2, 2]), np.eye(4)
+    T[1, 3] = 0.03
+    assert classify(skin, None, solid, T, margin=margin) == Verdict.COLLIDING
+    # Without a margin, the order decides whether the proof is found at once.
+    assert margin == 0.0 or classify(solid, T, skin, None, margin=margin) == Verdict.COLLIDING
+    T[1, 3] = 0.2
+    assert classify(skin, None, solid, T, margin=margin) != Verdict.COLLIDING
+
+
 def test_a_checker_in_a_shell(tmp_path: Path):
     """A link that slides within a solid's cavity is free there and collides beyond; a skin lets it through."""
     slide = '<axis xyz="1 0 0"/><limit lower="-3" upper="3"/>'

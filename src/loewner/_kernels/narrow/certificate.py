@@ -28,7 +28,14 @@ import numpy as np
 from loewner._kernels._jit import inline, njit
 from loewner._kernels.codes import BY_INNER, BY_OUTER, BY_SPHERE, OPEN, UNSURE
 from loewner._kernels.columns import HOT, INNER_CENTER, INNER_SHAPE, OUTER_CENTER, OUTER_RADIUS, OUTER_SHAPE, REACH
-from loewner._kernels.ellipsoids.contact import maximize, nearness, normal_at, position_error, separation
+from loewner._kernels.ellipsoids.contact import (
+    nearness,
+    newton_step,
+    normal_at,
+    polynomials,
+    position_error,
+    separation,
+)
 from loewner._kernels.linalg3 import apply, apply_symmetric, dot, minus, one_norm, plus, rotated_shape, selected, trace
 from loewner._kernels.pieces.rigid import is_rigid, is_rigid_single
 from loewner._kernels.simd.scalars import eight_at, holds
@@ -180,9 +187,12 @@ def guess(P, Q, r, tiny):
 
 @njit()
 def _best(P, Q, r):
-    """s and n = K(s)⁻¹ r at the maximum of F."""
-    _, s, n = maximize(P, Q, r, NEWTON_STEPS)
-    return s, n
+    """s and n = K(s)⁻¹ r at the maximum of F; of a single point, where every s leads to the same points, the middle."""
+    d, q, s = polynomials(P, Q, r)
+    for _ in range(NEWTON_STEPS):
+        s = newton_step(d, q, s)
+    s = select((trace(P) <= 0.0) | (trace(Q) <= 0.0), 0.5, s)  # the maximum is at an end, where K is singular
+    return s, normal_at(P, Q, r, s)[1]
 
 
 @inline
@@ -551,6 +561,8 @@ def certify_best(count, margin, hot_a, Ta, moved_a, hot_b, Tb, moved_b, listed, 
         p = shape_of(gather_transpose(hot_a, HOT, listed.piece_a, at, INNER_SHAPE), a.R, moved_a)
         q = shape_of(gather_transpose(hot_b, HOT, listed.piece_b, at, INNER_SHAPE), b.R, moved_b)
         r = offset_between(a, moved_a, near_a.inner_center, b, moved_b, near_b.inner_center)
+        # A single point goes first, because the common point is computed from the first center.
+        swap = (swap & (trace(p.Q) > 0.0)) | (trace(q.Q) <= 0.0)
         p, q, r = _ordered(swap, p, q, r)
         s, n = _best(p.Q, q.Q, r)
         level, distance, _ = nearness(p.Q, q.Q, r, n, s, 1.0 / p.inverse_sigma, 1.0 / q.inverse_sigma, size)
