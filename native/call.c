@@ -1,9 +1,9 @@
 /* Python calls the native library through this extension: `Library` opens a library, and `Kernel` calls one of its
    functions. `pairs.c` and `configurations.c` contain queries that take one call from the arguments to the answer. A
    function of the library has the form int32 loewner_NAME(const int64 *arguments, int64 *results). A number takes one
-   slot; an array takes a slot for its address and one for each length. In a result, the address of the description of
-   its memory precedes the array; loewner_release gives this memory back. Nothing here depends on Numba, and the library
-   does not depend on Python. */
+   slot; an array takes a slot for its address and one for each length. In a result, each array is preceded by the
+   address of a record that describes its memory; loewner_release frees the memory. Nothing here depends on Numba, and
+   the library does not depend on Python. */
 
 #include "call.h"
 #include "system.h"

@@ -101,7 +101,7 @@ static double exact_length(const double *a, const double *b, int64_t count)
 }
 
 /* The number of steps of a motion, as in `edges.steps`; 0 if that takes the long way. A quotient within NEARLY_WHOLE
-   of a whole number may have been rounded to the other side of it. */
+   of an integer may have been rounded to the other side of it. */
 static int64_t steps_of(const double *a, const double *b, int64_t count, double step)
 {
     double squared = 0;

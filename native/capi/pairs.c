@@ -89,7 +89,7 @@ loewner_status settle_all(const struct settle_range *asked, int *are_rigid)
              .plan = asked->plan, .rows = asked->rows, .pack_a = asked->pack_a, .Ta = asked->Ta,
              .pack_b = asked->pack_b, .Tb = asked->Tb, .out = asked->out));
     for (int64_t k = asked->start; k < asked->stop; k++)
-        if (out[k] == CODE_INEXACT) /* Python decides it in whole numbers */
+        if (out[k] == CODE_INEXACT) /* only Python decides these, in exact integers */
             out[k] = LOEWNER_AMBIGUOUS;
     return LOEWNER_OK;
 }

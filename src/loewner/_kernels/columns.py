@@ -49,7 +49,8 @@ BOUNDS = 8  # columns of a row of bounds
 
 # -- robots on a GPU, described in `threads.configurations` ----------------------------------------
 
-# Columns of a link's int32 row, the extra columns of its float32 row after CONSTANTS, and the length of that row.
+# Columns of a link's int32 row, and columns of its float32 row after CONSTANTS; the last entry of each line is the
+# length of the row.
 PARENT_OF_LINK, KIND_OF_LINK, COLUMN_OF_LINK, LINK_INTEGERS = 0, 1, 2, 4
 MULTIPLIER, OFFSET, BENT, LINK_CONSTANTS = CONSTANTS, CONSTANTS + 1, CONSTANTS + 2, 40
 

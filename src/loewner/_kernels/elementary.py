@@ -83,7 +83,7 @@ def number_of(typingctx, bits):
 
 @inline
 def _reduced_exponential(x, k):
-    """e^x / 2^k, for a number or for eight, where k is the whole number nearest to x / log 2."""
+    """e^x / 2^k, for a number or for eight, where k is the integer nearest to x / log 2."""
     r = (x - k * LOG_2[0]) - k * LOG_2[1]
     p = 1.0 / 6227020800.0 * r + 1.0 / 479001600.0  # 1/13!, 1/12!, ...
     p = p * r + 1.0 / 39916800.0

@@ -187,8 +187,8 @@ def touch(F1, G2, r):
     s0, s1, s2 = dot(m0, m0), dot(m1, m1), dot(m2, m2)
     g0, g1, g2 = dot(m0, d), dot(m1, d), dot(m2, d)
 
-    # Secular equation |v(lam)| = 1, v_i = g_i / (s_i + lam). Newton's method for 1/|v| rises monotonically to the root
-    # from any lower bound; each bound below keeps a part of the sum.
+    # Secular equation |v(lam)| = 1, v_i = g_i / (s_i + lam). Newton's method for 1/|v| increases monotonically
+    # to the root from any lower bound. Each bound in the next two lines uses only a part of the sum.
     lam = max(0.0, abs(g0) - s0, abs(g1) - s1, abs(g2) - s2)
     lam = max(lam, math.sqrt(g0 * g0 + g1 * g1 + g2 * g2) - max(s0, s1, s2))
     for _ in range(100):

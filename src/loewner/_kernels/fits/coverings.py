@@ -179,7 +179,7 @@ def _exchange(count, steps, by_point, by_candidate, missed, chosen, found):
     m = len(by_candidate)
     # How many chosen candidates hold a point, and the sum of their numbers: the number itself if there is only one.
     held, holder = np.zeros(count, np.int64), np.zeros(count, np.int64)
-    # The weights of points, which are whole numbers; and for each chosen candidate, the weight of the points that no
+    # The weights of points, which are integers; and for each chosen candidate, the weight of the points that no
     # other one holds.
     weight, loss = np.ones(count), np.zeros(m)
     last, now, used = np.full(m, -10), np.empty(found, np.int64), found

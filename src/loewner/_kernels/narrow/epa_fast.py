@@ -27,7 +27,7 @@ from loewner._kernels.pieces.shapes import rotation_of
 from loewner._kernels.simd.vectors import broadcast, load, mask_of, maximum, minimum, movemask, select, store
 from loewner._kernels.tolerances import POSITION_ROUNDINGS
 
-MAX_CORNERS = 1024  # for each polytope; with more, moving all corners to the world costs more than it saves
+MAX_CORNERS = 1024  # per polytope; with more, transforming all corners to the world frame costs more than it saves
 MAX_FACES = 64  # each takes one bit in the masks; hulls of 20 points need 20 to 30
 MAX_POINTS = MAX_FACES // 2 + 2  # by Euler's formula
 

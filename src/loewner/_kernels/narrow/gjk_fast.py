@@ -26,7 +26,8 @@ from loewner._kernels.tolerances import LEAST_SQUARE, UNIT_ROUNDOFF
 DECIDE_ROUNDS = 24
 MEASURE_ROUNDS = 64  # hulls need six, and at most twelve; curved pieces converge linearly
 
-# A support point that is already in the simplex ends the search; its bounds must then agree to within this many errors.
+# A support point that is already in the simplex ends the search; its bounds must then agree
+# to within LAST_GAP times the error of a height.
 LAST_GAP = 16.0
 
 # If the squared sine at a corner of a triangle is below this, its normal is made orthogonal to the edges.

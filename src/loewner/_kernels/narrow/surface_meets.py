@@ -2,7 +2,7 @@
 
 Boxes settle most of it in single precision. Triangles are settled eight at a time by signs of determinants
 (`triangles`), and the rest by GJK. Signs that rounding could turn are never guessed: such pairs are *open*, and
-`loewner.queries._exact` settles them in whole numbers. Where no triangles meet, `surface_points` decides whether one
+`loewner.queries._exact` settles them in integers. Where no triangles meet, `surface_points` decides whether one
 body lies within the other.
 """
 

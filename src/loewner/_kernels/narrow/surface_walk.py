@@ -27,7 +27,8 @@ CORNER_ERROR = 16.0 * UNIT_ROUNDOFF  # derived 5, certified.md B36
 # Poses may stretch lengths by 1e-6, and bounds are squared and rounded; this share of a squared lower bound is valid.
 BELIEVED = 1.0 - 1e-5  # derived 4e-6, certified.md B41
 
-# Weight of the squared distance of the middles, relative to a lower bound, in the order of the search.
+# Boxes are searched in the order of their squared lower bounds plus MIDDLES times the squared distance between
+# their centers.
 MIDDLES = 0.1
 
 STACK = 2 * LEVELS * WIDE  # entries, for two trees

@@ -111,7 +111,7 @@ def _asking(prefetch):
     return ask
 
 
-# Prefetch either shortly before use, or long ahead into the second-level cache, which has room for more requests.
+# Prefetch either shortly before use, or well in advance into the second-level cache, which has room for more requests.
 prefetch_vertices, prefetch_vertices_far = _asking(prefetch), _asking(prefetch_far)
 
 

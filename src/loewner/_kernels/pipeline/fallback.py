@@ -1,7 +1,7 @@
 """The exact answer for the few pairs that the fast searches leave open: a robust GJK, then the expanding polytope.
 
 It is separate from `verdicts`, so that it is only compiled when a pair needs it. Triangles of two surfaces that
-rounding leaves unsettled are decided in whole numbers, see `loewner.queries._exact`.
+rounding leaves unsettled are decided in integers, see `loewner.queries._exact`.
 """
 
 import numpy as np
@@ -64,7 +64,7 @@ def settle_open(margin, start, stop, plan, rows, pack_a, Ta, pack_b, Tb, out):
 
 @njit()
 def _with_surface(A, B, margin, work):
-    """Settle a piece pair with a surface; INEXACT if it needs whole numbers."""
+    """Settle a piece pair with a surface; INEXACT if it needs integers."""
     memory = np.empty(SURFACE_SIZE // 8)
     listed = np.empty((ROOM, 2), np.int64)
     near, far = margin + (radius(A) + radius(B)), margin + swollen_radii(A, B)
@@ -135,7 +135,7 @@ def open_triangles(margin, k, plan, rows, pack_a, Ta, pack_b, Tb, listed):
 
 @njit()
 def exact_parts(pack, piece):
-    """The parts of a piece that are converted to whole numbers.
+    """The parts of a piece that are converted to integers.
 
     Returns
     -------

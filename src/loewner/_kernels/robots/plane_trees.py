@@ -48,8 +48,9 @@ DEEPEST = 40
 # Room for checkers that compute with enclosures, as a share of the lengths on the right-hand side.
 SHARE = 1.0 + 2e-9
 
-# The entries of a normal are whole numbers up to this one, at one of several scales, since rounding turns a normal. On
-# deep levels, and for bodies that do not move, normals in doubles are also tried without rounding.
+# The entries of a normal are rounded to integers of at most LARGEST. Rounding turns the normal, so SCALES scales are
+# tried, and the best one is kept. On levels from DEEP on, and for bodies that do not move, normals in doubles are also
+# tried without rounding.
 LARGEST, SCALES, DEEP = 32767.0, 3, 10
 
 # Boxes are compared first, and must be apart by this share of the model's size, because poses may bend slightly.
@@ -441,7 +442,7 @@ def _axis(k):
 
 @njit()
 def rounded(n):
-    """A direction in whole numbers: of some multiples, the one that is turned least by rounding."""
+    """A direction in integers: of some multiples, the one that is turned least by rounding."""
     most = max(abs(n[0]), abs(n[1]), abs(n[2]))
     n = scaled(1.0 / max(most, 1e-300), n)
     unit = scaled(1.0 / max(np.sqrt(dot(n, n)), 1e-300), n)

@@ -375,7 +375,7 @@ def connect_trees(search, most):
             outcome = FULL
         else:
             state[ITERATION] += 1
-            # Before anything is drawn, try the straight way to the nearest goal.
+            # Before anything is sampled, try the straight path to the nearest goal.
             outcome = _lead(work, 0, 0) if state[ITERATION] == 1 else _iterate(work, roots)
     held(samples)
     return outcome

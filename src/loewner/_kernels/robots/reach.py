@@ -75,8 +75,7 @@ from loewner._kernels.simd.vectors import (
 # target's distance from the origin in metres; rounding is far smaller.
 REACHED = 1e-10
 
-# Squared damping, as a share of the squared error, and its minimum: on five arms, a hundredth to a tenth of the squared
-# error is good.
+# Squared damping, as a share of the squared error, and its minimum. Shares from 0.01 to 0.1 worked well on five arms.
 DAMPING, LEAST_DAMPING = 0.02, 1e-24
 
 LONGEST = 1.0  # rad; the largest turn of a joint in a step

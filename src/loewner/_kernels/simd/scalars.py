@@ -110,7 +110,7 @@ def lane_of(typingctx, x):
 
 @intrinsic
 def lane_of_integer(typingctx, x):
-    """A whole number below 2^24 as one lane."""
+    """An integer below 2^24 as one lane."""
 
     def generate(context, builder, sig, args):
         return builder.sitofp(builder.trunc(args[0], _HALF), ir.FloatType())

@@ -10,7 +10,7 @@ QUARTER_TURN = (
     float.fromhex("0x1.0b4611a6p-34"),
     float.fromhex("0x1.3198a2e037073p-69"),
 )
-TURNS_PER_RADIAN = 0.6366197723675814  # 2/π, in quarter turns; its rounding only moves the border between quadrants
+TURNS_PER_RADIAN = 0.6366197723675814  # 2/π, in quarter turns per radian; rounding moves the borders between quadrants
 
 # Beyond this angle [rad] the number of quarter turns has more than 20 bits.
 LARGEST = 1e6
@@ -70,7 +70,7 @@ def sine_of(x):
     return sine_cosine(x)[0]
 
 
-# π/2 as a sum of three floats. The first two have twelve bits, so their products with a whole number below 2^12 are
+# π/2 as a sum of three floats. The first two have twelve bits, so their products with an integer below 2^12 are
 # exact. The error of the sum is below 2^-57.
 SINGLE_QUARTER_TURN = float.fromhex("0x1.922p+0"), float.fromhex("-0x1.2aep-18"), float.fromhex("-0x1.de973ep-31")
 

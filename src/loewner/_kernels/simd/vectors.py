@@ -190,7 +190,7 @@ def signed_one(typingctx, x):
 
 @intrinsic
 def round_to_even(typingctx, x):
-    """Nearest whole number, with halves rounded to even."""
+    """Nearest integer, with halves rounded to even."""
 
     def generate(context, builder, sig, args):
         return _call(builder, "rint", args[0])
@@ -200,7 +200,7 @@ def round_to_even(typingctx, x):
 
 @intrinsic
 def floor(typingctx, x):
-    """Largest whole number that is at most x."""
+    """Largest integer that is at most x."""
 
     def generate(context, builder, sig, args):
         return _call(builder, "floor", args[0])
@@ -337,7 +337,7 @@ def next_lanes(typingctx, x):
 
 @intrinsic
 def numbers_from(typingctx, first):
-    """A whole number and the seven after it, as `numbers`."""
+    """An integer and the seven after it, as `numbers`."""
 
     def generate(context, builder, sig, args):
         return builder.add(_repeat(builder, args[0], LANES), ir.Constant(numbers.llvm, list(range(LANES))))
@@ -388,13 +388,13 @@ def share_of_roots(typingctx, x, y):
     return signature(x, x, y), generate
 
 
-# After this is added to a whole number, the lowest bits contain the number plus the bias of exponents.
+# After this is added to an integer, the lowest bits contain the number plus the bias of exponents.
 _TO_EXPONENT = 1.5 * 2.0**52 + 1023.0
 
 
 @intrinsic
 def power_of_two(typingctx, k):
-    """2 to the power of a float64, or of eight, that is a whole number from -1022 to 1023."""
+    """2 to the power of a float64, or of eight, that is an integer from -1022 to 1023."""
 
     def generate(context, builder, sig, args):
         number = args[0].type
