@@ -21,6 +21,7 @@ from loewner._base._validate import Floats, Ints, Pair
 from loewner._kernels import codes, columns
 from loewner.robots.checking.distances import expect_pairs, nearest_columns
 from loewner.robots.checking.problem import Problem
+from loewner.robots.description.reaching import links_above
 from loewner.robots.description.robot import Robot
 from loewner.robots.proofs import in_time, motions
 from loewner.robots.proofs.courses import CURVE_ROUNDINGS, configurations, parts
@@ -357,11 +358,8 @@ class _Motion(NamedTuple):
         far, moved = np.zeros((2, len(tree.kind), moving + 1))
         slides = _slides(tree, most) + np.where(tree.kind == columns.PRISMATIC, np.abs(tree.offset), 0.0)
         for body, link in enumerate(ready.link.tolist()):
-            path, travel = [], 0.0
-            while link >= 0:
-                path.append(link)
-                link = int(tree.parent[link])
-            for joint in path:  # the body's own joint first
+            travel = 0.0
+            for joint in links_above(tree, link):  # the body's own joint first
                 far[joint, body] = tables.reach[body, joint] + travel
                 moved[joint, body] = 1.0
                 travel += slides[joint]
