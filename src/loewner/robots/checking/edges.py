@@ -105,10 +105,8 @@ def ends(robot: Robot, Q0: ArrayLike, Q1: ArrayLike) -> tuple[Floats, Floats, tu
     if a.ndim == b.ndim == 1:
         return a[None], b[None], ()
     if a.shape != b.shape:
-        try:
-            a, b = np.broadcast_arrays(a, b)
-        except ValueError:
-            raise InputError(f"expected Q0 and Q1 whose shapes broadcast, found {a.shape} and {b.shape}") from None
+        _validate.broadcast({"Q0": a.shape[:-1], "Q1": b.shape[:-1]})
+        a, b = np.broadcast_arrays(a, b)
     shape = a.shape[:-1]
     count = math.prod(shape)
     _validate.fits_memory(count * (BYTES_OF_A_MOTION + 16 * robot.dof), f"{shape} motions")
