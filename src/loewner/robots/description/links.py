@@ -91,7 +91,7 @@ class Joint:
 
 def described(
     links: Mapping[str, Body | None | Iterable[tuple[Body, ArrayLike | None]]], joints: Iterable[Joint], name: str
-) -> tuple[Description, dict[str, Body], dict[str, tuple[Floats, Floats]]]:
+) -> tuple[Description, dict[str, Body]]:
     """Check links and joints in memory; see `Robot.from_links`.
 
     Returns
@@ -99,8 +99,6 @@ def described(
     description : Description
     bodies : dict
         Link name to body.
-    bounds : dict
-        The lower and upper limits, by name, of joints with several values that have limits.
     """
     expect_name(name)
     if not isinstance(links, Mapping) or not links:
@@ -109,7 +107,6 @@ def described(
     listed = _validate.listed(joints, "joints", wanted="a list of loewner.Joint")
     names = dict.fromkeys(links)  # in order; frames of joints follow
     made: dict[str, urdf.Joint] = {}
-    bounds: dict[str, tuple[Floats, Floats]] = {}
     above: dict[str, urdf.Joint] = {}
     for joint in listed:
         _validate.instance(joint, "joints", Joint)
@@ -122,15 +119,13 @@ def described(
                 f"joints: expected a tree, found link {joint.child!r} below two joints, {above[joint.child].name!r} "
                 f"and {joint.name!r}"
             )
-        checked, limits, behind = _joint(joint)
+        checked, behind = _joint(joint)
         if behind is not None:
             frame = unused(f"{joint.child}/{joint.name}", names)
             names[frame] = None
             checked = replace(checked, child=frame)
             above[joint.child] = urdf.Joint(joint.child, "fixed", frame, joint.child, behind)
         above[checked.child] = made[joint.name] = checked
-        if limits is not None:
-            bounds[joint.name] = limits
     path = Path(name)
     for checked in made.values():
         if checked.mimic is not None and checked.mimic.joint not in made:
@@ -138,7 +133,7 @@ def described(
     made = urdf.narrowed(urdf.without_chains(made, path), path)
     above |= {joint.child: joint for joint in made.values()}
     order = urdf.parents_first(_fault, list(names), above)
-    return Description(name, path, dict.fromkeys(order, ()), made, above, ()), bodies, bounds
+    return Description(name, path, dict.fromkeys(order, ()), made, above, ()), bodies
 
 
 def _fault(expected: str, found: str) -> NoReturn:
@@ -174,8 +169,8 @@ def _body(link: Any, shapes: Any) -> Body | None:
     return None if not parts else parts[0] if len(parts) == 1 else Body.union(parts)
 
 
-def _joint(joint: Joint) -> tuple[urdf.Joint, tuple[Floats, Floats] | None, Floats | None]:
-    """Check one joint; return also its limits if it has several values, and the pose of its child on it."""
+def _joint(joint: Joint) -> tuple[urdf.Joint, Floats | None]:
+    """Check one joint; return also the pose of its child on it, None for the identity."""
     what = f"joint {joint.name!r}"
     kind = _validate.choice(joint.kind, f"kind of {what}", VALUES)
     origin = _pose(joint.T_parent_joint, f"T_parent_joint of {what}")
@@ -196,10 +191,10 @@ def _joint(joint: Joint) -> tuple[urdf.Joint, tuple[Floats, Floats] | None, Floa
     if kind == "revolute" and ends == (-math.inf, math.inf):
         kind = "continuous"
     made = urdf.Joint(
-        joint.name, kind, joint.parent, joint.child, origin, axis, *ends, mimic=mimic, reference=reference, **rates
-    )
-    several = not single and bool(np.isfinite([lower, upper]).any())
-    return made, (lower, upper) if several else None, None if np.array_equal(behind, np.eye(4)) else behind
+        joint.name, kind, joint.parent, joint.child, origin, axis, *ends, mimic=mimic, reference=reference,
+        bounds=(lower, upper) if not single and np.isfinite([lower, upper]).any() else None, **rates,
+    )  # fmt: skip
+    return made, None if np.array_equal(behind, np.eye(4)) else behind
 
 
 def _pose(T: ArrayLike | None, name: str) -> Floats:

@@ -600,17 +600,10 @@ class Robot(KeepsReadOnly):
         >>> Robot.from_links(links, [slide])
         Robot('robot', 2 links, 2 with bodies, 1 joints, dof 1)
         """
-        robot, bodies, bounds = described(links, joints, name)
+        robot, bodies = described(links, joints, name)
         doubt_limits(robot.path, robot.joints)
         semantics = Semantics(ruled=disabled is not None)
         made = cls._of(robot, bodies, semantics, adjacent_pairs(robot, bodies), (), "links", None)
-        for joint, ends in bounds.items():  # of joints of several values, which a file has no limits for
-            at = slice(made._columns[joint].start, made._columns[joint].start + len(ends[0]))
-            for limits, end in zip(("lower", "upper"), ends, strict=True):
-                changed = getattr(made, limits).copy()
-                changed[at] = end
-                changed.setflags(write=False)
-                made = replace(made, **{limits: changed, f"hard_{limits}": changed})
         return made if disabled is None else made.disabling(disabled)
 
     @classmethod
@@ -1994,8 +1987,12 @@ def _ends(
     """Return the least and the largest configuration values, of ranges of joints."""
     lower, upper = np.full(dof, -np.inf), np.full(dof, np.inf)
     for name, column in columns.items():
-        lower[column], upper[column] = of(robot.joints[name])
-        if robot.joints[name].kind in WITH_QUATERNION:
+        joint = robot.joints[name]
+        lower[column], upper[column] = of(joint)
+        if joint.bounds is not None:
+            first = slice(column.start, column.start + len(joint.bounds[0]))
+            lower[first], upper[first] = joint.bounds
+        if joint.kind in WITH_QUATERNION:
             lower[column.stop - 4 : column.stop], upper[column.stop - 4 : column.stop] = -1.0, 1.0
     return lower, upper
 

@@ -159,7 +159,8 @@ class Joint:
 
     `velocity`, `acceleration` and `jerk` are the largest rates of the joint's value [rad or m per s, s² and s³], or NaN
     if the URDF gives no positive ones. The child is at `origin` when the value is `reference`. `lower` and `upper` are
-    the limits in the file; `soft` are narrower limits, from its controller and from the joints that mimic it.
+    the limits in the file; `soft` are narrower limits, from its controller and from the joints that mimic it. `bounds`
+    are the lower and upper limits of the first values of a joint with several, for which URDF has none.
     """
 
     name: str
@@ -177,6 +178,7 @@ class Joint:
     acceleration: float = math.nan
     jerk: float = math.nan
     soft: tuple[float, float] = (-math.inf, math.inf)
+    bounds: tuple[Floats, Floats] | None = None
 
     @property
     def range(self) -> tuple[float, float]:
@@ -344,9 +346,8 @@ def _joint(element: Element, links: Collection[str], version: tuple[int, int]) -
     for end in ("parent", "child"):
         link = element.the(end).text("link")
         if link not in links:
-            element.fault(
-                f"a link of this robot as {end} of joint {name!r}", f"{link!r}; {known(links)}", UnknownNameError
-            )
+            expected = f"a link of this robot as {end} of joint {name!r}"
+            element.fault(expected, f"{link!r}; {known(links)}", UnknownNameError)
         ends.append(link)
     if kind == "fixed":  # a reduced model may keep these of joints that moved before
         element.drop("axis", "limit", "mimic", "safety_controller")
