@@ -427,10 +427,9 @@ class Problem:
         """Compute the world poses of all bodies, shape (N, bodies, 4, 4), at checked configurations."""
         moving = link_poses(self.robot, Q)[:, self.link]
         standing = self.standing.poses.reshape(-1, 4, 4)
+        standing = np.broadcast_to(standing, (len(Q), *standing.shape))
         # In C order, which the kernels take for granted; NumPy may choose another.
-        return np.ascontiguousarray(
-            np.concatenate([moving, np.broadcast_to(standing, (len(Q), *standing.shape))], axis=1)
-        )
+        return np.ascontiguousarray(np.concatenate([moving, standing], axis=1))
 
     def poses_in_turn(self, Q: Floats) -> Iterator[tuple[int, Floats]]:
         """Yield the poses of all bodies for one block of configurations after another, and each block's first index."""

@@ -430,9 +430,8 @@ def with_moving_bodies(self: R, names: Sequence[str]) -> R:
     joints = [f"{name} in the scene" for name in names]
     chains = [_chain(self, f"{joint}/world", [(joint, "floating", [0.0, 0.0, 1.0])]) for joint in joints]
     robot: Any = self
-    return cast(
-        R, _combined([_Piece("", robot), *(_Piece("", c, None, without_root=True) for c in chains)], robot.name)
-    )
+    added = [_Piece("", chain, None, without_root=True) for chain in chains]
+    return cast(R, _combined([_Piece("", robot), *added], robot.name))
 
 
 def refuse_bodies_in_world(robot: Any, what: str) -> None:

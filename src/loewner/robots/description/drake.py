@@ -94,12 +94,11 @@ def _joints(
         parent, child = element.parent_body(), element.child_body()
         if child.index() == plant.world_body().index():
             raise InputError(f"joint {name!r}: expected the world as parent, found it as child; exchange the frames")
-        before, behind = (
-            frame.CalcPoseInBodyFrame(state) for frame in (element.frame_on_parent(), element.frame_on_child())
-        )
+        above, below = element.frame_on_parent(), element.frame_on_child()
+        before, behind = (frame.CalcPoseInBodyFrame(state) for frame in (above, below))
         start = element.position_start()
         if element.num_positions() == 0 or element.is_locked(state):
-            before = before @ element.frame_on_child().CalcPose(state, element.frame_on_parent())
+            before = before @ below.CalcPose(state, above)
             moves: list[tuple[Joint, tuple[int, ...]]] = [(Joint(name, "fixed", "", ""), ())]
             constants |= {start + k: float(q[start + k]) for k in range(element.num_positions())}
         else:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -206,28 +207,25 @@ def _refuse_bounds(robot: Any, name: str) -> None:
 
 def _add_joint(root: ElementTree.Element, joint: Joint) -> None:
     element = ElementTree.SubElement(root, "joint", name=joint.name, type=joint.kind)
-    ElementTree.SubElement(element, "parent", link=joint.parent)
-    ElementTree.SubElement(element, "child", link=joint.child)
+    add = partial(ElementTree.SubElement, element)
+    add("parent", link=joint.parent)
+    add("child", link=joint.child)
     add_origin(element, joint.origin[:3, :3], joint.origin[:3, 3])
     if joint.kind not in ("fixed", "floating"):
-        ElementTree.SubElement(element, "axis", xyz=numbers(joint.axis))
+        add("axis", xyz=numbers(joint.axis))
     if VALUES[joint.kind] == ("",):
         # Readers expect an effort and a velocity; 0 is how programs write that there is none.
         limits = {"effort": 0.0, "velocity": 0.0}
         if joint.kind != "continuous":
             limits |= {"lower": joint.lower, "upper": joint.upper}
         limits |= {rate: value for rate in RATES if math.isfinite(value := getattr(joint, rate))}
-        ElementTree.SubElement(element, "limit", {name: numbers([value]) for name, value in limits.items()})
+        add("limit", {name: numbers([value]) for name, value in limits.items()})
     if joint.soft != (-math.inf, math.inf):
         lower, upper = (numbers([end]) for end in joint.soft)
-        ElementTree.SubElement(
-            element, "safety_controller", soft_lower_limit=lower, soft_upper_limit=upper, k_velocity="0"
-        )
+        add("safety_controller", soft_lower_limit=lower, soft_upper_limit=upper, k_velocity="0")
     if joint.mimic is not None:
         other, multiplier, offset = joint.mimic
-        ElementTree.SubElement(
-            element, "mimic", joint=other, multiplier=numbers([multiplier]), offset=numbers([offset])
-        )
+        add("mimic", joint=other, multiplier=numbers([multiplier]), offset=numbers([offset]))
 
 
 # -- MJCF -----------------------------------------------------------------------------------------

@@ -181,9 +181,7 @@ def settle(ready: Problem, pair: int, courses: Floats, off: Floats, tolerance: f
         left = _leave(ready, pair, run, tolerance, deepest, work)
         if not left.doubts:
             continue
-        numbers, places = (
-            np.array(column) for column in zip(*(run.place(k, f) for k, f, _ in left.doubts), strict=True)
-        )
+        numbers, places = map(np.array, zip(*(run.place(k, f) for k, f, _ in left.doubts), strict=True))
         distances = distances_at(ready, pair, configurations(ready.robot, courses[numbers], places))
         hit = distances <= [least for _, _, least in left.doubts]
         for k in np.unique(numbers):

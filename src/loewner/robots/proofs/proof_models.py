@@ -260,9 +260,8 @@ def _links(tree: Tree, names: tuple[str, ...]) -> tuple[Links, Ints, Floats, Flo
     nothing, identity = np.zeros(3), np.eye(3)
     rows.append((names[0], -1, STAYS, -1, 1.0, 0.0, identity, nothing, nothing, -1))
     for k, (above, kind, row) in enumerate(zip(tree.parent.tolist(), tree.kind.tolist(), tree.constants, strict=True)):
-        fixed, sine, cosine = (
-            row[first : first + 9].reshape(3, 3) for first in (columns.ROTATION, columns.SINE, columns.COSINE)
-        )
+        blocks = columns.ROTATION, columns.SINE, columns.COSINE
+        fixed, sine, cosine = (row[first : first + 9].reshape(3, 3) for first in blocks)
         t = row[columns.TRANSLATION : columns.TRANSLATION + 3]
         carrier = int(at[above]) if above >= 0 else 0
         if kind == columns.FIXED:
