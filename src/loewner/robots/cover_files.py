@@ -272,7 +272,7 @@ def _balls(entries: Iterable[Node], link: str, grow: float, model: Model) -> Bod
 
 
 def _of_positive(balls: list[tuple[list[float], float]], name: str, others: str, model: Model) -> Body | None:
-    """Make the body of those spheres that have a radius above 0, if any; a note counts the others."""
+    """Make the body of the spheres with a radius above 0, if there are any; a note counts the others."""
     solid = [ball for ball in balls if ball[1] > 0]
     if len(solid) < len(balls):
         model.notes.append(f"{len(balls) - len(solid)} {others} of {name!r}")

@@ -141,7 +141,7 @@ def _fault(expected: str, found: str) -> NoReturn:
 
 
 def expect_name(name: Any, wanted: str = "name: expected a name") -> str:
-    """Refuse what is no name, or an empty one."""
+    """Refuse anything but a text that is not empty."""
     if not isinstance(name, str) or not name:
         raise InputError(f"{wanted}, found {_validate.short(name)}")
     return name
