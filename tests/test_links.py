@@ -167,6 +167,19 @@ def test_joints_of_several_values_have_limits():
             robot.to_urdf("x.urdf")
 
 
+def test_bounds_of_several_values_leave_other_hard_limits():
+    """Where limits of a joint that follows narrow those of another, its hard limits stay as given."""
+    joints = [
+        Joint("j", "revolute", "a", "b", lower=-2, upper=2),
+        Joint("k", "revolute", "b", "c", lower=-1, upper=1, mimic=("j", 1, 0)),
+        Joint("p", "planar", "a", "d", lower=[-1, -2, -3], upper=[1, 2, 3]),
+    ]
+    robot = Robot.from_links(dict.fromkeys("abcd"), joints)
+    assert robot.upper.tolist() == [1, 1, 2, 3]
+    assert robot.hard_upper.tolist() == [2, 1, 2, 3]
+    assert robot.hard_lower.tolist() == [-2, -1, -2, -3]
+
+
 def arm():
     """An arm with a gripper whose second finger follows the first."""
     up = shift(0, 0, 0.4)

@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import os
 import re
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -60,6 +60,9 @@ OF_CUROBO = frozenset((
 ))  # fmt: skip
 OF_FOAM = ("mean", "best", "worst", "spheres")
 
+# How notes call the spheres of pyroki and foam that are left out.
+WITHOUT_SIZE = "spheres with a radius of 0 or less"
+
 
 class _Balls(NamedTuple):
     """Spheres of one link: shapes (n, 3) and (n,), in metres."""
@@ -86,6 +89,11 @@ class Model:
     ignored: frozenset[Pair] | None = None
     notes: list[str] = field(default_factory=list)
 
+    def note(self, what: str, names: Iterable[str]) -> None:
+        """Add a note about something that has these names, if there are any."""
+        if listed := list(names):
+            self.notes.append(f"{what}: {some(listed)}")
+
 
 def with_cover(self: Robot, path: str | os.PathLike[str], format: str | None = None) -> Robot:
     """Answer `Robot.with_cover`."""
@@ -94,18 +102,13 @@ def with_cover(self: Robot, path: str | os.PathLike[str], format: str | None = N
         model = read_model(file, format)
     except InputError as error:  # about a number that the file has, and that no sphere can have
         raise FileError(f"{shown(file)}: {error}") from error
-    alien = [link for link in model.bodies if link not in self.link_names]
-    if alien:
-        raise _validate.unknown_name(f"{shown(file)}: link", alien[0], self.link_names)
-    lost = [link for link in self.bodies if link not in model.bodies]
-    if lost:
-        model.notes.append(f"links of the robot that have no shapes: {some(lost)}")
-    new = [link for link in model.bodies if link not in self.bodies]
-    if new:
-        model.notes.append(f"shapes of links that have none in the robot: {some(new)}")
+    for link in model.bodies:
+        _validate.known(link, f"{shown(file)}: link", self.link_names)
     unknown = sorted({link for pair in model.ignored or () for link in pair} - set(self.link_names))
-    if unknown:
-        model.notes.append(f"ignored pairs of links that the robot does not have: {some(unknown)}")
+    model.note("links of the robot that have no shapes", [link for link in self.bodies if link not in model.bodies])
+    new = [link for link in model.bodies if link not in self.bodies]
+    model.note("shapes of links that have none in the robot", new)
+    model.note("ignored pairs of links that the robot does not have", unknown)
     if not model.bodies:
         raise FileError(f"{shown(file)}: expected shapes of links, found none{_told(model.notes)}")
     if model.notes:
@@ -171,13 +174,7 @@ def read_model(file: Path, format: str | None = None) -> Model:
     """
     chosen = format_of(file, format)
     if chosen in ("curobo", "pyroki") or (chosen == "foam" and file.suffix.lower() == ".json"):
-        data = read_regular(file, "a model of spheres", MOST_BYTES)
-        top: Node = (
-            read_yaml(data, file, "a model of spheres")
-            if chosen == "curobo"
-            else read_json(data, file, "a model of spheres")
-        )
-        keys = top.mapping(None)
+        keys = _read(read_yaml if chosen == "curobo" else read_json, file, "a model of spheres").mapping(None)
         if format is None and "bodies" in keys:
             chosen = "scene"
         elif format is None and chosen == "pyroki" and any(map(_of_foam, keys.values())):
@@ -199,6 +196,11 @@ def read_model(file: Path, format: str | None = None) -> Model:
         for link, body in model.bodies.items():
             model.bodies[link] = _body(*_spheres_of(body, link, chosen), link)
     return model
+
+
+def _read(parse: Callable[[bytes, Path, str], Node], file: Path, what: str) -> Node:
+    """Read the top of a file in YAML or JSON."""
+    return parse(read_regular(file, what, MOST_BYTES), file, what)
 
 
 def format_of(file: Path, format: str | None) -> str:
@@ -264,18 +266,18 @@ def _spheres_of(body: Body, link: str, format: str) -> _Balls:
 
 def _balls(entries: Iterable[Node], link: str, grow: float, model: Model) -> Body | None:
     """Read spheres, whose radii grow by a buffer; one with a radius of 0 or less then is how cuRobo disables it."""
-    centers, radii, disabled = [], [], 0
-    for entry in entries:
-        keys = entry.mapping(("center", "radius"), required=("center", "radius"))
-        center, radius = keys["center"].numbers(3), keys["radius"].number() + grow
-        if radius > 0:
-            centers.append(center)
-            radii.append(radius)
-        else:
-            disabled += 1
-    if disabled:
-        model.notes.append(f"{disabled} disabled spheres (radius of 0 or less) of {link!r}")
-    return _body(np.array(centers), np.array(radii), link) if centers else None
+    each = (entry.mapping(("center", "radius"), required=("center", "radius")) for entry in entries)
+    balls = [(keys["center"].numbers(3), keys["radius"].number() + grow) for keys in each]
+    return _of_positive(balls, link, "disabled spheres (radius of 0 or less)", model)
+
+
+def _of_positive(balls: list[tuple[list[float], float]], name: str, others: str, model: Model) -> Body | None:
+    """Make the body of the spheres with a radius above 0, if there are any; a note counts the others."""
+    solid = [ball for ball in balls if ball[1] > 0]
+    if len(solid) < len(balls):
+        model.notes.append(f"{len(balls) - len(solid)} {others} of {name!r}")
+    centers, radii = (np.array([ball[k] for ball in solid]) for k in (0, 1))
+    return _body(centers, radii, name) if solid else None
 
 
 def _pairs(ignored: Mapping[str, Node]) -> frozenset[Pair]:
@@ -305,9 +307,7 @@ def _read_curobo(keys: dict[str, Any], file: Path) -> Model:
     spheres, buffer = keys.pop("collision_spheres"), keys.pop("collision_sphere_buffer", None)
     if spheres.kind == "scalar":  # the name of a file beside, or in cuRobo's folder of configurations
         named = file.parent / spheres.text()
-        inner = read_yaml(read_regular(named, "a file of spheres", MOST_BYTES), named, "a file of spheres").mapping(
-            None
-        )
+        inner = _read(read_yaml, named, "a file of spheres").mapping(None)
         spheres = inner.pop("collision_spheres", None)
         if spheres is None:
             raise FileError(f"{shown(named)}: expected the key collision_spheres, found {some(inner) or 'none'}")
@@ -322,9 +322,7 @@ def _read_curobo(keys: dict[str, Any], file: Path) -> Model:
     used = None if listed is None or listed.empty else [item.text() for item in listed.items()]
     replaced = _names(keys.pop("extra_collision_spheres", None))
     extra = _names(keys.pop("extra_links", None))
-    unused = sorted(each.keys() - {link for link, _ in links})
-    if unused:
-        model.notes.append(f"buffers of links without spheres: {some(unused)}")
+    model.note("buffers of links without spheres", sorted(each.keys() - {link for link, _ in links}))
     for link, entries in links:
         if link in model.bodies:
             raise entries.error(f"expected each link once, found {link!r} again")
@@ -347,9 +345,7 @@ def _read_curobo(keys: dict[str, Any], file: Path) -> Model:
         model.notes.append("self_collision_buffer, which enlarges spheres only where links are checked with each other")
     if "load_collision_spheres" in keys and not keys.pop("load_collision_spheres").flag():
         model.notes.append("load_collision_spheres: false, with which no spheres are used")
-    unread = [key for key in (*unread, *keys) if key not in OF_CUROBO]
-    if unread:
-        model.notes.append(f"keys that are not read: {some(unread)}")
+    model.note("keys that are not read", (key for key in (*unread, *keys) if key not in OF_CUROBO))
     return model
 
 
@@ -364,8 +360,7 @@ def _of_xrdf(keys: dict[str, Any], model: Model) -> dict[str, Any]:
     name = chosen["geometry"].text()
     if name not in geometry:
         raise chosen["geometry"].error(f"expected one of {some(geometry)}, found {name!r}")
-    if len(geometry) > 1:
-        model.notes.append(f"geometries that are not used: {some(key for key in geometry if key != name)}")
+    model.note("geometries that are not used", (key for key in geometry if key != name))
     shapes = geometry[name].mapping(("spheres", "clone"), required=("spheres",))
     if "clone" in shapes:
         model.notes.append("key that is not read: clone")
@@ -420,15 +415,13 @@ def _read_pyroki(keys: dict[str, Any], file: Path) -> Model:
         centers, radii = shapes["centers"].rows(3), shapes["radii"].numbers()
         if len(centers) != len(radii):
             raise entry.error(f"expected as many radii as centers, found {len(radii)} and {len(centers)}")
-        solid = [k for k, radius in enumerate(radii) if radius > 0]
-        if len(solid) < len(radii):
-            model.notes.append(f"{len(radii) - len(solid)} spheres with a radius of 0 or less of {link!r}")
-        if solid:
-            model.bodies[link] = _body(np.array(centers)[solid], np.array(radii)[solid], link)
+        body = _of_positive(list(zip(centers, radii, strict=True)), link, WITHOUT_SIZE, model)
+        if body is not None:
+            model.bodies[link] = body
     beside = _pairs_file(file)
     if beside.is_file():
-        listed = read_json(read_regular(beside, "pairs of links", MOST_BYTES), beside, "pairs of links")
-        named = [[name.text() for name in pair.items(2)] for pair in listed.items()]
+        listed = _read(read_json, beside, "pairs of links").items()
+        named = [[name.text() for name in pair.items(2)] for pair in listed]
         model.ignored = frozenset((min(a, b), max(a, b)) for a, b in named)
     return model
 
@@ -457,11 +450,8 @@ def _read_foam(keys: dict[str, Any], file: Path) -> Model:
         spheres = node.mapping(OF_FOAM, required=("spheres",))["spheres"]
         each = [item.mapping(("origin", "radius"), required=("origin", "radius")) for item in spheres.items()]
         balls = [(keys["origin"].numbers(3), keys["radius"].number()) for keys in each]
-        solid = [(center, radius) for center, radius in balls if radius > 0]
-        if len(solid) < len(balls):
-            model.notes.append(f"{len(balls) - len(solid)} spheres with a radius of 0 or less of {name!r}")
-        if solid:
-            body = _body(np.array([center for center, _ in solid]), np.array([radius for _, radius in solid]), name)
+        body = _of_positive(balls, name, WITHOUT_SIZE, model)
+        if body is not None:
             found.setdefault(link, []).append(body)
     model.bodies |= {link: bodies[0] if len(bodies) == 1 else Body.union(bodies) for link, bodies in found.items()}
     return model

@@ -52,10 +52,8 @@ class Measure:
 
 def clearance(checker: Any, softness: Any) -> Measure:
     """`CollisionChecker.clearance` with this softness."""
-    checked, soft = (
-        _validate.instance(checker, "checker", CollisionChecker),
-        _validate.positive_scalar(softness, "softness"),
-    )
+    checked = _validate.instance(checker, "checker", CollisionChecker)
+    soft = _validate.positive_scalar(softness, "softness")
 
     def ask(Q: NDArray[Any], gradient: bool) -> tuple[Any, Any]:
         if gradient:

@@ -37,8 +37,8 @@ from loewner.robots.checker import CollisionChecker
 from loewner.robots.checking.edges import checked_path
 from loewner.robots.checking.problem import Problem
 from loewner.robots.description.robot import Robot, answers, link_poses
-from loewner.robots.proofs.courses import configurations, straight
-from loewner.robots.proofs.curves import Curve, expect_carried, joint_errors, started
+from loewner.robots.proofs.courses import configurations
+from loewner.robots.proofs.curves import Curve, expect_carried, joint_errors, of_path, started
 from loewner.scenes.scene import Scene
 
 # Shares of the tolerance: for convex pieces in place of solids and curved shapes, for vertices that are left out, for
@@ -180,9 +180,7 @@ def united(bodies: list[Body]) -> tuple[Body, float]:
 def _curve(robot: Robot, scene: Scene, given: Any) -> Curve:
     """Return the courses of a curve or a path."""
     if isinstance(given, (np.ndarray, list, tuple)):
-        rows = checked_path(robot, given)
-        a, b = rows[:-1], rows[1:]
-        return Curve(None, np.arange(len(rows), dtype=np.float64), straight(robot, a, b), np.zeros_like(a))
+        return of_path(robot, checked_path(robot, given))
     curve = started(robot, given, "curve")
     expect_carried({body: one.link for body, one in scene.attachments.items()}, curve.carried)
     return curve
@@ -200,8 +198,7 @@ def _chosen(robot: Robot, ready: Problem, links: str | Iterable[str] | None) -> 
     for name in names:
         if not isinstance(name, str):
             raise InputError(f"links: expected names of links, found {_validate.short(name)}")
-        if name not in known:
-            raise _validate.unknown_name("links: link with a body, or attached body", name, tuple(known))
+        _validate.known(name, "links: link with a body, or attached body", known)
     return np.array([known[name] for name in dict.fromkeys(names)])
 
 
@@ -327,9 +324,7 @@ def _knots(robot: Robot, curve: Curve, parts: list[_Part], link: Ints, tolerance
         packed_of(Body.from_pieces([part.vertices for part in parts if part.body == k], tol=TOL))
         for k in range(len(link))
     ]
-    none, empty = np.zeros((0, 2), dtype=np.int64), np.zeros(0)
-    no = np.zeros(0, dtype=bool)
-    problem = Problem.of(robot, (0, 0), ("",) * len(link), packs, link, none, empty, no, no)
+    problem = Problem.of(robot, (0, 0), ("",) * len(link), packs, link, np.zeros((0, 2), np.int64), np.zeros(0))
     count, bounds = len(curve.courses), np.empty((len(curve.courses), len(link), 4))
     entries.course_bounds(
         problem.handle, problem.handle_of_motions, np.ascontiguousarray(curve.courses),

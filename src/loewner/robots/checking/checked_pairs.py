@@ -57,10 +57,9 @@ def prepared(robot: Robot, scene: Scene, skipped: Iterable[Pair], version: int, 
     on_links = link[link < len(robot.link_names)]  # bodies of the scene are not checked against each other
     pairs, given = _pairs(robot, scene, names, on_links, skipped)
     leaving, reaching = (_of_rules(rules, names, pairs) for rules in (scene.leaving, scene.reaching))
-    _check_convex(names, packs, pairs[leaving | reaching])
     bounds = scene.bounds
+    _check_ruled(names, packs, pairs[leaving | reaching], bounds)
     errors = np.array([0.0 if name in growing or name not in bounds else bounds[name].off(0.0) for name in names])
-    _check_known(names, pairs[leaving | reaching], bounds)
     margins = given + errors[pairs].sum(axis=1) if errors.any() else given
     count = len(link)
     same = before is not None and count == len(before.link) and all(map(is_, packs[:count], before.packs))
@@ -77,10 +76,9 @@ def prepared(robot: Robot, scene: Scene, skipped: Iterable[Pair], version: int, 
 
 
 def _check_names(robot: Robot, scene: Scene) -> None:
-    links, all_names = set(robot.link_names), dict.fromkeys((*scene.names, *robot.link_names))
+    links, all_names = dict.fromkeys(robot.link_names), dict.fromkeys((*scene.names, *robot.link_names))
     for body, held in scene.attachments.items():
-        if held.link not in links:
-            raise _validate.unknown_name(f"link in attach of {body!r}", held.link, robot.link_names)
+        _validate.known(held.link, f"link in attach of {body!r}", links)
         for name in held.touch_links:
             if name not in all_names:
                 raise _validate.unknown_name(f"touch link in attach of {body!r}", name, robot.link_names)
@@ -163,24 +161,22 @@ def _of_rules(rules: Iterable[Pair], names: tuple[str, ...], pairs: Ints) -> Boo
     return ruled
 
 
-def _check_known(names: tuple[str, ...], pairs: Ints, bounds: Mapping[str, PoseBounds]) -> None:
-    """Refuse rules about the contact of bodies whose poses are not known."""
+def _check_ruled(
+    names: tuple[str, ...], packs: Sequence[Packed], pairs: Ints, bounds: Mapping[str, PoseBounds]
+) -> None:
+    """Refuse rules about the contact of surfaces, whose depth is not defined as for convex pieces, and of bodies whose
+    poses are not known.
+    """
     for pair in pairs:
         a, b = (names[n] for n in pair)
-        if a in bounds or b in bounds:
-            raise InputError(
-                f"leave or reach of {a} and {b}: expected bodies at known poses, found {a if a in bounds else b!r}, "
-                "whose pose is known by bounds only (error, speed or turn)"
-            )
-
-
-def _check_convex(names: tuple[str, ...], packs: Sequence[Packed], pairs: Ints) -> None:
-    """Refuse rules about the contact of surfaces, whose depth is not defined as for convex pieces."""
-    for pair in pairs:
         for k in pair:
             if (packs[k].layout[:, columns.KIND] <= columns.SURFACE).any():
-                a, b = (names[n] for n in pair)
                 raise InputError(
                     f"leave or reach of {a} and {b}: expected bodies of convex pieces, found {names[k]!r}, which is a "
                     "surface or a cloud; take a box, pieces or voxels for what is touched"
+                )
+            if names[k] in bounds:
+                raise InputError(
+                    f"leave or reach of {a} and {b}: expected bodies at known poses, found {names[k]!r}, whose pose is "
+                    "known by bounds only (error, speed or turn)"
                 )

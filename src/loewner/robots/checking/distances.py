@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Generic
 
@@ -105,10 +106,8 @@ def nearest(ready: Problem, configurations: Floats, exact: bool, gradient: bool)
     _validate.fits_memory(2 * len(Q) * row, f"distances of {len(Q)} configurations")
     columns = nearest_columns(ready, Q, exact)
     if ready.given is not None:  # for all poses within the errors; the distance belongs to the given ones
-        bounds = np.array(
-            [np.add(nearest_columns(one, Q, False), [[-error], [error]]) for error, one in ready.by_error]
-        )
-        columns[0], columns[1] = bounds.min(axis=0)
+        bounds = [np.add(nearest_columns(one, Q, False), [[-error], [error]]) for error, one in ready.by_error]
+        columns[0], columns[1] = np.min(bounds, axis=0)
     if gradient:
         columns.append(gradients(ready, Q, *(columns[k] for k in (3, 4, 6))))
     if exact:
@@ -126,6 +125,17 @@ def expect_pairs(ready: Problem, query: str) -> None:
         raise InputError(f"{query}: expected a robot and a scene with pairs to check, found none")
 
 
+def _run(
+    kernel: Callable[..., Any], options: tuple[float, ...], ready: Problem, Q: Floats, memory: int, *out: Any
+) -> None:
+    """Let a kernel write about all configurations, in shares for threads, each with scratch memory of its own."""
+
+    def share(first: int, last: int) -> None:
+        kernel(*options, first, last, Q, ready.packed.handle, ready.handle, workspace(memory), *out)
+
+    in_shares(share, len(Q), LEAST_SHARE)
+
+
 def nearest_columns(ready: Problem, Q: Floats, exact: bool, *, care: bool = True) -> list[Any]:
     """Compute the columns of `nearest` without the gradient, with indices of bodies instead of names.
 
@@ -135,13 +145,7 @@ def nearest_columns(ready: Problem, Q: Floats, exact: bool, *, care: bool = True
     numbers, vectors = np.empty((2 + exact, n)), np.empty((3, m, 3))
     pieces, status = np.empty((m, 2), dtype=np.int64), np.empty(m, dtype=np.int8)
 
-    def run(first: int, last: int) -> None:
-        entries.nearest_pairs(
-            exact, first, last, Q, pack.handle, ready.handle, workspace(ready.memory_of_nearest),
-            numbers, vectors, pieces, status,
-        )  # fmt: skip
-
-    in_shares(run, n, LEAST_SHARE)
+    _run(entries.nearest_pairs, (exact,), ready, Q, ready.memory_of_nearest, numbers, vectors, pieces, status)
     if not exact:
         return list(numbers)
     lower, upper, distance = numbers
@@ -175,14 +179,7 @@ def near_pairs(ready: Problem, Q: Floats, within: float) -> Ints:
 def gradients(ready: Problem, Q: Floats, bodies: Ints, witness: Floats, normal: Floats) -> Floats:
     """Differentiate the exact distances of pairs of bodies with respect to the configuration, one gradient per pair."""
     slopes = np.empty((len(Q), ready.robot.dof))
-
-    def run(first: int, last: int) -> None:
-        entries.pair_gradients(
-            first, last, Q, ready.packed.handle, ready.handle, workspace(ready.memory_of_clearances),
-            bodies, normal, witness, slopes,
-        )  # fmt: skip
-
-    in_shares(run, len(Q), LEAST_SHARE)
+    _run(entries.pair_gradients, (), ready, Q, ready.memory_of_clearances, bodies, normal, witness, slopes)
     return slopes
 
 
@@ -223,14 +220,7 @@ def clearances(ready: Problem, Q: Floats, softness: float, gradient: bool) -> tu
     n, dof = Q.shape
     _validate.fits_memory(8 * n * (1 + gradient * dof), f"clearances of {n} configurations")
     lower, slopes = np.empty(n), np.empty((n * gradient, dof))
-
-    def run(first: int, last: int) -> None:
-        entries.clearances(
-            gradient, softness, first, last, Q, ready.packed.handle, ready.handle,
-            workspace(ready.memory_of_clearances), lower, slopes,
-        )  # fmt: skip
-
-    in_shares(run, n, LEAST_SHARE)
+    _run(entries.clearances, (gradient, softness), ready, Q, ready.memory_of_clearances, lower, slopes)
     if not np.isfinite(lower).all():
         q = np.array2string(Q[np.argmin(np.isfinite(lower))], precision=17)
         raise ConvergenceError(f"clearance: positions overflow at configuration {q}")

@@ -8,7 +8,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from functools import lru_cache
-from typing import overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -34,11 +33,7 @@ BYTES_OF_A_MOTION = 40
 MOST_STEPS = 2**24
 
 
-@overload
-def steps(lengths: float, step: float) -> int: ...
-@overload
-def steps(lengths: Floats, step: float) -> Ints: ...
-def steps(lengths: float | Floats, step: float) -> int | Ints:
+def steps(lengths: Floats, step: float) -> Ints:
     """Count the steps, no longer than `step`, into which edges of these lengths are divided.
 
     Raises
@@ -46,14 +41,12 @@ def steps(lengths: float | Floats, step: float) -> int | Ints:
     InputError
         If there are more than `MOST_STEPS`.
     """
-    longest = float(np.max(lengths, initial=0.0)) if isinstance(lengths, np.ndarray) else lengths
+    longest = float(np.max(lengths, initial=0.0))
     if not longest / step <= MOST_STEPS:
         raise InputError(
             f"resolution: expected at most {MOST_STEPS} steps on the longest motion ({longest:g}), found {step:g}"
         )
-    if isinstance(lengths, np.ndarray):
-        return np.maximum(np.ceil(lengths / step), 1).astype(np.int64)
-    return max(math.ceil(lengths / step), 1)
+    return np.maximum(np.ceil(lengths / step), 1).astype(np.int64)
 
 
 def nearly_whole(quotients: Floats) -> Ints:
@@ -105,10 +98,8 @@ def ends(robot: Robot, Q0: ArrayLike, Q1: ArrayLike) -> tuple[Floats, Floats, tu
     if a.ndim == b.ndim == 1:
         return a[None], b[None], ()
     if a.shape != b.shape:
-        try:
-            a, b = np.broadcast_arrays(a, b)
-        except ValueError:
-            raise InputError(f"expected Q0 and Q1 whose shapes broadcast, found {a.shape} and {b.shape}") from None
+        _validate.broadcast({"Q0": a.shape[:-1], "Q1": b.shape[:-1]})
+        a, b = np.broadcast_arrays(a, b)
     shape = a.shape[:-1]
     count = math.prod(shape)
     _validate.fits_memory(count * (BYTES_OF_A_MOTION + 16 * robot.dof), f"{shape} motions")

@@ -17,6 +17,7 @@ from loewner._base._validate import Pair
 from loewner._kernels import _sealed, _sources
 from loewner.bodies import packed_of
 from loewner.bodies.layout import arrays_of
+from loewner.robots.description.link_bodies import hash_of_code
 from loewner.robots.description.pair_verdicts import PairVerdict, ProvenPair
 
 FOLDER = _sources.cache_folder() / "pairs"
@@ -61,10 +62,7 @@ def _start(robot: Any) -> str:
 @cache
 def _code() -> str:
     """Hash of the code that finds the answers."""
-    digest = hashlib.sha256((_sources.source_hash() or "").encode())
-    for path in sorted(Path(__file__).parents[1].rglob("*.py")):
-        digest.update(path.read_bytes())
-    return digest.hexdigest()
+    return hash_of_code([Path(__file__).parents[1]])
 
 
 def _path(robot: Any) -> Path:

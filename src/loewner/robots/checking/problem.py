@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from operator import is_
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -124,15 +125,17 @@ class Problem:
         link: Ints,
         pairs: Ints,
         margins: Floats,
-        leaving: Bools,
-        reaching: Bools,
+        leaving: Bools | None = None,
+        reaching: Bools | None = None,
         moving: Packed | None = None,
         packed: Packed | None = None,
     ) -> Problem:
         """Prepare pairs of bodies for a version and structure version of the scene; `with_poses` sets static poses.
 
-        `moving` and `packed` are the joined bodies, if these exist already.
+        Without `leaving` and `reaching`, no pair may be in contact. `moving` and `packed` are the joined bodies, if
+        these exist already.
         """
+        never = np.zeros(len(pairs), dtype=bool)
         moving = join(packs[: len(link)]) if moving is None else moving
         packed = join([moving, *packs[len(link) :]]) if packed is None else packed
         order, hits = np.arange(len(pairs)), np.zeros(len(pairs), dtype=np.int64)
@@ -141,21 +144,28 @@ class Problem:
         lasting, block = records.aligned(sizes[0]), np.empty(sizes[1])
         handle = entries.lay_out(packed.handle, given.ctypes.data, lasting, block)[2]
         return cls(
-            robot, *versions, names, tuple(packs), moving, packed, link, pairs, margins, leaving, reaching, order, hits,
+            robot, *versions, names, tuple(packs), moving, packed, link, pairs, margins,
+            never if leaving is None else leaving, never if reaching is None else reaching, order, hits,
             lasting, block, handle,
         )  # fmt: skip
 
     # -- other problems with the same bodies --------------------------------------------------
 
+    def with_pairs(
+        self, pairs: Ints, margins: Floats, leaving: Bools | None = None, reaching: Bools | None = None, **changes: Any
+    ) -> Problem:
+        """Set other pairs, and change more attributes."""
+        made = Problem.of(
+            self.robot, (self.version, self.structure_version), self.names, self.packs, self.link, pairs, margins,
+            leaving, reaching, self.moving, self.packed,
+        )  # fmt: skip
+        return made._placed(self.standing.poses, version=self.version, paths=self.paths, **changes)
+
     def only(self, pairs: Ints) -> Problem:
         """Select pairs by index."""
-        chosen = Problem.of(
-            self.robot, (self.version, self.structure_version), self.names, self.packs, self.link, self.pairs[pairs],
-            self.margins[pairs], self.leaving[pairs], self.reaching[pairs], self.moving, self.packed,
-        )._placed(
-            self.standing.poses, version=self.version, paths=self.paths,
-            given=None if self.given is None else self.given[pairs], off=self.off,
-        )  # fmt: skip
+        given = None if self.given is None else self.given[pairs]
+        rules = self.leaving[pairs], self.reaching[pairs]
+        chosen = self.with_pairs(self.pairs[pairs], self.margins[pairs], *rules, given=given, off=self.off)
         for value in (Problem.cut, Problem.open_cut):
             value.hand_on(self, chosen, lambda cut: cut and cut.only(pairs))
         return chosen
@@ -215,14 +225,6 @@ class Problem:
     def body(self, k: int) -> Body:
         """Return one of the bodies."""
         return Body(self.packs[k])
-
-    @property
-    def arrays(self) -> tuple[Any, ...]:
-        """The arrays of `records.Problem`, in order."""
-        return (
-            *self.robot.tree, self.link, self.balls, self.pairs, self.margins, self.order, self.standing.bounds,
-            self.standing.rows, self.standing.poses,
-        )  # fmt: skip
 
     @property
     def handle_of_motions(self) -> int:
@@ -335,10 +337,9 @@ class Problem:
         return self._of_parts(in_small_parts(self.packs)) or self
 
     def _of_parts(self, packs: list[Packed]) -> Problem | None:
-        if all(one is other for one, other in zip(packs, self.packs, strict=True)):
+        if all(map(is_, packs, self.packs)):
             return None
-        count = len(self.link)
-        same = all(one is other for one, other in zip(packs[:count], self.packs[:count], strict=True))
+        same = all(map(is_, packs[: len(self.link)], self.packs))
         return Problem.of(
             self.robot, (self.version, self.structure_version), self.names, packs, self.link, self.pairs, self.margins,
             self.leaving, self.reaching, self.moving if same else None,
@@ -396,11 +397,7 @@ class Problem:
         return self._with_margins(self.margins if self.given is None else self.given)
 
     def _with_margins(self, margins: Floats) -> Problem:
-        made = Problem.of(
-            self.robot, (self.version, self.structure_version), self.names, self.packs, self.link, self.pairs,
-            margins, self.leaving, self.reaching, self.moving, self.packed,
-        )  # fmt: skip
-        return made._placed(self.standing.poses, version=self.version, paths=self.paths)
+        return self.with_pairs(self.pairs, margins, self.leaving, self.reaching)
 
     def off_at(self, t: float) -> Floats:
         """How far points of each pair's bodies that follow motions may be off at a time [m], shape (pairs,)."""
@@ -430,10 +427,9 @@ class Problem:
         """Compute the world poses of all bodies, shape (N, bodies, 4, 4), at checked configurations."""
         moving = link_poses(self.robot, Q)[:, self.link]
         standing = self.standing.poses.reshape(-1, 4, 4)
+        standing = np.broadcast_to(standing, (len(Q), *standing.shape))
         # In C order, which the kernels take for granted; NumPy may choose another.
-        return np.ascontiguousarray(
-            np.concatenate([moving, np.broadcast_to(standing, (len(Q), *standing.shape))], axis=1)
-        )
+        return np.ascontiguousarray(np.concatenate([moving, standing], axis=1))
 
     def poses_in_turn(self, Q: Floats) -> Iterator[tuple[int, Floats]]:
         """Yield the poses of all bodies for one block of configurations after another, and each block's first index."""

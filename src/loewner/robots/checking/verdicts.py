@@ -189,8 +189,7 @@ def sampled(ready: Problem, a: Floats, b: Floats, step: float) -> tuple[NDArray[
 
 def verdicts_at(ready: Problem, q: Floats) -> NDArray[np.int8]:
     """Compute the verdict of every pair at a configuration, shape (dof,); see `pair_verdicts`."""
-    T = ready.poses(q[None])[0]
-    return pair_verdicts(ready, T)
+    return pair_verdicts(ready, ready.poses(q[None])[0])
 
 
 def pair_verdicts(ready: Problem, T: Floats, off: Floats | None = None) -> NDArray[np.int8]:

@@ -18,10 +18,10 @@ from loewner._kernels.records import Tree
 from loewner.bodies import Body
 from loewner.errors import GeometryError, InputError, UnknownNameError
 from loewner.meshes.files import parts
-from loewner.robots.description.links import checked_mimic, unit_axis
+from loewner.robots.description.links import checked_mimic, expect_name, unit_axis
 from loewner.robots.description.srdf import Semantics
 from loewner.robots.description.tree import constant_pose, placed_tree
-from loewner.robots.description.urdf import VALUES, Description, Joint
+from loewner.robots.description.urdf import RATES, VALUES, Description, Joint
 from loewner.robots.description.watch import Watch
 
 # Corners of a footprint, whose sides are compared with all others.
@@ -34,7 +34,7 @@ FLAT = 1e-9
 R = TypeVar("R")
 
 # Attributes of robots with one number for each value of a configuration.
-LIMITS = ("lower", "upper", "hard_lower", "hard_upper", "velocity", "acceleration", "jerk")
+LIMITS = ("lower", "upper", "hard_lower", "hard_upper", *RATES)
 
 # Kinds of joints that need limits.
 LIMITED = ("revolute", "prismatic")
@@ -99,8 +99,7 @@ def joined(kind: type[R], parts: Mapping[str, R], poses: Mapping[str, ArrayLike 
     if not isinstance(parts, Mapping) or not parts:
         raise InputError(f"parts: expected a mapping from names to robots, found {_validate.short(parts)}")
     for name, robot in parts.items():
-        if not isinstance(name, str) or not name:
-            raise InputError(f"parts: expected names, found {_validate.short(name)}")
+        expect_name(name, "parts: expected names")
         if not isinstance(robot, kind):
             raise InputError(f"parts: expected loewner.Robot for {name!r}, found {type(robot).__name__}")
         for other in parts:
@@ -204,8 +203,7 @@ def add_base(self: R, kind: Literal["planar", "floating"], bounds: ArrayLike | N
         limits = _validate.finite_array(bounds, "bounds", (axes, 2))
         if not (limits[:, 0] <= limits[:, 1]).all():
             raise InputError(f"bounds: expected rows of a lower and an upper position, found {limits.tolist()}")
-    if not isinstance(name, str) or not name:
-        raise InputError(f"name: expected a name, found {_validate.short(name)}")
+    expect_name(name)
     joints = [(name, "floating", [0.0, 0.0, 1.0])]
     if kind == "planar":
         joints = [
@@ -352,8 +350,7 @@ def with_body(
     >>> robot.configuration_names
     ('rail', 'elbow', 'door')
     """
-    if not isinstance(name, str) or not name:
-        raise InputError(f"name: expected a name, found {_validate.short(name)}")
+    expect_name(name)
     _validate.instance(body, f"body of {name!r}", Body)
     _validate.choice(joint, "joint", [kind for kind in VALUES if kind != "ball"])
     robot: Any = self
@@ -406,7 +403,7 @@ def _coupled(robot: Any, followed: str, multiplier: float, offset: float) -> Any
                 )
             if not prefix:
                 lower[at], upper[at] = least, most
-        for key in ("velocity", "acceleration", "jerk"):
+        for key in RATES:
             limits[key][at] = np.fmin(limits[key][at], getattr(robot, key)[own] / abs(multiplier))
     for array in limits.values():
         array.setflags(write=False)
@@ -433,9 +430,8 @@ def with_moving_bodies(self: R, names: Sequence[str]) -> R:
     joints = [f"{name} in the scene" for name in names]
     chains = [_chain(self, f"{joint}/world", [(joint, "floating", [0.0, 0.0, 1.0])]) for joint in joints]
     robot: Any = self
-    return cast(
-        R, _combined([_Piece("", robot), *(_Piece("", c, None, without_root=True) for c in chains)], robot.name)
-    )
+    added = [_Piece("", chain, None, without_root=True) for chain in chains]
+    return cast(R, _combined([_Piece("", robot), *added], robot.name))
 
 
 def refuse_bodies_in_world(robot: Any, what: str) -> None:
@@ -483,9 +479,7 @@ def _chain(robot: Any, root: str, joints: list[tuple[str, str, list[float]]]) ->
     """Make a robot of links without bodies from joints given by name, kind and axis; a link has the joint's name."""
     made, above = {}, root
     for name, kind, axis in joints:
-        made[name] = Joint(
-            name, kind, above, name, np.eye(4), np.array(axis), -np.inf, np.inf, np.nan, mimic=None, line=0
-        )  # fmt: skip
+        made[name] = Joint(name, kind, above, name, np.eye(4), np.array(axis))
         above = name
     shapes: dict[str, tuple[Any, ...]] = {root: (), **dict.fromkeys(made, ())}
     description = Description(root, Path(root), shapes, made, {joint.child: joint for joint in made.values()}, ())

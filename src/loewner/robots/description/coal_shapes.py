@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,17 @@ from loewner.robots.description.link_meshes import mesh_body
 
 # Terrain of Coal may have no thickness at its lowest points; here it has this one [m].
 LEAST_DEPTH = 1e-6
+
+# Bodies of a shape and the radius of its swept sphere.
+PRIMITIVES: dict[str, Callable[[Any, float], Body]] = {
+    "Box": lambda shape, _: Body.box(2 * shape.halfSide),
+    "Sphere": lambda shape, swept: Body.sphere(shape.radius + swept),
+    "Capsule": lambda shape, swept: Body.capsule(shape.radius + swept, 2 * shape.halfLength),
+    "Cylinder": lambda shape, _: Body.cylinder(shape.radius, 2 * shape.halfLength),
+    "Cone": lambda shape, _: Body.cone(shape.radius, 2 * shape.halfLength),
+    "Ellipsoid": lambda shape, _: Body.ellipsoid(shape.radii),
+    "Halfspace": lambda shape, _: Body.half_space(shape.n, shape.d),
+}
 
 
 def coal_body(shape: Any, meshes: str, tol: float) -> Body:
@@ -29,20 +41,8 @@ def coal_body(shape: Any, meshes: str, tol: float) -> Body:
     swept = float(shape.getSweptSphereRadius()) if hasattr(shape, "getSweptSphereRadius") else 0.0
     if swept and kind not in ("Sphere", "Capsule"):
         raise InputError(f"expected a {kind} without a swept sphere, found one of radius {swept:g}")
-    if kind == "Box":
-        return Body.box(2 * shape.halfSide)
-    if kind == "Sphere":
-        return Body.sphere(shape.radius + swept)
-    if kind == "Capsule":
-        return Body.capsule(shape.radius + swept, 2 * shape.halfLength)
-    if kind == "Cylinder":
-        return Body.cylinder(shape.radius, 2 * shape.halfLength)
-    if kind == "Cone":
-        return Body.cone(shape.radius, 2 * shape.halfLength)
-    if kind == "Ellipsoid":
-        return Body.ellipsoid(shape.radii)
-    if kind == "Halfspace":
-        return Body.half_space(shape.n, shape.d)
+    if kind in PRIMITIVES:
+        return PRIMITIVES[kind](shape, swept)
     if kind.startswith("Convex"):
         return Body.from_points(shape.points(), tol=tol)
     if kind.startswith("BVHModel"):

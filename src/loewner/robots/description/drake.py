@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -20,6 +20,15 @@ from loewner.robots.description.other_models import Model, Order, Shape, chained
 from loewner.robots.description.xml_elements import some
 
 X, Y, Z = np.eye(3)
+
+PRIMITIVES: dict[str, Callable[[Any], Body]] = {
+    "Box": lambda shape: Body.box(shape.size()),
+    "Sphere": lambda shape: Body.sphere(shape.radius()),
+    "Capsule": lambda shape: Body.capsule(shape.radius(), shape.length()),
+    "Cylinder": lambda shape: Body.cylinder(shape.radius(), shape.length()),
+    "Ellipsoid": lambda shape: Body.ellipsoid([shape.a(), shape.b(), shape.c()]),
+    "HalfSpace": lambda shape: Body.half_space(Z, 0.0),
+}
 
 
 def drake_model(
@@ -67,7 +76,7 @@ def drake_model(
         joints=tuple(joints),
         shapes=shapes,
         checked=checked.reshape(len(shapes), len(shapes)),
-        order=Order("Drake", plant.num_positions(), columns, constants),
+        order=Order(plant.num_positions(), columns, constants),
     )
 
 
@@ -85,12 +94,11 @@ def _joints(
         parent, child = element.parent_body(), element.child_body()
         if child.index() == plant.world_body().index():
             raise InputError(f"joint {name!r}: expected the world as parent, found it as child; exchange the frames")
-        before, behind = (
-            frame.CalcPoseInBodyFrame(state) for frame in (element.frame_on_parent(), element.frame_on_child())
-        )
+        above, below = element.frame_on_parent(), element.frame_on_child()
+        before, behind = (frame.CalcPoseInBodyFrame(state) for frame in (above, below))
         start = element.position_start()
         if element.num_positions() == 0 or element.is_locked(state):
-            before = before @ element.frame_on_child().CalcPose(state, element.frame_on_parent())
+            before = before @ below.CalcPose(state, above)
             moves: list[tuple[Joint, tuple[int, ...]]] = [(Joint(name, "fixed", "", ""), ())]
             constants |= {start + k: float(q[start + k]) for k in range(element.num_positions())}
         else:
@@ -182,18 +190,8 @@ def _body(inspector: Any, geometry: Any, tol: float) -> Body:
     """Make the body of one geometry; Drake collides with the convex hulls of meshes."""
     shape, hull = inspector.GetShape(geometry), inspector.GetConvexHull(geometry)
     kind = type(shape).__name__
-    if kind == "Box":
-        return Body.box(shape.size())
-    if kind == "Sphere":
-        return Body.sphere(shape.radius())
-    if kind == "Capsule":
-        return Body.capsule(shape.radius(), shape.length())
-    if kind == "Cylinder":
-        return Body.cylinder(shape.radius(), shape.length())
-    if kind == "Ellipsoid":
-        return Body.ellipsoid([shape.a(), shape.b(), shape.c()])
-    if kind == "HalfSpace":
-        return Body.half_space(Z, 0.0)
+    if kind in PRIMITIVES:
+        return PRIMITIVES[kind](shape)
     if hull is None:
         raise InputError(f"expected a box, sphere, capsule, cylinder, ellipsoid, half-space or mesh, found a {kind}")
     return Body.from_points([hull.vertex(k) for k in range(hull.num_vertices())], tol=tol)

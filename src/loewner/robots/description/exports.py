@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
 
 from loewner._base import _elementary, _validate
 from loewner._base._files import replacing
-from loewner._base._matrices import image, in_frame, product
+from loewner._base._matrices import image, in_frame
 from loewner._base._plausible import FARTHEST_LIMIT, told_to
 from loewner._base._rotations import quaternions_of
 from loewner._base._validate import Floats
@@ -22,28 +24,16 @@ from loewner.bodies.exports import add_collisions, add_geoms, add_origin, enlarg
 from loewner.bodies.kinds import Mesh
 from loewner.errors import InputError, LoewnerError
 from loewner.robots.description.link_meshes import hull_or_solid
+from loewner.robots.description.links import unused
+from loewner.robots.description.reaching import turning_axis
 from loewner.robots.description.srdf import read_srdf
 from loewner.robots.description.tree import KINDS, adjacent_pairs, constant_pose
-from loewner.robots.description.urdf import LEAST_CUT, VALUES, read_urdf
+from loewner.robots.description.urdf import LEAST_CUT, RATES, VALUES, Joint, Mimic, read_urdf
 from loewner.robots.description.xacro_files import SUFFIX
 
 # Kinds of joints by the kernels' numbers; joints that turn are "continuous" if they have no limits.
 NAMES = {number: name for name, number in KINDS.items() if name not in ("continuous", "ball")}
 ONE_VALUE = (columns.REVOLUTE, columns.PRISMATIC)
-
-
-class _Joint(NamedTuple):
-    """A joint as URDF has it. `mimic` is the joint that it follows, the multiplier and the offset."""
-
-    name: str
-    kind: str
-    parent: str
-    child: str
-    pose: Floats
-    axis: Floats
-    limits: dict[str, float]
-    soft: tuple[float, float] | None
-    mimic: tuple[str, float, float] | None
 
 
 def save_urdf(robot: Any, path: Path, mesh_prefix: str, wider: float = 0.0) -> None:
@@ -107,7 +97,7 @@ def _description(
     places = {name: k for k, name in enumerate(robot.joint_names)}
     for joint in sorted(joints, key=lambda joint: places.get(joint.name, len(places))):
         _add_joint(root, joint)
-    if any({"acceleration", "jerk"} & joint.limits.keys() for joint in joints):
+    if np.isfinite([(joint.acceleration, joint.jerk) for joint in joints]).any():
         root.set("version", "1.2")
     return text_of(root), meshes
 
@@ -117,13 +107,7 @@ def _top(robot: Any, *, needed: bool) -> str | None:
     roots = [link for link in robot.link_names if robot._above.get(link, ("", None))[1] is None]
     if not needed and len(roots) == 1 and np.array_equal(constant_pose(robot.tree.constants[0]), np.eye(4)):
         return None
-    return _unused("world", robot.link_names)
-
-
-def _unused(name: str, taken: Any) -> str:
-    while name in taken:
-        name += "_"
-    return name
+    return unused("world", robot.link_names)
 
 
 def _shapes(link: ElementTree.Element, robot: Any, path: Path, mesh_prefix: str, wider: float) -> dict[Path, str]:
@@ -150,8 +134,8 @@ def _stays_solid(mesh: Mesh) -> bool:
 # -- joints ---------------------------------------------------------------------------------------
 
 
-def _joints(robot: Any, top: str | None) -> Iterator[_Joint]:
-    """List the joints, in the order of the links below them."""
+def _joints(robot: Any, top: str | None) -> Iterator[Joint]:
+    """List the joints as URDF has them, in the order of the links below them."""
     tree, number = robot.tree, {name: k for k, name in enumerate(robot.link_names)}
     driven = {at.start: name for name, at in robot._columns.items()}
     taken = {*robot.joint_names, *robot.mimics}
@@ -161,25 +145,22 @@ def _joints(robot: Any, top: str | None) -> Iterator[_Joint]:
             continue
         kind = int(tree.kind[k])
         if kind == columns.FIXED:  # a robot has no names for such joints
-            name = _unused(name or child, taken)
+            name = unused(name or child, taken)
             taken.add(name)
         if kind not in NAMES:
             raise InputError(f"expected joints that URDF has, found the ball joint {name!r}")
         offset, mimic = float(tree.offset[k]), None
         if name in robot.mimics:
-            mimic = driven[int(tree.column[k])], float(tree.multiplier[k]), offset
+            mimic = Mimic(driven[int(tree.column[k])], float(tree.multiplier[k]), offset)
         pose, axis = _pose_and_axis(tree.constants[k], kind, 0.0 if mimic else offset)
         if parent is not None and tree.kind[number[parent]] == columns.FIXED:  # it is a frame of its rigid group
             pose = in_frame(constant_pose(tree.constants[number[parent]]), pose)
-        limits: dict[str, float] = {}
-        soft = None
-        if kind in ONE_VALUE:
-            limits, soft = _limits(robot, int(tree.column[k]), mimic)
-        elif kind != columns.FIXED:
+        if kind not in (*ONE_VALUE, columns.FIXED):
             _refuse_bounds(robot, name)
-        endless = limits.get("lower") == -math.inf and limits.get("upper") == math.inf and soft is None
-        name_of_kind = "continuous" if endless and kind == columns.REVOLUTE else NAMES[kind]
-        yield _Joint(name, name_of_kind, parent or top or "", child, pose, axis, limits, soft, mimic)
+        limits = _limits(robot, int(tree.column[k]), mimic) if kind in ONE_VALUE else {}
+        made = Joint(name, NAMES[kind], parent or top or "", child, pose, axis, mimic=mimic, **limits)
+        endless = kind == columns.REVOLUTE and made.range == (-math.inf, math.inf)
+        yield replace(made, kind="continuous") if endless else made
 
 
 def _pose_and_axis(constants: Floats, kind: int, offset: float) -> tuple[Floats, Floats]:
@@ -194,16 +175,12 @@ def _pose_and_axis(constants: Floats, kind: int, offset: float) -> tuple[Floats,
         pose[:3, 3] += offset * across
     if kind in (columns.REVOLUTE, columns.PLANAR):
         sine, cosine = (constants[at : at + 9].reshape(3, 3) for at in (columns.SINE, columns.COSINE))
-        at_zero = pose[:3, :3] + cosine
-        cross = product(at_zero.T, sine)
-        axis = np.array([cross[2, 1], cross[0, 2], cross[1, 0]])
+        axis = turning_axis(constants)
         pose[:3, :3] += _elementary.sin(offset) * sine + _elementary.cos(offset) * cosine
     return pose, axis
 
 
-def _limits(
-    robot: Any, column: int, mimic: tuple[str, float, float] | None
-) -> tuple[dict[str, float], tuple[float, float] | None]:
+def _limits(robot: Any, column: int, mimic: Mimic | None) -> dict[str, Any]:
     """Return limits and rates of a joint of one value, and the limits for planning if they are narrower."""
     hard = float(robot.hard_lower[column]), float(robot.hard_upper[column])
     if mimic is not None:
@@ -214,11 +191,10 @@ def _limits(
         rounded = abs(back[0] - hard[0]) > LEAST_CUT / 2 or abs(back[1] - hard[1]) > LEAST_CUT / 2
         if rounded or max(-lower, upper) > FARTHEST_LIMIT:
             lower, upper = -math.inf, math.inf
-        return {"lower": lower, "upper": upper}, None
+        return {"lower": lower, "upper": upper}
     soft = float(robot.lower[column]), float(robot.upper[column])
-    rates = {name: float(getattr(robot, name)[column]) for name in ("velocity", "acceleration", "jerk")}
-    known = {name: rate for name, rate in rates.items() if math.isfinite(rate)}
-    return {"lower": hard[0], "upper": hard[1], **known}, None if soft == hard else soft
+    rates = {name: float(getattr(robot, name)[column]) for name in RATES}
+    return {"lower": hard[0], "upper": hard[1], **rates} | ({} if soft == hard else {"soft": soft})
 
 
 def _refuse_bounds(robot: Any, name: str) -> None:
@@ -229,29 +205,27 @@ def _refuse_bounds(robot: Any, name: str) -> None:
         raise InputError(f"expected limits that URDF has, found bounds of {name!r}, which has several values")
 
 
-def _add_joint(root: ElementTree.Element, joint: _Joint) -> None:
+def _add_joint(root: ElementTree.Element, joint: Joint) -> None:
     element = ElementTree.SubElement(root, "joint", name=joint.name, type=joint.kind)
-    ElementTree.SubElement(element, "parent", link=joint.parent)
-    ElementTree.SubElement(element, "child", link=joint.child)
-    add_origin(element, joint.pose[:3, :3], joint.pose[:3, 3])
+    add = partial(ElementTree.SubElement, element)
+    add("parent", link=joint.parent)
+    add("child", link=joint.child)
+    add_origin(element, joint.origin[:3, :3], joint.origin[:3, 3])
     if joint.kind not in ("fixed", "floating"):
-        ElementTree.SubElement(element, "axis", xyz=numbers(joint.axis))
-    if joint.limits:
+        add("axis", xyz=numbers(joint.axis))
+    if VALUES[joint.kind] == ("",):
         # Readers expect an effort and a velocity; 0 is how programs write that there is none.
-        limits = {"effort": 0.0, "velocity": 0.0, **joint.limits}
-        ends = ("lower", "upper") if joint.kind == "continuous" else ()
-        written = {name: numbers([value]) for name, value in limits.items() if name not in ends}
-        ElementTree.SubElement(element, "limit", written)
-    if joint.soft is not None:
+        limits = {"effort": 0.0, "velocity": 0.0}
+        if joint.kind != "continuous":
+            limits |= {"lower": joint.lower, "upper": joint.upper}
+        limits |= {rate: value for rate in RATES if math.isfinite(value := getattr(joint, rate))}
+        add("limit", {name: numbers([value]) for name, value in limits.items()})
+    if joint.soft != (-math.inf, math.inf):
         lower, upper = (numbers([end]) for end in joint.soft)
-        ElementTree.SubElement(
-            element, "safety_controller", soft_lower_limit=lower, soft_upper_limit=upper, k_velocity="0"
-        )
+        add("safety_controller", soft_lower_limit=lower, soft_upper_limit=upper, k_velocity="0")
     if joint.mimic is not None:
         other, multiplier, offset = joint.mimic
-        ElementTree.SubElement(
-            element, "mimic", joint=other, multiplier=numbers([multiplier]), offset=numbers([offset])
-        )
+        add("mimic", joint=other, multiplier=numbers([multiplier]), offset=numbers([offset]))
 
 
 # -- MJCF -----------------------------------------------------------------------------------------
@@ -281,7 +255,7 @@ def mjcf_text(robot: Any, wider: float) -> str:
             made[name] = world
             continue
         body = made[name] = ElementTree.SubElement(made[joint.parent] if joint else world, "body", name=name)
-        T = joint.pose if joint else constant_pose(robot.tree.constants[robot.link_names.index(name)])
+        T = joint.origin if joint else constant_pose(robot.tree.constants[robot.link_names.index(name)])
         body.set("pos", numbers(T[:3, 3]))
         body.set("quat", numbers(quaternions_of(T[None, :3, :3])[0]))
         if joint is not None and joint.kind != "fixed":
@@ -293,12 +267,12 @@ def mjcf_text(robot: Any, wider: float) -> str:
     return text_of(root)
 
 
-def _add_mjcf_joint(body: ElementTree.Element, equality: ElementTree.Element, joint: _Joint) -> None:
+def _add_mjcf_joint(body: ElementTree.Element, equality: ElementTree.Element, joint: Joint) -> None:
     if joint.kind in ("planar", "floating"):
         raise InputError(f"expected joints of one value, found the {joint.kind} joint {joint.name!r}")
     kind = "slide" if joint.kind == "prismatic" else "hinge"
     made = ElementTree.SubElement(body, "joint", name=joint.name, type=kind, axis=numbers(joint.axis))
-    ends = joint.limits["lower"], joint.limits["upper"]
+    ends = joint.lower, joint.upper
     if all(map(math.isfinite, ends)):
         made.set("range", numbers(ends))
         made.set("limited", "true")

@@ -6,7 +6,6 @@ import filecmp
 import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 from functools import cache
 from itertools import islice
 from pathlib import Path, PurePosixPath
@@ -38,21 +37,8 @@ MeshModel = Literal["hull", "pieces", "surface", "auto"]
 MODELS: tuple[MeshModel, ...] = get_args(MeshModel)
 USUAL_MODEL: Final = "auto"
 
-# Modules that make a body from a mesh file, apart from the kernels.
-_MAKERS = (
-    "meshes/files",
-    "meshes/decomposition.py",
-    "meshes/closed_parts.py",
-    "meshes/plane_cuts.py",
-    "meshes/coverage.py",
-    "meshes/protrusion.py",
-    "meshes/triangles.py",
-    "ellipsoids/polytopes.py",
-    "ellipsoids/fits.py",
-    "bodies",
-    "robots/description/link_bodies.py",
-    "robots/description/link_meshes.py",
-)
+# Folders and modules that make a body from a mesh file, apart from the kernels.
+_MAKERS = "meshes", "ellipsoids", "bodies", "robots/description/link_bodies.py", "robots/description/link_meshes.py"
 
 PRIMITIVES: dict[str, Callable[..., Body]] = {
     "box": lambda *size: Body.box(size),
@@ -60,14 +46,6 @@ PRIMITIVES: dict[str, Callable[..., Body]] = {
     "cylinder": Body.cylinder,
     "capsule": Body.capsule,
 }
-
-
-@dataclass(frozen=True, eq=False)
-class _Mesh:
-    """Those parts of a mesh that `Body.from_mesh` needs."""
-
-    vertices: Floats
-    faces: meshes.Triangles
 
 
 def link_bodies(
@@ -214,18 +192,23 @@ def placed_mesh(file: Path, shape: Shape) -> tuple[Floats, meshes.Triangles]:
 
 
 def _mesh_body(file: Path, shape: Shape, model: str, tol: float) -> Body:
-    return mesh_body(_Mesh(*placed_mesh(file, shape)), model, tol)
+    return mesh_body(placed_mesh(file, shape), model, tol)
 
 
 @cache
 def _code() -> str:
     """Hash the code that makes bodies, so that bodies made by a different, perhaps faulty, version are not reused."""
+    home = Path(meshes.__file__).parents[1]
+    return hash_of_code(home / maker for maker in _MAKERS)
+
+
+def hash_of_code(places: Iterable[Path]) -> str:
+    """Hash the kernels, and the Python modules at some places: files, or folders with all that is in them."""
     import hashlib  # it loads OpenSSL, which only robots with meshes need
 
-    digest = hashlib.sha256(_sources.source_hash().encode())
-    home = Path(meshes.__file__).parents[1]
-    for maker in _MAKERS:
-        for path in sorted((home / maker).rglob("*.py")) or [home / maker]:
+    digest = hashlib.sha256((_sources.source_hash() or "").encode())
+    for place in places:
+        for path in sorted(place.rglob("*.py")) or [place]:
             digest.update(path.read_bytes())
     return digest.hexdigest()
 

@@ -17,15 +17,13 @@ from loewner._base._validate import Floats
 from loewner.bodies import Body
 from loewner.errors import InputError
 from loewner.robots.description import urdf
-from loewner.robots.description.urdf import SHORTEST_AXIS, VALUES, Description, Mimic
+from loewner.robots.description.urdf import RATES, SHORTEST_AXIS, VALUES, Description, Mimic
 from loewner.robots.description.xml_elements import LARGEST
 
 JointKind = Literal["fixed", "revolute", "continuous", "prismatic", "planar", "floating", "ball"]
 
 # Numbers of values with limits, where it is not one: positions and angle, and positions without the quaternion.
 LIMITED_VALUES = {"planar": 3, "floating": 3}
-
-RATES = ("velocity", "acceleration", "jerk")
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,7 +91,7 @@ class Joint:
 
 def described(
     links: Mapping[str, Body | None | Iterable[tuple[Body, ArrayLike | None]]], joints: Iterable[Joint], name: str
-) -> tuple[Description, dict[str, Body], dict[str, tuple[Floats, Floats]]]:
+) -> tuple[Description, dict[str, Body]]:
     """Check links and joints in memory; see `Robot.from_links`.
 
     Returns
@@ -101,22 +99,18 @@ def described(
     description : Description
     bodies : dict
         Link name to body.
-    bounds : dict
-        The lower and upper limits, by name, of joints with several values that have limits.
     """
-    if not isinstance(name, str) or not name:
-        raise InputError(f"name: expected a name, found {_validate.short(name)}")
+    expect_name(name)
     if not isinstance(links, Mapping) or not links:
         raise InputError(f"links: expected a mapping from names to bodies, found {_validate.short(links)}")
     bodies = {link: body for link, shapes in links.items() if (body := _body(link, shapes)) is not None}
     listed = _validate.listed(joints, "joints", wanted="a list of loewner.Joint")
     names = dict.fromkeys(links)  # in order; frames of joints follow
     made: dict[str, urdf.Joint] = {}
-    bounds: dict[str, tuple[Floats, Floats]] = {}
     above: dict[str, urdf.Joint] = {}
     for joint in listed:
         _validate.instance(joint, "joints", Joint)
-        if _expect_name(joint.name, "a joint") in made:
+        if expect_name(joint.name, "expected a name of a joint") in made:
             raise InputError(f"joints: expected names that differ, found {joint.name!r} twice")
         for end in (joint.parent, joint.child):
             _validate.known(end, f"link of joint {joint.name!r}", links)
@@ -125,15 +119,13 @@ def described(
                 f"joints: expected a tree, found link {joint.child!r} below two joints, {above[joint.child].name!r} "
                 f"and {joint.name!r}"
             )
-        checked, limits, behind = _joint(joint)
+        checked, behind = _joint(joint)
         if behind is not None:
             frame = unused(f"{joint.child}/{joint.name}", names)
             names[frame] = None
             checked = replace(checked, child=frame)
-            above[joint.child] = _fixed(frame, joint.child, behind)
+            above[joint.child] = urdf.Joint(joint.child, "fixed", frame, joint.child, behind)
         above[checked.child] = made[joint.name] = checked
-        if limits is not None:
-            bounds[joint.name] = limits
     path = Path(name)
     for checked in made.values():
         if checked.mimic is not None and checked.mimic.joint not in made:
@@ -141,16 +133,17 @@ def described(
     made = urdf.narrowed(urdf.without_chains(made, path), path)
     above |= {joint.child: joint for joint in made.values()}
     order = urdf.parents_first(_fault, list(names), above)
-    return Description(name, path, dict.fromkeys(order, ()), made, above, ()), bodies, bounds
+    return Description(name, path, dict.fromkeys(order, ()), made, above, ()), bodies
 
 
 def _fault(expected: str, found: str) -> NoReturn:
     raise InputError(f"joints: expected {expected}, found {found}")
 
 
-def _expect_name(name: Any, what: str) -> str:
+def expect_name(name: Any, wanted: str = "name: expected a name") -> str:
+    """Refuse anything but a text that is not empty."""
     if not isinstance(name, str) or not name:
-        raise InputError(f"expected a name of {what}, found {_validate.short(name)}")
+        raise InputError(f"{wanted}, found {_validate.short(name)}")
     return name
 
 
@@ -163,7 +156,7 @@ def unused(name: str, taken: Container[str]) -> str:
 
 def _body(link: Any, shapes: Any) -> Body | None:
     """Make the body of a link of one body, or of several at their poses."""
-    _expect_name(link, "a link")
+    expect_name(link, "expected a name of a link")
     if shapes is None or isinstance(shapes, Body):
         return shapes
     wanted = "a body, None, or a list of pairs [(body, pose), ...]"
@@ -176,8 +169,8 @@ def _body(link: Any, shapes: Any) -> Body | None:
     return None if not parts else parts[0] if len(parts) == 1 else Body.union(parts)
 
 
-def _joint(joint: Joint) -> tuple[urdf.Joint, tuple[Floats, Floats] | None, Floats | None]:
-    """Check one joint; return also its limits if it has several values, and the pose of its child on it."""
+def _joint(joint: Joint) -> tuple[urdf.Joint, Floats | None]:
+    """Check one joint; return also the pose of its child on it, None for the identity."""
     what = f"joint {joint.name!r}"
     kind = _validate.choice(joint.kind, f"kind of {what}", VALUES)
     origin = _pose(joint.T_parent_joint, f"T_parent_joint of {what}")
@@ -186,28 +179,22 @@ def _joint(joint: Joint) -> tuple[urdf.Joint, tuple[Floats, Floats] | None, Floa
         origin, behind = product(origin, behind), np.eye(4)
     single = len(VALUES[kind]) == 1
     lower, upper = _limits(joint, kind, what)
-    velocity, acceleration, jerk = (_rate(getattr(joint, rate), kind, f"{rate} of {what}") for rate in RATES)
+    rates: dict[str, Any] = {rate: _rate(getattr(joint, rate), kind, f"{rate} of {what}") for rate in RATES}
     reference = _validate.real(joint.reference, f"reference of {what}")
     if reference and not single:
         raise InputError(f"reference of {what}: expected 0 for a {kind} joint, found {reference:g}")
+    axis = unit_axis(joint.axis, f"axis of {what}")
+    mimic = None if joint.mimic is None else checked_mimic(joint.mimic, f"mimic of {what}")
+    if mimic is not None and not single:
+        raise InputError(f"mimic of {what}: expected None for a {kind} joint, found {_validate.short(joint.mimic)}")
+    ends = (float(lower[0]), float(upper[0])) if single else (-math.inf, math.inf)
+    if kind == "revolute" and ends == (-math.inf, math.inf):
+        kind = "continuous"
     made = urdf.Joint(
-        name=joint.name,
-        kind="continuous" if kind == "revolute" and math.inf == float(upper[0]) == -float(lower[0]) else kind,
-        parent=joint.parent,
-        child=joint.child,
-        origin=origin,
-        axis=unit_axis(joint.axis, f"axis of {what}"),
-        lower=float(lower[0]) if single else -math.inf,
-        upper=float(upper[0]) if single else math.inf,
-        mimic=None if joint.mimic is None else _mimic(joint.mimic, kind, f"mimic of {what}"),
-        line=0,
-        reference=reference,
-        velocity=velocity,
-        acceleration=acceleration,
-        jerk=jerk,
-    )
-    several = not single and bool(np.isfinite([lower, upper]).any())
-    return made, (lower, upper) if several else None, None if np.array_equal(behind, np.eye(4)) else behind
+        joint.name, kind, joint.parent, joint.child, origin, axis, *ends, mimic=mimic, reference=reference,
+        bounds=(lower, upper) if not single and np.isfinite([lower, upper]).any() else None, **rates,
+    )  # fmt: skip
+    return made, None if np.array_equal(behind, np.eye(4)) else behind
 
 
 def _pose(T: ArrayLike | None, name: str) -> Floats:
@@ -255,14 +242,7 @@ def unit_axis(axis: ArrayLike, name: str) -> Floats:
     return np.asarray(direction / lengths(direction))
 
 
-def _mimic(mimic: Any, kind: str, what: str) -> Mimic:
-    joint, multiplier, offset = checked_mimic(mimic, what)
-    if len(VALUES[kind]) != 1:
-        raise InputError(f"{what}: expected None for a {kind} joint, found {_validate.short(mimic)}")
-    return Mimic(joint, multiplier, offset)
-
-
-def checked_mimic(mimic: Any, what: str) -> tuple[str, float, float]:
+def checked_mimic(mimic: Any, what: str) -> Mimic:
     """Check the rule of a joint that follows another: the other's name, a multiplier and an offset."""
     if not isinstance(mimic, (tuple, list)) or len(mimic) != 3 or not isinstance(mimic[0], str):
         raise InputError(
@@ -271,9 +251,4 @@ def checked_mimic(mimic: Any, what: str) -> tuple[str, float, float]:
     multiplier, offset = (_validate.real(number, what) for number in mimic[1:])
     if max(abs(multiplier), abs(offset)) > LARGEST:
         raise InputError(f"{what}: expected numbers within ±{LARGEST:g}, found {multiplier:g} and {offset:g}")
-    return mimic[0], multiplier, offset
-
-
-def _fixed(parent: str, child: str, origin: Floats) -> urdf.Joint:
-    none = np.array([1.0, 0.0, 0.0])
-    return urdf.Joint(child, "fixed", parent, child, origin, none, -math.inf, math.inf, math.nan, None, 0)
+    return Mimic(mimic[0], multiplier, offset)

@@ -11,6 +11,7 @@ from loewner._base._matrices import product
 from loewner._base._plausible import warn
 from loewner._base._validate import Floats
 from loewner.bodies import Body
+from loewner.robots.description.links import unused
 from loewner.robots.description.srdf import Semantics, State
 from loewner.robots.description.urdf import VALUES, Description, Joint, Mimic, narrowed, without_chains
 from loewner.robots.description.xml_elements import some
@@ -41,20 +42,12 @@ def description_of(model: MjcfModel) -> tuple[Description, dict[str, Body]]:
         order += [] if number else [body.name]
         for part in body.parts:
             if part.name != body.name:
-                above[part.name] = _fixed(body.name, part.name, np.eye(4))
+                above[part.name] = Joint(part.name, "fixed", body.name, part.name, np.eye(4))
                 order.append(part.name)
     joints = narrowed(without_chains(joints, model.path), model.path)
     above |= {joint.child: joint for joint in joints.values()}
     bodies = {part.name: part.body for body in model.bodies for part in body.parts}
-    description = Description(
-        name=model.name,
-        path=model.path,
-        shapes=dict.fromkeys(order, ()),
-        joints=joints,
-        joint_above=above,
-        only_visual=(),
-    )
-    return description, bodies
+    return Description(model.name, model.path, dict.fromkeys(order, ()), joints, above, ()), bodies
 
 
 def semantics_of(model: MjcfModel, robot: Description) -> Semantics:
@@ -100,18 +93,12 @@ def _joints_of(body: MjcfBody, parent: str, links: set[str]) -> Iterator[Joint]:
         turns = joint.kind in ("hinge", "ball")
         anchor = joint.anchor if turns else np.zeros(3)
         ends = number == last and not anchor.any()
-        child = body.name if ends else _link_name(f"{body.name}/{joint.name}", links)
+        child = body.name if ends else unused(f"{body.name}/{joint.name}", links)
+        links.add(child)
         yield _moving(joint, parent, child, product(T_above_body, _shift(anchor)))
         parent, T_above_body = child, _shift(-anchor)
     if parent != body.name:
-        yield _fixed(parent, body.name, T_above_body)
-
-
-def _link_name(name: str, links: set[str]) -> str:
-    while name in links:
-        name += "_"
-    links.add(name)
-    return name
+        yield Joint(body.name, "fixed", parent, body.name, T_above_body)
 
 
 def _shift(by: Floats) -> Floats:
@@ -121,23 +108,7 @@ def _shift(by: Floats) -> Floats:
 
 
 def _moving(joint: MjcfJoint, parent: str, child: str, origin: Floats) -> Joint:
-    limited = math.isfinite(joint.lower) or math.isfinite(joint.upper)
-    return Joint(
-        name=joint.name,
-        kind=KINDS.get(joint.kind, "revolute" if limited else "continuous"),
-        parent=parent,
-        child=child,
-        origin=origin,
-        axis=joint.axis,
-        lower=joint.lower,
-        upper=joint.upper,
-        velocity=math.nan,
-        mimic=None if joint.mimic is None else Mimic(*joint.mimic),
-        line=0,
-        reference=joint.reference,
-    )
-
-
-def _fixed(parent: str, child: str, origin: Floats) -> Joint:
-    none = np.array([1.0, 0.0, 0.0])
-    return Joint(child, "fixed", parent, child, origin, none, -math.inf, math.inf, math.nan, None, 0)
+    limits = joint.lower, joint.upper
+    kind = KINDS.get(joint.kind, "revolute" if any(map(math.isfinite, limits)) else "continuous")
+    mimic = None if joint.mimic is None else Mimic(*joint.mimic)
+    return Joint(joint.name, kind, parent, child, origin, joint.axis, *limits, mimic=mimic, reference=joint.reference)

@@ -61,7 +61,6 @@ class Order(NamedTuple):
 
     Attributes
     ----------
-    library : str
     width : int
         Number of values of a configuration.
     columns : mapping
@@ -70,7 +69,6 @@ class Order(NamedTuple):
         Maps each column whose value does not change to this value.
     """
 
-    library: str
     width: int
     columns: Mapping[str, tuple[int, ...]]
     constants: Mapping[int, float]
@@ -82,7 +80,6 @@ class Layout(KeepsReadOnly):
 
     Attributes
     ----------
-    library : str
     names : tuple of str
         For messages: the joint of each column of the model.
     source, factors, offsets : ndarray, shape (width,)
@@ -93,7 +90,6 @@ class Layout(KeepsReadOnly):
         Our columns that the model represents by a cosine and a sine, and the columns of the cosine and the sine.
     """
 
-    library: str
     names: tuple[str, ...]
     source: Ints
     factors: Floats
@@ -166,7 +162,7 @@ def layout_of(
     made = source, factors, offsets, own, np.array(turning, dtype=np.int64).reshape(-1, 3)
     for array in made:
         array.setflags(write=False)
-    return Layout(order.library, tuple(names), *made)
+    return Layout(tuple(names), *made)
 
 
 def chained(

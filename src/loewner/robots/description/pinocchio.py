@@ -68,7 +68,7 @@ def pinocchio_model(model: Any, geometry_model: Any, meshes: str, tol: float) ->
         joints=tuple(joints),
         shapes=shapes,
         checked=checked,
-        order=Order("pinocchio", model.nq, columns, {}),
+        order=Order(model.nq, columns, {}),
     )
 
 
@@ -118,8 +118,9 @@ def _moves(model: Any, joint: Any, name: str) -> Moves:
         suffix: str, kind: Any, axis: Floats, at: int, *, limited: bool = True, rated: bool = True
     ) -> tuple[Joint, tuple[int, ...]]:
         low, high = (float(lower[q + at]), float(upper[q + at])) if limited else (-math.inf, math.inf)
-        rate = _velocity(model, int(joint.idx_v) + at) if rated else None
-        return Joint(name + suffix, kind, "", "", axis=axis, lower=low, upper=high, velocity=rate), (q + at,)
+        rate = float(model.velocityLimit[int(joint.idx_v) + at]) if rated else math.nan
+        velocity = rate if 0 < rate < math.inf else None
+        return Joint(name + suffix, kind, "", "", axis=axis, lower=low, upper=high, velocity=velocity), (q + at,)
 
     if kind == "JointModelMimic":
         yield _mimicking(model, joint, name), ()
@@ -182,9 +183,3 @@ def _composite(model: Any, joint: Any, name: str) -> Moves:
         for number, (move, theirs) in enumerate(_moves(model, part, f"{name}/{k}")):
             before = joint.jointPlacements[k].homogeneous if number == 0 else None
             yield replace(move, T_parent_joint=before), theirs
-
-
-def _velocity(model: Any, at: int) -> float | None:
-    """Return the largest velocity of a value; None if there is none."""
-    most = float(model.velocityLimit[at])
-    return most if 0 < most < math.inf else None

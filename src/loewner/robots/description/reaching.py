@@ -128,10 +128,7 @@ def chain(tree: Tree, link: int, moves: Bools, limits: Floats, usual: Floats) ->
     limits, usual : ndarray, shape (2, dof)
         Limits of the values, infinite where there is none, and finite limits for seeds.
     """
-    path = [link]
-    while tree.parent[path[-1]] >= 0:
-        path.append(int(tree.parent[path[-1]]))
-    path.reverse()
+    path = links_above(tree, link)[::-1]
     kinds, firsts = tree.kind[path], tree.column[path]
     widths = [WIDTHS[int(kind)] for kind in kinds]
     used = np.unique(np.concatenate([np.arange(at, at + wide) for at, wide in zip(firsts, widths, strict=True)]))
@@ -151,10 +148,19 @@ def chain(tree: Tree, link: int, moves: Bools, limits: Floats, usual: Floats) ->
         at = int(np.searchsorted(used, first))
         links[row, columns.COLUMN_OF_LINK], links[row, columns.MOVES_OF_LINK] = at, moves[first]
         if kind in (columns.REVOLUTE, columns.PLANAR):
-            constants[row, columns.AXIS :] = _axis(tree.constants[path[row]])
+            constants[row, columns.AXIS :] = turning_axis(tree.constants[path[row]])
         if moves[first]:
             _set_ranges(ranges[:, at : at + wide], kind, limits[:, first : first + wide], wraps[first : first + wide])
     return Chain(links, constants, ranges, used, np.array(path), usual[:, used], {})
+
+
+def links_above(tree: Tree, link: int) -> list[int]:
+    """List a link and all links above it, from below; none for the world, which is -1."""
+    found = []
+    while link >= 0:
+        found.append(link)
+        link = int(tree.parent[link])
+    return found
 
 
 def wrapping(tree: Tree, dof: int) -> Bools:
@@ -179,7 +185,7 @@ def _set_ranges(ranges: Floats, kind: int, limits: Floats, wraps: Bools) -> None
     how[quaternion : quaternion + 1], how[quaternion + 1 :] = columns.TURNS, columns.REST
 
 
-def _axis(constants: Floats) -> Floats:
+def turning_axis(constants: Floats) -> Floats:
     """Axis of a turning joint in the frame that it moves, from the derivative of its rotation at 0."""
     blocks = [constants[k : k + 9].reshape(3, 3) for k in (columns.ROTATION, columns.COSINE, columns.SINE)]
     skew = product((blocks[0] + blocks[1]).T, blocks[2])

@@ -49,7 +49,7 @@ from loewner.robots.description.pair_verdicts import ProvenPairs
 from loewner.robots.description.pinocchio import pinocchio_model
 from loewner.robots.description.srdf import Semantics, State, read_srdf
 from loewner.robots.description.tree import adjacent_pairs, columns_of, placed_tree, tree_of
-from loewner.robots.description.urdf import VALUES, Description, Joint, doubt_limits, read_urdf
+from loewner.robots.description.urdf import RATES, VALUES, Description, Joint, doubt_limits, read_urdf
 from loewner.robots.description.watch import LARGEST_VALUE, Watch
 from loewner.robots.description.xacro_files import SUFFIX, expanded, refuse_unused
 from loewner.scenes.mjcf_models import MjcfModel, compiled_model, name_of, read_mjcf
@@ -72,7 +72,7 @@ LEAST_SHARE = 1024
 
 # How `Robot.prove_pairs`, `free_range` and the methods on covers are answered: `pair_ranges`, `covers` and
 # `cover_files`, which are above this module, put their functions here.
-answers: dict[str, Callable[..., object]] = {}
+answers: dict[str, Callable[..., Any]] = {}
 
 
 def _text_of(
@@ -348,10 +348,11 @@ class Robot(KeepsReadOnly):
         """Build the robot from the parsed files."""
         columns, dof = columns_of(robot)
         kinds = {name: robot.joints[name].kind for name in columns}
-        lower, upper = _ends(robot, columns, dof, lambda joint: joint.range)
-        hard_lower, hard_upper = _ends(robot, columns, dof, lambda joint: (joint.lower, joint.upper))
-        rates = {kind: _rates(robot, columns, dof, kind) for kind in ("velocity", "acceleration", "jerk")}
-        for array in (lower, upper, hard_lower, hard_upper, *rates.values()):
+        limits = {kind: _rates(robot, columns, dof, kind) for kind in RATES}
+        limits["lower"], limits["upper"] = _ends(robot, columns, dof, lambda joint: joint.range)
+        hard = _ends(robot, columns, dof, lambda joint: (joint.lower, joint.upper))
+        limits["hard_lower"], limits["hard_upper"] = hard
+        for array in limits.values():
             array.setflags(write=False)
         entries = [(name, value) for name in columns for value in VALUES[kinds[name]]]
         names = tuple(f"{name}/{value}" if value else name for name, value in entries)
@@ -365,11 +366,7 @@ class Robot(KeepsReadOnly):
             link_names=tuple(robot.shapes),
             joint_names=tuple(columns),
             configuration_names=names,
-            lower=lower,
-            upper=upper,
-            hard_lower=hard_lower,
-            hard_upper=hard_upper,
-            **rates,
+            **limits,
             bodies=Named("link with a body", bodies),
             shapes=Named("link with shapes of a URDF", shapes or {}),
             groups=Named("group", semantics.groups),
@@ -383,7 +380,7 @@ class Robot(KeepsReadOnly):
             _columns=columns,
             _above={link: (joint.name, joint.parent) for link, joint in robot.joint_above.items()},
             _only_visual=robot.only_visual,
-            _watch=Watch(robot.name, names, hard_lower, hard_upper, turns, free),
+            _watch=Watch(robot.name, names, *hard, turns, free),
             _rooted=tree,
             _sources=(Source("", format, path, text, package_dirs),),
             _parts={},
@@ -510,7 +507,7 @@ class Robot(KeepsReadOnly):
         doubt_limits(robot.path, robot.joints)
         made = cls._of(robot, bodies, semantics_of(model, robot), model.related_pairs, (), format, None)
         theirs = qpos_columns(robot)
-        order = Order("MuJoCo", sum(map(len, theirs.values())), theirs, {})
+        order = Order(sum(map(len, theirs.values())), theirs, {})
         references = {joint.name: joint.reference for joint in robot.joints.values()}
         return replace(made, _layout=layout_of(order, made._columns, joints_above(made), made.tree, references))
 
@@ -603,17 +600,10 @@ class Robot(KeepsReadOnly):
         >>> Robot.from_links(links, [slide])
         Robot('robot', 2 links, 2 with bodies, 1 joints, dof 1)
         """
-        robot, bodies, bounds = described(links, joints, name)
+        robot, bodies = described(links, joints, name)
         doubt_limits(robot.path, robot.joints)
         semantics = Semantics(ruled=disabled is not None)
         made = cls._of(robot, bodies, semantics, adjacent_pairs(robot, bodies), (), "links", None)
-        for joint, ends in bounds.items():  # of joints of several values, which a file has no limits for
-            at = slice(made._columns[joint].start, made._columns[joint].start + len(ends[0]))
-            for limits, end in zip(("lower", "upper"), ends, strict=True):
-                changed = getattr(made, limits).copy()
-                changed[at] = end
-                changed.setflags(write=False)
-                made = replace(made, **{limits: changed, f"hard_{limits}": changed})
         return made if disabled is None else made.disabling(disabled)
 
     @classmethod
@@ -1072,12 +1062,10 @@ class Robot(KeepsReadOnly):
         >>> collide(fence, None, robot.bodies["cart"], moved)
         True
         """
-        return cast(
-            Body,
-            answers["swept"](
-                self, curve, links=links, tolerance=tolerance, joint_error=joint_error, scene=scene, progress=progress
-            ),
+        body: Body = answers["swept"](
+            self, curve, links=links, tolerance=tolerance, joint_error=joint_error, scene=scene, progress=progress
         )
+        return body
 
     def prove_pairs(
         self,
@@ -1155,13 +1143,11 @@ class Robot(KeepsReadOnly):
         cart rail NEVER
         forearm rail NEVER
         """
-        return cast(
-            "ProvenPairs",
-            answers["prove_pairs"](
-                self, pairs, margin=margin, limits=limits, scene=scene, boxes=boxes, cache=cache, progress=progress,
-                proof=proof,
-            ),
+        rows: ProvenPairs = answers["prove_pairs"](
+            self, pairs, margin=margin, limits=limits, scene=scene, boxes=boxes, cache=cache, progress=progress,
+            proof=proof,
         )  # fmt: skip
+        return rows
 
     def free_range(
         self,
@@ -1214,12 +1200,10 @@ class Robot(KeepsReadOnly):
         >>> round(lower, 9), round(upper, 9)
         (0.0, 0.7)
         """
-        return cast(
-            "dict[str, tuple[float, float]]",
-            answers["free_range"](
-                self, joints, about, pairs=pairs, margin=margin, limits=limits, scene=scene, boxes=boxes
-            ),
+        ranges: dict[str, tuple[float, float]] = answers["free_range"](
+            self, joints, about, pairs=pairs, margin=margin, limits=limits, scene=scene, boxes=boxes
         )
+        return ranges
 
     def cover(
         self,
@@ -1421,14 +1405,13 @@ class Robot(KeepsReadOnly):
         InputError
             If an entry is not a pair of two different links.
         """
-        found, known = set(), set(self.link_names)
+        found, known = set(), dict.fromkeys(self.link_names)
         for pair in _validate.listed(pairs, name, wanted="pairs of names of links"):
             names = tuple(_validate.listed(pair, f"{name}, one of them", wanted="a pair of names of links"))
             if len(names) != 2:
                 raise InputError(f"{name}: expected pairs of names of links, found {_validate.short(pair)} among them")
             for link in names:
-                if not isinstance(link, str) or link not in known:
-                    raise _validate.unknown_name(f"link in {name}", link, self.link_names)
+                _validate.known(link, f"link in {name}", known)
             if names[0] == names[1]:
                 raise InputError(f"{name}: expected two links, found {names[0]!r} twice")
             found.add((min(names), max(names)))
@@ -1882,8 +1865,7 @@ class Robot(KeepsReadOnly):
 def named_joints(robot: Robot, joints: str | Iterable[str] | None) -> list[str]:
     """Return the names of the joints of a group, of given joints or of all joints, at least one."""
     if isinstance(joints, str):
-        if joints not in robot.groups and joints not in robot.joint_names:
-            raise _validate.unknown_name("joints", joints, (*robot.groups, *robot.joint_names))
+        _validate.known(joints, "joints", (*robot.groups, *robot.joint_names))
         names = list(robot.groups.get(joints, (joints,)))
     else:
         names = list(robot.joint_names) if joints is None else _validate.listed(joints, "joints")
@@ -2005,8 +1987,12 @@ def _ends(
     """Return the least and the largest configuration values, of ranges of joints."""
     lower, upper = np.full(dof, -np.inf), np.full(dof, np.inf)
     for name, column in columns.items():
-        lower[column], upper[column] = of(robot.joints[name])
-        if robot.joints[name].kind in WITH_QUATERNION:
+        joint = robot.joints[name]
+        lower[column], upper[column] = of(joint)
+        if joint.bounds is not None:
+            first = slice(column.start, column.start + len(joint.bounds[0]))
+            lower[first], upper[first] = joint.bounds
+        if joint.kind in WITH_QUATERNION:
             lower[column.stop - 4 : column.stop], upper[column.stop - 4 : column.stop] = -1.0, 1.0
     return lower, upper
 

@@ -80,16 +80,13 @@ class _Names:
 
     def group(self, element: Element, attribute: str, groups: Collection[str]) -> str | None:
         """Return the name of a group if this file has such a group."""
-        name = element.text(attribute)
-        if name in groups:
-            return name
-        self.unknown.setdefault(("group", name), element)
-        return None
+        return self._of("group", element, attribute, groups)
 
     def _of(self, kind: str, element: Element, attribute: str, valid: Collection[str]) -> str | None:
         name = element.text(attribute)
         if name in valid:
-            self.known.add((kind, name))
+            if kind != "group":
+                self.known.add((kind, name))
             return name
         self.unknown.setdefault((kind, name), element)
         return None

@@ -9,9 +9,9 @@ import math
 import os
 import re
 from collections.abc import Callable, Collection, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import NamedTuple, NoReturn
+from typing import Any, NamedTuple, NoReturn
 
 import numpy as np
 
@@ -45,6 +45,9 @@ VALUES: dict[str, tuple[str, ...]] = {
     "ball": ("qw", "qx", "qy", "qz"),
 }
 URDF_KINDS = tuple(kind for kind in VALUES if kind != "ball")
+
+# Largest rates of joints of one value.
+RATES = ("velocity", "acceleration", "jerk")
 
 # Number of sizes of the shapes that are not meshes, and the attributes that hold them.
 SIZES: dict[str, tuple[tuple[str, int], ...]] = {
@@ -140,8 +143,7 @@ class Shape:
     line: int
 
 
-@dataclass(frozen=True, eq=False)
-class Mimic:
+class Mimic(NamedTuple):
     """The rule of a joint that follows another: its value is multiplier * (value of the other joint) + offset."""
 
     joint: str
@@ -153,9 +155,12 @@ class Mimic:
 class Joint:
     """A joint: `kind` is URDF's type, and the unit vector `axis` and the pose `origin` are in URDF's frames.
 
+    A joint in memory has the line 0, and the axis means nothing for a joint without one.
+
     `velocity`, `acceleration` and `jerk` are the largest rates of the joint's value [rad or m per s, s² and s³], or NaN
     if the URDF gives no positive ones. The child is at `origin` when the value is `reference`. `lower` and `upper` are
-    the limits in the file; `soft` are narrower limits, from its controller and from the joints that mimic it.
+    the limits in the file; `soft` are narrower limits, from its controller and from the joints that mimic it. `bounds`
+    are the lower and upper limits of the first values of a joint with several, for which URDF has none.
     """
 
     name: str
@@ -163,32 +168,22 @@ class Joint:
     parent: str
     child: str
     origin: Floats
-    axis: Floats
-    lower: float
-    upper: float
-    velocity: float
-    mimic: Mimic | None
-    line: int
+    axis: Floats = field(default_factory=lambda: np.array([1.0, 0.0, 0.0]))
+    lower: float = -math.inf
+    upper: float = math.inf
+    velocity: float = math.nan
+    mimic: Mimic | None = None
+    line: int = 0
     reference: float = 0.0
     acceleration: float = math.nan
     jerk: float = math.nan
     soft: tuple[float, float] = (-math.inf, math.inf)
+    bounds: tuple[Floats, Floats] | None = None
 
     @property
     def range(self) -> tuple[float, float]:
         """Limits for planning and sampling."""
         return max(self.lower, self.soft[0]), min(self.upper, self.soft[1])
-
-
-class _Limits(NamedTuple):
-    """The limits of a joint, see `Joint`."""
-
-    lower: float = -math.inf
-    upper: float = math.inf
-    velocity: float = math.nan
-    acceleration: float = math.nan
-    jerk: float = math.nan
-    soft: tuple[float, float] = (-math.inf, math.inf)
 
 
 @dataclass(frozen=True, eq=False)
@@ -351,13 +346,11 @@ def _joint(element: Element, links: Collection[str], version: tuple[int, int]) -
     for end in ("parent", "child"):
         link = element.the(end).text("link")
         if link not in links:
-            element.fault(
-                f"a link of this robot as {end} of joint {name!r}", f"{link!r}; {known(links)}", UnknownNameError
-            )
+            expected = f"a link of this robot as {end} of joint {name!r}"
+            element.fault(expected, f"{link!r}; {known(links)}", UnknownNameError)
         ends.append(link)
     if kind == "fixed":  # a reduced model may keep these of joints that moved before
         element.drop("axis", "limit", "mimic", "safety_controller")
-    limits = _limits(element, kind, version)
     return Joint(
         name=name,
         kind=kind,
@@ -367,7 +360,7 @@ def _joint(element: Element, links: Collection[str], version: tuple[int, int]) -
         axis=_axis(element, kind),
         mimic=_mimic(element, kind),
         line=element.line,
-        **limits._asdict(),
+        **_limits(element, kind, version),
     )
 
 
@@ -389,8 +382,8 @@ def _axis(joint: Element, kind: str) -> Floats:
     return np.asarray(axis / length)
 
 
-def _limits(joint: Element, kind: str, version: tuple[int, int]) -> _Limits:
-    """Read the limits of a joint [rad or m], and of its rates."""
+def _limits(joint: Element, kind: str, version: tuple[int, int]) -> dict[str, Any]:
+    """Read the limits of a joint [rad or m], and of its rates, as attributes of a `Joint`."""
     element, values = joint.one("limit"), VALUES[kind]
     if len(values) > 1 and element is not None:
         if not HARMLESS["limit"].issuperset("@" + name for name in element.attributes):
@@ -400,12 +393,12 @@ def _limits(joint: Element, kind: str, version: tuple[int, int]) -> _Limits:
             )
         joint.drop("limit")
     if len(values) != 1:
-        return _Limits()
+        return {}
     if element is None and kind != "continuous":
         joint.fault(f"a <limit> of the {kind} joint {joint.text('name')!r}", "none (a joint without is continuous)")
     lower, upper = (-math.inf, math.inf) if element is None else _range(joint, element, kind)
-    rates = (math.nan, math.nan, math.nan) if element is None else _rates(element, version)
-    return _Limits(lower, upper, *rates, _soft(joint, kind, lower, upper))
+    rates = {} if element is None else _rates(element, version)
+    return {"lower": lower, "upper": upper, **rates, "soft": _soft(joint, kind, lower, upper)}
 
 
 def _range(joint: Element, limit: Element, kind: str) -> tuple[float, float]:
@@ -428,17 +421,16 @@ def _range(joint: Element, limit: Element, kind: str) -> tuple[float, float]:
     return lower, upper
 
 
-def _rates(limit: Element, version: tuple[int, int]) -> tuple[float, float, float]:
+def _rates(limit: Element, version: tuple[int, int]) -> dict[str, float]:
     """Read the largest velocity, acceleration and jerk of a joint with one value; NaN if there is none."""
-    found = []
+    found = {}
     kinds = ("velocity",), ("acceleration", "deceleration"), ("jerk",)
     for names in kinds if version >= WITH_ACCELERATIONS else kinds[:1]:
         rates = {name: limit.numbers(name, 1, "0")[0] for name in names}
         # Many files write 0 for "no limit"; a rate below 0 is no limit, and no value either.
         limit.disown(*("@" + name for name, rate in rates.items() if rate < 0))
-        found.append(min((rate for rate in rates.values() if 0 < rate < math.inf), default=math.nan))
-    velocity, acceleration, jerk = [*found, math.nan, math.nan][:3]
-    return velocity, acceleration, jerk
+        found[names[0]] = min((rate for rate in rates.values() if 0 < rate < math.inf), default=math.nan)
+    return found
 
 
 def _soft(joint: Element, kind: str, lower: float, upper: float) -> tuple[float, float]:

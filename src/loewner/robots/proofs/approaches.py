@@ -21,6 +21,7 @@ from loewner._base._validate import Floats, Ints, Pair
 from loewner._kernels import codes, columns
 from loewner.robots.checking.distances import expect_pairs, nearest_columns
 from loewner.robots.checking.problem import Problem
+from loewner.robots.description.reaching import links_above
 from loewner.robots.description.robot import Robot
 from loewner.robots.proofs import in_time, motions
 from loewner.robots.proofs.courses import CURVE_ROUNDINGS, configurations, parts
@@ -162,7 +163,7 @@ def measured(ready: Problem, curve: Curve, number: int = 0) -> ClosestApproach:
     """Measure one curve whose courses include the poses of the moving bodies; `number` is the curve's."""
     expect_pairs(ready, "closest")
     ready, curve = ready.without_margins, curve._replace(off=curve.off[:, : curve.courses.shape[2]])
-    search = Search.of(ready, curve)
+    search = Search(ready, curve)
     lower = np.full(len(search.distance), -np.inf)
     open_pieces = np.flatnonzero(search.distance > 0)
     for _ in range(MOST_ROUNDS):
@@ -275,7 +276,7 @@ def _allowed(distance: Floats) -> Floats:
 
 
 class Search:
-    """The least distance found on each piece of a curve, and its location.
+    """The least distance found on each piece of a curve, and its location; at first, of a few fractions of each piece.
 
     Attributes
     ----------
@@ -289,17 +290,11 @@ class Search:
         n = len(curve.courses)
         self.ready, self.curve = ready, curve
         self.distance, self.share, self.bodies = np.full(n, np.inf), np.zeros(n), np.zeros((n, 2), dtype=np.int64)
-
-    @classmethod
-    def of(cls, ready: Problem, curve: Curve) -> Search:
-        """Measure several distances on each piece, and descend from the least of them."""
-        made, n = cls(ready, curve), len(curve.courses)
         pieces, shares = np.repeat(np.arange(n), len(FIRST)), np.tile(FIRST, n)
-        distances = made.look(np.append(pieces, n - 1), np.append(shares, 1.0))
+        distances = self.look(np.append(pieces, n - 1), np.append(shares, 1.0))
         # A piece ends where the next one begins.
-        lower_at_end = np.flatnonzero(distances[len(FIRST) :: len(FIRST)] < made.distance)
-        made.look(lower_at_end, np.ones(len(lower_at_end)))
-        return made
+        lower_at_end = np.flatnonzero(distances[len(FIRST) :: len(FIRST)] < self.distance)
+        self.look(lower_at_end, np.ones(len(lower_at_end)))
 
     def look(self, pieces: Ints, shares: Floats) -> Floats:
         """Measure the distances at fractions of pieces, shape (N,) each, and keep the least ones."""
@@ -357,11 +352,8 @@ class _Motion(NamedTuple):
         far, moved = np.zeros((2, len(tree.kind), moving + 1))
         slides = _slides(tree, most) + np.where(tree.kind == columns.PRISMATIC, np.abs(tree.offset), 0.0)
         for body, link in enumerate(ready.link.tolist()):
-            path, travel = [], 0.0
-            while link >= 0:
-                path.append(link)
-                link = int(tree.parent[link])
-            for joint in path:  # the body's own joint first
+            travel = 0.0
+            for joint in links_above(tree, link):  # the body's own joint first
                 far[joint, body] = tables.reach[body, joint] + travel
                 moved[joint, body] = 1.0
                 travel += slides[joint]

@@ -80,6 +80,7 @@ def _innermost(a: _Piece, b: _Piece, middle: Floats, scale: float, away: float) 
 
     reach = 3.0 * away * scale  # planes farther away are beyond all points that are sought
     planes = np.concatenate([piece.near_planes(middle, reach) for piece in (a, b)])
+    curved = [piece for piece in (a, b) if piece.kind != columns.POLYTOPE]
     best, deepest = np.zeros(3), 0.0
     for _ in range(ROUNDS):
         rows = np.column_stack([planes[:, :3], np.ones(len(planes))])
@@ -87,9 +88,7 @@ def _innermost(a: _Piece, b: _Piece, middle: Floats, scale: float, away: float) 
         if found.x is None or found.x[3] <= deepest:
             break
         step = scale * found.x[:3]
-        more = np.concatenate(
-            [piece.planes(middle + step) for piece in (a, b) if piece.kind != columns.POLYTOPE] + [planes[:0]]
-        )
+        more = np.concatenate([*(piece.planes(middle + step) for piece in curved), planes[:0]])
         more[:, 3] += more[:, :3] @ step
         depth = float((np.concatenate([planes, more]) @ np.append(-step, 1.0)).min()) / scale
         if depth > deepest:

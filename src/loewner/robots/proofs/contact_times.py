@@ -131,11 +131,10 @@ def _by_rules(ready: Problem, curve: Curve, tolerance: float, number: int) -> Tr
     if not len(ready.ruled):
         return _first(ready, ready, curve, tolerance, number)
     found, lengths = [_first(ready, ready.unruled, curve, tolerance, number)], np.diff(curve.times)
+    off = curve.off[:, : curve.courses.shape[2]]
     for pair in ready.ruled.tolist():
         a, b = (ready.names[n] for n in ready.pairs[pair])
-        for problem, run, allowed, least in stages(
-            ready, pair, curve.courses, curve.off[:, : curve.courses.shape[2]], tolerance
-        ):
+        for problem, run, allowed, least in stages(ready, pair, curve.courses, off, tolerance):
             k = run.number
             ends = np.where(run.high == 1.0, curve.times[k + 1], curve.times[k] + run.high * lengths[k])
             times = np.append(curve.times[k[0]] + run.low[0] * lengths[k[0]], ends)

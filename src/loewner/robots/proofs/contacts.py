@@ -104,10 +104,8 @@ class Run(NamedTuple):
 
     def backwards(self) -> Run:
         """Traverse the courses from the last to the first, each from its end to its start."""
-        courses, off = self.courses[::-1, ::-1], self.off[::-1]
-        return Run(
-            self.number[::-1], self.high[::-1], self.low[::-1], np.ascontiguousarray(courses), np.ascontiguousarray(off)
-        )
+        courses, off = map(np.ascontiguousarray, (self.courses[::-1, ::-1], self.off[::-1]))
+        return Run(self.number[::-1], self.high[::-1], self.low[::-1], courses, off)
 
     def rows(self, first: int, last: int) -> Run:
         """Take the courses from the first to before the last."""
@@ -183,9 +181,7 @@ def settle(ready: Problem, pair: int, courses: Floats, off: Floats, tolerance: f
         left = _leave(ready, pair, run, tolerance, deepest, work)
         if not left.doubts:
             continue
-        numbers, places = (
-            np.array(column) for column in zip(*(run.place(k, f) for k, f, _ in left.doubts), strict=True)
-        )
+        numbers, places = map(np.array, zip(*(run.place(k, f) for k, f, _ in left.doubts), strict=True))
         distances = distances_at(ready, pair, configurations(ready.robot, courses[numbers], places))
         hit = distances <= [least for _, _, least in left.doubts]
         for k in np.unique(numbers):
@@ -503,11 +499,10 @@ def _beside_planes(ready: Problem, pair: int, run: Run, end: float, tolerance: f
     count = len(bodies) - first
     moves = j < len(ready.link)
     link = np.concatenate([np.full(first, ready.link[i]), np.full(count * moves, ready.link[j if moves else i])])
-    no_rule = np.zeros(len(pairs), dtype=bool)
     made = Problem.of(
         ready.robot, (ready.version, ready.structure_version), tuple(map(str, range(len(bodies)))),
         [packed_of(body) for body in bodies], link.astype(np.int64), pairs,
-        np.where(np.arange(len(pairs)) < len(apart), margin, 0.0), no_rule, no_rule,
+        np.where(np.arange(len(pairs)) < len(apart), margin, 0.0),
     )  # fmt: skip
     for_proof = float(back.min(initial=tolerance)) * FOR_PROOF / (1 - FOR_PROOF)
     return made.with_poses(np.tile(T[0, j], (0 if moves else count, 1, 1)), ready.version), for_proof

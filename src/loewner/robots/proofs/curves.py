@@ -223,9 +223,15 @@ def proven(
         own = curve._replace(courses=np.ascontiguousarray(curve.courses[..., :dof]), off=curve.off[:, :dof])
         return own, checker.certify_trajectory(given, joint_error=joint_error, proof=proof)
     rows = checked_path(checker.robot, given)
-    a, b = rows[:-1], rows[1:]
-    curve = Curve(None, np.arange(len(rows), dtype=np.float64), straight(checker.robot, a, b), np.zeros_like(a))
-    return curve, of_segments(curve.times, checker.certify_edges(a, b, joint_error=joint_error, proof=proof))
+    curve = of_path(checker.robot, rows)
+    motions = checker.certify_edges(rows[:-1], rows[1:], joint_error=joint_error, proof=proof)
+    return curve, of_segments(curve.times, motions)
+
+
+def of_path(robot: Robot, rows: Floats) -> Curve:
+    """Return the straight motions between the rows of a path as a curve, with a second for each."""
+    courses = straight(robot, rows[:-1], rows[1:])
+    return Curve(None, np.arange(len(rows), dtype=np.float64), courses, np.zeros_like(rows[1:]))
 
 
 def sampled(robot: Robot, curve: Curve, found: CertifiedTrajectory) -> tuple[Floats, Ints, Floats]:

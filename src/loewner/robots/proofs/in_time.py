@@ -66,11 +66,9 @@ class Pieces(NamedTuple):
 
 def with_bodies(ready: Problem, Q: Floats, t: Floats) -> Floats:
     """Append the values of all moving bodies at times, shape (N,), to configurations, shape (N, dof)."""
-    return (
-        Q
-        if ready.paths is None
-        else np.concatenate([Q, ready.paths.values(t).reshape(len(Q), WIDTH * len(ready.paths.far))], axis=1)
-    )
+    if ready.paths is None:
+        return Q
+    return np.concatenate([Q, ready.paths.values(t).reshape(len(Q), WIDTH * len(ready.paths.far))], axis=1)
 
 
 def free_at(ready: Problem, Q: Floats, t: Floats) -> Bools:

@@ -132,9 +132,8 @@ class Found(NamedTuple):
         if not shape:
             pair = int(self.pairs[0])
             names = ("", "") if pair < 0 else tuple(ready.names[k] for k in ready.pairs[pair].tolist())
-            return CertifiedMotions(
-                Verdict(int(self.verdicts[0])), float(self.fractions[0]), names, *self.work[0].tolist()
-            )
+            verdict, fraction = Verdict(int(self.verdicts[0])), float(self.fractions[0])
+            return CertifiedMotions(verdict, fraction, names, *self.work[0].tolist())
         return CertifiedMotions(
             self.verdicts.reshape(shape), self.fractions.reshape(shape),
             ready.names_of_pairs[self.pairs].reshape(*shape, 2), *self.work.T.reshape(3, *shape),

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from functools import cached_property
@@ -36,6 +36,7 @@ from loewner.robots.checking.pair_cache import keep, known_pairs
 from loewner.robots.checking.problem import Problem
 from loewner.robots.description import robot
 from loewner.robots.description.pair_verdicts import PairVerdict, ProvenPair, ProvenPairs
+from loewner.robots.description.reaching import links_above
 from loewner.robots.description.robot import Robot
 from loewner.robots.proofs import proofs
 from loewner.robots.proofs.courses import straight
@@ -127,7 +128,7 @@ class _Question:
     @cached_property
     def whole(self) -> Problem:
         """The pair on the robot itself."""
-        return _with_pairs(self.every, [self.pair], np.array([self.margin]))
+        return self.every.with_pairs(np.array([self.pair]), np.array([self.margin]))
 
     def configuration(self, q: Floats) -> Floats:
         """The configuration of the robot with these values between the bodies."""
@@ -149,16 +150,13 @@ class _Question:
     def look_at(self, Q: Floats) -> None:
         """Note a configuration with contact and one without, as the robot's own kinematics confirm."""
         found = verdicts.classified(self.ready, codes.EXACT, Q).verdicts
-        for verdict in (codes.COLLIDING, codes.FREE):
-            if (self.colliding if verdict == codes.COLLIDING else self.free) is not None:
+        for verdict, name in ((codes.COLLIDING, "colliding"), (codes.FREE, "free")):
+            if getattr(self, name) is not None:
                 continue
             for k in np.flatnonzero(found == verdict)[:STARTS].tolist():
                 q = self.configuration(Q[k])
                 if verdicts.classified(self.whole, codes.EXACT, q[None]).verdicts[0] == verdict:
-                    if verdict == codes.COLLIDING:
-                        self.colliding = q
-                    else:
-                        self.free = q
+                    setattr(self, name, q)
                     break
 
     def descend(self) -> None:
@@ -208,8 +206,9 @@ class _Question:
         """A guess at how many more boxes it takes."""
         return self.boxes * (1.0 - self.share) / self.share if self.share > 0 else math.inf
 
-    def proceed(self, most: int) -> None:
-        """Examine at most this many boxes."""
+    def proceed(self, most: int) -> int:
+        """Examine at most this many boxes, and return their number."""
+        before = self.boxes
         while most > 0 and not self.settled:
             last = self.waiting.pop()
             boxes, rest = last[-min(AT_ONCE, most) :], last[: -min(AT_ONCE, most)]
@@ -226,8 +225,8 @@ class _Question:
                 halves = _halved(left, self.levers)
                 if len(halves) < 2 * len(left):
                     self.reason = "two neighbouring configurations of floating point are not told apart"
-                    return
                 self.waiting.append(halves)
+        return self.boxes - before
 
     def free_in(self, boxes: Floats) -> Any:
         """Which boxes are proven free; a contact that is found is noted."""
@@ -277,14 +276,12 @@ class _Question:
 
     def answer(self) -> ProvenPair:
         """Return all that has been found out."""
-        if not self.waiting and not self.reason and self.boxes:
+        if self.colliding is not None and self.free is not None:
+            verdict = PairVerdict.SOMETIMES
+        elif not self.waiting and not self.reason and self.boxes:
             verdict = PairVerdict.ALWAYS if self.always else PairVerdict.NEVER
-            if self.colliding is not None and self.free is not None:
-                verdict = PairVerdict.SOMETIMES
-        elif self.colliding is not None:
-            verdict = PairVerdict.SOMETIMES if self.free is not None else PairVerdict.CAN
         else:
-            verdict = PairVerdict.OPEN
+            verdict = PairVerdict.OPEN if self.colliding is None else PairVerdict.CAN
         reason = ""
         if verdict in UNDECIDED:
             count = len(self.columns)
@@ -328,12 +325,7 @@ def _halved(boxes: Floats, levers: Floats) -> Floats:
 
 def _joints(tree: Tree, link: int) -> list[int]:
     """The joints between the world and a link, as the links that they move."""
-    found = []
-    while link >= 0:
-        if tree.kind[link] != kernel_columns.FIXED:
-            found.append(link)
-        link = int(tree.parent[link])
-    return found[::-1]
+    return [k for k in reversed(links_above(tree, link)) if tree.kind[k] != kernel_columns.FIXED]
 
 
 def _between(tree: Tree, one: int, other: int) -> list[int]:
@@ -505,7 +497,7 @@ def free_range(
     if not asked:
         raise InputError("pairs: expected at least one, found none: any range would count as free")
     kept = np.array([max(margin, scene.margin_of(every.names[a], every.names[b])) for a, b in asked])
-    ready = _with_pairs(every, asked, kept)
+    ready = every.with_pairs(np.array(asked), kept)
     columns = [_column(self, name, q, given) for name in names]
     if not verdicts.free(ready, q[None])[0]:
         found = verdicts.verdicts_at(ready, q)
@@ -516,7 +508,19 @@ def free_range(
     if len(columns) == 1:
         ((at, low, high),) = columns
         return {names[0]: (_end(ready, q, at, low), _end(ready, q, at, high))}
-    share = _largest_share(self, every, asked, kept, q, columns, boxes)
+
+    def proven(share: float) -> bool:
+        ends = {k: (float(value), float(value)) for k, value in enumerate(q)}
+        ends |= {at: (q[at] - share * (q[at] - low), q[at] + share * (high - q[at])) for at, low, high in columns}
+        asked_now = [_question(self, every, pair, keeps, ends) for pair, keeps in zip(asked, kept, strict=True)]
+        for one in asked_now:
+            if isinstance(one, ProvenPair):  # a box of no size would be a silent answer
+                raise InputError(f"pairs: expected ranges, found none for {' and '.join(one.names)}: {one.reason}")
+        questions = [one for one in asked_now if isinstance(one, _Question)]
+        _settle(questions, boxes, None, search=False)
+        return all(question.proven_free for question in questions)
+
+    share = _largest_share(proven)
     return {
         name: (float(q[at] - share * (q[at] - low)), float(q[at] + share * (high - q[at])))
         for name, (at, low, high) in zip(names, columns, strict=True)
@@ -594,28 +598,8 @@ def _end(ready: Problem, q: Floats, column: int, end: float) -> float:
     return known
 
 
-def _largest_share(
-    whole: Robot,
-    every: Problem,
-    asked: list[tuple[int, int]],
-    kept: Floats,
-    q: Floats,
-    columns: list[tuple[int, float, float]],
-    boxes: int,
-) -> float:
+def _largest_share(proven: Callable[[float], bool]) -> float:
     """The largest share of the way to all ends for which a box of values is proven free, by bisection."""
-
-    def proven(share: float) -> bool:
-        ends = {k: (float(value), float(value)) for k, value in enumerate(q)}
-        ends |= {at: (q[at] - share * (q[at] - low), q[at] + share * (high - q[at])) for at, low, high in columns}
-        asked_now = [_question(whole, every, pair, margin, ends) for pair, margin in zip(asked, kept, strict=True)]
-        questions = [one for one in asked_now if isinstance(one, _Question)]
-        for one in asked_now:
-            if isinstance(one, ProvenPair):  # a box of no size would be a silent answer
-                raise InputError(f"pairs: expected ranges, found none for {' and '.join(one.names)}: {one.reason}")
-        _settle(questions, boxes, None, search=False)
-        return all(question.proven_free for question in questions)
-
     low, high = 0.0, 1.0
     if proven(high):
         return high
@@ -664,8 +648,7 @@ def _asked(whole: Robot, every: Problem, pairs: Iterable[Pair] | None) -> list[t
             for name in both:
                 if isinstance(name, str) and name in whole.link_names and name not in place:
                     raise InputError(f"pairs: expected links with bodies, found {name!r}, which has none")
-                if not isinstance(name, str) or name not in place:
-                    raise _validate.unknown_name("pairs", name, every.names)
+                _validate.known(name, "pairs", place)
             if min(place[name] for name in both) >= len(every.link):
                 raise InputError(
                     f"pairs: expected one body that moves with a link at least, found {both[0]!r}, {both[1]!r}"
@@ -712,20 +695,10 @@ def _question(
     return _Question(names, pair, every, columns, ready, base, lower, upper, complete)
 
 
-def _with_pairs(every: Problem, pairs: list[tuple[int, int]], margins: Floats) -> Problem:
-    """The same bodies with other pairs."""
-    numbers, no = np.array(pairs, dtype=np.int64).reshape(-1, 2), np.zeros(len(pairs), dtype=bool)
-    return Problem.of(
-        every.robot, (every.version, every.structure_version), every.names, every.packs, every.link, numbers, margins,
-        no, no, every.moving, every.packed,
-    ).with_poses(every.standing.poses, every.version)  # fmt: skip
-
-
 def _pair_problem(chain: Robot, packs: list[Packed], numbers: Ints, margin: float, standing: Floats) -> Problem:
     """Prepare two bodies, the first one on a link of a chain, the second one on another link or in the world."""
     return Problem.of(
-        chain, (0, 0), ("one", "other"), packs, np.ascontiguousarray(numbers), np.array([[0, 1]]), np.array([margin]),
-        np.zeros(1, dtype=bool), np.zeros(1, dtype=bool),
+        chain, (0, 0), ("one", "other"), packs, np.ascontiguousarray(numbers), np.array([[0, 1]]), np.array([margin])
     ).with_poses(standing, 0)  # fmt: skip
 
 
@@ -738,17 +711,13 @@ def _settle(
         question.try_some()
     left = [question for question in order if not question.settled]
     for question in left:
-        before = question.boxes
-        question.proceed(min(FIRST_BOXES, boxes))
-        boxes -= question.boxes - before
+        boxes -= question.proceed(min(FIRST_BOXES, boxes))
     while boxes > 0 and (left := [question for question in left if not question.settled]):
         if progress is not None:
             progress(len(order) - len(left), len(order))
         # Next, the question that probably needs the fewest boxes.
         question = min(left, key=lambda question: question.to_go)
-        before = question.boxes
-        question.proceed(min(max(FIRST_BOXES, math.ceil(min(2 * question.to_go, boxes))), boxes))
-        boxes -= question.boxes - before
+        boxes -= question.proceed(min(max(FIRST_BOXES, math.ceil(min(2 * question.to_go, boxes))), boxes))
     if search:
         for question in order:
             if question.proven_free or not only_free:

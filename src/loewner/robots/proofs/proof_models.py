@@ -105,6 +105,8 @@ class Placed(NamedTuple):
     turn, shift : ndarray, shapes (bodies, 3, 3) and (bodies, 3)
         From the frame of each body to the frame of its link.
     pieces : Pieces
+    hollow : ndarray of bool, shape (bodies,)
+        Whether bodies have an interior that their parts do not cover.
     """
 
     names: tuple[str, ...]
@@ -112,6 +114,7 @@ class Placed(NamedTuple):
     turn: Floats
     shift: Floats
     pieces: Pieces
+    hollow: Bools
 
 
 class Model(NamedTuple):
@@ -170,12 +173,10 @@ def model_of(ready: Problem) -> Model:
     link = np.append(at[moving], np.full(len(standing), -1))
     turn = np.concatenate([turns[moving], standing[:, :3, :3]])
     shift = np.concatenate([shifts[moving], standing[:, :3, 3]])
-    placed = Placed(ready.names, link, turn, shift, pieces_of(cut.packed))
+    placed = Placed(ready.names, link, turn, shift, pieces_of(cut.packed), _hollow(ready.packs, cut.packs))
     limits = list(zip(robot.configuration_names, robot.hard_lower, robot.hard_upper, strict=True))
     rules = AT_START * ready.leaving + AT_END * ready.reaching
-    known = _known[ready] = _model(
-        links, limits, placed, _hollow(ready.packs, cut.packs), ready.pairs, ready.margins, rules
-    )  # fmt: skip
+    known = _known[ready] = _model(links, limits, placed, ready.pairs, ready.margins, rules)
     return known
 
 
@@ -200,8 +201,9 @@ def model_of_pair(packs: Sequence[Packed], cut: Sequence[Packed], poses: Floats,
     links = Links(
         ["a"], none, np.array([STAYS]), none, np.ones(1), np.zeros(1), identity, nothing, nothing, none
     )  # fmt: skip
-    placed = Placed(PAIR, np.array([0, -1]), poses[:, :3, :3], poses[:, :3, 3], pieces_of(join(cut)))
-    return _model(links, [], placed, _hollow(packs, cut), np.array([[0, 1]]), np.array([margin]), np.zeros(1, int))
+    pieces, hollow = pieces_of(join(cut)), _hollow(packs, cut)
+    placed = Placed(PAIR, np.array([0, -1]), poses[:, :3, :3], poses[:, :3, 3], pieces, hollow)
+    return _model(links, [], placed, np.array([[0, 1]]), np.array([margin]), np.zeros(1, int))
 
 
 def _hollow(packs: Sequence[Packed], cut: Sequence[Packed]) -> Bools:
@@ -211,13 +213,7 @@ def _hollow(packs: Sequence[Packed], cut: Sequence[Packed]) -> Bools:
 
 
 def _model(
-    links: Links,
-    limits: list[tuple[str, float, float]],
-    bodies: Placed,
-    hollow: Bools,
-    pairs: Ints,
-    margins: Floats,
-    rules: Ints,
+    links: Links, limits: list[tuple[str, float, float]], bodies: Placed, pairs: Ints, margins: Floats, rules: Ints
 ) -> Model:
     """Make a model of its parts, if checkers take its numbers."""
     pieces = bodies.pieces
@@ -230,7 +226,7 @@ def _model(
     data = [
         struct.pack("<I", len(links.names)), *_of_links(links),
         struct.pack("<I", len(limits)), *(_name(name) + struct.pack("<dd", *ends) for name, *ends in limits),
-        of_bodies(bodies, hollow), of_pairs(_groups(links, bodies.link), pairs, margins),
+        of_bodies(bodies), of_pairs(_groups(links, bodies.link), pairs, margins),
     ]  # fmt: skip
     if rules.any():
         data += [struct.pack("<I", np.count_nonzero(rules))]
@@ -264,9 +260,8 @@ def _links(tree: Tree, names: tuple[str, ...]) -> tuple[Links, Ints, Floats, Flo
     nothing, identity = np.zeros(3), np.eye(3)
     rows.append((names[0], -1, STAYS, -1, 1.0, 0.0, identity, nothing, nothing, -1))
     for k, (above, kind, row) in enumerate(zip(tree.parent.tolist(), tree.kind.tolist(), tree.constants, strict=True)):
-        fixed, sine, cosine = (
-            row[first : first + 9].reshape(3, 3) for first in (columns.ROTATION, columns.SINE, columns.COSINE)
-        )
+        blocks = columns.ROTATION, columns.SINE, columns.COSINE
+        fixed, sine, cosine = (row[first : first + 9].reshape(3, 3) for first in blocks)
         t = row[columns.TRANSLATION : columns.TRANSLATION + 3]
         carrier = int(at[above]) if above >= 0 else 0
         if kind == columns.FIXED:
@@ -346,9 +341,9 @@ def _of_links(links: Links) -> list[bytes]:
     ]
 
 
-def of_bodies(bodies: Placed, hollow: Bools) -> bytes:
+def of_bodies(bodies: Placed) -> bytes:
     """Write the bodies and their pieces."""
-    names, link, turn, shift, pieces = bodies
+    names, link, turn, shift, pieces, hollow = bodies
     data, first = [struct.pack("<I", len(names))], pieces.start.tolist()
     for k, name in enumerate(names):
         count = first[k + 1] - first[k]

@@ -345,7 +345,6 @@ class _Search:
             raise self._too_near("they come nearer than the room for rounding that proofs leave")
         size = max(shape.size for shape in self.shapes)
         fine = gap - self.claim.margin < COARSE * size
-        done = np.zeros(len(gap), dtype=bool)
         room, takes = np.full(len(gap), -np.inf), np.zeros(boxes.at.shape)
         done, tried = np.zeros(len(gap), dtype=bool), np.full(len(gap), -1)
         for low in (0, 1):

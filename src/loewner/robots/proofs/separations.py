@@ -48,29 +48,6 @@ _NONE = np.empty(0, dtype=np.int64)
 _NO_TREE = records.Tree(_NONE, _NONE, _NONE, np.empty(0), np.empty(0), np.empty((0, 1)))
 
 
-class Clusters(NamedTuple):
-    """Consecutive pieces of bodies that trees may divide.
-
-    Attributes
-    ----------
-    points : ndarray
-        Corners of hulls in the frame of the link, and the radius around each, in blocks of eight columns with four
-        rows.
-    pieces : ndarray, shape (P, 14)
-        Kind, radius, center and factor of each piece in the frame of its link; the last two only for curved pieces.
-    numbers : ndarray of int64, shape (C, 7)
-        The first piece and the index after the last one; the two halves, or -1 for a single piece; the columns of
-        `points` where its corners begin and end; and the number of its curved pieces.
-    of_body : ndarray of int64
-        The cluster of all pieces of each body.
-    """
-
-    points: Floats
-    pieces: Floats
-    numbers: Ints
-    of_body: Ints
-
-
 class Contact(NamedTuple):
     """A contact of the format: the motion, the index of the pair, the end, the length 2^-k, and the least distance."""
 
@@ -193,7 +170,7 @@ class _Prepared:
     """The input of the kernel that depends on the model alone."""
 
     def __init__(self, model: Model, tree: records.Tree, placed_by: Ints) -> None:
-        links, made = model.links, clusters_of(model)
+        links, (points, pieces, numbers, of_body) = model.links, clusters_of(model)
         self.links, self.slides = links, np.where(links.moves == SLIDES, np.linalg.norm(links.axis, axis=1), 0.0)
         depth = np.zeros(len(links.above), dtype=np.int64)
         for k, above in enumerate(links.above.tolist()):
@@ -202,9 +179,9 @@ class _Prepared:
         axis = links.axis / np.maximum(np.linalg.norm(links.axis, axis=1), 1e-300)[:, None]
         joints = np.column_stack([links.moves, self.slides, turn.reshape(-1, 9), links.translation, axis])
         one = records.PlaneModel(
-            made.points, made.pieces, made.numbers, np.empty((len(made.numbers), 9)),
-            np.column_stack([model.link, placed_by, made.of_body]), model.turn.reshape(-1, 9),
-            np.empty((len(model.link), 4)), model.pairs, model.margins, np.column_stack([links.above, depth]), joints,
+            points, pieces, numbers, np.empty((len(numbers), 9)), np.column_stack([model.link, placed_by, of_body]),
+            model.turn.reshape(-1, 9), np.empty((len(model.link), 4)), model.pairs, model.margins,
+            np.column_stack([links.above, depth]), joints,
         )  # fmt: skip
         self.model = records.PlaneModel(*map(np.ascontiguousarray, one))
         self.tree = records.Tree(*map(np.ascontiguousarray, tree))
@@ -363,8 +340,23 @@ class _Search(NamedTuple):
 # -- shapes -----------------------------------------------------------------------------------
 
 
-def clusters_of(model: Model) -> Clusters:
-    """Place the pieces of all bodies, and divide the pieces of each body repeatedly."""
+def clusters_of(model: Model) -> tuple[Floats, Floats, Ints, Ints]:
+    """Place the pieces of all bodies, and divide the pieces of each body repeatedly.
+
+    Returns
+    -------
+    points : ndarray
+        Corners of hulls in the frame of the link, and the radius around each, in blocks of eight columns with four
+        rows.
+    pieces : ndarray, shape (P, 14)
+        Kind, radius, center and factor of each piece in the frame of its link; the last two only for curved pieces.
+    numbers : ndarray of int64, shape (C, 7)
+        For each cluster of consecutive pieces: the first piece and the index after the last one; the two halves, or -1
+        for a single piece; the columns of `points` where its corners begin and end; and the number of its curved
+        pieces.
+    of_body : ndarray of int64
+        The cluster of all pieces of each body.
+    """
     start, pieces = model.pieces.start, model.pieces
     body_of = np.repeat(np.arange(len(start) - 1), np.diff(start))
     curved = pieces.kind != HULL
@@ -404,7 +396,7 @@ def clusters_of(model: Model) -> Clusters:
     low, high, left, right = np.array(ends, dtype=np.int64)
     many = np.append(0, np.cumsum(curved))
     numbers = np.column_stack([low, high, left, right, column[low], column[high], many[high] - many[low]])
-    return Clusters(points, table, numbers, np.array(of_body, dtype=np.int64))
+    return points, table, numbers, np.array(of_body, dtype=np.int64)
 
 
 def written(deviations: Floats, courses: Floats) -> bytes:
