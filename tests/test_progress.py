@@ -115,7 +115,7 @@ WATCHED = {
         ),
     ],
     "compile_kernels": [compiled],
-    "paper.run": [lambda progress: paper.run(300, progress=progress)],
+    "paper.run": [lambda progress: paper.run(100, progress=progress)],
     "cluster.fit": [fitted_by_a_cluster],
 }
 
