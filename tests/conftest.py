@@ -61,9 +61,24 @@ pair_cache.FOLDER = Path(os.devnull) / "pairs"
 FIRST = [str(Path(__file__).parent / name) for name in ("test_oracles", "test_surface_oracle", "viewer", "test_types")]
 
 
-def place_of(item: pytest.Item) -> int:
-    """Place of a test's file in this list, or its end."""
-    return next((k for k, name in enumerate(FIRST) if str(item.path).startswith(name)), len(FIRST))
+def place_of(item: pytest.Item) -> tuple[int, str]:
+    """Place of a test's file: in this list, or after it by name."""
+    file = str(item.path)
+    return next((k for k, name in enumerate(FIRST) if file.startswith(name)), len(FIRST)), file
+
+
+class Backwards:
+    """A plugin for each second process of several, which all read all tests: it reads the last file first.
+
+    In a fresh clone two processes then rewrite the assertions of half of the files each, and find the others on disk.
+    """
+
+    class Folder(pytest.Dir):
+        def collect(self) -> list[pytest.Item | pytest.Collector]:
+            return list(super().collect())[::-1]
+
+    def pytest_collect_directory(self, path: Path, parent: pytest.Collector) -> pytest.Collector | None:
+        return None if (path / "__init__.py").exists() else self.Folder.from_parent(parent, path=path)
 
 
 def pytest_collection_finish() -> None:
@@ -102,6 +117,8 @@ def group_of(item: pytest.Item) -> str:
 def pytest_configure(config: pytest.Config) -> None:
     config.pluginmanager.register(long_cases)
     sampling.quick_suite = "not verify" in config.option.markexpr
+    if getattr(config, "workerinput", {}).get("workerid", "gw0")[-1] in "13579":
+        config.pluginmanager.register(Backwards())
 
 
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:

@@ -187,7 +187,7 @@ def test_errors_are_one_line_with_status_2(saved, capsys, arguments, message):
 # -- fit ----------------------------------------------------------------------------------------
 
 
-def test_fit_saves_bodies_that_load(saved, capsys):
+def test_fit_saves_bodies_that_load(saved, fits_here, capsys):
     """Each mesh becomes DIR/name.npz; the table names it; the bodies answer."""
     status, out, _ = run(capsys, "fit", "cube.stl", "ball.obj", "-o", "made/here")
     assert status == 0

@@ -482,14 +482,14 @@ def test_covers_of_robots_do_not_depend_on_threads():
         for k, x in ((1, "b"), (2, "c"))
     )
     robot, before = Robot.from_urdf(text=f'<robot name="r">{parts}{joints}</robot>'), get_num_threads()
+    alone = {link: body.cover("spheres", protrusion=0.04) for link, body in robot.bodies.items()}
     shares: list[float] = []
     try:
         for count in (1, 3):
             set_num_threads(count)
             covers = robot.cover("spheres", protrusion=0.04, progress=lambda done, total: shares.append(done / total))
-            for link, body in robot.bodies.items():
-                alone = body.cover("spheres", protrusion=0.04)
-                assert (packed_of(covers.bodies[link]).frames == packed_of(alone).frames).all()
+            for link in robot.bodies:
+                assert (packed_of(covers.bodies[link]).frames == packed_of(alone[link]).frames).all()
             assert shares == sorted(shares)
             assert shares.pop() == 1.0
             shares.clear()

@@ -211,7 +211,7 @@ def test_order_of_the_bodies_does_not_matter():
     assert np.array_equal(again[np.lexsort((again[:, 1], again[:, 0]))], found)
 
 
-@pytest.mark.parametrize("n", quick(1500, 4000))
+@pytest.mark.parametrize("n", quick(1600, 4000))
 def test_search_is_far_from_all_pairs(n):
     """Small ones among large ones: boxes that meet are a small share of all pairs, and every one is reported once."""
     rng = np.random.default_rng(13)

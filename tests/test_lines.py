@@ -246,7 +246,7 @@ def test_lines_are_followed(kind, count):
         shift, turn = strayed(robot, link, path, T)
         assert shift <= 1e-3 + 1e-4  # fractions of the rows are known to 1/20000 of the line
         assert turn <= 1e-2 + 1e-4
-    assert solved >= 2 * count / 3
+    assert solved >= count - 4
 
 
 def test_one_joint():

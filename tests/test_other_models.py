@@ -36,7 +36,7 @@ def number(request, monkeypatch):
 
 def agreed(theirs, count=None, details=None):
     """Expect no difference that is not within the tolerances of the other library."""
-    count, details = count or COUNT, COUNT // 3 if details is None else details
+    count, details = count or COUNT, 100 if details is None else details
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         told = compare(theirs, count, details=details)

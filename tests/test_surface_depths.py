@@ -135,7 +135,7 @@ def test_triangles_in_hulls_are_at_least_so_deep(decades: int, count: int):
             told += 1
             assert Fraction(float(found)) ** 2 <= true, k
             assert Fraction(float(LOWERED * lengths - found)) ** 2 >= true, k
-    assert told > count / 2
+    assert told > max(count - 12, 2)
 
 
 @pytest.mark.parametrize("decades", [0, *(pytest.param(k, marks=pytest.mark.verify) for k in (2, 4)), 6])
@@ -160,7 +160,7 @@ def test_triangles_in_triangles_are_at_least_so_deep(decades: int, count: int):
             told += found < 0.0
             if found < 0.0:
                 assert -Fraction(float(found)) <= Fraction(radius) + (depth - apart) * Fraction(2) ** placed.exponent, k
-    assert told > 0.75 * count
+    assert told > max(count - 10, 5)
 
 
 @pytest.mark.parametrize("size", [1e-3, 1.0, 1e3, 1e6])
@@ -185,7 +185,7 @@ def test_curved_pieces_are_at_least_so_deep(size: float, count: int):
                 heights, middle, reach = corners @ n, n @ ellipsoid.center, ellipsoid.reach(n)[1]
                 overlap = min(max(heights) - middle, middle - min(heights)) + reach
                 assert -Fraction(float(found.distance)) * root_bounds(n @ n)[0] <= overlap
-    assert told > 5 * count / 3
+    assert told > max(3 * count - 16, 5)
 
 
 @pytest.mark.parametrize("size", [1.0, 1e3, 1e6])

@@ -130,7 +130,7 @@ def test_compiled_and_whole_numbers_agree(rng: np.random.Generator, count: int):
         if answer != surface_oracle.OPEN:
             settled += 1
             assert (answer == surface_oracle.MEET) == exact
-    assert settled > 0.625 * count
+    assert settled > max(count - 150, 50)
 
 
 def test_a_box_within_a_box():
@@ -264,7 +264,7 @@ def test_nothing_compiled_agrees(rng: np.random.Generator, count: int):
             Ta, Tb = (translation(*(rng.integers(-6, 7, 3) / 4)) for _ in range(2))
         answers.append(by_whole_numbers_alone(a, Ta, b, Tb))
         assert collides(a, Ta, b, Tb) == answers[-1]
-    assert count / 6 < sum(answers) < count * 5 / 6
+    assert 3 * count / 16 < sum(answers) < 13 * count / 16
 
 
 def test_distances_of_boxes():

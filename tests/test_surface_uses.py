@@ -395,7 +395,7 @@ def test_motions_of_surfaces_are_true(checker, within, count):
     Q = Q[~checker.collide(Q)][:count]
     end = Q + rng.normal(size=Q.shape) * 0.1
     verdicts = assert_true(checker, Q, end, samples=500)
-    assert (verdicts == FREE).sum() > 3
+    assert (verdicts == FREE).sum() > min(3, count // 6)
     assert (verdicts != AMBIGUOUS).mean() > 0.95
 
 
