@@ -29,6 +29,8 @@ NEVER_IMPORTED := /(tests?|OpenGL|pip|setuptools|Cython|fontTools|mypyc?|elftool
 COMPILE_ALL := { $(BIN)/python -m compileall -q -j 0 -x '$(NEVER_IMPORTED)' $(VENV)/lib >/dev/null 2>&1 || true; }
 PYTEST_OPTIONS ?=
 PYTEST := $(BIN)/python -m pytest $(PYTEST_OPTIONS)
+# Each file in one process, in the order of tests/conftest.py.
+BY_FILE := --dist loadfile --no-loadscope-reorder
 THREADS ?= 2
 SECONDS ?= 20
 PACKAGES ?= numpy scipy numba
@@ -65,9 +67,9 @@ demo: $(VENV)/.compiler
 test fuzz bounds newest test-wheel other-machines: export OPENBLAS_NUM_THREADS := 1
 
 test: $(VENV)/.compiler
-	$(call built_with,$(VENV)/.dev,LOEWNER_JIT=1 $(PYTEST) -q -n $(THREADS) --dist loadfile -m light tests)
+	$(call built_with,$(VENV)/.dev,LOEWNER_JIT=1 $(PYTEST) -q -n $(THREADS) $(BY_FILE) -m light tests)
 	$(COMPILE)
-	$(PYTEST) -n $(THREADS) --dist loadfile -m "not verify and not fuzz and not light" tests
+	$(PYTEST) -n $(THREADS) $(BY_FILE) -m "not verify and not fuzz and not light" tests
 
 test-torch: $(VENV)/.torch
 	$(BUILD)
@@ -105,14 +107,14 @@ sanitize: $(VENV)/.compiler
 # Two runs of the core: with the routines of NumPy and OpenBLAS, and the kernels, that other processors use.
 other-machines: $(VENV)/.compiler
 	$(call built_with,$(VENV)/.dev)
-	$(BIN)/python tests/other_machines.py $(PYTEST_OPTIONS) -n $(THREADS) --dist loadfile
+	$(BIN)/python tests/other_machines.py $(PYTEST_OPTIONS) -n $(THREADS) $(BY_FILE)
 
 # Compiled code of its own: Numba puts a check before every access to an array.
 bounds: export LOEWNER_JIT := 1
 bounds: export NUMBA_BOUNDSCHECK := 1
 bounds: $(VENV)/.dev
 	$(COMPILE)
-	$(PYTEST) -n $(THREADS) --dist loadfile -m "not verify and not fuzz" --part $(PART) tests
+	$(PYTEST) -n $(THREADS) $(BY_FILE) -m "not verify and not fuzz" --part $(PART) tests
 
 # In an environment of its own, since it is no longer the pinned one.
 newest:
@@ -122,7 +124,7 @@ newest:
 	.venv-newest/bin/python -m pip list
 	.venv-newest/bin/python native/build.py || true
 	.venv-newest/bin/python -m loewner compile
-	.venv-newest/bin/python -m pytest $(PYTEST_OPTIONS) -n $(THREADS) --dist loadfile -m "not verify and not fuzz" $(TESTS)
+	.venv-newest/bin/python -m pytest $(PYTEST_OPTIONS) -n $(THREADS) $(BY_FILE) -m "not verify and not fuzz" $(TESTS)
 
 bench: $(VENV)/.bench
 	$(BUILD)
@@ -180,7 +182,7 @@ test-wheel: $(VENV)/.dev
 	  into=$$(.venv-wheel/bin/python -c 'import sysconfig; print(sysconfig.get_path("purelib"))'); \
 	  echo "$$seen" >"$$into/_seen.pth" && cp "$$seen"/cmeel.pth "$$into"
 	cd .venv-wheel && LOEWNER_NATIVE=required LOEWNER_INSTALLED=required bin/python -m pytest $(PYTEST_OPTIONS) \
-	  -c ../pyproject.toml --rootdir .. -n $(THREADS) --dist loadfile -m "not verify and not fuzz" ../tests
+	  -c ../pyproject.toml --rootdir .. -n $(THREADS) $(BY_FILE) -m "not verify and not fuzz" ../tests
 
 clean:
 	rm -rf $(VENV) .venv-wheel .venv-newest build dist docs/_build docs/measured.md docs/reference/command.md docs/reference/generated .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis .benchmarks demo-out

@@ -23,6 +23,7 @@ from loewner.robots.checking import pair_cache, verdicts
 sys.path[:0] = [str(Path(__file__).parent), str(Path(__file__).parent / "fuzz")]
 
 import long_cases  # noqa: E402  # beside this file, too
+import sampling  # noqa: E402
 from gantry import gantry_robot, wall  # noqa: E402
 
 # The same examples every run: a red test must be red again on the next run.
@@ -54,6 +55,32 @@ gc.set_threshold(10_000, 10, 10)
 pair_cache.FOLDER = Path(os.devnull) / "pairs"
 
 
+# Files go to processes in the order of their cases (`--no-loadscope-reorder`). Two with oracles come first, one for a
+# process: what Numba compiles for one, in seconds, the other finds on disk. Then come those that take long although
+# they have few cases: a browser, and a checker of types.
+FIRST = [str(Path(__file__).parent / name) for name in ("test_oracles", "test_surface_oracle", "viewer", "test_types")]
+
+
+def place_of(item: pytest.Item) -> tuple[int, str]:
+    """Place of a test's file: in this list, or after it by name."""
+    file = str(item.path)
+    return next((k for k, name in enumerate(FIRST) if file.startswith(name)), len(FIRST)), file
+
+
+class Backwards:
+    """A plugin for each second process of several, which all read all tests: it reads the last file first.
+
+    In a fresh clone two processes then rewrite the assertions of half of the files each, and find the others on disk.
+    """
+
+    class Folder(pytest.Dir):
+        def collect(self) -> list[pytest.Item | pytest.Collector]:
+            return list(super().collect())[::-1]
+
+    def pytest_collect_directory(self, path: Path, parent: pytest.Collector) -> pytest.Collector | None:
+        return None if (path / "__init__.py").exists() else self.Folder.from_parent(parent, path=path)
+
+
 def pytest_collection_finish() -> None:
     gc.freeze()
 
@@ -64,10 +91,11 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 @pytest.hookimpl(trylast=True)  # after tests were chosen by name and by mark
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Leave every n-th test: neighbours take about as long as each other, so parts do, too.
+    """Begin with some files, and leave every n-th test: neighbours take about as long as each other, so parts do, too.
 
     Tests of a file that share a fixture stay together, since a wheel, say, takes minutes to build.
     """
+    items.sort(key=place_of)
     part = config.getoption("--part")
     found = re.fullmatch(r"([1-9]\d*)/([1-9]\d*)", part)
     if not found or int(found[1]) > int(found[2]):
@@ -88,6 +116,9 @@ def group_of(item: pytest.Item) -> str:
 
 def pytest_configure(config: pytest.Config) -> None:
     config.pluginmanager.register(long_cases)
+    sampling.quick_suite = "not verify" in config.option.markexpr
+    if getattr(config, "workerinput", {}).get("workerid", "gw0")[-1] in "13579":
+        config.pluginmanager.register(Backwards())
 
 
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:

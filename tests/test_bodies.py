@@ -23,6 +23,7 @@ from loewner.bodies.triangulated import of_piece
 from loewner.ellipsoids import polytopes
 from loewner.meshes import decomposition as meshes
 from oracles import hull
+from sampling import quick
 
 ALL_KINDS = {
     "polytope": lambda: Body.from_points(pieces("ball 20", 1)[0]),
@@ -220,12 +221,13 @@ def test_a_box_is_the_hull_of_its_corners(size):
     assert edges == {(q, p) for p, q in edges}
 
 
-def test_boxes_are_refused_as_their_corners_are():
+@pytest.mark.parametrize("every", quick(3, 1))
+def test_boxes_are_refused_as_their_corners_are(every: int):
     """Flat, tiny and huge boxes: the same error, under the name of the argument, wherever the thin edge is."""
     edges = [5e-324, 1e-200, 1e-141, 1e-140, 1e-30, 1e-12, 1e-3, 1.0, 1e3, 1e12, 1e30, 1e140, 1e141, 1e308]
     edges += [1 - 1e-3, 1e-12 * (1 - 1e-3), 1e-12 * (1 + 1e-3), 1e-15, 1.4e-15, 1.3e-15]
     told, corners = set(), np.array(list(itertools.product((-1.0, 1.0), repeat=3)))
-    for size in itertools.product(edges, repeat=3):
+    for size in itertools.islice(itertools.product(edges, repeat=3), 0, None, every):
         half = np.array(size) / 2
 
         def outcome(make):

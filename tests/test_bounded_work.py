@@ -17,6 +17,7 @@ from families import translation
 from loewner import Body, CollisionChecker, InputError, Scene, Verdict
 from loewner._kernels.tolerances import ROTATION_TOLERANCE
 from loewner._native import library
+from sampling import quick
 from test_piece_trees import without_trees
 
 HERE = Path(__file__).parent
@@ -346,10 +347,11 @@ def test_curves_keep_the_limit(rng):
     assert (found[0].segments.steps == found[1].segments.steps).all()
 
 
-def test_batches_keep_the_limit(rng):
+@pytest.mark.parametrize("count", quick(80, 200))
+def test_batches_keep_the_limit(rng, count):
     """Each motion of a batch has its own limit, whatever the others take and how many threads there are."""
     checker, (a, b) = balls_near_a_box()
-    ends = b + np.abs(rng.normal(size=(200, len(b)))) * [0.02, 0.1, 0.1, 0.0] - [0.005, 0.0, 0.0, 0.0]
+    ends = b + np.abs(rng.normal(size=(count, len(b)))) * [0.02, 0.1, 0.1, 0.0] - [0.005, 0.0, 0.0, 0.0]
     alone = [checker.certify_edges(a, end, steps=6300) for end in ends]
     found = checker.certify_edges(a, ends, steps=6300)
     assert np.array_equal(found.verdict, [one.verdict for one in alone])

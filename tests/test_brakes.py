@@ -24,6 +24,7 @@ from loewner.planners import JointLimits, Trajectory, brake, limit_use, trajecto
 from loewner.planners.brakes import Brakes
 from loewner.robots.proofs.curves import curve_of, form_of
 from motion_oracle import AFLOAT, written
+from sampling import examples
 from test_trajectories import dense, in_blend, off_polyline, paths
 
 rates = arrays(np.float64, 3, elements=st.floats(-3.0, 3.0).map(lambda x: round(x, 3)))
@@ -66,6 +67,7 @@ def controls(moved):
 # -- joint by joint -----------------------------------------------------------------------------
 
 
+@examples(16, 40)
 @given(q=shares, dq=rates, strongest=strengths)
 def test_joints_brake_in_closed_form(robot, q, dq, strongest):
     """Each joint covers v²/2a in v/a seconds, within its limit, and rests from then on."""
@@ -81,6 +83,7 @@ def test_joints_brake_in_closed_form(robot, q, dq, strongest):
     assert moved.positions(t) == pytest.approx(q + (dq * np.abs(dq) - left * np.abs(left)) / (2 * strongest), abs=1e-8)
 
 
+@examples(16, 40)
 @given(q=shares, dq=rates, share=shares, strongest=strengths, jerk=steeps)
 @example(  # a ramp of a billionth of the brake's duration, which becomes a jump
     q=np.zeros(3), dq=np.array([0.0, 0.0, -1.0]), share=np.full(3, 0.99999), strongest=np.full(3, 0.1),
@@ -103,7 +106,7 @@ def test_joints_brake_with_limited_jerk(robot, q, dq, share, strongest, jerk):
 
 
 @given(v=st.floats(-3.0, 3.0), share=st.floats(-1.0, 1.0), strongest=st.floats(0.5, 5.0), jerk=st.floats(2.0, 50.0))
-@settings(max_examples=30)
+@examples(12, 30)
 def test_no_stop_within_limits_is_shorter(robot, v, share, strongest, jerk):
     """In a time that is shorter by a hundredth, no acceleration within limits leads to rest: linear programming."""
     from scipy.optimize import linprog

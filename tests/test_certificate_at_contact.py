@@ -12,6 +12,7 @@ from contacts import APART, MEETING, Contacts, Setting, contacts, ellipsoid_bodi
 from families import box_corners, pieces, rotations
 from loewner import Bodies, Verdict
 from oracles import exact_collides, hull, pack, signed_distances
+from sampling import quick
 
 SETTINGS = {
     "balls": Setting(("balls", "balls")),
@@ -63,7 +64,7 @@ def answers(a: Bodies, b: Bodies, c: Contacts, each: int, margin: float, alone: 
     return loewner.classify(a, c.Ta.reshape(shape), b, c.Tb.reshape(shape), margin=margin).ravel()
 
 
-@pytest.mark.parametrize("each", [2, pytest.param(200, marks=pytest.mark.verify)])
+@pytest.mark.parametrize("each", quick(1, 200))
 @pytest.mark.parametrize("name", SETTINGS)
 def test_ellipsoids_at_contact(name: str, each: int):
     """FREE is never said of outer ellipsoids with a common point, nor COLLIDING of inner ones that a plane parts."""
@@ -149,7 +150,7 @@ HULLS = {
 }
 
 
-@pytest.mark.parametrize("count", [6, pytest.param(200, marks=pytest.mark.verify)])
+@pytest.mark.parametrize("count", quick(4, 200))
 @pytest.mark.parametrize(
     "where",
     [

@@ -4,7 +4,7 @@ import gc
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from checker_oracle import composed_bodies, pose, random_robot, random_scene, simple_bodies
@@ -14,6 +14,7 @@ from loewner.bodies import packed_of
 from loewner.bodies.pack import Packed, joined
 from loewner.robots.checking import verdicts
 from loewner.robots.checking.problem import Problem
+from sampling import examples, quick_of
 
 CHANGES = ("move", "move_all", "add", "remove", "replace", "attach", "detach", "allow", "forbid", "margin")
 
@@ -58,7 +59,7 @@ def pool():
 
 
 @pytest.mark.filterwarnings("ignore:attach of")
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", quick_of(range(6), range(3)))
 def test_a_patched_checker_answers_as_one_made_anew(seed, pool, tmp_path):
     """After each of twenty changes in a row: verdicts, proofs with their work, and distances, bit for bit."""
     rng = np.random.default_rng(seed)
@@ -86,7 +87,7 @@ def test_a_patched_checker_answers_as_one_made_anew(seed, pool, tmp_path):
 
 
 @given(st.integers(0, 2**32 - 1))
-@settings(max_examples=20)
+@examples(8, 20)
 def test_packs_that_are_joined_are_as_made_anew(seed):
     """Joined arrays for kernels equal those made of all pieces, up to the tables of addresses and unused children."""
     rng = np.random.default_rng(seed)

@@ -44,6 +44,7 @@ from loewner.queries import pairs as queries
 from loewner.robots.checker import prepared_of
 from loewner.robots.checking import edges
 from loewner.robots.checking.verdicts import lengths
+from sampling import quick_of
 
 SLIDE = '<axis xyz="1 0 0"/><limit lower="-1" upper="1"/>'
 
@@ -69,7 +70,7 @@ def arm(folder, bodies, seed=0, links=5):
 # -- the answers --------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("seed", [*range(10), *(pytest.param(k, marks=pytest.mark.verify) for k in range(10, 25))])
+@pytest.mark.parametrize("seed", quick_of(range(25), range(5)))
 def test_a_checker_says_what_the_queries_say_pair_by_pair(seed, bodies, tmp_path):
     """Any kinds of joints, bodies and margins; before and after bodies move, come, are grasped, put down and go."""
     rng = np.random.default_rng(seed)

@@ -5,11 +5,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from checker_oracle import composed_bodies, pose, random_robot, random_scene, robot_of, simple_bodies
 from loewner import Body, CollisionChecker, ConvergenceError, InputError, Robot, Scene
+from sampling import examples
 from test_gradients import nudged
 
 SEEDS = st.integers(0, 2**32 - 1)
@@ -77,7 +78,7 @@ def gap(P: np.ndarray, Q: np.ndarray, r: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("count", [1, pytest.param(6, marks=pytest.mark.verify)])
-@settings(max_examples=6)
+@examples(2, 6)
 @given(seed=SEEDS, pieces=st.sampled_from([1, 3]), softness=st.sampled_from([1e-6, 1e-3, 0.02, 0.3]))
 def test_clearances_are_soft_minima_of_all_gaps(seed: int, pieces: int, softness: float, count: int, tmp_path_factory):
     """Beside a sum over all pairs of pieces, with none left out; apart and deep within each other."""
@@ -90,7 +91,7 @@ def test_clearances_are_soft_minima_of_all_gaps(seed: int, pieces: int, softness
         assert checker.clearance(q, softness=softness) == pytest.approx(soft, abs=1e-9)
 
 
-@settings(max_examples=20)
+@examples(8, 20)
 @given(seed=SEEDS, pieces=st.sampled_from([1, 3]), softness=st.sampled_from([1e-9, 1e-3, 0.1]))
 def test_clearances_are_lower_bounds(seed: int, pieces: int, softness: float, tmp_path_factory):
     """Never above the exact distance, also where bodies overlap; the softer, the lower."""
@@ -103,7 +104,7 @@ def test_clearances_are_lower_bounds(seed: int, pieces: int, softness: float, tm
 
 
 @pytest.mark.parametrize("count", [2, pytest.param(10, marks=pytest.mark.verify)])
-@settings(max_examples=12)
+@examples(5, 12)
 @given(seed=SEEDS, pieces=st.sampled_from([1, 3]), softness=st.sampled_from([2e-3, 0.05]))
 def test_gradients_of_clearances_are_differences(seed: int, pieces: int, softness: float, count: int, tmp_path_factory):
     """Of robots with all kinds of joints, mimics and attached bodies: the function is smooth, so every one is near."""

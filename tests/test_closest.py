@@ -14,6 +14,7 @@ from checker_oracle import composed_bodies, random_robot, random_scene, simple_b
 from loewner import Body, CollisionChecker, Robot, Scene, planners
 from loewner.errors import InputError
 from loewner.robots.proofs import approaches, curves
+from sampling import examples, quick_of
 
 SLIDE = """<robot name="slide"><link name="base"/><link name="ball"><collision><geometry><sphere radius="0.1"/>
 </geometry></collision></link><joint name="x" type="prismatic"><parent link="base"/><child link="ball"/>
@@ -38,7 +39,7 @@ def slide_past(x, gap, radius=0.15, margin=0.0):
     return CollisionChecker(Robot.from_urdf(text=SLIDE), scene)
 
 
-@settings(max_examples=40)
+@examples(16, 40)
 @given(
     st.floats(-6, 0), st.booleans(), st.floats(-3, 2.8), st.floats(0.02, 0.98), st.sampled_from([1, 2, 7]), st.data()
 )
@@ -80,7 +81,7 @@ def test_the_distance_of_a_pendulum_is_known(begin, turned, gap):
     assert found.close.all()
 
 
-@pytest.mark.parametrize("seed", [*range(4), *(pytest.param(k, marks=pytest.mark.verify) for k in range(4, 8))])
+@pytest.mark.parametrize("seed", quick_of(range(8), range(2)))
 def test_random_robots_are_never_nearer_than_proven(seed, tmp_path):
     """Dense samples are no nearer than the lower bound, and what was found is a moment of the curve."""
     rng = np.random.default_rng(seed)

@@ -13,6 +13,7 @@ from loewner import Body, CollisionChecker, ConvergenceError, InputError, Robot,
 from loewner.cli.main import main
 from loewner.queries import pairs as queries
 from loewner.robots.proofs import contacts
+from sampling import quick
 from test_contacts import HAND, START, TOLERANCE, can_on_table, height
 
 FREE, COLLIDING = Verdict.FREE, Verdict.COLLIDING
@@ -201,7 +202,7 @@ def test_rules_about_other_pairs_or_ends_do_not_help():
     assert (found.segments.verdict == FREE).sum() >= 3  # with those that the rules allow
 
 
-@pytest.mark.parametrize("seed", [*range(2), *(pytest.param(k, marks=pytest.mark.verify) for k in range(2, 20))])
+@pytest.mark.parametrize("seed", quick(*range(20)))
 def test_random_curves_keep_the_rules_in_dense_samples(seed):
     """FREE curves keep the rules by plane geometry, and nearly all curves that keep them are FREE."""
     rng = np.random.default_rng(seed)
@@ -258,7 +259,7 @@ def test_first_contact_is_the_first_that_is_not_allowed():
     assert 1.0 <= found.free_until < 1.01 <= found.touching_at < 1.0101
 
 
-@pytest.mark.parametrize("seed", [*range(2), *(pytest.param(k, marks=pytest.mark.verify) for k in range(2, 20))])
+@pytest.mark.parametrize("seed", quick(*range(20)))
 def test_bodies_of_several_pieces_and_thin_tables(seed):
     """Each pair of pieces keeps the rule in dense exact distances: with flanges, a table of 1 mm, and deep starts."""
     rng = np.random.default_rng(seed)

@@ -6,7 +6,7 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 import loewner
@@ -15,6 +15,7 @@ from families import translation
 from gantry import gantry, wall
 from loewner import Body, CollisionChecker, Scene, Verdict, cli, planners
 from loewner.verify import Refused, verify
+from sampling import examples
 
 # A hand that slides along x and z, and turns about z and y.
 HAND = [
@@ -126,7 +127,7 @@ def test_margins_and_depths(hand):
     assert proven(checker, REST, [0.0, 0.2, 0.5, 0.0], tolerance=1e-3)[1].contacts[0][-1] == pytest.approx(-1e-3)
 
 
-@settings(max_examples=30)
+@examples(12, 30)
 @given(
     body=st.sampled_from(sorted(SHAPES)),
     turned=st.booleans(),

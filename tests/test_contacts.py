@@ -9,6 +9,7 @@ import pytest
 import loewner
 from families import translation
 from loewner import Body, CollisionChecker, PlanningError, Robot, Scene, Verdict, planners
+from sampling import quick
 
 # A hand that slides along x and z and turns about y, in the plane of both; the can's bottom is at its origin.
 HAND = """<robot name="hand">
@@ -73,7 +74,7 @@ def test_an_allowed_pair_of_an_attached_body_is_named_in_a_warning():
 
 @pytest.mark.parametrize("margin", [0.004, pytest.param(0.0, marks=pytest.mark.verify)])
 @pytest.mark.parametrize("sunk", [0.0, 1e-17, 0.002, -0.003])
-@pytest.mark.parametrize("count", [20, pytest.param(60, marks=pytest.mark.verify)])
+@pytest.mark.parametrize("count", quick(20, 60))
 def test_free_and_colliding_are_as_plane_geometry_says(margin, sunk, count):
     """FREE: no deeper than at the start, or nearer within the margin, until apart; then apart. COLLIDING: nearer."""
     checker = can_on_table(margin, sunk, leave=["table"])

@@ -17,6 +17,7 @@ from scipy.interpolate import BPoly
 from gantry import LEFT, RIGHT
 from loewner import CollisionChecker, FileError, InputError, Robot, UnknownNameError, Verdict, planners
 from loewner.planners import ControllerPoints, Trajectory, trajectory
+from sampling import examples
 from test_plans_in_time import gate
 
 JERK = 30.0
@@ -131,7 +132,7 @@ def test_points_without_names_need_them(tmp_path):
 
 @pytest.mark.parametrize("ending", [".csv", ".json", ".yaml"])
 @given(data=st.data(), count=st.integers(2, 4), rates=st.integers(0, 2), begin=st.sampled_from([0.0, 2.5]))
-@settings(max_examples=15)
+@examples(6, 15)
 def test_points_are_read_back_equal(tmp_path_factory, ending, data, count, rates, begin):
     """A .csv file holds all numbers; a message holds times of whole nanoseconds, and no start time."""
     names = data.draw(st.lists(labels.map(lambda text: f"j{text}"), min_size=2, max_size=2, unique=True))
@@ -239,7 +240,7 @@ steps = arrays(np.float64, (3, 3), elements=values).filter(lambda path: (np.diff
 
 @pytest.mark.parametrize("ending", [".csv", ".json"])
 @given(path=steps, jerk=st.floats(0.5, 5000.0), knot=st.integers(1, 20), near=st.floats(-5, -2.5), late=st.booleans())
-@settings(max_examples=10)
+@examples(4, 10)
 def test_rows_keep_limits_in_fractions(robot, alone, tmp_path_factory, ending, path, jerk, knot, near, late):
     """Added rows, however near to a knot, keep the limits of cubics and quintics in exact arithmetic.
 

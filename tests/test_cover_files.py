@@ -18,6 +18,7 @@ from loewner.bodies.triangulated import of_pieces
 from loewner.cli.cover_tables import _interval
 from loewner.robots import covers
 from loewner.robots.cover_files import FORMATS, _Balls, _rounded
+from sampling import quick
 
 SUFFIX = {
     "curobo": "yml",
@@ -523,11 +524,12 @@ def run(capsys, *words):
 @pytest.mark.parametrize(
     "format", [one if one == "curobo" else pytest.param(one, marks=pytest.mark.verify) for one in FORMATS]
 )
-def test_cover_command(robot, lumps, tmp_path, monkeypatch, capsys, format):
+@pytest.mark.parametrize("protrusion", quick("0.05", "0.02"))
+def test_cover_command(robot, lumps, tmp_path, monkeypatch, capsys, format, protrusion):
     """The file that the command writes is read back, proven, and has a row for each link."""
     monkeypatch.chdir(tmp_path)
     name = f"written.{SUFFIX[format]}"
-    words = ("gantry.urdf", "--srdf", "gantry.srdf", "-o", name, "--for", format, "--protrusion", "0.02")
+    words = ("gantry.urdf", "--srdf", "gantry.srdf", "-o", name, "--for", format, "--protrusion", protrusion)
     status, out, _ = run(capsys, "cover", *words)
     assert status == 0
     assert re.search(r"rod +.? *\d+ +.? *covered", out)

@@ -5,7 +5,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 import trimesh
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from loewner import (
@@ -20,6 +20,7 @@ from loewner import (
 )
 from loewner._native import entries
 from loewner.bodies import packed_of
+from sampling import examples, quick
 
 ANNULUS = trimesh.creation.annulus(0.03, 0.04, 0.1)
 BOX = Body.box([0.2, 0.1, 0.1])
@@ -159,7 +160,7 @@ def test_a_point_that_no_candidate_holds_is_no_choice():
 
 
 @given(st.integers(0, 10**6), st.integers(1, 12), st.floats(0.02, 0.4))
-@settings(max_examples=25, deadline=None)
+@examples(10, 25)
 def test_outcomes_of_balls_are_true(seed: int, count: int, radius: float):
     """Random hulls and balls: samples of a covered body are inside, and witnesses are outside in exact arithmetic."""
     rng = np.random.default_rng(seed)
@@ -254,7 +255,7 @@ def test_radius_short_by_a_rounding_of_single_precision():
     assert cube.covered_by(Body.sphere(radius)).outcome != "uncovered"
 
 
-@pytest.mark.parametrize("tolerance", [4e-3, pytest.param(1e-3, marks=pytest.mark.verify)])
+@pytest.mark.parametrize("tolerance", quick(1e-2, 4e-3, 1e-3))
 def test_boxes_that_share_a_face_are_not_accused(tolerance: float):
     """Boxes that share faces cover without a gap: never "uncovered"; moved apart by 1 µm, they leave a hole."""
     halves = [[-0.05, 0, 0], [0.05, 0, 0]]
@@ -329,7 +330,7 @@ def test_excess_of_elements_that_stick_out():
 
 
 @pytest.mark.slow("fits of spheres and capsules repeat a search and a proof")
-@pytest.mark.parametrize("kind", ["spheres", pytest.param("capsules", marks=pytest.mark.verify), "boxes", "ellipsoids"])
+@pytest.mark.parametrize("kind", quick("spheres", "capsules", "boxes", "ellipsoids"))
 def test_covers_by_number(kind: str):
     """A cover has at most n elements, is proven by another call, holds samples, and sticks out as it states."""
     body = Body.from_surface(ANNULUS)
@@ -418,11 +419,12 @@ def test_a_plate_shaped_hole_is_found():
     assert found.depth[0] <= 0.06 <= found.depth[1]
 
 
-def test_a_thick_surface_is_not_its_corners():
+@pytest.mark.parametrize("tolerance", quick(0.2, 0.05))
+def test_a_thick_surface_is_not_its_corners(tolerance: float):
     """A surface with a radius is not held by the hull of its corners."""
     box = trimesh.creation.box((2, 2, 2))
     thick = Body.from_surface(box, radius=0.5, solid=False)
-    assert thick.covered_by(Body.box([2, 2, 2]), tolerance=0.05).outcome != "covered"
+    assert thick.covered_by(Body.box([2, 2, 2]), tolerance=tolerance).outcome != "covered"
 
 
 @pytest.mark.verify
@@ -480,14 +482,14 @@ def test_covers_of_robots_do_not_depend_on_threads():
         for k, x in ((1, "b"), (2, "c"))
     )
     robot, before = Robot.from_urdf(text=f'<robot name="r">{parts}{joints}</robot>'), get_num_threads()
+    alone = {link: body.cover("spheres", protrusion=0.04) for link, body in robot.bodies.items()}
     shares: list[float] = []
     try:
         for count in (1, 3):
             set_num_threads(count)
             covers = robot.cover("spheres", protrusion=0.04, progress=lambda done, total: shares.append(done / total))
-            for link, body in robot.bodies.items():
-                alone = body.cover("spheres", protrusion=0.04)
-                assert (packed_of(covers.bodies[link]).frames == packed_of(alone).frames).all()
+            for link in robot.bodies:
+                assert (packed_of(covers.bodies[link]).frames == packed_of(alone[link]).frames).all()
             assert shares == sorted(shares)
             assert shares.pop() == 1.0
             shares.clear()

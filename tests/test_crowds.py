@@ -12,6 +12,7 @@ from loewner import Bodies, Body, Verdict, overlapping_pairs
 from loewner._kernels import columns
 from loewner._native import entries
 from loewner.queries import crowds
+from sampling import quick
 
 SEEDS = st.integers(0, 2**32 - 1)
 
@@ -210,10 +211,10 @@ def test_order_of_the_bodies_does_not_matter():
     assert np.array_equal(again[np.lexsort((again[:, 1], again[:, 0]))], found)
 
 
-def test_search_is_far_from_all_pairs():
+@pytest.mark.parametrize("n", quick(1600, 4000))
+def test_search_is_far_from_all_pairs(n):
     """Small ones among large ones: boxes that meet are a small share of all pairs, and every one is reported once."""
     rng = np.random.default_rng(13)
-    n = 4000
     sizes = axes(rng, n, 3.0)
     T = random_poses(rng, n, 1.5 * np.cbrt((4 * sizes.prod(axis=1)).sum()))
     bodies = Bodies.ellipsoids(sizes)
@@ -337,7 +338,7 @@ def measured(bodies: Body | Bodies, T: np.ndarray, margin: float = 0.0, method: 
 
 
 @pytest.mark.parametrize("kind", [*KINDS, *MADE])
-@pytest.mark.parametrize("margin", [0.0, 0.2])
+@pytest.mark.parametrize("margin", quick(0.2, 0.0))
 def test_depths_are_those_of_distance(kind, margin):
     """What `distance` says of the pairs one by one, to 1e-9 of the lengths involved, and within its bounds."""
     bodies, T = crowd_of(kind)

@@ -26,6 +26,7 @@ from loewner.planners import ControllerPoints, Trajectory, trajectory
 from loewner.robots.proofs.courses import configurations
 from loewner.robots.proofs.curves import curve_of
 from motion_oracle import AFLOAT, example, free_configurations, ring, steps, written
+from sampling import quick
 
 FREE, COLLIDING, AMBIGUOUS = Verdict.FREE, Verdict.COLLIDING, Verdict.AMBIGUOUS
 
@@ -59,10 +60,11 @@ FORMS = {
 
 
 @pytest.mark.parametrize("form", FORMS)
-def test_curves_against_samples(checker, rng, form):
+@pytest.mark.parametrize("count", quick(15, 40))
+def test_curves_against_samples(checker, rng, form, count):
     """No curve that is proven collides at one of 2,000 times, as its own library evaluates it; collisions are such."""
     times = np.array([0.0, 0.7, 1.0, 2.5, 3.0])
-    given = [FORMS[form](times, q) for q in paths(checker, rng, 40)]
+    given = [FORMS[form](times, q) for q in paths(checker, rng, count)]
     found = checker.certify_trajectory(given)
     t = np.linspace(times[0], times[-1], 2000)
     for curve, one in zip(given, found, strict=True):

@@ -5,13 +5,14 @@ from contextlib import nullcontext
 import numpy as np
 import pytest
 import trimesh
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from loewner import Body, CollisionChecker, GeometryError, InputError, PoseError, Scene, collide
 from loewner.bodies import checksum_of
 from loewner.depth import SeenSpace, points_of
 from mechanisms import ball, box, joint, link, robot
+from sampling import examples
 
 K = np.array([[40.0, 0.5, 15.5], [0, 42.0, 11.5], [0, 0, 1]])
 
@@ -90,7 +91,7 @@ def test_single_precision_images_are_read():
 # -- the robot's own points -----------------------------------------------------------------------
 
 
-@settings(max_examples=8, deadline=None)
+@examples(2, 8)
 @given(st.integers(0, 10_000), st.floats(0.005, 0.2))
 def test_the_points_that_stay_are_those_beyond(seed, clear):
     """A naive loop over all links and points gives the same answer, and so does a ball around each point."""
@@ -163,7 +164,7 @@ def visible(point, image, T):
     return inside and image[row, column] > z
 
 
-@settings(max_examples=30, deadline=None)
+@examples(12, 30)
 @given(st.integers(0, 10_000))
 def test_all_points_of_seen_cells_are_visible(seed):
     """Random points of each cell that is seen are in front of the depth of their pixel, with random images."""

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import brentq
 
@@ -16,6 +16,7 @@ from loewner._kernels.ellipsoids import signed_distance
 from loewner._kernels.narrow import epa_fast, epa_robust
 from loewner._kernels.records import Placed
 from oracles import directional_distance, ellipsoid_support, fibonacci_sphere, hull, pack, posed_support
+from sampling import examples, quick
 
 seeds = st.integers(0, 2**32 - 1)
 
@@ -48,10 +49,11 @@ def point_to_ellipsoid(axes: np.ndarray, p: np.ndarray) -> float:
     return float(np.copysign(np.linalg.norm(t * p / (axes**2 + t)), t))
 
 
-def test_ball_and_ellipsoid_by_the_confocal_root():
+@pytest.mark.parametrize("count", quick(60, 200))
+def test_ball_and_ellipsoid_by_the_confocal_root(count: int):
     """The distance of a ball is that of its center less the radius, inside and outside, in either order."""
     rng = np.random.default_rng(3)
-    for _ in range(200):
+    for _ in range(count):
         axes = rng.uniform(0.2, 2, size=3)
         p, r = rng.uniform(-2, 2, size=3), rng.uniform(0.01, 1)
         T = turned(rng, 1, 3.0)[0]
@@ -117,7 +119,7 @@ def compare_with_directions(seed: int) -> None:
     assert found.distance == pytest.approx(truth, abs=1e-9)
 
 
-@settings(max_examples=20)
+@examples(8, 20)
 @given(seeds)
 def test_ellipsoids_against_directions(seed: int):
     """No direction of a dense grid, polished from its best starts, shows a shallower way out or a wider gap."""
@@ -180,10 +182,11 @@ def test_an_ellipsoid_within_proves_only_the_least():
     assert proven > 0.7 * deep
 
 
-def test_enclosing_depth_is_concave_and_enough():
+@pytest.mark.parametrize("count", quick(40, 100))
+def test_enclosing_depth_is_concave_and_enough(count: int):
     """What the proof rests on: D is the least over all directions, concave, and at the right r no more than h."""
     rng = np.random.default_rng(2)
-    for _ in range(100):
+    for _ in range(count):
         FA, FB = (rotations(rng, 1)[0] * 10 ** rng.uniform(-2, 0, size=3) for _ in range(2))
         P, Q = (tuple((F @ F.T)[np.triu_indices(3)]) for F in (FA, FB))
         c = tuple(rng.uniform(-0.5, 0.5, size=3))
@@ -214,10 +217,10 @@ def test_enclosing_depth_is_concave_and_enough():
     "spread", [2.0, 1e-3, 1e-15, *(pytest.param(k, marks=pytest.mark.verify) for k in (0.3, 1e-9, 0.0))]
 )
 @pytest.mark.parametrize("thin", [1.0, 0.1, 1e-3, 1e-6])
-def test_round_pairs_obey_the_laws(thin: float, spread: float):
+@pytest.mark.parametrize("count", quick(16, 40))
+def test_round_pairs_obey_the_laws(thin: float, spread: float, count: int):
     """Settled for every ratio of axes, at any depth; order, common motion and scale change nothing."""
     rng = np.random.default_rng(17)
-    count = 40
 
     def some(scale: float) -> list[Body]:
         choice = np.random.default_rng(5)
@@ -245,12 +248,13 @@ def test_round_pairs_obey_the_laws(thin: float, spread: float):
     assert exact(big[0], larger[0], big[1], larger[1]).distance / 2.0**20 == pytest.approx(found.distance, abs=1e-11)
 
 
-def test_coal_agrees_on_ellipsoids():
+@pytest.mark.parametrize("count", quick(40, 100))
+def test_coal_agrees_on_ellipsoids(count: int):
     """Apart or shallow, Coal's distances are ours to its own accuracy; deep, its polytope inside A - B falls short."""
     coal = pytest.importorskip("coal")
     rng = np.random.default_rng(6)
     for reach, tolerance in ((3.0, 2e-4), (0.5, 3e-2)):
-        for _ in range(100):
+        for _ in range(count):
             a, b = rng.uniform(0.3, 1, size=(2, 3))
             Ta, Tb = turned(rng, 2, reach)
             ours = float(exact(Body.ellipsoid(a), Ta, Body.ellipsoid(b), Tb).distance)
@@ -355,10 +359,11 @@ def test_a_face_as_near_as_another():
 
 
 @pytest.mark.parametrize("curved", [Body.cylinder(0.1, 0.3), Body.cone(0.1, 0.3)], ids=["cylinder", "cone"])
-def test_shallow_overlaps_of_hulls_and_curved_pieces(curved: Body):
+@pytest.mark.parametrize("count", quick(70, 200))
+def test_shallow_overlaps_of_hulls_and_curved_pieces(curved: Body, count: int):
     """Overlaps down to 1e-9 m are settled, and no shorter way along the normal of the depth leads out of one."""
     rng = np.random.default_rng(36)
-    for _ in range(200):
+    for _ in range(count):
         made = Body.from_points(0.1 * rng.normal(size=(20, 3)))
         Ta, Tb = random_poses(rng, 2, 0.0)
         along = rng.normal(size=3)

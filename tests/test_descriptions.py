@@ -28,6 +28,7 @@ from loewner.robots.checking import checked_pairs
 from loewner.robots.description import srdf as rules
 from loewner.robots.description import tree
 from loewner.robots.description.watch import Watch
+from sampling import quick
 
 BALL = '<collision><geometry><sphere radius="0.1"/></geometry></collision>'
 LIMIT = '<limit lower="-2" upper="2"/>'
@@ -590,7 +591,8 @@ def test_problems_in_other_encodings_are_read(tmp_path):
 # -- other threads -------------------------------------------------------------------------------
 
 
-def test_a_scene_may_change_while_others_ask(arm):
+@pytest.mark.parametrize("seconds", quick(0.4, 1.5))
+def test_a_scene_may_change_while_others_ask(arm, seconds):
     """Each answer is that of some moment: all or none of what a change moves, and no errors but documented ones."""
     scene = Scene()
     for k in range(30):
@@ -618,7 +620,7 @@ def test_a_scene_may_change_while_others_ask(arm):
                 unexpected.append(error)
 
     def ask():
-        until = time.monotonic() + 1.5
+        until = time.monotonic() + seconds
         while time.monotonic() < until:
             try:
                 checker.collide(q)

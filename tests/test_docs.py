@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 import trimesh
 
+import test_pages
 from gantry import gantry
 from loewner import CollisionChecker, Scene, load_scene
 from loewner.cli import main
@@ -62,8 +63,6 @@ def folder_with_robot(folder_with_meshes):
         "docs/motions.md",
         "docs/proofs.md",
         "docs/viewer.md",
-        "docs/howto/two-robots.md",
-        "docs/howto/moving-bodies.md",
     ],
 )
 def test_code_blocks_run(name, folder_with_robot, capsys):
@@ -77,7 +76,7 @@ def test_the_pick_takes_sixty_lines(folder_with_robot, capsys):
     """The page has at most 60 lines of code, and its commands prove the files that this code has written."""
     page = ROOT / "docs/tutorial/pick.md"
     assert sum(line.strip() != "" for line in blocks(page).splitlines()) <= 60
-    exec(compile(blocks(page), page.name, "exec"), {})
+    test_pages.run(page)
     commands = re.findall(r"^    loewner (audit .+)$", page.read_text(), flags=re.M)
     capsys.readouterr()
     for name, command in zip(("pick", "carry", "back"), commands, strict=True):
@@ -158,7 +157,7 @@ def example_apart(name: str, *arguments: str, cwd: Path, **variables: str) -> st
 
 def test_example_two_meshes(folder_with_meshes):
     """A box of 0.1 x 0.2 x 0.3 m and itself: exact distances along x are x - 0.1."""
-    out = example_apart("two_meshes.py", "part.stl", "link.stl", cwd=folder_with_meshes)
+    out = example("two_meshes.py", "part.stl", "link.stl", cwd=folder_with_meshes)
     found = [float(x) for x in re.findall(r"exact distance ([-+0-9.]+)", out)]
     np.testing.assert_allclose(found, [-0.1, 0.0, 0.1, 0.2], atol=1e-4)
 

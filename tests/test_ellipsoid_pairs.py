@@ -22,6 +22,7 @@ from loewner._kernels.ellipsoids import near_points as kernel
 from loewner._native import entries
 from loewner.paper import distance_estimate, overlap_by_eigenvalue
 from oracles import exact_ellipsoid_verdict
+from sampling import quick
 
 METHODS = ["lin-han", "rimon-boyd", "center-line"]
 
@@ -155,9 +156,10 @@ def test_contact_function_is_symmetric_and_affine_invariant(rng, thinnest):
 
 
 @pytest.mark.parametrize("thinnest", [1e-5, pytest.param(0.3, marks=pytest.mark.verify)])
-def test_fast_and_careful_paths_agree(rng, thinnest, monkeypatch):
+@pytest.mark.parametrize("count", quick(200, 500))
+def test_fast_and_careful_paths_agree(rng, thinnest, monkeypatch, count):
     """The polynomial path is taken only where it is as good as the diagonal one."""
-    A, B = random_pairs(rng, 500, thinnest)
+    A, B = random_pairs(rng, count, thinnest)
     for a, b in zip(A, B, strict=True):
         F1, F2 = tuple(a.factor.ravel()), tuple(b.factor.ravel())
         value, s = contact_robust.contact_of_pair(F1, F2, tuple(b.center - a.center))

@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 import loewner
 from families import random_poses
 from loewner import Body, InputError, Robot, load_scene
+from sampling import quick
 
 # How far float32, in which MuJoCo and GLB keep vertices, rounds lengths about 1 m.
 SINGLE = 1e-6
@@ -115,7 +116,8 @@ VOLUMES = {
 
 
 @pytest.mark.parametrize("which", WHICH)
-def test_urdf_reads_back_the_same_set(body, which):
+@pytest.mark.parametrize("count", quick(25, 100))
+def test_urdf_reads_back_the_same_set(body, which, count):
     """Pinocchio and `Robot.from_urdf` find the body; polytopes are around what they are for, or in inner ellipsoids."""
     body.to_urdf("thing.urdf", ellipsoids=which)
     robot = Robot.from_urdf("thing.urdf")
@@ -135,7 +137,7 @@ def test_urdf_reads_back_the_same_set(body, which):
     kind = pinocchio.GeometryType.COLLISION
     found = pinocchio.buildGeomFromUrdf(model, "thing.urdf", kind, package_dirs=[os.getcwd()]).geometryObjects
     assert len(found) == len(back.pieces)
-    for T, distance in zip(Ts[apart][:100], here[apart][:100], strict=True):
+    for T, distance in zip(Ts[apart][:count], here[apart][:count], strict=True):
         at, small = coal.Transform3s(np.eye(3), T[:3, 3]), coal.Sphere(0.05)
         theirs = [
             coal.distance(

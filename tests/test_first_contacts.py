@@ -18,6 +18,7 @@ from loewner._kernels.pipeline.first_contacts import (
     write_motion,
 )
 from loewner.bodies import packed_of
+from sampling import quick
 
 FREE, COLLIDING, AMBIGUOUS = Verdict.FREE, Verdict.COLLIDING, Verdict.AMBIGUOUS
 
@@ -159,10 +160,10 @@ def test_screw_and_wall():
             expect_times(found, np.array(t), 1.0)
 
 
-def test_boxes_in_translation():
+@pytest.mark.parametrize("n", quick(100, 300))
+def test_boxes_in_translation(n):
     """Boxes that only slide meet when their extents along all three axes do."""
     rng = np.random.default_rng(3)
-    n = 300
     sizes = rng.uniform(0.2, 1.5, (2, n, 3))
     x0, x1 = units(rng, n) * 2.5, -units(rng, n) * rng.uniform(0, 2.5, (n, 1))
     half, v = sizes.sum(axis=0) / 2, x1 - x0
@@ -479,10 +480,11 @@ def test_a_slow_pair_does_not_widen_the_bracket_of_a_fast_one(order):
         assert before - after <= 2.0 * TOLERANCE
 
 
-def test_clouds_above_floors_that_turn():
+@pytest.mark.parametrize("count", quick(8, 20))
+def test_clouds_above_floors_that_turn(count):
     """Points of the floor that are far away move fast, which does not count; dense samples of the points' heights."""
     rng, radius, t = np.random.default_rng(59), 0.02, np.linspace(0.0, 1.0, 4001)
-    for _ in range(20):
+    for _ in range(count):
         points = rng.normal(size=(50, 3)) * rng.choice([0.05, 0.3]) + rng.normal(size=3)
         n, offset = units(rng), rng.normal()
         floor = Body.half_space(n, offset, extent=rng.choice([1e2, 1e4]))

@@ -2,10 +2,11 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from loewner import Body, CollisionChecker, InputError, Robot, Scene, Verdict, collide, planners
+from sampling import examples
 
 BOX = [[0.3, 0.2], [-0.3, 0.2], [-0.3, -0.2], [0.3, -0.2]]
 U = [(0, 0), (3, 0), (3, 3), (2, 3), (2, 1), (1, 1), (1, 3), (0, 3)]
@@ -26,7 +27,7 @@ def inside(polygon, x, y):
     return bool((crosses & (where > x)).sum() % 2)
 
 
-@settings(max_examples=15, deadline=None)
+@examples(5, 15)
 @given(st.integers(0, 10_000), st.booleans())
 def test_the_body_is_the_polygon_with_its_height(seed, turned):
     """Points of stars with random radii are in the body if they are in the polygon and below its height."""

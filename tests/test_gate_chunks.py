@@ -14,6 +14,7 @@ from loewner._native import library
 from loewner.planners import Gate, gates
 from loewner.planners.brakes import Brakes
 from loewner.queries.pose_paths import PackedPaths
+from sampling import quick, quick_of
 from test_gates import OffAsOn, WithoutBrakes, WithoutJerk
 
 OFFERED = library.level() is not None or os.environ.get("LOEWNER_NATIVE") == "required"
@@ -102,20 +103,21 @@ def contacts(folder, wrong, given, name=None, how=None):
 
 
 @pytest.mark.parametrize("make", ["c", pytest.param("python", marks=pytest.mark.verify)])
-def test_chunks_meet_nothing_before_standstill(tmp_path, make):
+@pytest.mark.parametrize("count", quick(6, 12))
+def test_chunks_meet_nothing_before_standstill(tmp_path, make, count):
     """Each robot in each kind of world, whatever bodies and the robot do within their bounds."""
     totals = gate_chunks.Totals()
-    for seed in range(12):
+    for seed in range(count):
         totals.counts.update(gate_chunks.Run(seed, make, tmp_path).run(8, 30))
     assert totals.counts["contacts"] == 0
-    assert totals.counts["chunks"] > 800
+    assert totals.counts["chunks"] > 60 * count
     assert min(totals.counts[name] for name in ("GO", "PREFIX", "BRAKE", "INSIDE", "brakes", "events")) > 0
     assert 0.2 < totals.counts["reused"] / totals.counts["checks that go on"] < 1.0  # others are proven again
 
 
 @pytest.mark.parametrize(
     "event",
-    [pytest.param(k, marks=[pytest.mark.verify] * (k not in ("moved", "cone"))) for k in WRONG],
+    quick_of(WRONG, ("moved",)),
 )
 def test_gates_that_use_what_does_not_hold_are_found_out(tmp_path, event):
     """After an event, the use of earlier proofs leads to contact; the gate as it is does not use them."""

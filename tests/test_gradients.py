@@ -4,13 +4,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from checker_oracle import composed_bodies, pairwise, pose, random_robot, random_scene, simple_bodies
 from loewner import Body, CollisionChecker, InputError, Robot, Scene, UnknownNameError, distance
 from loewner.robots.gradients import rounded_down
+from sampling import examples, quick, quick_of
 
 SEEDS = st.integers(0, 2**32 - 1)
 STEP = 1e-6
@@ -33,7 +34,7 @@ def quaternions(robot: Robot) -> list[int]:
     ]
 
 
-@settings(max_examples=25)
+@examples(8, 25)
 @given(seed=SEEDS)
 def test_jacobians_are_differences(seed: int, tmp_path_factory):
     """Of a point of each link of a robot of all kinds of joints, by each value of the configuration."""
@@ -75,7 +76,7 @@ def test_bad_jacobians(tmp_path: Path):
         robot.jacobian(q[:-1], robot.link_names[0])
 
 
-@pytest.mark.parametrize("seed", [*range(4), *(pytest.param(k, marks=pytest.mark.verify) for k in range(4, 15))])
+@pytest.mark.parametrize("seed", quick_of(range(15), range(2)))
 def test_wrenches_are_differences(seed: int):
     """The derivative of a distance as b moves by a twist, about the world's origin, is the wrench's power."""
     rng = np.random.default_rng(seed)
@@ -107,7 +108,7 @@ def test_wrenches_of_batches():
     assert distance(Body.sphere(1.0), None, Body.sphere(0.5), T).wrench is None
 
 
-@settings(max_examples=12)
+@examples(5, 12)
 @given(seed=SEEDS)
 def test_gradients_are_differences(seed: int, tmp_path_factory):
     """Of robots of all kinds of joints among bodies of all kinds, by each value of the configuration."""
@@ -164,7 +165,7 @@ def test_a_runaway_step_has_an_answer(tmp_path: Path):
         assert np.isfinite(checker.distance(q, exact=True, gradient=True).gradient).all()
 
 
-@settings(max_examples=10)
+@examples(4, 10)
 @given(seed=SEEDS)
 def test_distances_by_pair_are_those_of_the_pairs(seed: int, tmp_path_factory):
     """All pairs within a distance, and no others; as each pair alone says."""
@@ -194,7 +195,7 @@ def test_distances_by_pair_are_those_of_the_pairs(seed: int, tmp_path_factory):
 
 
 @pytest.mark.parametrize("apart", [1e-6, 0.01, 0.3, 3.0])
-@pytest.mark.parametrize("count", [50, pytest.param(200, marks=pytest.mark.verify)])
+@pytest.mark.parametrize("count", quick(20, 200))
 def test_bounds_of_ellipsoids_apart_are_tight(apart: float, count: int):
     """Of ellipsoids, which are their own inner and outer ones, both bounds are the distance itself."""
     rng = np.random.default_rng(11)
@@ -267,7 +268,7 @@ def test_bad_distances_by_pair(tmp_path: Path):
     assert len(CollisionChecker(robot, skip_adjacent=True).distance_by_pair(q, within=0.0)) >= 0
 
 
-@settings(max_examples=10)
+@examples(4, 10)
 @given(seed=SEEDS)
 def test_distances_do_not_depend_on_the_batch(seed: int, tmp_path_factory):
     """Each configuration is answered as if it were alone, to the last bit."""

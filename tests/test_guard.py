@@ -11,6 +11,7 @@ import loewner
 from loewner import Body, CollisionChecker, Ellipsoids, InputError, MemoryLimitError, Polytope, Robot, Scene, Verdict
 from loewner._base import _guard, _memory, _validate
 from loewner._native import entries, singles
+from sampling import quick
 
 
 def chained(error: BaseException, links: int) -> SystemError:
@@ -189,7 +190,7 @@ except loewner.MemoryLimitError as error:
         ("from_points([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])", "compiled kernels and SciPy"),
     ],
 )
-@pytest.mark.parametrize("room", [1, 50])
+@pytest.mark.parametrize("room", quick(1, 50))
 def test_what_has_to_be_loaded_does_not_crash(body, loaded, room):
     """OpenBLAS and LLVM abort the process where they find no place."""
     code = STARVED.format(room=room, body=body)

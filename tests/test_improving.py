@@ -13,6 +13,7 @@ from loewner import CollisionChecker, InputError, PlanningError, Scene, Verdict,
 from loewner.planners import compiled, improving
 from loewner.planners.clearing import Clearing
 from loewner.planners.judge import Judge
+from sampling import quick
 
 # The shortest way of the ball about the end of the wall: tangents, arcs about both edges, and the wall's thickness.
 REACH = math.hypot(0.45, 1.0)
@@ -188,7 +189,7 @@ def least_distance(checker, path, count=200):
     return checker.distance(Q, exact=True).distance.min()
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", quick(*range(3)))
 def test_a_path_keeps_its_distance_where_it_can(checker, seed):
     """The shortest path grazes the wall; with a clearance it goes around at a distance, proven, for a little more."""
     given = {"joints": "slide", "seed": seed, "full": True}
@@ -241,10 +242,11 @@ def test_a_goal_that_is_almost_reached(checker, step):
 
 
 @pytest.mark.parametrize("wanted", [0.1, 0.5, 1.0])
-def test_never_worse_than_the_first_path(checker, wanted):
+@pytest.mark.parametrize("count", quick(2, 5))
+def test_never_worse_than_the_first_path(checker, wanted, count):
     """By the cost near obstacles, the result costs no more than the path that is not improved."""
     cost = Clearing.of(Judge.of(checker, 0.0), np.ones(3), wanted).cost_of
-    for seed in range(5):
+    for seed in range(count):
         first = planners.plan(checker, LEFT, RIGHT, seed=seed)
         for rounds in (1, 2, 5):
             plan = planners.plan(

@@ -7,6 +7,7 @@ import loewner
 from families import EIGHT, FAMILIES, box_corners, near_contact, pieces, random_poses, sizes, translation
 from loewner import Bodies, Body, Verdict
 from oracles import exact_collides, hull, pack, signed_distances
+from sampling import quick
 
 FREE, COLLIDING = Verdict.FREE, Verdict.COLLIDING
 
@@ -141,25 +142,27 @@ def float32_corners(count: int) -> tuple[np.ndarray, np.ndarray]:
     return T.astype(np.float32).astype(float), (T @ translation(1, 1, 1)).astype(np.float32).astype(float)
 
 
-def test_bent_poses_are_taken_at_their_word():
+@pytest.mark.parametrize("count", quick(500, 1500))
+def test_bent_poses_are_taken_at_their_word(count: int):
     """A pose through float32 stretches by up to 1e-7; FREE must be true of the stretched bodies, to the last bit."""
     corners = box_corners(np.ones(3))
     cube = Body.from_points(corners)
-    Ta, Tb = float32_corners(1500)
+    Ta, Tb = float32_corners(count)
     free = np.flatnonzero(loewner.classify(cube, Ta, cube, Tb) == FREE)
-    assert len(free) > 300
+    assert len(free) > count / 5
     for k in free:
         assert not exact_collides(corners, Ta[k], corners, Tb[k])
 
 
-def test_bounds_hold_under_bent_poses():
+@pytest.mark.parametrize("count", quick(100, 300))
+def test_bounds_hold_under_bent_poses(count: int):
     """Lower <= distance <= upper where the poses are slightly off a rotation."""
     for a, b in [
         (Body.sphere(1), Body.sphere(1.2)),
         (Body.capsule(0.5, 1), Body.sphere(0.3)),
         (Body.box([1, 1, 1]), Body.cylinder(0.5, 1)),
     ]:
-        Ta, Tb = float32_corners(300)
+        Ta, Tb = float32_corners(count)
         Tb[:, :3, 3] = Ta[:, :3, 3] + 0.5 * (Tb[:, :3, 3] - Ta[:, :3, 3])
         result = loewner.distance(a, Ta, b, Tb, exact=True)
         assert (result.lower <= result.upper).all()
@@ -168,10 +171,11 @@ def test_bounds_hold_under_bent_poses():
 
 
 @pytest.mark.parametrize("offset", [0.0, pytest.param(1000.0, marks=pytest.mark.verify)])
-def test_neighbours_and_precision_of_the_batch(offset: float):
+@pytest.mark.parametrize("count", quick(400, 1000))
+def test_neighbours_and_precision_of_the_batch(offset: float, count: int):
     """A verdict is the pair's own: alone, in a batch, in any order, or beside pieces too small for single precision."""
     rng = np.random.default_rng(0)
-    n = 1000
+    n = count
     rods = [0.3 * rng.normal(size=(12, 3)) * [1, 1e-3, 1e-3] for _ in range(20)]
     bodies = Bodies.from_points(rods)
     i, j = rng.integers(20, size=(2, n))

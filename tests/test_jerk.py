@@ -24,6 +24,7 @@ from loewner.planners.trajectories import corners_of
 from loewner.robots.proofs.courses import configurations
 from loewner.robots.proofs.curves import curve_of
 from motion_oracle import FINGERS, example, free_configurations, ring, steps, written
+from sampling import examples
 from test_trajectories import dense, in_blend, limits, off_polyline, paths
 
 jerks = arrays(np.float64, 3, elements=st.floats(0.05, 5e3))
@@ -77,6 +78,7 @@ def assert_lawful(moved, path, velocity, acceleration, jerk):
 # -- laws ---------------------------------------------------------------------------------------
 
 
+@examples(15, 40)
 @given(path=paths, velocity=limits, acceleration=limits, jerk=jerks)
 def test_stops_at_corners(robot, path, velocity, acceleration, jerk):
     """Within limits and on the path at every time, at rest and without acceleration at each corner."""
@@ -89,6 +91,7 @@ def test_stops_at_corners(robot, path, velocity, acceleration, jerk):
     assert moved.duration >= slower * (1 - 1e-9)
 
 
+@examples(15, 40)
 @given(path=paths, velocity=limits, acceleration=limits, jerk=jerks, share=st.floats(0.0, 0.49))
 def test_blends_at_corners(robot, alone, path, velocity, acceleration, jerk, share):
     """Blends keep the limits, are never slower than stops, and are proven as the cubics that they are."""
@@ -199,6 +202,7 @@ def test_ramps_grow(gain, jerk, least, a, b):
     assert fastest * (1 - 1e-12) <= large <= fastest + 4 * least
 
 
+@examples(15, 40)
 @given(path=paths, velocity=limits, acceleration=limits, jerk=jerks, more=st.floats(1.0, 5.0), joint=st.integers(0, 2))
 def test_monotone_in_limits(robot, path, velocity, acceleration, jerk, more, joint):
     """With stops, a higher limit makes it no slower; scaled limits scale the time."""
@@ -407,7 +411,7 @@ def test_full_samples(smooth, jumping):
 
 @pytest.mark.parametrize("ending", [".csv", ".json"])
 @pytest.mark.parametrize("rate", [None, 7.0])
-@settings(max_examples=10)
+@examples(4, 10)
 @given(path=paths, velocity=limits, acceleration=limits, jerk=jerks)
 def test_files_hold_all(robot, alone, tmp_path_factory, ending, rate, path, velocity, acceleration, jerk):
     """A file is the trajectory again, bit for bit if no rows were added."""

@@ -8,7 +8,7 @@ import re
 import numpy as np
 import pytest
 import trimesh
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 import loewner
@@ -18,6 +18,7 @@ from loewner._base._rotations import from_quaternion
 from loewner.judging import PARTS, Finding, judge_answers
 from loewner.reproductions import reproduction
 from oracles import exact_squared_distance, hull, pack, signed_distance
+from sampling import examples, quick
 
 TOLERANCE = 1e-6
 
@@ -88,7 +89,7 @@ CURVED = {
 }
 
 
-@settings(max_examples=60, deadline=None)
+@examples(25, 60)
 @given(st.sampled_from(sorted(CURVED)), st.sampled_from(sorted(CURVED)), st.integers(0, 2**32 - 1))
 def test_right_answers_of_all_bodies_are_never_accused(one: str, other: str, seed: int):
     """Our answers, off by less than the tolerance, are never proven wrong, in contact and far away too."""
@@ -114,13 +115,14 @@ def test_right_answers_of_all_bodies_are_never_accused(one: str, other: str, see
 
 
 @pytest.mark.parametrize("family", FAMILIES)
-def test_right_answers_of_hulls_are_right(family: str):
+@pytest.mark.parametrize("count", quick(24, 60))
+def test_right_answers_of_hulls_are_right(family: str, count: int):
     """Every part of our own answers about hulls is proven right, near contact as well, one by one as in a batch."""
-    _, a, Ta, b, Tb = pairs_of(family, 60)
+    _, a, Ta, b, Tb = pairs_of(family, count)
     right = answers(a, Ta, b, Tb)
     said = judge_answers(a, Ta, b, Tb, **right, tolerance=TOLERANCE)
     assert (said.kinds == Finding.OK).all(), said.counts()
-    for k in range(0, 60, 20):
+    for k in range(0, count, 20):
         one = judge_answers(a[k], Ta[k], b[k], Tb[k], **{name: x[k] for name, x in right.items()})
         assert one.kinds.tolist() == said.kinds[k].tolist()
         assert (one.lower, one.upper) == (said.lower[k], said.upper[k])
@@ -160,20 +162,21 @@ QUICK = ("ball 8", "ball 20", "boxes", "tetrahedra", "slivers", "mixed scales")
 
 
 @pytest.mark.parametrize("family", [pytest.param(k, marks=[pytest.mark.verify] * (k not in QUICK)) for k in FAMILIES])
-def test_forged_answers_are_caught_by_their_true_error(family: str):
+@pytest.mark.parametrize("count", quick(24, 60))
+def test_forged_answers_are_caught_by_their_true_error(family: str, count: int):
     """Each kind of error is named, and its bound is below the exact error by no more than the stated accuracy."""
-    points, a, Ta, b, Tb = pairs_of(family, 60, seed=1)
+    points, a, Ta, b, Tb = pairs_of(family, count, seed=1)
     rng, right, room = np.random.default_rng(2), answers(a, Ta, b, Tb), 4 * ACCURACY * SIZE
-    off = rng.choice([-1, 1], size=60) * rng.uniform(1e-4, 0.3, size=60)
-    step = rng.normal(size=(60, 3)) * 0.1
+    off = rng.choice([-1, 1], size=count) * rng.uniform(1e-4, 0.3, size=count)
+    step = rng.normal(size=(count, 3)) * 0.1
     false = {
         "colliding": ~right["colliding"], "distance": right["distance"] + off,
         "depth": right["depth"] + np.abs(off), "witness_a": right["witness_a"] + step, "witness_b": right["witness_b"],
     }  # fmt: skip
     said = judge_answers(a, Ta, b, Tb, **false, tolerance=TOLERANCE)
-    for k in range(60):
-        A, B = hull(points[k]), hull(points[60 + k])
-        squared = exact_squared_distance(points[k], Ta[k], points[60 + k], Tb[k])
+    for k in range(count):
+        A, B = hull(points[k]), hull(points[count + k])
+        squared = exact_squared_distance(points[k], Ta[k], points[count + k], Tb[k])
         truth = float(squared) ** 0.5 if squared else signed_distance(A, Ta[k], B, Tb[k])[0]
         if abs(truth) > 2 * TOLERANCE:
             assert kind(said, "colliding")[k] == (Finding.WRONG_COLLIDING if truth > 0 else Finding.WRONG_FREE)
@@ -203,13 +206,14 @@ def test_forged_answers_are_caught_by_their_true_error(family: str):
         *(pytest.param(k, marks=pytest.mark.verify) for k in ("ball 20", "boxes", "tetrahedra", "plates 1:1:0.05")),
     ],
 )
-def test_programs_prove_it_in_fractions(family: str):
+@pytest.mark.parametrize("count", quick(6, 12))
+def test_programs_prove_it_in_fractions(family: str, count: int):
     """The program of each wrong answer names the same kinds of errors, in exact arithmetic."""
-    _, a, Ta, b, Tb = pairs_of(family, 12, seed=3)
+    _, a, Ta, b, Tb = pairs_of(family, count, seed=3)
     rng, right = np.random.default_rng(4), answers(a, Ta, b, Tb)
-    off, step = rng.uniform(-0.1, 0.1, size=12), rng.normal(size=(12, 3)) * 0.1
+    off, step = rng.uniform(-0.1, 0.1, size=count), rng.normal(size=(count, 3)) * 0.1
     seen = set()
-    for k in range(12):
+    for k in range(count):
         false = {
             "colliding": not right["colliding"][k], "distance": right["distance"][k] + off[k],
             "depth": max(right["depth"][k] - off[k], 0.0), "witness_a": right["witness_a"][k] + step[k],
@@ -223,7 +227,7 @@ def test_programs_prove_it_in_fractions(family: str):
                 ours = said.excess[said.kinds == found].max()
                 assert proven[found] == pytest.approx(ours, abs=4 * ACCURACY * SIZE)
         seen |= set(proven)
-    assert len(seen) >= 6
+    assert len(seen) >= count // 2
 
 
 def test_known_errors():

@@ -7,7 +7,7 @@ from types import ModuleType
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
@@ -15,6 +15,7 @@ from gantry import gantry_robot
 from loewner import CollisionChecker, InputError, PlanningError, UnknownNameError
 from loewner.planners import Line, kept_lines, straight, trajectory
 from motion_oracle import example
+from sampling import examples
 from test_lines import ARMS, TIGHT, with_bodies
 
 CASES = {**ARMS, **{name: (robot, "tool") for name, robot in TIGHT.items()}}
@@ -97,8 +98,11 @@ def measured():
     return made
 
 
-def broken(module, measured):
-    """How many courses deviate more than by the bounds, and the least of bound over second difference."""
+def broken(module, measured, most=None):
+    """How many courses deviate more than by the bounds, and the least of bound over second difference.
+
+    The search ends with a number of courses that do, if one is given.
+    """
     count, tightest = 0, np.inf
     for robot, link, ends, course, (largest, bends) in measured:
         line = module.KeptLine.of(robot, module.Line(link, 0, 1), ends)
@@ -106,6 +110,8 @@ def broken(module, measured):
         count += (bends > bent * (1 + 1e-4) + 1e-7).any()
         for parts in (1, 3):
             count += (largest > line._gaps(course, parts)[0] + astray + bent / (8 * parts**2)).any()
+        if most is not None and count >= most:
+            break
         tightest = min(tightest, *(bent / np.maximum(bends, 1e-9)))
     return count, tightest
 
@@ -139,7 +145,7 @@ def test_mutants_of_the_bounds_are_found(old, new, measured, monkeypatch):
     mutant = ModuleType("mutant")
     monkeypatch.setitem(sys.modules, "mutant", mutant)  # data classes look their module up
     exec(compile(text.replace(old, new), "mutant", "exec"), vars(mutant))
-    assert broken(mutant, measured)[0] > 0
+    assert broken(mutant, measured, most=1)[0] > 0
 
 
 def test_courses_are_divided_until_they_are_proven(slides):
@@ -164,7 +170,7 @@ def test_courses_are_divided_until_they_are_proven(slides):
 
 
 @pytest.mark.parametrize("kind", ARMS)
-@settings(max_examples=5)
+@examples(2, 5)
 @given(
     seed=st.integers(0, 2**32 - 1), tolerance=st.sampled_from([1e-4, 1e-3, 1e-2]), jerk=st.sampled_from([None, 50.0])
 )

@@ -8,8 +8,11 @@ import warnings
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 
+import pytest
+
 from loewner.robots.description.urdf import read_urdf
 from robot_oracle import compare_with_pinocchio, robots_folder, without_shapes
+from sampling import quick
 
 PAGE = Path(__file__).parents[1] / "docs" / "robots.md"
 
@@ -41,11 +44,12 @@ def mimics_of(text: str) -> dict[str, tuple[str, float, float]]:
     return found
 
 
-def test_known_robots_warn_for_reasons_only():
+@pytest.mark.parametrize("every", quick(2, 1))
+def test_known_robots_warn_for_reasons_only(every):
     """Of the URDF files of example-robot-data, six warn: each for a reason that is in the file."""
     paths = urdfs()
     assert len(paths) > 60
-    for path in paths:
+    for path in paths[::every]:
         with warnings.catch_warnings(record=True) as told:
             warnings.simplefilter("always")
             read_urdf(path)
@@ -53,9 +57,10 @@ def test_known_robots_warn_for_reasons_only():
         assert all(REASONS[path.stem] in str(one.message) for one in told), (path, told)
 
 
-def test_known_robots_are_as_pinocchio_reads_them():
-    """Links to 1e-12 of the size, hard limits to the bit, mimics as in the file, of all of them."""
-    for path in urdfs():
+@pytest.mark.parametrize("every", quick(3, 1))
+def test_known_robots_are_as_pinocchio_reads_them(every):
+    """Links to 1e-12 of the size, hard limits to the bit, mimics as in the file, of each n-th of them."""
+    for path in urdfs()[::every]:
         text = without_shapes(path.read_text(encoding="utf-8"))
         compare_with_pinocchio(text)
         joints = read_urdf_quietly(text)

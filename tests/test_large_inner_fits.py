@@ -10,6 +10,7 @@ from families import affine, rotation
 from loewner import ConvergenceError, GeometryError, InputError, mvce, mvie
 from loewner.ellipsoids import fits
 from loewner.ellipsoids.large_fits import inner
+from sampling import quick_of
 
 
 @pytest.fixture
@@ -76,7 +77,7 @@ def test_the_cross_polytope_holds_a_ball(rng: np.random.Generator) -> None:
     assert abs(np.linalg.slogdet(fit.ellipsoid.factor)[1] - np.linalg.slogdet(M)[1] + 5 * np.log(10)) < 1e-8
 
 
-@pytest.mark.parametrize(("n", "m"), [(3, 60), (10, 300), (50, 1500)])
+@pytest.mark.parametrize(("n", "m"), [(3, 60), (10, 300), pytest.param(50, 1500, marks=pytest.mark.verify)])
 @pytest.mark.parametrize("about", [False, True])
 @pytest.mark.usefixtures("always_large")
 def test_the_ellipsoid_is_inside_exactly(n: int, m: int, about: bool, rng: np.random.Generator) -> None:
@@ -90,7 +91,7 @@ def test_the_ellipsoid_is_inside_exactly(n: int, m: int, about: bool, rng: np.ra
         assert (fit.ellipsoid.center == t).all()
 
 
-@pytest.mark.parametrize("n", [4, 15, 40])
+@pytest.mark.parametrize("n", quick_of([4, 15, 40], [4, 15]))
 @pytest.mark.usefixtures("always_large")
 def test_gap_bounds_the_distance_to_the_optimum(n: int, rng: np.random.Generator) -> None:
     """Loose fits are smaller than a tight one by no more than their gaps, and some are smaller indeed."""
@@ -243,7 +244,7 @@ def test_a_proof_does_not_believe_a_wrong_ellipsoid(rng: np.random.Generator) ->
 # -- about a given center -------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("n", [1, 2, 5, 20, 60])
+@pytest.mark.parametrize("n", quick_of([1, 2, 5, 20, 60], [1, 2, 5, 20]))
 def test_about_a_center_reflections_change_nothing(n: int, rng: np.random.Generator) -> None:
     """The smallest ellipsoid about c is the one around the points and their reflections, of which c is the center."""
     points, c = rng.normal(size=(8 * n, n)) @ affine(rng, n)[0].T, rng.normal(size=n)

@@ -13,6 +13,7 @@ from loewner._native import entries
 from loewner.ellipsoids import fits
 from loewner.ellipsoids.large_fits import outer
 from loewner.ellipsoids.polytopes import FLATNESS
+from sampling import quick, quick_of
 
 DIMENSIONS = (3, 10, 50, 100)
 
@@ -55,7 +56,7 @@ def test_closed_forms_under_affine_maps(name: str, n: int, rng: np.random.Genera
     assert np.linalg.norm(offset) < 2e-4
 
 
-@pytest.mark.parametrize(("n", "m"), [(3, 200), (10, 100), (50, 400)])
+@pytest.mark.parametrize(("n", "m"), [(3, 200), (10, 100), pytest.param(50, 400, marks=pytest.mark.verify)])
 def test_every_point_is_inside_exactly(n: int, m: int, rng: np.random.Generator) -> None:
     """In rational arithmetic, of the points nearest to the boundary, after a turn and far from the origin."""
     points = rng.normal(size=(m, n)) @ affine(rng, n)[0].T + 100.0
@@ -63,7 +64,7 @@ def test_every_point_is_inside_exactly(n: int, m: int, rng: np.random.Generator)
     assert points_outside(farthest(points, fit, 20), fit.ellipsoid.center, fit.ellipsoid.factor) == 0
 
 
-@pytest.mark.parametrize("n", [4, 15, 40])
+@pytest.mark.parametrize("n", quick_of([4, 15, 40], [4, 15]))
 def test_gap_bounds_the_distance_to_the_optimum(n: int, rng: np.random.Generator) -> None:
     """Loose fits are larger than a tight one by no more than their gaps, and some are larger indeed."""
     points = rng.normal(size=(30 * n, n))
@@ -105,7 +106,7 @@ HARD = {
 }
 
 
-@pytest.mark.parametrize("n", [2, 10, 30])
+@pytest.mark.parametrize("n", quick_of([2, 10, 30], [2, 10]))
 @pytest.mark.parametrize("name", HARD)
 def test_hard_cases(name: str, n: int, rng: np.random.Generator) -> None:
     """Each reaches 1e-5 with every point inside; in rational arithmetic for those nearest to the boundary."""
@@ -213,9 +214,10 @@ def test_weights_are_of_the_points_in_their_order(rng: np.random.Generator) -> N
         mvce(points, weights=[1.0] * 5)
 
 
-def test_triangles_are_enclosed_however_their_last_bits_fall(rng: np.random.Generator) -> None:
-    """Where the proof's error is a few roundings, scaling by it must not be lost in rounding: 300 fits in the plane."""
-    for k in range(300):
+@pytest.mark.parametrize("count", quick(100, 300))
+def test_triangles_are_enclosed_however_their_last_bits_fall(rng: np.random.Generator, count: int) -> None:
+    """Where the proof's error is a few roundings, scaling by it must not be lost in rounding: fits in the plane."""
+    for k in range(count):
         points = rng.standard_cauchy(size=(4 + k % 6, 2))
         fit = mvce(points, tol=1e-6, weights=True)
         assert points_outside(points, fit.ellipsoid.center, fit.ellipsoid.factor) == 0

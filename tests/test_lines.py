@@ -12,6 +12,7 @@ from loewner import CollisionChecker, InputError, PlanningError, PoseError, Robo
 from loewner._kernels import codes
 from loewner._native import entries
 from loewner.robots.description.robot import chain_to, sources_of
+from sampling import quick
 from test_reach import arm, joint, robot_of
 
 KERNEL = interpreted("robots.lines")
@@ -127,8 +128,11 @@ def sampled():
     return made
 
 
-def broken(kernel, sampled):
-    """How many motions stray farther than the kernel's bounds, and the least of bound over sample."""
+def broken(kernel, sampled, most=None):
+    """How many motions stray farther than the kernel's bounds, and the least of bound over sample.
+
+    The search ends with a number of motions that do, if one is given.
+    """
     count, tightest = 0, np.inf
     for chain, kept, ends, (line, positions, rotations, least) in sampled:
         found = bounds(kernel, chain, line, kept, (0.0, 1.0), ends)
@@ -141,6 +145,8 @@ def broken(kernel, sampled):
             or found.rotation * spare[0] + spare[1] < rotations[1]
             or found.cosine - spare[1] > least[1]
         )
+        if count == most:
+            break
         if positions[0] > 1e-6:
             tightest = min(tightest, found.position / positions[0])
     return count, tightest
@@ -175,7 +181,7 @@ def test_mutants_of_the_bounds_are_found(old, new, sampled):
     """If a factor or a term of the bound is dropped, some motion strays farther."""
     text = source_of("robots.lines")
     assert text.count(old) == 1
-    assert broken(interpreted("robots.lines", text.replace(old, new)), sampled)[0] > 0
+    assert broken(interpreted("robots.lines", text.replace(old, new)), sampled, most=1)[0] > 0
 
 
 @pytest.mark.parametrize("kind", ARMS)
@@ -220,12 +226,13 @@ def strayed(robot, link, path, T, samples=50):
 
 
 @pytest.mark.parametrize("kind", ARMS)
-def test_lines_are_followed(kind):
+@pytest.mark.parametrize("count", quick(5, 12))
+def test_lines_are_followed(kind, count):
     """A line ends at its target, and no sample of its motions strays farther than the tolerances."""
     robot, link = ARMS[kind]
     checker, solved = with_bodies(robot), 0
     rng = np.random.default_rng(2)
-    for _ in range(12):
+    for _ in range(count):
         q = rng.uniform(-1.5, 1.5, robot.dof)
         T = robot.forward_kinematics(q + rng.uniform(-0.3, 0.3, robot.dof))[robot.link_names.index(link)]
         try:
@@ -239,7 +246,7 @@ def test_lines_are_followed(kind):
         shift, turn = strayed(robot, link, path, T)
         assert shift <= 1e-3 + 1e-4  # fractions of the rows are known to 1/20000 of the line
         assert turn <= 1e-2 + 1e-4
-    assert solved >= 8
+    assert solved >= count - 4
 
 
 def test_one_joint():

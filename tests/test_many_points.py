@@ -16,6 +16,7 @@ from loewner._kernels.fits import many
 from loewner._native import entries
 from loewner.bodies import layout, pack
 from loewner.ellipsoids import fits, polytopes
+from sampling import quick, quick_of
 
 Maker = Callable[[np.random.Generator], np.ndarray]
 
@@ -55,6 +56,7 @@ CLOUDS: dict[str, Maker] = {
     "grid": lambda rng: rng.permutation(grid(30)),
     "lines": lines,
 }
+FEW = ("ball far away", "needle", "box", "grid", "lines")
 
 
 def unit_size(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -64,7 +66,7 @@ def unit_size(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return frame, coordinates
 
 
-@pytest.mark.parametrize("name", CLOUDS)
+@pytest.mark.parametrize("name", quick_of(CLOUDS, FEW))
 def test_what_is_left_out_is_inside(name: str, rng: np.random.Generator) -> None:
     """Every point left out is deeper in the hull of the others than rounding reaches; no vertex is among them."""
     frame, coordinates = unit_size(CLOUDS[name](rng))
@@ -79,7 +81,7 @@ def test_what_is_left_out_is_inside(name: str, rng: np.random.Generator) -> None
     assert not set(ConvexHull(coordinates).vertices) & set(out)
 
 
-@pytest.mark.parametrize("name", CLOUDS)
+@pytest.mark.parametrize("name", quick_of(CLOUDS, FEW))
 def test_the_hull_is_that_of_all_points(name: str, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch) -> None:
     """Without leaving any out the hull has the same vertices and as many faces; no point is outside."""
     points = CLOUDS[name](rng)
@@ -229,8 +231,9 @@ def test_bodies_of_many_points(rng: np.random.Generator) -> None:
 @pytest.mark.parametrize(
     "axes", [[1000.0, 1.0, 1.0], *(pytest.param([k, k, 1.0], marks=pytest.mark.verify) for k in (1.0, 1000.0))]
 )
+@pytest.mark.parametrize("most", quick(1500, 6000))
 def test_moved_bodies_touch_their_farthest_vertices(
-    axes: list[float], rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
+    axes: list[float], rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch, most: int
 ) -> None:
     """Offsets of a moved body are those of all its vertices, in however many parts they are found.
 
@@ -248,7 +251,7 @@ def test_moved_bodies_touch_their_farthest_vertices(
     T = np.eye(4)
     T[:3, :3], T[:3, 3] = rotation(rng), [1.0, 2.0, 3.0]
     T[:3, :3] *= np.linalg.det(T[:3, :3])
-    for count in (60, 600, 6000):
+    for count in (60, 600, most):
         packed = Body.from_points(sphere(rng, count) * axes).transformed(T)._packed
         farthest = (packed.points @ packed.planes[:, :3].T).max(axis=0)
         np.testing.assert_allclose(packed.planes[:, 3], farthest, rtol=0, atol=1e-14 * max(axes))

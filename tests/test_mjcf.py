@@ -11,6 +11,7 @@ import pytest
 import loewner
 from loewner import Body, CollisionChecker, FileError, GeometryError, InputError, Robot, Scene, load_scene
 from mjcf_oracle import compare
+from sampling import quick
 
 # Two geoms and a joint of each kind, by MuJoCo's names.
 SHAPES = {"sphere": 1, "capsule": 2, "ellipsoid": 3, "cylinder": 2, "box": 3}
@@ -354,7 +355,7 @@ def test_a_plane_is_the_space_below_it(tmp_path):
     assert loewner.collide(ball, T, scene["floor"], scene.pose("floor")).tolist() == [False, True, True, True]
 
 
-@pytest.mark.parametrize("count", [400, pytest.param(2000, marks=pytest.mark.verify)])
+@pytest.mark.parametrize("count", quick(150, 2000))
 def test_height_fields_are_where_mujoco_has_them(count, tmp_path):
     """Balls touch a tilted terrain for both, over it, in it and at its rim, and so do they in a scene."""
     rng = np.random.default_rng(0)

@@ -25,6 +25,7 @@ from motion_oracle import (
     straight,
     written,
 )
+from sampling import quick, quick_of
 
 far_outside = pytest.mark.filterwarnings("ignore:.*is it in .*:UserWarning")
 
@@ -96,7 +97,7 @@ def largest_error(checker, course, times):
     return float((turn * reach + shift).max() / bound)
 
 
-@pytest.mark.parametrize("seed", range(10))
+@pytest.mark.parametrize("seed", quick_of(range(10), range(3)))
 @pytest.mark.parametrize("scale", [1e-9, 1.0, 1e4])
 @far_outside
 def test_rounding_of_poses(tmp_path, seed, scale):
@@ -128,12 +129,13 @@ def test_rounding_of_a_long_chain():
 
 @pytest.mark.parametrize("astray", [1e-16, 1e-9, 9e-7])
 @pytest.mark.parametrize("angle", [0.0, 1e-9, 1.9e-6, 2.1e-6, 1e-3, 1.0, 3.0, np.pi])
-def test_orientations(tmp_path, angle, astray):
+@pytest.mark.parametrize("count", quick(10, 30))
+def test_orientations(tmp_path, angle, astray, count):
     """Quaternions that are not quite of norm 1, and any angle between them, stay within the bound."""
     robot = written(tmp_path, AFLOAT)
     checker = CollisionChecker(replace(robot, bodies={"base": Body.box([0.2, 0.2, 0.2]), "hand": Body.sphere(0.1)}))
     rng = np.random.default_rng(int(angle * 1e9) % 1000)
-    for _ in range(30):
+    for _ in range(count):
         a, b = robot.random_configurations(2, int(rng.integers(2**31)))
         at = robot._quaternions["base"]
         p, other = a[at], rng.normal(size=4)

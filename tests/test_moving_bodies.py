@@ -28,6 +28,7 @@ from loewner.queries.pose_paths import PackedPaths, PosePath, path_of
 from loewner.robots.proofs import in_time
 from loewner.robots.proofs.courses import parts
 from motion_oracle import AFLOAT
+from sampling import examples, quick_of
 
 SAMPLES = 400
 
@@ -130,6 +131,7 @@ def test_a_motion_repeats(slider):
 # -- laws -------------------------------------------------------------------------------------
 
 
+@examples(16, 40)
 @given(st.integers(0, 2**31), st.booleans())
 def test_no_free_motion_is_refuted_by_samples(slider, seed, far):
     """Nor at large times; collisions are confirmed at the time that a user computes."""
@@ -154,6 +156,7 @@ def test_no_free_motion_is_refuted_by_samples(slider, seed, far):
             assert checker.collide(slider.between(a[k], b[k], at), t0[k] + at * (t1[k] - t0[k]))
 
 
+@examples(16, 40)
 @given(st.integers(0, 2**31), st.sampled_from([1, 2, 3, 5, 7]))
 def test_no_free_curve_is_refuted_by_samples(slider, seed, degree):
     """Polynomials of every degree, and until `first` at least."""
@@ -603,7 +606,7 @@ def test_first_contact_of_two_balls_is_known(slider, speed):
     assert touching - 1e-12 <= found.touching_at <= touching + 1e-9
 
 
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", quick_of(range(8), range(3)))
 def test_first_contact_is_never_late(slider, seed):
     """Samples until `free_until` are free, and a collision follows."""
     rng = np.random.default_rng(seed)

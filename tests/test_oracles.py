@@ -37,6 +37,7 @@ from oracles import (
     signed_distance,
     signed_distances,
 )
+from sampling import quick
 
 SOME_FAMILIES = pytest.mark.parametrize(
     "family", [pytest.param(name, marks=[pytest.mark.verify] * (name not in EIGHT)) for name in FAMILIES]
@@ -88,10 +89,11 @@ def test_boxes_by_hand():
 
 
 @pytest.mark.parametrize("family", FAMILIES)
-def test_separating_axes_against_rationals(sample: dict, family: str):
+@pytest.mark.parametrize("count", quick(5, 12))
+def test_separating_axes_against_rationals(sample: dict, family: str, count: int):
     """Same sign as exact arithmetic; where apart, the naive distance is the exact one and proves itself."""
     points, pool, i, j, Ta, Tb, gap, _ = sample[family]
-    for p in range(5 if "200" in family else 12):
+    for p in range(min(count, 5) if "200" in family else count):
         squared = exact_squared_distance(points[i[p]], Ta[p], points[j[p]], Tb[p])
         if abs(gap[p]) > 1e-14:
             assert (squared == 0) == (gap[p] <= 0)
@@ -233,11 +235,12 @@ def test_exact_ellipsoids_by_hand():
     assert exact_ellipsoid_verdict(o, thin, None, o, thin, T) == -1
 
 
-def test_exact_ellipsoids_against_directions(rng: np.random.Generator):
+@pytest.mark.parametrize("count", quick(8, 20))
+def test_exact_ellipsoids_against_directions(rng: np.random.Generator, count: int):
     """The rational verdict has the sign of the largest gap between supporting planes."""
     seen = set()
-    poses = random_poses(rng, 40, 1.0)
-    for k in range(20):
+    poses = random_poses(rng, 2 * count, 1.0)
+    for k in range(count):
         axes_a, axes_b = rng.uniform(0.1, 1, size=(2, 3))
         Ta, Tb = poses[2 * k], poses[2 * k + 1]
         a, b = posed_support(ellipsoid_support(axes_a), Ta), posed_support(ellipsoid_support(axes_b), Tb)

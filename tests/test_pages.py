@@ -15,7 +15,7 @@ CODE = r"^```python\n(.*?)^```"
 LARGE = {"import torch\n": "torch", "from pydrake.all import": "pydrake"}
 # test_docs.py runs the code of these.
 LONG = {"howto/cluster.md", "howto/covers.md"}  # processes of a cluster, and fits of spheres
-GUIDES = {"meshes.md", "motions.md", "pairs.md", "proofs.md", "robots.md", "scenes.md", "viewer.md"}
+GUIDES = {"meshes.md", "motions.md", "pairs.md", "proofs.md", "robots.md", "scenes.md", "viewer.md", "tutorial/pick.md"}
 PAGES = sorted(page for page in pages(DOCS) if re.search(CODE, page.read_text(), flags=re.M | re.S))
 
 
@@ -43,10 +43,12 @@ def needs_what_is_missing(block):
     ],
 )
 def test_pages_print_what_they_say(page, folder_with_mesh):
-    """All Python blocks of a page run, in order, as one program, and `print(...)  # -> text` prints that text.
+    """All Python blocks of a page run, in order, as one program, and `print(...)  # -> text` prints that text."""
+    run(page)
 
-    A robot in XML is a file of its name.
-    """
+
+def run(page):
+    """Run the program of a page, whose robots in XML are files of their names."""
 
     def said(expected, *values):
         assert " ".join(map(str, values)) == expected, page

@@ -26,6 +26,7 @@ from loewner import (
 from loewner.bodies import packed_of
 from loewner.robots.proofs import common_points, proof_models, separations, written_proofs
 from loewner.verify import verify
+from sampling import quick
 
 SPHERE, BOX = Body.sphere(0.5), Body.box([1.0, 1.0, 1.0])
 
@@ -57,10 +58,11 @@ def bodies(family, rng):
 
 
 @pytest.mark.parametrize("family", ["curved and flat", "unions", *FAMILIES])
-def test_verdicts_near_contact_are_proven(family, rng):
+@pytest.mark.parametrize("count", quick(4, 10))
+def test_verdicts_near_contact_are_proven(family, rng, count):
     """From 1 mm to 1e-12 m of gap or overlap, and at random, every verdict has a proof."""
     made, seen = bodies(family, rng), set()
-    for k in range(36 if family == "curved and flat" else 10):
+    for k in range(3 * count if family == "curved and flat" else count):
         i, j = rng.integers(len(made), size=2)
         gap = (-1) ** k * 10.0 ** rng.uniform(-12, -3) if family != "unions" else (-1) ** k * 10 ** rng.uniform(-9, -3)
         poses = at_gap(rng, made[i], made[j], gap) if k % 5 else random_poses(rng, 2, 0.3)
@@ -192,10 +194,11 @@ def test_changed_proofs_are_refused():
             Proof(data).verify()
 
 
-def test_false_claims_are_refused(rng):
+@pytest.mark.parametrize("count", quick(10, 24))
+def test_false_claims_are_refused(rng, count):
     """A nanometre from contact, no point is common to bodies that are apart, and no plane is between others."""
     made = simple_bodies(rng)
-    for k in range(24):
+    for k in range(count):
         a, b = (made[n] for n in rng.integers(len(made), size=2))
         poses = np.stack(at_gap(rng, a, b, (-1) ** k * 1e-9))
         found, packs = loewner.distance(a, poses[0], b, poses[1], exact=True), (packed_of(a), packed_of(b))

@@ -19,6 +19,7 @@ from loewner.robots.description.pair_verdicts import PairVerdict
 from loewner.robots.proofs import pair_ranges
 from mechanisms import ARM, BALL, HINGE_TOUCHES, ball, box, joint, link
 from robot_oracle import robots_folder
+from sampling import quick, quick_of
 
 FINE = 1e-9
 
@@ -286,7 +287,7 @@ def settle_tree(seed, starts, boxes=10_000):
     return found
 
 
-@pytest.mark.parametrize("seed", [*range(4), *(pytest.param(k, marks=pytest.mark.verify) for k in range(4, 8))])
+@pytest.mark.parametrize("seed", quick_of(range(8), range(2)))
 def test_no_search_refutes_a_proof(seed):
     """Twenty searches for each proof, in eight trees."""
     settle_tree(seed, 20, 2000)
@@ -446,16 +447,17 @@ def test_default_pairs():
     assert {row.names for row in panda.prove_pairs(boxes=10, cache=False)} <= panda.disabled_pairs
 
 
-def test_threads_and_progress(monkeypatch):
+@pytest.mark.parametrize("boxes", quick(6000, 20000))
+def test_threads_and_progress(monkeypatch, boxes):
     """The same rows for one thread and for several; the share that is told never falls, and ends with all."""
     told, robot = [], example_robot("panda")
-    one = robot.prove_pairs(boxes=20_000, cache=False, progress=lambda done, total: told.append((done, total)))
+    one = robot.prove_pairs(boxes=boxes, cache=False, progress=lambda done, total: told.append((done, total)))
     assert told == sorted(told)
     assert told[-1] == (len(one), len(one))
     threads = loewner.get_num_threads()
     try:
         loewner.set_num_threads(1 if threads > 1 else 2)
-        other = robot.prove_pairs(boxes=20_000, cache=False)
+        other = robot.prove_pairs(boxes=boxes, cache=False)
     finally:
         loewner.set_num_threads(threads)
     assert [(row.verdict, row.boxes, row.share) for row in one] == [

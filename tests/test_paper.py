@@ -30,6 +30,7 @@ from loewner._base._proportions import wilson
 from loewner.paper import Confusion, detectors, figures, fitting, report, sheets, tables
 from loewner.paper.results import write_atomically
 from oracles import hull, pack, signed_distances
+from sampling import quick
 
 
 @pytest.fixture(scope="module")
@@ -79,9 +80,9 @@ def test_points_are_spread_as_named(name, power):
 
 
 @pytest.mark.slow("the first with the experiment of all tests here, and its oracle compiles")
-def test_truth_agrees_with_separating_axes(experiment):
+@pytest.mark.parametrize("n", quick(60, 200))
+def test_truth_agrees_with_separating_axes(experiment, n):
     """The experiment's exact answers are those of the separating-axis oracle."""
-    n = 200
     data = experiment.data
     pool_1, pool_2 = (pack(hull(p) for p in points[:n]) for points in (data.points_1, data.points_2))
     index, identity = np.arange(n), np.broadcast_to(np.eye(4), (n, 4, 4))

@@ -6,7 +6,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from families import translation
@@ -25,6 +25,7 @@ from loewner import (
 )
 from loewner.planners import compiled
 from loewner.robots.checking import verdicts
+from sampling import examples
 
 RESOLUTION = 0.02
 
@@ -137,7 +138,7 @@ def test_trees_outgrow_their_memory(checker, monkeypatch):
 
 
 @given(st.integers(0, 2**31), st.integers(1, 5))
-@settings(max_examples=25, deadline=None)
+@examples(10, 25)
 def test_no_path_of_a_random_world_collides(tmp_path_factory, seed, count):
     """Among boxes at random: a path has no configuration that collides, looked at in steps of a millimetre."""
     rng = np.random.default_rng(seed)

@@ -4,13 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from families import translation
 from gantry import LEFT, RIGHT, gantry_robot
 from loewner import Body, CollisionChecker, FileError, InputError, PlanningError, Robot, Scene, Verdict, planners
 from motion_oracle import AFLOAT
+from sampling import examples
 from test_moving_bodies import moving_scene
 
 SAMPLES = 1001
@@ -139,7 +140,7 @@ def test_deviations_are_covered(slider):
 
 
 @given(st.integers(0, 2**31))
-@settings(max_examples=12)
+@examples(5, 12)
 def test_every_motion_is_proven_and_no_joint_too_fast(slider, seed):
     """Among bodies that wander and turn, some of them again and again; the same seed finds the same plan."""
     rng = np.random.default_rng(seed)

@@ -9,6 +9,7 @@ import pytest
 import loewner
 from loewner.meshes import decomposition as meshes
 from loewner.meshes.files import parts
+from sampling import quick
 
 # An L, which its first corner does not see whole; a square with a hole, joined by a slit; a comb.
 L = [(2, 0), (2, 1), (1, 1), (1, 2), (0, 2), (0, 0)]
@@ -83,9 +84,10 @@ def test_known_shapes_from_every_first_corner(shape):
 
 
 @pytest.mark.parametrize("n", [4, 5, 6, 8, 12, 20, 40])
-def test_random_simple_polygons(n, rng):
+@pytest.mark.parametrize("count", quick(8, 20))
+def test_random_simple_polygons(n, rng, count):
     """Triangles of a polygon have its area, and all face one side."""
-    for _ in range(20):
+    for _ in range(count):
         assert_filled(simple_polygon(rng, n))
 
 

@@ -21,12 +21,13 @@ from loewner import (
     planners,
     save_scene,
 )  # fmt: skip
+from sampling import examples, quick, quick_of
 from test_bounded_work import carriage
 from test_moving_bodies import moving_scene, turned
 
 RADIUS = 0.1  # of the ball that slides along x and y
 SAMPLES = 20
-SEEDS = pytest.mark.parametrize("seed", [*range(8), *(pytest.param(k, marks=pytest.mark.verify) for k in range(8, 40))])
+SEEDS = pytest.mark.parametrize("seed", quick_of(range(40), range(4)))
 
 
 @pytest.fixture(scope="module")
@@ -186,6 +187,7 @@ def test_scenes_add_up_both_errors():
 # -- laws -------------------------------------------------------------------------------------
 
 
+@examples(15, 40)
 @given(st.integers(0, 2**31))
 def test_bounds_of_zero_change_nothing(slider, seed):
     """To the last bit: verdicts, fractions, pairs, and the work of the proof."""
@@ -240,7 +242,8 @@ def test_free_holds_for_bodies_as_badly_placed_as_allowed(slider, seed):
         assert not contact_within_bounds(checker, at, np.linspace(t0[k], t1[k], SAMPLES), rng)
 
 
-def test_a_free_motion_is_free_of_a_thousand_places(slider):
+@pytest.mark.parametrize("count", quick(300, 1000))
+def test_a_free_motion_is_free_of_a_thousand_places(slider, count):
     """Places at random within the bounds, at random times, of bodies beside which only FREE motions are left."""
     rng = np.random.default_rng(11)
     checker = CollisionChecker(slider, with_bounds(moving_scene(rng, 3), rng))
@@ -251,7 +254,7 @@ def test_a_free_motion_is_free_of_a_thousand_places(slider):
     for name in checker.scene:
         still.add(name, checker.scene[name])
     same, hits = CollisionChecker(slider, still), 0
-    for _ in range(1000):
+    for _ in range(count):
         k, f = rng.choice(free), rng.random()
         t = t0[k] + f * (t1[k] - t0[k])
         for name, path in checker.scene.following.items():
@@ -280,6 +283,7 @@ def test_a_curve_is_free_until_first_contact_within_bounds(slider, seed):
     assert not contact_within_bounds(checker, curve, times[times < free], rng)
 
 
+@examples(15, 40)
 @given(st.integers(0, 2**31), st.booleans())
 def test_proofs_are_as_sharp_as_the_bounds(slider, seed, back):
     """Two balls are FREE exactly where the growth of one leaves a gap, up to the tolerance; also on a way and back."""

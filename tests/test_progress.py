@@ -106,7 +106,7 @@ WATCHED = {
     "Robot.from_urdf": [lambda progress: loewner.Robot.from_urdf(text=GANTRY, progress=progress)],
     "Robot.prove_pairs": [lambda progress: loewner.Robot.from_urdf(text=GANTRY).prove_pairs(progress=progress)],
     "Robot.cover": [
-        lambda progress: loewner.Robot.from_urdf(text=GANTRY).cover("boxes", protrusion=0.05, progress=progress),
+        lambda progress: loewner.Robot.from_urdf(text=GANTRY).cover("boxes", protrusion=0.1, progress=progress),
         lambda progress: loewner.Robot.from_urdf(text=GANTRY).cover("boxes", n=4, progress=progress),
     ],
     "Robot.covered_by": [
@@ -115,7 +115,7 @@ WATCHED = {
         ),
     ],
     "compile_kernels": [compiled],
-    "paper.run": [lambda progress: paper.run(300, progress=progress)],
+    "paper.run": [lambda progress: paper.run(100, progress=progress)],
     "cluster.fit": [fitted_by_a_cluster],
 }
 

@@ -16,6 +16,7 @@ from loewner.meshes import decomposition as meshes
 from loewner.meshes import plane_cuts
 from loewner.meshes.closed_parts import closed_parts
 from loewner.meshes.protrusion import Solid, _smaller, protrusion_of_hulls, protrusions
+from sampling import quick
 from test_meshes import l_shape, surface_points, two_boxes
 
 CAVITY_RADIUS, WALL, HEIGHT = 0.036, 0.004, 0.095
@@ -83,11 +84,12 @@ def turns(points, triangles):
 
 
 @pytest.mark.parametrize("make", [l_shape, mug, hollow_box, ring])
-def test_signed_distances(make):
+@pytest.mark.parametrize("count", quick(100, 300))
+def test_signed_distances(make, count):
     """Distances of random points, and which are inside, as brute force finds them."""
     mesh = make()
     low, high = mesh.bounds
-    points = np.random.default_rng(1).uniform(low - 0.2 * (high - low), high + 0.2 * (high - low), (300, 3))
+    points = np.random.default_rng(1).uniform(low - 0.2 * (high - low), high + 0.2 * (high - low), (count, 3))
     found, nearest = Solid(corners(mesh), closed=True).signed_distances(points)
     expected = trimesh.proximity.closest_point_naive(mesh, points)[1]
     np.testing.assert_allclose(np.abs(found), expected, atol=1e-8 * mesh.scale)
@@ -332,10 +334,11 @@ def test_bad_tolerance(tolerance):
         meshes.convex_pieces(l_shape(), tolerance=tolerance)
 
 
-def test_pieces_within_a_tolerance_need_no_coacd(monkeypatch):
+@pytest.mark.parametrize("tolerance", quick(0.2, 0.1))
+def test_pieces_within_a_tolerance_need_no_coacd(monkeypatch, tolerance):
     """Cutting with planes is done here; and the same mesh gives the same pieces."""
     monkeypatch.setitem(sys.modules, "coacd", None)
-    first, second = (meshes.convex_pieces(ring(), tolerance=0.1)[0] for _ in range(2))
+    first, second = (meshes.convex_pieces(ring(), tolerance=tolerance)[0] for _ in range(2))
     for a, b in zip(first, second, strict=True):
         np.testing.assert_array_equal(a, b)
 
@@ -376,9 +379,11 @@ def test_covering_of_an_older_file(tmp_path):
             files._covering(["hull", "True", "0.0", "0.25", "12", last])
 
 
-def test_eye_of_the_handle(mug_body):
+@pytest.mark.parametrize("tolerance", quick(0.01, 0.002))
+def test_eye_of_the_handle(tolerance):
     """What the hull of everything would fill stays free within the tolerance: the eye of the handle."""
-    assert not loewner.collide(mug_body, None, loewner.Body.sphere(0.005), translation(0.067))
+    body = loewner.Body.from_mesh(mug(), tolerance=tolerance)
+    assert not loewner.collide(body, None, loewner.Body.sphere(0.005), translation(0.067))
 
 
 # -- kernels ------------------------------------------------------------------------------------

@@ -29,6 +29,7 @@ from oracles import (
     posed_support,
     signed_distances,
 )
+from sampling import examples
 
 FREE, COLLIDING, AMBIGUOUS = Verdict
 
@@ -293,6 +294,7 @@ def test_one_pair_agrees_with_rationals(family: str, seed: int):
         assert float(result.distance) == pytest.approx(float(squared) ** 0.5, abs=1e-9 * size)
 
 
+@examples(15, 40)
 @given(families, seeds, st.integers(2, 4))
 def test_union_is_the_union(family: str, seed: int, count: int):
     """A union is FREE only if every piece pair is, COLLIDING if any is; its distance is the least."""

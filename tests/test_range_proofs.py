@@ -18,6 +18,7 @@ from loewner.robots.proofs import range_proofs
 from loewner.robots.proofs.proof_models import model_of as model_of_problem
 from loewner.verify import Refused, verify
 from mechanisms import ARM, BALL, HINGE_TOUCHES, ball, box, joint, link
+from sampling import quick, quick_of
 from test_pair_ranges import example_robot, refuted
 from test_second_checker import agrees  # noqa: F401
 from test_verify import ROD, TURNING, body, doubles, hull, plane, resealed, sealed
@@ -106,7 +107,7 @@ def test_both_checkers_verify_all_pairs_of_a_robot(name, agrees):  # noqa: F811
     assert len(found.proof.data) < 100_000
 
 
-@pytest.mark.parametrize("seed", [*range(2), *(pytest.param(k, marks=pytest.mark.verify) for k in range(2, 8))])
+@pytest.mark.parametrize("seed", quick(*range(8)))
 def test_random_trees(seed, agrees):  # noqa: F811
     """Both checkers verify all proofs that can be written of trees with joints of all kinds, and no search refutes."""
     expect_random_tree(seed, agrees)
@@ -225,12 +226,13 @@ def least_distance(low, high):
     return (2 * ARM * np.abs(np.cos(angles / 2))).min() - 2 * BALL
 
 
-def test_changed_bytes_are_refused_or_still_true(agrees, rng):  # noqa: F811
+@pytest.mark.parametrize("count", quick(25, 60))
+def test_changed_bytes_are_refused_or_still_true(agrees, rng, count):  # noqa: F811
     """Both checkers agree about each changed byte, and a changed proof that they verify is true."""
     data = proven(mechanisms.hinge(), ("crank", "frame"), margin=0.01, limits={"hinge": (-2.7, 2.5)}).proof.data
     size = Proof(data).size
     verified = 0
-    for at in [*range(len(data) - 32 - size, len(data) - 32), *rng.integers(24, len(data) - 32 - size, 60).tolist()]:
+    for at in [*range(len(data) - 32 - size, len(data) - 32), *rng.integers(24, len(data) - 32 - size, count).tolist()]:
         mutant = bytearray(data)
         mutant[at] ^= 1 << int(rng.integers(8))
         if agrees(resealed(bytes(mutant))):
@@ -242,7 +244,8 @@ def test_changed_bytes_are_refused_or_still_true(agrees, rng):  # noqa: F811
 
 
 @pytest.mark.parametrize("seed", [20, *(pytest.param(k, marks=pytest.mark.verify) for k in (21, 22, 25, 26, 29))])
-def test_no_range_that_collides_is_proven(seed, agrees, monkeypatch):  # noqa: F811
+@pytest.mark.parametrize("count", quick(1, 4))
+def test_no_range_that_collides_is_proven(seed, agrees, monkeypatch, count):  # noqa: F811
     """Trees that would be proofs if points moved along straight lines are refused if bodies come within the margin."""
     near = range_proofs._Search._nearest
     monkeypatch.setattr(range_proofs._Joints, "bends", lambda self, *_: np.zeros(len(self.values)))
@@ -256,7 +259,7 @@ def test_no_range_that_collides_is_proven(seed, agrees, monkeypatch):  # noqa: F
             continue
         pair = tuple(sorted(ready.names.index(name) for name in row.names))
         columns = np.array([robot.configuration_names.index(name) for name in row.columns])
-        for _ in range(4):  # a range about the nearest place
+        for _ in range(count):  # a range about the nearest place
             low, high = row.nearest[columns] + rng.uniform(0.1, 0.6, (2, len(columns))) * [[-1.0], [1.0]]
             claim = range_proofs.Claim(pair, row.distance + 1e-9, columns, low, high)
             try:
@@ -268,7 +271,7 @@ def test_no_range_that_collides_is_proven(seed, agrees, monkeypatch):  # noqa: F
     assert written
 
 
-@pytest.mark.parametrize("seed", [*range(2), *(pytest.param(k, marks=pytest.mark.verify) for k in range(2, 10))])
+@pytest.mark.parametrize("seed", quick(*range(10)))
 def test_both_checkers_have_the_same_bounds(seed, agrees):  # noqa: F811
     """They verify proofs up to the same margin: up to rounding, where the plane with the least to spare fails."""
     robot, tried = mechanisms.random_tree(seed), 0
@@ -415,7 +418,7 @@ def test_files_that_are_refused(what, agrees):  # noqa: F811
 # -- bounds -------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", quick_of(range(12), range(5)))
 def test_bounds_of_second_derivatives(seed):
     """No second difference of a point exceeds the bound of writer and checker, which agree."""
     robot = mechanisms.random_tree(seed)

@@ -11,6 +11,7 @@ from loewner.robots.description import reaching
 from loewner.robots.description.robot import chain_to
 from loewner.robots.description.urdf import read_urdf
 from robot_oracle import pinocchio_configuration, robots_folder
+from sampling import examples
 
 FREE = np.inf
 
@@ -381,7 +382,7 @@ AMOUNTS = st.sampled_from([1e-15, 1e-9, 1e-4, 0.2, 3.0, 7.0, 1e3, 1e9])
 
 
 @given(data=st.data())
-@settings(max_examples=60, deadline=None)
+@examples(24, 60)
 @pytest.mark.filterwarnings("ignore:.*in degrees:UserWarning")  # starts far outside the limits
 def test_what_is_reached_is_within_the_limits(data):
     """From any start, also one outside, every solution is within the limits of the joints that move, and reaches."""

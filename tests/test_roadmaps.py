@@ -3,6 +3,7 @@
 import dataclasses
 import io
 import pickle
+import shutil
 import signal
 import threading
 import zipfile
@@ -36,11 +37,15 @@ def wall(top=0.5):
     return translation(y=top - 2.0)
 
 
-@pytest.fixture
-def scene():
+def walled():
     scene = Scene()
     scene.add("wall", Body.box([0.1, 4.0, 1.0]), wall())
     return scene
+
+
+@pytest.fixture
+def scene():
+    return walled()
 
 
 @pytest.fixture
@@ -400,10 +405,17 @@ def forge(path, told, **changes):
         np.savez(stream, format=told["format"], version=told["version"], digest=_archives.digest(content), **content)
 
 
+@pytest.fixture(scope="module")
+def first(robot, tmp_path_factory):
+    """A file of the roadmap, which is made once for all tests of files."""
+    path = tmp_path_factory.mktemp("roadmap") / "map.npz"
+    planners.roadmap(CollisionChecker(robot, walled()), 400, joints="slide", fixed=LEFT).save(path)
+    return path
+
+
 @pytest.fixture
-def saved(made, tmp_path):
-    made.save(tmp_path / "map.npz")
-    return tmp_path / "map.npz"
+def saved(first, tmp_path):
+    return shutil.copy(first, tmp_path / "map.npz")
 
 
 def test_saved_and_loaded_are_equal(made, robot, saved, monkeypatch):

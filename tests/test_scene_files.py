@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 import trimesh
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
@@ -23,6 +23,7 @@ from families import translation
 from loewner import Body, FileError, GeometryError, Scene, load_scene, read_motion_bench_maker, save_scene
 from loewner.scenes.files import yaml_scenes
 from loewner.scenes.files.sensor_shapes import read_array
+from sampling import examples
 
 EVERYTHING = """\
 margin: 0.01
@@ -185,6 +186,7 @@ def test_moved_primitives_are_saved_as_they_are(folder):
 
 
 @pytest.mark.filterwarnings("ignore:.*in metres, found:UserWarning")
+@examples(15, 40)
 @given(st.integers(0, 2**32 - 1))
 def test_sizes_and_poses_survive_exactly(tmp_path_factory, seed):
     """Primitives of any size at any pose are saved and loaded without changing a bit."""
@@ -489,7 +491,7 @@ def test_decompose_is_passed_on(folder):
     assert (len(scene["parts"].pieces), len(scene["hull"].pieces)) == (2, 1)
 
 
-@settings(max_examples=15)
+@examples(6, 15)
 @given(st.integers(0, 2**32 - 1))
 def test_scaled_mesh_is_the_mesh_of_scaled_vertices(seed):
     """`scale` of from_mesh, mirrors included, against trimesh's own."""

@@ -8,7 +8,7 @@ from pathlib import Path
 import fastjsonschema
 import pytest
 import yaml
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from loewner import FileError, InputError, Scene, load_scene, save_scene
@@ -17,6 +17,7 @@ from loewner.cli import main
 from loewner.scenes.files import yaml_scenes
 from loewner.scenes.files.schema import BODY, SCHEMA, SCHEMA_FILE, keys_of
 from loewner.scenes.files.sensor_shapes import SENSOR_SHAPES
+from sampling import examples
 from test_scene_files import EVERYTHING, MALFORMED
 
 ROOT = Path(__file__).parents[1]
@@ -160,7 +161,7 @@ def places(value, path=()):
         yield from places(each, (*path, key))
 
 
-@settings(max_examples=75, deadline=None)
+@examples(25, 75)
 @given(st.integers(0, 10**6))
 def test_the_schema_never_refuses_what_is_read(tmp_path_factory, seed):
     """One or two values of a scene are replaced, removed or moved: if the reader accepts it, so does the schema."""

@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 import loewner
 from families import random_poses, translation
 from loewner import Body, Contact, InputError, PoseError, Scene, UnknownNameError
+from sampling import examples
 
 SEEDS = st.integers(0, 2**32 - 1)
 
@@ -50,6 +51,7 @@ def clutter(rng: np.random.Generator, n: int) -> Scene:
     return scene
 
 
+@examples(15, 40)
 @given(SEEDS)
 def test_pairs_are_those_that_collide_one_by_one(seed):
     """A pair is reported exactly if it is not allowed and `collide` with its own margin says so."""
@@ -66,6 +68,7 @@ def test_pairs_are_those_that_collide_one_by_one(seed):
     assert scene.collide() == bool(expected)
 
 
+@examples(16, 40)
 @given(SEEDS)
 def test_contacts_are_consistent(seed):
     """witness_b - witness_a = distance * normal, the normal is a unit vector, the distance that of the two bodies."""
@@ -78,6 +81,7 @@ def test_contacts_are_consistent(seed):
         assert c.distance <= scene.margin_of(c.name_a, c.name_b) + 1e-12
 
 
+@examples(15, 40)
 @given(SEEDS, st.floats(0, 0.5))
 def test_larger_margin_loses_no_pair(seed, more):
     """Margin monotone: what meets within a margin meets within a larger one."""

@@ -13,6 +13,7 @@ from scipy.spatial import ConvexHull
 from exact import ExactEllipsoid, rational, root_bounds
 from families import random_poses
 from loewner import Body, collide, distance
+from sampling import quick
 from surface_oracle import Mesh, Placed, Point, squared_distance
 
 EYE = np.eye(4)
@@ -111,12 +112,13 @@ def test_a_small_hull_in_a_wide_surface():
 
 
 @pytest.mark.parametrize("decades", [pytest.param(k, marks=[pytest.mark.verify] * (k % 3 != 0)) for k in range(-6, 7)])
-def test_triangles_in_hulls_are_at_least_so_deep(decades: int):
+@pytest.mark.parametrize("count", quick(10, 24))
+def test_triangles_in_hulls_are_at_least_so_deep(decades: int, count: int):
     """However large, a triangle in a hull is at least as deep as told, and hardly deeper: all axes of theirs say so."""
     rng = np.random.default_rng(20 + decades)
     size = 10.0**decades
     told = 0
-    for k in range(24):
+    for k in range(count):
         corners = size * (rng.integers(-4, 5, (2, 3, 3)) / 4 if k % 2 else rng.normal(size=(2, 3, 3)))
         points = rng.integers(-2, 3, (5, 3)) / 4 if k % 3 == 0 else rng.normal(size=(5, 3)) * 0.3
         if np.linalg.matrix_rank(points - points[0]) < 3:
@@ -133,15 +135,16 @@ def test_triangles_in_hulls_are_at_least_so_deep(decades: int):
             told += 1
             assert Fraction(float(found)) ** 2 <= true, k
             assert Fraction(float(LOWERED * lengths - found)) ** 2 >= true, k
-    assert told > 12
+    assert told > max(count - 12, 2)
 
 
 @pytest.mark.parametrize("decades", [0, *(pytest.param(k, marks=pytest.mark.verify) for k in (2, 4)), 6])
-def test_triangles_in_triangles_are_at_least_so_deep(decades: int):
+@pytest.mark.parametrize("count", quick(16, 40))
+def test_triangles_in_triangles_are_at_least_so_deep(decades: int, count: int):
     """The same of two surfaces, and of radii around those that cross or are apart."""
     rng = np.random.default_rng(40 + decades)
     told = 0
-    for k in range(40):
+    for k in range(count):
         wide, small = 10.0**decades * rng.normal(size=(3, 3)), 0.3 * rng.normal(size=(3, 3))
         T, T_small = turned(rng), turned(rng)
         T_small[:3, 3] = T[:3, :3] @ (rng.dirichlet(np.ones(3)) @ wide)
@@ -157,16 +160,17 @@ def test_triangles_in_triangles_are_at_least_so_deep(decades: int):
             told += found < 0.0
             if found < 0.0:
                 assert -Fraction(float(found)) <= Fraction(radius) + (depth - apart) * Fraction(2) ** placed.exponent, k
-    assert told > 30
+    assert told > max(count - 10, 5)
 
 
 @pytest.mark.parametrize("size", [1e-3, 1.0, 1e3, 1e6])
-def test_curved_pieces_are_at_least_so_deep(size: float):
+@pytest.mark.parametrize("count", quick(5, 12))
+def test_curved_pieces_are_at_least_so_deep(size: float, count: int):
     """A triangle and an ellipsoid overlap by the depth at least, along the normal that is told and all others."""
     rng = np.random.default_rng(7)
     told = 0
     for axes_of in ([1.0, 0.5, 0.25], [0.5, 0.5, 0.5], [0.75, 0.75, 0.001]):
-        for _ in range(12):
+        for _ in range(count):
             mesh = Mesh(size * rng.normal(size=(3, 3)), np.arange(3), False)
             T, T_round = turned(rng), turned(rng)
             T_round[:3, 3] = T[:3, :3] @ (rng.dirichlet(np.ones(3)) @ mesh.vertices) + 0.05 * rng.normal(size=3)
@@ -181,7 +185,7 @@ def test_curved_pieces_are_at_least_so_deep(size: float):
                 heights, middle, reach = corners @ n, n @ ellipsoid.center, ellipsoid.reach(n)[1]
                 overlap = min(max(heights) - middle, middle - min(heights)) + reach
                 assert -Fraction(float(found.distance)) * root_bounds(n @ n)[0] <= overlap
-    assert told > 20
+    assert told > max(3 * count - 16, 5)
 
 
 @pytest.mark.parametrize("size", [1.0, 1e3, 1e6])

@@ -37,6 +37,7 @@ from loewner._base import _archives
 from loewner.robots.description import link_bodies
 from motion_oracle import assert_true, example
 from robot_oracle import robots_folder
+from sampling import quick, quick_of
 
 FREE, COLLIDING, AMBIGUOUS = Verdict.FREE, Verdict.COLLIDING, Verdict.AMBIGUOUS
 
@@ -195,7 +196,7 @@ def test_forged_surfaces_are_refused(name, radius, tmp_path):
 
 
 @pytest.mark.filterwarnings("ignore:.*Then give scale=:UserWarning")
-@pytest.mark.parametrize("seed", range(40))
+@pytest.mark.parametrize("seed", quick_of(range(40), range(12)))
 def test_radii_of_any_size_are_loaded(seed, tmp_path):
     """What from_surface made is never refused: flat, thin and round, radii from far below its size to far above."""
     rng = np.random.default_rng(seed)
@@ -319,11 +320,12 @@ def checker(barista):
     return CollisionChecker(Robot.from_urdf(barista, meshes="surface"), scene)
 
 
-def test_a_checker_of_surfaces_is_its_pairs(checker):
+@pytest.mark.parametrize("count", quick(120, 300))
+def test_a_checker_of_surfaces_is_its_pairs(checker, count):
     """Verdicts, pairs and distances are those of the queries, pair by pair."""
-    Q = checker.robot.random_configurations(300, 1)
+    Q = checker.robot.random_configurations(count, 1)
     found = agrees(checker, Q)
-    assert 20 < found.sum() < 280
+    assert count / 15 < found.sum() < count * 14 / 15
     by_pair = checker.collide_by_pair(Q)
     np.testing.assert_array_equal(by_pair.any(axis=1), found)
     for q, hits in zip(Q[:20], by_pair[:20], strict=True):
@@ -382,7 +384,7 @@ def test_panda_of_surfaces(panda):
 
 
 @pytest.mark.parametrize("within", [True, pytest.param(False, marks=pytest.mark.verify)])
-@pytest.mark.parametrize("count", [20, pytest.param(60, marks=pytest.mark.verify)])
+@pytest.mark.parametrize("count", quick(12, 60))
 def test_motions_of_surfaces_are_true(checker, within, count):
     """Nothing called FREE collides at a sample, what is called COLLIDING does, and little else is left."""
     if not within:
@@ -393,7 +395,7 @@ def test_motions_of_surfaces_are_true(checker, within, count):
     Q = Q[~checker.collide(Q)][:count]
     end = Q + rng.normal(size=Q.shape) * 0.1
     verdicts = assert_true(checker, Q, end, samples=500)
-    assert (verdicts == FREE).sum() > 3
+    assert (verdicts == FREE).sum() > min(3, count // 6)
     assert (verdicts != AMBIGUOUS).mean() > 0.95
 
 

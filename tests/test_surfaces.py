@@ -33,6 +33,7 @@ from loewner import (
     overlapping_pairs,
 )
 from loewner._native import entries
+from sampling import examples, quick
 from surface_oracle import Mesh, boundary, collides
 
 SEEDS = st.integers(0, 2**32 - 1)
@@ -206,12 +207,13 @@ def test_boxes_and_diagonals_hold_their_triangles(count: int):
 @pytest.mark.parametrize(
     "height", [0.0, 1e-309, *(pytest.param(h, marks=pytest.mark.verify) for h in (5e-324, 1e-300))]
 )
-def test_meshes_that_are_flat_but_for_nothing(height: float):
+@pytest.mark.parametrize("most", quick(1000, 3000))
+def test_meshes_that_are_flat_but_for_nothing(height: float, most: int):
     """Heights whose reciprocals overflow put no triangle out of place."""
     rng = np.random.default_rng(7)
     vertices = rng.uniform(-1, 1, size=(1500, 3))
     vertices[:, 2] = rng.choice([0.0, height], size=1500)
-    for count in (40, 1000, 3000):
+    for count in (40, 400, most):
         flat = Body.from_surface((vertices, rng.integers(0, 1500, size=(count, 3))))
         assert distance(flat, None, flat, translation(z=1.0), exact=True).distance == pytest.approx(1.0)
 
@@ -328,7 +330,7 @@ def test_solids_that_share_planes(shift):
         assert along == pytest.approx(found.distance, abs=1e-5)
 
 
-@settings(max_examples=60)
+@examples(25, 60)
 @given(SEEDS)
 def test_margins_of_slivers(seed: int):
     """A margin decides about a triangle of hardly any height as about others: within rounding of the lengths."""
@@ -353,7 +355,7 @@ def test_margins_of_slivers(seed: int):
 
 
 @pytest.mark.slow("the first of those that compile the oracle of surfaces")
-@settings(max_examples=20)
+@examples(8, 20)
 @given(SEEDS)
 def test_contact_far_from_the_own_origin(seed: int):
     """What is apart by the last bit is free in either order, although coordinates are far larger than the bodies."""
@@ -644,11 +646,12 @@ def test_common_motions_change_nothing(first: str, second: str):
 
 
 @pytest.mark.parametrize(("first", "second"), PAIRS)
-def test_margins(first: str, second: str):
+@pytest.mark.parametrize("count", quick(25, 60))
+def test_margins(first: str, second: str, count: int):
     """Within a margin bodies collide exactly if their distance is not more; more margin never makes them free."""
     A, B = SOLIDS[first](), SOLIDS[second]()
     a, b = surface(A), surface(B)
-    Ta, Tb = poses_of(11, 60, 3.0)
+    Ta, Tb = poses_of(11, count, 3.0)
     before = collides(A, Ta, B, Tb)
     gap = np.array(
         [0.0 if hit else surface_oracle.distance(A, T, B, U) for hit, T, U in zip(before, Ta, Tb, strict=True)]
@@ -752,11 +755,12 @@ def test_a_convex_surface_near_contact(kind: str):
 
 
 @pytest.mark.parametrize("kind", OTHERS)
-def test_other_shapes_in_a_cavity_and_in_a_solid(kind: str):
+@pytest.mark.parametrize("count", quick(2, 5))
+def test_other_shapes_in_a_cavity_and_in_a_solid(kind: str, count: int):
     """Every shape is free in a cavity, collides in the solid around it, and does not within a skin."""
     b = OTHERS[kind]()
     large = joined(box(8.0), box(4.0, inwards=True))
-    for T in random_poses(np.random.default_rng(17), 5, 0.2):
+    for T in random_poses(np.random.default_rng(17), count, 0.2):
         assert not collide(surface(large), None, b, T)
         assert not collide(surface(box(8.0, solid=False)), None, b, T)
         assert collide(surface(box(8.0)), None, b, T)

@@ -30,6 +30,7 @@ from loewner.robots.proofs.courses import straight
 from loewner.robots.proofs.curves import curve_of
 from motion_oracle import AFLOAT, FINGERS, example, points_of, real_poses, written
 from motion_oracle import rates as measured_rates
+from sampling import quick
 
 # A box between 0.3 and 0.5 m from the axis about which it turns.
 TURNTABLE = """<robot name="turntable"><link name="base"/><link name="arm"><collision><origin xyz="0.4 0 0"/>
@@ -80,7 +81,7 @@ def off_box(points: np.ndarray, angles: np.ndarray) -> np.ndarray:
     return least
 
 
-@pytest.mark.parametrize("seed", [*range(2), *(pytest.param(k, marks=pytest.mark.verify) for k in range(2, 4))])
+@pytest.mark.parametrize("seed", quick(*range(4)))
 @pytest.mark.filterwarnings("ignore:.*is it in .*:UserWarning")
 def test_points_of_random_links_are_inside(seed: int, tmp_path):
     """All kinds of joints and shapes, on straight paths and on cubics; also of a body that is carried."""

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
@@ -18,6 +18,7 @@ from loewner.planners import Trajectory, trajectories, trajectory
 from loewner.planners.judge import Judge
 from loewner.planners.straights import Straights
 from motion_oracle import AFLOAT, FINGERS, example, free_configurations, ring, steps, written
+from sampling import examples
 
 # What is promised of limits: beyond the last digits only where a phase is so short that times round.
 OF_VELOCITY, OF_ACCELERATION = 1e-9, 1e-6
@@ -413,7 +414,7 @@ def test_samples(moved, rate):
 
 @pytest.mark.parametrize("ending", [".csv", ".json", ".CSV"])
 @pytest.mark.parametrize("rate", [None, 7.0])
-@settings(max_examples=10)
+@examples(4, 10)
 @given(path=paths, velocity=limits, acceleration=limits)
 def test_files_hold_all(robot, alone, tmp_path_factory, ending, rate, path, velocity, acceleration):
     """A file is the trajectory again, bit for bit if no rows were added."""

@@ -5,12 +5,13 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from families import translation
 from gantry import LEFT, RIGHT, UP, gantry_robot
 from loewner import Body, CollisionChecker, InputError, PlanningError, Scene, Verdict, planners
+from sampling import examples
 from test_plans_in_time import gate
 
 SAMPLES = 1001
@@ -209,7 +210,7 @@ def test_errors_of_joints_are_covered(slider):
 
 
 @given(seed=st.integers(0, 2**32 - 1), jerk=st.sampled_from([None, 30.0]))
-@settings(max_examples=20)
+@examples(8, 20)
 def test_random_bodies_are_not_met(slider, seed, jerk):
     """Balls wander; the distance of each to the robot's ball follows from their centres, at dense times."""
     rng, scene = np.random.default_rng(seed), Scene()

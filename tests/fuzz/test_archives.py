@@ -32,6 +32,7 @@ from loewner._base import _archives
 from loewner.bodies import CURVED as CURVED_KINDS
 from loewner.bodies import files
 from loewner.meshes.protrusion import Solid
+from sampling import quick
 
 Arrays = dict[str, Any]
 
@@ -439,9 +440,10 @@ def _run(bases: dict[str, Arrays], cases: range, folder: Path) -> list[driver.Ou
     return driver.run(task, cases)
 
 
-def test_forged_archives(bases: dict[str, Arrays], tmp_path: Path) -> None:
+@pytest.mark.parametrize("count", quick(60, 150))
+def test_forged_archives(bases: dict[str, Arrays], tmp_path: Path, count: int) -> None:
     """A forged file is refused as a file, or it is bodies that keep every law and answer every query."""
-    outcomes = _run(bases, range(150), tmp_path)
+    outcomes = _run(bases, range(count), tmp_path)
     assert not driver.faults(outcomes), driver.faults(outcomes)
 
 
@@ -708,13 +710,14 @@ def test_extreme_bodies_load(name: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("family", FAMILIES)
-def test_families_load(family: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize("count", quick(2, 4))
+def test_families_load(family: str, tmp_path: Path, count: int) -> None:
     """So are pieces of all families, at any size, and moved."""
-    points = pieces(family, 4, seed=8)
+    points = pieces(family, count, seed=8)
     for scale in (1e-20, 1e-3, 1.0, 1e20):
         same_again(Bodies.from_points([scale * P for P in points]), tmp_path)
     made = Bodies.from_points(points)
-    poses = random_poses(np.random.default_rng(4), 4, 10)
+    poses = random_poses(np.random.default_rng(4), count, 10)
     same_again(Bodies([b.transformed(T) for b, T in zip(made, poses, strict=True)]), tmp_path)
 
 

@@ -37,6 +37,7 @@ from loewner import (
 )
 from loewner._kernels.tolerances import ROTATION_TOLERANCE
 from robot_oracle import disagreement
+from sampling import quick
 
 URDF = """<?xml version="1.0" encoding="UTF-8"?>
 <robot name="r">
@@ -500,10 +501,11 @@ def checked_as_is(kind: str) -> str | None:
     return next(filter(None, map(fault_of_problem, read_motion_bench_maker(path))), None)
 
 
-def test_some_damaged_descriptions():
+@pytest.mark.parametrize("count", quick(30, 60))
+def test_some_damaged_descriptions(count):
     """A small part of the campaign below."""
     pytest.importorskip("pinocchio")
-    campaign(SHORT)
+    campaign(count)
 
 
 @pytest.mark.fuzz

@@ -28,6 +28,7 @@ import loewner
 from families import random_poses
 from gantry import LEFT, RIGHT, gantry, wall
 from loewner import Bodies, Body, CollisionChecker, Ellipsoids, Robot, Scene, paper, planners
+from sampling import quick
 
 # Processor time from the signal to the exception, at most [s]: shares take a tenth, and machines of tests are slow.
 SOON = 2.0
@@ -201,9 +202,10 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("interrupts")
 
 
-def test_some_interrupts(folder: Path):
+@pytest.mark.parametrize("count", quick(2, 5))
+def test_some_interrupts(folder: Path, count: int):
     """A KeyboardInterrupt each, and right answers afterwards."""
-    outcomes, _ = campaign(folder, 5, seed=1)
+    outcomes, _ = campaign(folder, count, seed=1)
     assert not driver.faults(outcomes)
 
 
@@ -229,7 +231,8 @@ def interrupted_at(call: Callable[[], Any], line: int) -> int:
 
 
 @pytest.mark.parametrize("name", ["collide", "checker.collide", "certify_edges"])
-def test_an_interrupt_at_any_line(name: str, folder: Path):
+@pytest.mark.parametrize("count", quick(150, 400))
+def test_an_interrupt_at_any_line(name: str, folder: Path, count: int):
     """NumPy drops errors in some Python code that it calls; an interrupt is not among them."""
     rng = np.random.default_rng(0)
     rocks, robot = Bodies.from_points(rng.normal(size=(2, 8, 3))), Robot.from_urdf(gantry(folder)[0])
@@ -245,7 +248,7 @@ def test_an_interrupt_at_any_line(name: str, folder: Path):
     gc.disable()
     try:
         lines = interrupted_at(call, 0)
-        for line in range(1, lines + 1, 1 + lines // 400):
+        for line in range(1, lines + 1, 1 + lines // count):
             with pytest.raises(KeyboardInterrupt):
                 interrupted_at(call, line)
     finally:
@@ -336,9 +339,10 @@ def losses_in_a_new_process(count: int, seed: int) -> tuple[int, list[str]]:
     return ast.literal_eval(done.stdout)
 
 
-def test_no_interrupt_is_lost():
-    """Each KeyboardInterrupt that is raised during a call arrives at the caller: none of 25 is dropped."""
-    assert losses_in_a_new_process(25, seed=1) == (0, [])
+@pytest.mark.parametrize("count", quick(10, 25))
+def test_no_interrupt_is_lost(count: int):
+    """Each KeyboardInterrupt that is raised during a call arrives at the caller: none is dropped."""
+    assert losses_in_a_new_process(count, seed=1) == (0, [])
 
 
 @pytest.mark.fuzz

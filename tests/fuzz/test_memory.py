@@ -22,6 +22,7 @@ import loewner
 from families import random_poses
 from gantry import gantry
 from loewner import Bodies, Body, CollisionChecker, Ellipsoids, MemoryLimitError, Robot, Scene, paper
+from sampling import quick
 
 resource = pytest.importorskip("resource")
 
@@ -160,9 +161,10 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="other systems do not enforce the limit")
-def test_calls_with_little_memory(folder: Path):
+@pytest.mark.parametrize("every", quick(14, 5))
+def test_calls_with_little_memory(folder: Path, every: int):
     """A right answer or a `MemoryLimitError`; and a right answer once there is memory."""
-    assert not driver.faults(campaign(folder, 8, seed=1, every=5))
+    assert not driver.faults(campaign(folder, 40 // every, seed=1, every=every))
 
 
 @pytest.mark.fuzz

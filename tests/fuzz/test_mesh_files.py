@@ -13,6 +13,7 @@ import mesh_examples
 import mesh_oracles
 from loewner import Body
 from loewner.meshes import decomposition as meshes
+from sampling import quick
 
 EXAMPLES = mesh_examples.examples()
 
@@ -138,9 +139,10 @@ def test_whole_files_are_read(name, tmp_path):
     assert differ(found, mesh_oracles.read(suffix, files[path.name], tmp_path)) is None
 
 
-def test_damaged_files(tmp_path):
+@pytest.mark.parametrize("count", quick(90, 220))
+def test_damaged_files(tmp_path, count):
     """A damaged file is refused with a LoewnerError, or read as an independent reading of the same bytes does."""
-    campaign(220, tmp_path)
+    campaign(count, tmp_path)
 
 
 @pytest.mark.fuzz

@@ -21,6 +21,7 @@ from loewner import Body, CollisionChecker, InputError, Verdict, planners, viewe
 from loewner.viewer import drawing, guard
 from loewner.viewer.page import length_text
 from robot_oracle import robots_folder
+from sampling import quick
 from viewer_pages import PATIENCE, eventually, panel, shown
 
 
@@ -308,7 +309,8 @@ def found_by_axe(tab):
         *(pytest.param(k, marks=pytest.mark.verify) for k in (of_a_moving_arm, of_two_surfaces, of_a_panda)),
     ],
 )
-def test_everything_on_the_page_can_be_read(tab, arm, scene, tmp_path):
+@pytest.mark.parametrize("every", quick(2, 1))
+def test_everything_on_the_page_can_be_read(tab, arm, scene, every, tmp_path):
     """In wide and narrow windows, light and dark, nothing is cut off, covers something or loads from elsewhere.
 
     The verdict and most of the scene are seen at once. Pictures are in the test's folder. On the page that has most on
@@ -316,7 +318,7 @@ def test_everything_on_the_page_can_be_read(tab, arm, scene, tmp_path):
     """
     page, verdict = scene(arm)
     with page:
-        for width, height, mode in ((1280, 800, "light"), (400, 720, "light"), (400, 720, "dark")):
+        for width, height, mode in ((1280, 800, "light"), (400, 720, "light"), (400, 720, "dark"))[::every]:
             tab.set_viewport_size({"width": width, "height": height})
             if tab.url == "about:blank" or mode == "dark":
                 tab.emulate_media(color_scheme=mode)
