@@ -170,13 +170,12 @@ class Target:
 
 
 def _part(packed: Packed, i: int) -> _Part:
-    row, kind = packed.layout[i], int(packed.layout[i, columns.KIND])
+    kind = int(packed.layout[i, columns.KIND])
     vertices, triangles = of_piece(packed, i)
     if kind <= columns.SURFACE:
         return _Part(vertices[triangles], kind == columns.SOLID, False, float(packed.frames[i, 0]), 0.0)
     if kind == columns.POLYTOPE:
-        planes = packed.planes[row[columns.PLANES_FROM] : row[columns.PLANES_TO]]
-        return _Part(vertices[triangles], True, True, 0.0, _stray(vertices, planes))
+        return _Part(vertices[triangles], True, True, 0.0, _stray(vertices, packed.planes_of(i)))
     hull, center, shrink = _around(packed, i)
     slack = _stray(hull.vertices, np.column_stack([hull.normals, hull.offsets]))
     gap = (1 - shrink) * float(lengths(hull.vertices - center).max())
@@ -297,8 +296,7 @@ class _Proof:
             elif kind > columns.POLYTOPE:
                 corners, radius = part.triangles.reshape(-1, 3), part.slack
             else:
-                row = packed.layout[i]
-                corners, radius = packed.points[row[columns.POINTS_FROM] : row[columns.POINTS_TO]], part.radius
+                corners, radius = packed.points_of(i), part.radius
                 equal = np.array([np.array_equal(corners, model.hulls[j].vertices) if j in model.hulls else False
                                   for j in range(len(model))])  # fmt: skip
             left = left[self.within(np.broadcast_to(corners[0], (len(left), 3)), left, radius)]

@@ -98,10 +98,7 @@ class Elements:
         """
         rows: dict[int, Floats] = {}
         for i in np.flatnonzero(self.kind == columns.POLYTOPE).tolist():
-            row = packed.layout[i]
-            vertices = packed.points[row[columns.POINTS_FROM] : row[columns.POINTS_TO]]
-            planes = packed.planes[row[columns.PLANES_FROM] : row[columns.PLANES_TO]]
-            triangles = packed.triangles[packed.triangle_start[i] : packed.triangle_start[i + 1]]
+            vertices, planes, triangles = packed.points_of(i), packed.planes_of(i), packed.triangles_of(i)
             heights = product(vertices, planes[:, :3].T)
             least, face = np.empty(len(triangles)), np.empty(len(triangles), dtype=np.int64)
             each = max(1, AT_ONCE // len(planes))

@@ -10,7 +10,7 @@ from loewner._base._plausible import warn
 from loewner._base._validate import Floats, Ints
 from loewner._kernels import columns
 from loewner._native import entries
-from loewner.bodies.layout import PieceArrays
+from loewner.bodies.layout import PieceArrays, laid_out
 from loewner.bodies.surface_trees import around_point, around_sums
 from loewner.ellipsoids.polytopes import FLATNESS
 from loewner.errors import GeometryError
@@ -68,23 +68,14 @@ def surface_pieces(
     center, factor, gap = _outer(vertices, tol)
     if radius > 0:
         center, factor, gap = _with_radius(center, factor, gap, radius)
-    layout = np.array([[columns.SOLID if solid else columns.SURFACE, 0, len(vertices), 0, 0]], dtype=np.int64)
-    frames = np.zeros((1, 13))
-    frames[0, 0] = radius
-    return PieceArrays(
-        layout=layout,
-        points=vertices,
-        planes=np.zeros((0, 4)),
-        piece_start=np.array([0, 1], dtype=np.int64),
-        frames=frames,
-        triangles=triangles,
-        triangle_start=np.array([0, len(triangles)], dtype=np.int64),
-        inner_center=vertices[triangles[:1, 0]],
-        inner_factor=around_point(radius)[None],
-        outer_center=center[None],
-        outer_factor=factor[None],
-        gaps=np.array([[0.0, gap]]),
-    )
+    return laid_out(
+        columns.SOLID if solid else columns.SURFACE,
+        (vertices[triangles[:1, 0]], around_point(radius)[None]),
+        (center[None], factor[None]),
+        np.array([[0.0, gap]]),
+        point_start=np.array([0, len(vertices)]), points=vertices, radius=radius,
+        triangle_start=np.array([0, len(triangles)], dtype=np.int64), triangles=triangles,
+    )  # fmt: skip
 
 
 def _merged(vertices: Floats, triangles: Ints) -> tuple[Floats, Ints]:
