@@ -430,15 +430,10 @@ class Body(_Bodies):
         half = _validate.positive_vector(size, "size", 3) / 2
         # The fits of a box are known in closed form; only containment after rounding needs care (docs/containment.md).
         F = np.diag(half)
-        return cls(
-            _of_hulls(
-                box_hull(half, "size"),
-                np.array([0, 1]),
-                (np.zeros((1, 3)), F[None] * (1 - CLOSED_FORM_ROUNDING)),
-                (np.zeros((1, 3)), F[None] * (np.sqrt(3.0) * (1 + CLOSED_FORM_ROUNDING))),
-                np.full((1, 2), 6 * CLOSED_FORM_ROUNDING),
-            )
-        )
+        inner = np.zeros((1, 3)), F[None] * (1 - CLOSED_FORM_ROUNDING)
+        outer = np.zeros((1, 3)), F[None] * (np.sqrt(3.0) * (1 + CLOSED_FORM_ROUNDING))
+        gaps = np.full((1, 2), 6 * CLOSED_FORM_ROUNDING)
+        return cls(_of_hulls(box_hull(half, "size"), np.array([0, 1]), inner, outer, gaps))
 
     @classmethod
     def sphere(cls, radius: float) -> Body:
@@ -810,9 +805,7 @@ class Body(_Bodies):
         >>> Body.cylinder(radius=1, length=4).inner.semi_axes
         array([[2., 1., 1.]])
         """
-        r = _validate.positive_scalar(radius, "radius")
-        h = _validate.positive_scalar(length, "length") / 2
-        return _primitive(columns.CYLINDER, 0.0, [r, r, h])
+        return _upright(columns.CYLINDER, radius, length)
 
     @classmethod
     def cone(cls, radius: float, length: float) -> Body:
@@ -833,9 +826,7 @@ class Body(_Bodies):
         >>> Body.cone(radius=1, length=4).inner.center
         array([[ 0.,  0., -1.]])
         """
-        r = _validate.positive_scalar(radius, "radius")
-        h = _validate.positive_scalar(length, "length") / 2
-        return _primitive(columns.CONE, 0.0, [r, r, h])
+        return _upright(columns.CONE, radius, length)
 
     @classmethod
     def capsule(cls, radius: float, length: float) -> Body:
@@ -856,9 +847,7 @@ class Body(_Bodies):
         >>> Body.capsule(radius=1, length=4).inner.semi_axes
         array([[3., 1., 1.]])
         """
-        r = _validate.positive_scalar(radius, "radius")
-        h = _validate.positive_scalar(length, "length") / 2
-        return _primitive(columns.SEGMENT, r, [r, r, h])
+        return _upright(columns.SEGMENT, radius, length)
 
     @classmethod
     def union(cls, bodies: Iterable[Body]) -> Body:
@@ -1429,6 +1418,12 @@ def checksum_of(body: Body) -> str:
 def _primitive(kind: int, rounding: float, frame: ArrayLike) -> Body:
     """Make a body of one curved piece: the image of a unit shape, with a ball of some radius added."""
     return Body(primitives(kind, np.array([rounding]), np.array([frame], dtype=float)))
+
+
+def _upright(kind: int, radius: float, length: float) -> Body:
+    """Make a cylinder, a cone or a capsule, along the third axis."""
+    r, h = _validate.positive_scalar(radius, "radius"), _validate.positive_scalar(length, "length") / 2
+    return _primitive(kind, r if kind == columns.SEGMENT else 0.0, [r, r, h])
 
 
 def _piece(p: Packed, i: int) -> Piece:

@@ -7,7 +7,7 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from loewner._base._matrices import dot, product
+from loewner._base._matrices import dot, least_of, product
 from loewner._base._validate import Bools, Floats
 from loewner._kernels import columns
 from loewner._native import entries
@@ -158,8 +158,7 @@ def _hull_around(points: Floats, box: Floats) -> Floats:
         return points if len(points) <= len(WAYS) else box
     center = np.add.reduce(hull.vertices, axis=0) / len(hull.vertices)
     normals, vertices = hull.normals[hull.face_of_simplex], hull.vertices[hull.simplices] - center
-    heights = np.full(len(hull.normals), np.inf)
-    np.minimum.at(heights, hull.face_of_simplex, dot(normals[:, None], vertices).min(axis=1))
+    heights = least_of(dot(normals[:, None], vertices).min(axis=1), hull.face_of_simplex, len(hull.normals))
     if not heights.min() > 0:
         return box
     rows, away = hull.normals / heights[:, None], (points - center).T

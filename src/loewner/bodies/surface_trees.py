@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -77,10 +77,7 @@ class SurfaceTree:
 
     @property
     def _arrays(self) -> tuple[Any, ...]:
-        return (
-            self.boxes, self.children, self.blocks, self.parts, self.diagonals, self.ellipsoids, self.inner_center,
-            self.inner_factor,
-        )  # fmt: skip
+        return tuple(getattr(self, field.name) for field in fields(self) if field.name != "table")
 
     @property
     def nbytes(self) -> int:

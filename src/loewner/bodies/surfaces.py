@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from loewner._base import _memory, _validate
-from loewner._base._matrices import product
+from loewner._base._matrices import normals_of, product
 from loewner._base._plausible import warn
 from loewner._base._validate import Floats, Ints
 from loewner._kernels import columns
@@ -130,8 +130,7 @@ def nearly_closed(vertices: Floats, triangles: Ints, open_edges: int) -> bool:
 
     Few of its edges are open, and the area vectors of its triangles nearly cancel, as in a closed mesh.
     """
-    a, b, c = vertices[triangles].transpose(1, 0, 2)
-    areas = np.cross(b - a, c - a)
+    areas = normals_of(vertices[triangles])
     total = float(np.linalg.norm(areas, axis=1).sum())
     left = float(np.linalg.norm(areas.sum(axis=0)))
     return open_edges <= FEW_OPEN * 1.5 * len(triangles) and left <= NEARLY_CANCELLED * total
