@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -37,6 +38,13 @@ def rotations_of(wxyz: Floats) -> Floats:
         (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
     )
     return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def pose_of(rotation: Floats, translation: Any) -> Floats:
+    """Make the pose, shape (4, 4), of a rotation matrix and a translation."""
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = rotation, translation
+    return T
 
 
 def from_rpy(roll: float, pitch: float, yaw: float) -> Floats:

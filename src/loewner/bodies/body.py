@@ -21,7 +21,7 @@ from loewner._kernels import columns, tolerances
 from loewner.bodies import sensed, surfaces
 from loewner.bodies.depth_images import points_of
 from loewner.bodies.kinds import KIND_NAMES
-from loewner.bodies.layout import PieceArrays
+from loewner.bodies.layout import laid_out
 from loewner.bodies.pack import Packed, as_one, empty, join, moved, take
 from loewner.bodies.primitives import CLOSED_FORM_ROUNDING, primitives
 from loewner.bodies.triangulated import MANY_PIECES, for_pictures
@@ -225,7 +225,7 @@ class Body(_Bodies):
         >>> Body.from_points([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [0.1, 0.1, 0.1]])
         Body(polytope, 4 vertices)
         """
-        return cls(_from_point_sets([points], np.array([0, 1]), tol, names=["points"]))
+        return cls(_fitted(hulls([points], names=["points"]), np.array([0, 1]), tol))
 
     @classmethod
     def from_pieces(cls, point_sets: Iterable[ArrayLike], *, tol: float = 1e-4) -> Body:
@@ -252,7 +252,7 @@ class Body(_Bodies):
         sets = _validate.listed(point_sets, "point_sets")
         if not sets:
             raise GeometryError("point_sets: expected at least one piece, found none")
-        return cls(_from_point_sets(sets, np.array([0, len(sets)]), tol))
+        return cls(_fitted(hulls(sets), np.array([0, len(sets)]), tol))
 
     @classmethod
     def from_mesh(
@@ -430,17 +430,10 @@ class Body(_Bodies):
         half = _validate.positive_vector(size, "size", 3) / 2
         # The fits of a box are known in closed form; only containment after rounding needs care (docs/containment.md).
         F = np.diag(half)
-        return cls(
-            _assemble_polytopes(
-                box_hull(half, "size"),
-                np.array([0, 1]),
-                np.zeros((1, 3)),
-                F[None] * (1 - CLOSED_FORM_ROUNDING),
-                np.zeros((1, 3)),
-                F[None] * (np.sqrt(3.0) * (1 + CLOSED_FORM_ROUNDING)),
-                np.full((1, 2), 6 * CLOSED_FORM_ROUNDING),
-            )
-        )
+        inner = np.zeros((1, 3)), F[None] * (1 - CLOSED_FORM_ROUNDING)
+        outer = np.zeros((1, 3)), F[None] * (np.sqrt(3.0) * (1 + CLOSED_FORM_ROUNDING))
+        gaps = np.full((1, 2), 6 * CLOSED_FORM_ROUNDING)
+        return cls(_of_hulls(box_hull(half, "size"), np.array([0, 1]), inner, outer, gaps))
 
     @classmethod
     def sphere(cls, radius: float) -> Body:
@@ -812,9 +805,7 @@ class Body(_Bodies):
         >>> Body.cylinder(radius=1, length=4).inner.semi_axes
         array([[2., 1., 1.]])
         """
-        r = _validate.positive_scalar(radius, "radius")
-        h = _validate.positive_scalar(length, "length") / 2
-        return _primitive(columns.CYLINDER, 0.0, [r, r, h])
+        return _upright(columns.CYLINDER, radius, length)
 
     @classmethod
     def cone(cls, radius: float, length: float) -> Body:
@@ -835,9 +826,7 @@ class Body(_Bodies):
         >>> Body.cone(radius=1, length=4).inner.center
         array([[ 0.,  0., -1.]])
         """
-        r = _validate.positive_scalar(radius, "radius")
-        h = _validate.positive_scalar(length, "length") / 2
-        return _primitive(columns.CONE, 0.0, [r, r, h])
+        return _upright(columns.CONE, radius, length)
 
     @classmethod
     def capsule(cls, radius: float, length: float) -> Body:
@@ -858,9 +847,7 @@ class Body(_Bodies):
         >>> Body.capsule(radius=1, length=4).inner.semi_axes
         array([[3., 1., 1.]])
         """
-        r = _validate.positive_scalar(radius, "radius")
-        h = _validate.positive_scalar(length, "length") / 2
-        return _primitive(columns.SEGMENT, r, [r, r, h])
+        return _upright(columns.SEGMENT, radius, length)
 
     @classmethod
     def union(cls, bodies: Iterable[Body]) -> Body:
@@ -1260,7 +1247,7 @@ class Bodies(_Bodies):
         """
         sets = _validate.listed(point_sets, "point_sets")
         _validate.callback(progress, "progress")
-        return cls._wrap(_from_point_sets(sets, np.arange(len(sets) + 1), tol, progress=progress))
+        return cls._wrap(_fitted(hulls(sets), np.arange(len(sets) + 1), tol, progress))
 
     @classmethod
     def spheres(cls, radii: ArrayLike) -> Bodies:
@@ -1362,57 +1349,27 @@ def _rows_of_three(x: ArrayLike, name: str) -> Floats:
     return rows
 
 
-def _from_point_sets(
-    sets: Sequence[ArrayLike],
-    piece_start: Ints,
-    tol: float,
-    *,
-    names: Sequence[str] | None = None,
-    progress: Progress | None = None,
-) -> Packed:
-    """Compute hulls of point sets, fit ellipsoids and pack the bodies; `names` is as for `polytopes.hulls`."""
-    return _fitted(hulls(sets, names=names), piece_start, tol, progress)
-
-
 def _fitted(hull: Hulls, piece_start: Ints, tol: float, progress: Progress | None = None) -> Packed:
     """Fit ellipsoids to hulls and pack the bodies."""
     if len(hull) == 0:
         return empty()
-    inner_c, inner_F, outer_c, outer_F, inner_gap, outer_gap = fits.fit_pieces(
+    *fitted, inner_gap, outer_gap = fits.fit_pieces(
         hull.vert_start, hull.vertices, hull.face_start, hull.normals, tol=tol, progress=progress
     )
+    inner_center, inner_factor, outer_center, outer_factor = fitted
     gaps = np.stack([inner_gap, outer_gap], axis=1)
-    return _assemble_polytopes(hull, piece_start, inner_c, inner_F, outer_c, outer_F, gaps)
+    return _of_hulls(hull, piece_start, (inner_center, inner_factor), (outer_center, outer_factor), gaps)
 
 
-def _assemble_polytopes(
-    hull: Hulls,
-    piece_start: Ints,
-    inner_c: Floats,
-    inner_F: Floats,
-    outer_c: Floats,
-    outer_F: Floats,
-    gaps: Floats,
+def _of_hulls(
+    hull: Hulls, piece_start: Ints, inner: tuple[Floats, Floats], outer: tuple[Floats, Floats], gaps: Floats
 ) -> Packed:
-    count = len(hull.vert_start) - 1
-    layout = np.zeros((count, 5), dtype=np.int64)
-    layout[:, columns.KIND] = columns.POLYTOPE
-    layout[:, columns.POINTS_FROM], layout[:, columns.POINTS_TO] = hull.vert_start[:-1], hull.vert_start[1:]
-    layout[:, columns.PLANES_FROM], layout[:, columns.PLANES_TO] = hull.face_start[:-1], hull.face_start[1:]
-    pieces = PieceArrays(
-        layout=layout,
-        points=np.ascontiguousarray(hull.vertices),
-        planes=np.ascontiguousarray(np.column_stack([hull.normals, hull.offsets])),
-        piece_start=np.asarray(piece_start, dtype=np.int64),
-        frames=np.zeros((count, 13)),
-        triangles=np.asarray(hull.triangles, dtype=np.int64),
-        triangle_start=np.asarray(hull.triangle_start, dtype=np.int64),
-        inner_center=inner_c,
-        inner_factor=inner_F,
-        outer_center=outer_c,
-        outer_factor=outer_F,
-        gaps=gaps,
-    )
+    pieces = laid_out(
+        columns.POLYTOPE, inner, outer, gaps, piece_start=np.asarray(piece_start, dtype=np.int64),
+        point_start=hull.vert_start, points=np.ascontiguousarray(hull.vertices),
+        plane_start=hull.face_start, planes=np.ascontiguousarray(np.column_stack([hull.normals, hull.offsets])),
+        triangle_start=hull.triangle_start, triangles=hull.triangles,
+    )  # fmt: skip
     return Packed.of(pieces)
 
 
@@ -1463,17 +1420,21 @@ def _primitive(kind: int, rounding: float, frame: ArrayLike) -> Body:
     return Body(primitives(kind, np.array([rounding]), np.array([frame], dtype=float)))
 
 
+def _upright(kind: int, radius: float, length: float) -> Body:
+    """Make a cylinder, a cone or a capsule, along the third axis."""
+    r, h = _validate.positive_scalar(radius, "radius"), _validate.positive_scalar(length, "length") / 2
+    return _primitive(kind, r if kind == columns.SEGMENT else 0.0, [r, r, h])
+
+
 def _piece(p: Packed, i: int) -> Piece:
     kind = int(p.layout[i, columns.KIND])
     polytope, flat = kind == columns.POLYTOPE, kind <= columns.POLYTOPE
-    points = slice(p.layout[i, columns.POINTS_FROM], p.layout[i, columns.POINTS_TO])
-    planes = slice(p.layout[i, columns.PLANES_FROM], p.layout[i, columns.PLANES_TO])
     return Piece(
         kind=KIND_NAMES[kind],
-        vertices=p.points[points] if flat else None,
-        normals=p.planes[planes, :3] if polytope else None,
-        offsets=p.planes[planes, 3] if polytope else None,
-        triangles=p.triangles[p.triangle_start[i] : p.triangle_start[i + 1]] if flat else None,
+        vertices=p.points_of(i) if flat else None,
+        normals=p.planes_of(i)[:, :3] if polytope else None,
+        offsets=p.planes_of(i)[:, 3] if polytope else None,
+        triangles=p.triangles_of(i) if flat else None,
         inner=trusted(p.inner_center[i], p.inner_factor[i]),
         outer=trusted(p.outer_center[i], p.outer_factor[i]),
         inner_gap=float(p.gaps[i, 0]),

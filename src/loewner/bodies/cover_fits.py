@@ -6,6 +6,7 @@ import numpy as np
 
 from loewner._base._low_discrepancy import points as even_points
 from loewner._base._matrices import dot, lengths
+from loewner._base._rotations import pose_of
 from loewner._base._validate import Bools, Floats, Ints, Progress
 from loewner._kernels import columns
 from loewner._native import entries
@@ -202,8 +203,8 @@ class Candidates:
             turn = np.linalg.qr(np.column_stack([axis / length, np.eye(3)]))[0]
             along = turn[:, 0] * np.sign(turn[:, 0] @ axis)
             turn = np.column_stack([turn[:, 1], np.cross(along, turn[:, 1]), along])
-            bodies.append(_placed(primitives(columns.SEGMENT, np.array([radius]), np.array([[radius, radius, length]])),
-                                  turn, center))  # fmt: skip
+            capsule = primitives(columns.SEGMENT, np.array([radius]), np.array([[radius, radius, length]]))
+            bodies.append(moved(capsule, pose_of(turn, center)))
         return as_one(bodies) if len(bodies) > 1 else bodies[0]
 
     def proven(self, protrusion: float, steps: int, most: int | None = None) -> Packed | None:
@@ -298,14 +299,11 @@ class _Clusters:
             except GeometryError:  # flat
                 turn, half, center = _box(points)
                 axes, least = np.sqrt(3.0) * half, 1e-2 * half.max() + self.spare
-            return _placed(
-                primitives(columns.ELLIPSOID, np.zeros(1), np.maximum(axes + self.spare, least)[None] + more),
-                turn,
-                center,
-            )
+            semi_axes = np.maximum(axes + self.spare, least)[None] + more
+            return moved(primitives(columns.ELLIPSOID, np.zeros(1), semi_axes), pose_of(turn, center))
         turn, half, center = _box(points)
         half = np.maximum(half + self.spare, 1e-3 * half.max()) + more
-        return _placed(Packed.of(box_pieces(-half[None], half[None])), turn, center)
+        return moved(Packed.of(box_pieces(-half[None], half[None])), pose_of(turn, center))
 
     def sticks(self, element: Packed) -> float:
         """Estimate how far an element sticks out, from points of its surface."""
@@ -368,12 +366,6 @@ def _box(points: Floats) -> tuple[Floats, Floats, Floats]:
     return turn, (high - low) / 2, turn @ (low / 2 + high / 2)
 
 
-def _placed(packed: Packed, turn: Floats, center: Floats) -> Packed:
-    T = np.eye(4)
-    T[:3, :3], T[:3, 3] = turn, center
-    return moved(packed, T)
-
-
 def _others(target: Target, kind: str, n: int | None, protrusion: float | None, report: Progress) -> Packed:
     """Fit boxes or ellipsoids by dividing clusters of cells."""
     fit = _Clusters(target, kind, protrusion)
@@ -405,12 +397,9 @@ def _others(target: Target, kind: str, n: int | None, protrusion: float | None, 
             break
         limit *= 0.95
         fit.divide(int(np.argmax(fit.excess)))
-    asked = (
-        f"n: expected a number of {kind} that suffices, found {n}"
-        if protrusion is None
-        else (f"protrusion: expected one that {kind} reach, found {protrusion:g} m")
-    )
-    raise GeometryError(f"{asked}, and no proof")
+    if protrusion is None:
+        raise GeometryError(f"n: expected a number of {kind} that suffices, found {n}, and no proof")
+    raise GeometryError(f"protrusion: expected one that {kind} reach, found {protrusion:g} m, and no proof")
 
 
 def cover(

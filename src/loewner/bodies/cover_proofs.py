@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from loewner._base._matrices import dot, lengths
+from loewner._base._matrices import dot, least_of, lengths, normals_of
 from loewner._base._validate import Bools, Floats, Ints, Progress
 from loewner._kernels import columns
 from loewner._kernels.tolerances import FACE_WIDTH
@@ -170,13 +170,12 @@ class Target:
 
 
 def _part(packed: Packed, i: int) -> _Part:
-    row, kind = packed.layout[i], int(packed.layout[i, columns.KIND])
+    kind = int(packed.layout[i, columns.KIND])
     vertices, triangles = of_piece(packed, i)
     if kind <= columns.SURFACE:
         return _Part(vertices[triangles], kind == columns.SOLID, False, float(packed.frames[i, 0]), 0.0)
     if kind == columns.POLYTOPE:
-        planes = packed.planes[row[columns.PLANES_FROM] : row[columns.PLANES_TO]]
-        return _Part(vertices[triangles], True, True, 0.0, _stray(vertices, planes))
+        return _Part(vertices[triangles], True, True, 0.0, _stray(vertices, packed.planes_of(i)))
     hull, center, shrink = _around(packed, i)
     slack = _stray(hull.vertices, np.column_stack([hull.normals, hull.offsets]))
     gap = (1 - shrink) * float(lengths(hull.vertices - center).max())
@@ -297,8 +296,7 @@ class _Proof:
             elif kind > columns.POLYTOPE:
                 corners, radius = part.triangles.reshape(-1, 3), part.slack
             else:
-                row = packed.layout[i]
-                corners, radius = packed.points[row[columns.POINTS_FROM] : row[columns.POINTS_TO]], part.radius
+                corners, radius = packed.points_of(i), part.radius
                 equal = np.array([np.array_equal(corners, model.hulls[j].vertices) if j in model.hulls else False
                                   for j in range(len(model))])  # fmt: skip
             left = left[self.within(np.broadcast_to(corners[0], (len(left), 3)), left, radius)]
@@ -333,8 +331,7 @@ class _Proof:
         height = model.heights(middle[c], e)
         margin = model.rounding[e] + self.cells
         meets = height <= (reach + radius)[c] + margin
-        least = np.full(len(middle), np.inf)
-        np.minimum.at(least, c, height)
+        least = least_of(height, c, len(middle))
         outside = np.ones(len(middle), dtype=bool)
         outside[c[meets]] = False
         needed = margin
@@ -396,7 +393,7 @@ class _Proof:
         rest : _Cells or None
             Cells that are not settled.
         """
-        covered, outside, area = 0.0, 0.0, _areas(triangles)
+        covered, outside, area = 0.0, 0.0, lengths(normals_of(triangles)) / 2
         total = max(float(area.sum()), 1e-300)
         cells: Iterable[_Cells] = self.paired(triangles, owner, area)
         first, rest = True, list[_Cells]()
@@ -430,9 +427,8 @@ class _Proof:
         """Try the corners of stored triangles, where the deepest points often are."""
         for k in range(3):
             points = cells.shape[:, k]
-            least = np.full(len(points), np.inf)
-            np.minimum.at(least, cells.cell, self.model.heights(points[cells.cell], cells.element))
-            self.note(points, least)
+            heights = self.model.heights(points[cells.cell], cells.element)
+            self.note(points, least_of(heights, cells.cell, len(points)))
 
     def inside(self) -> _Cells | None:
         """Look for holes in the inside, given that the surface is covered; return cells that are not settled.
@@ -499,8 +495,8 @@ class _Proof:
         if self.model.plain and self.witness is None:
             if holes is not None:
                 middle, reach = holes.middles()
-                far = np.full(len(middle), np.inf)
-                np.minimum.at(far, holes.cell, self.model.distances(middle[holes.cell], holes.element))
+                distances = self.model.distances(middle[holes.cell], holes.element)
+                far = least_of(distances, holes.cell, len(middle))
                 bound = max(bound, float((far + reach).max()))
         elif target.solids:
             # The inside takes more cells of one size: it is known to a third of a percent of the body's size.
@@ -521,8 +517,7 @@ class _Proof:
                 radius = np.zeros(len(middle)) if inside else target.radius[cells.owner]
                 c, e = cells.cell, cells.element
                 height, distance = model.heights(middle[c], e), model.distances(middle[c], e)
-                far = np.full(len(middle), np.inf)
-                np.minimum.at(far, c, distance)
+                far = least_of(distance, c, len(middle))
                 most = far + reach + radius
                 # An element that is farther than another one everywhere in the cell does not count.
                 near = height <= (far + 2 * reach)[c] + self.cells
@@ -539,9 +534,7 @@ class _Proof:
                 else:
                     self.note(middle, far)
                     worst = np.max([model.distances(cells.corner(c, k), e) for k in range(3)], axis=0)
-                    best = np.full(len(middle), np.inf)
-                    np.minimum.at(best, c, worst)
-                    most = np.minimum(most, best + radius)
+                    most = np.minimum(most, least_of(worst, c, len(middle)) + radius)
                 enough = max(self.deepest * (1 + RELATIVE), self.deepest + least)
                 kept = cells.take(most > enough, near)
                 work += len(kept.shape)
@@ -552,11 +545,6 @@ class _Proof:
             if sum(len(cells.shape) for cells in made) == 0:
                 return bound + self.cells
             waiting = [_Cells.joined(made)]
-
-
-def _areas(triangles: Floats) -> Floats:
-    a, b, c = triangles.transpose(1, 0, 2)
-    return np.asarray(lengths(np.cross(b - a, c - a)) / 2)
 
 
 def excess_of(target: Target, packed: Packed, model: Elements, tolerance: float) -> tuple[float, float]:
@@ -643,7 +631,7 @@ def prove(
     left = ~whole[owner]
     covered, outside, rest = proof.surface(triangles[left], owner[left], report)
     undecided = 0.0 if rest is None else float(rest.area.sum())
-    covered += float(_areas(triangles[~left]).sum())
+    covered += float((lengths(normals_of(triangles[~left])) / 2).sum())
     if rest is not None and proof.witness is None:
         proof.dive(rest, inside=False)
     around = target.curved & ~whole
@@ -684,15 +672,12 @@ def first_failures(target: Target, model: Packed, protrusion: float) -> tuple[Fl
     triangles, owner = target.triangles, target.owner
     left = ~whole[owner]
     _, _, rest = proof.surface(triangles[left], owner[left], lambda done, total: None)
-    missed = [np.empty((0, 4)), *proof.outside]
     if rest is not None:
-        missed.append(np.column_stack([rest.middles()[0], target.radius[rest.owner]]))
-    points = np.concatenate(missed)
-    if len(points) == 0 and not whole.all():
+        proof.outside.append(np.column_stack([rest.middles()[0], target.radius[rest.owner]]))
+    if not any(map(len, proof.outside)) and not whole.all():
         holes = proof.inside()
-        missed = [np.empty((0, 4)), *proof.outside]
         if holes is not None:
-            missed.append(np.column_stack([holes.middles()[0], np.zeros(len(holes.shape))]))
-        points = np.concatenate(missed)
+            proof.outside.append(np.column_stack([holes.middles()[0], np.zeros(len(holes.shape))]))
+    points = np.concatenate([np.empty((0, 4)), *proof.outside])
     points = points[:: max(1, len(points) // 1000)]
     return points[:, :3], points[:, 3]

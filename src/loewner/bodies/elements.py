@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from loewner._base._matrices import dot, lengths, product, singular_values
+from loewner._base._matrices import dot, least_of, lengths, product, singular_values
 from loewner._base._validate import Bools, Floats, Ints
 from loewner._kernels import columns
 from loewner.bodies.kinds import CURVED, KIND_NAMES, ROUND
@@ -98,10 +98,7 @@ class Elements:
         """
         rows: dict[int, Floats] = {}
         for i in np.flatnonzero(self.kind == columns.POLYTOPE).tolist():
-            row = packed.layout[i]
-            vertices = packed.points[row[columns.POINTS_FROM] : row[columns.POINTS_TO]]
-            planes = packed.planes[row[columns.PLANES_FROM] : row[columns.PLANES_TO]]
-            triangles = packed.triangles[packed.triangle_start[i] : packed.triangle_start[i + 1]]
+            vertices, planes, triangles = packed.points_of(i), packed.planes_of(i), packed.triangles_of(i)
             heights = product(vertices, planes[:, :3].T)
             least, face = np.empty(len(triangles)), np.empty(len(triangles), dtype=np.int64)
             each = max(1, AT_ONCE // len(planes))
@@ -111,8 +108,7 @@ class Elements:
                 face[k : k + each] = below.argmax(axis=1)
                 least[k : k + each] = np.take_along_axis(low, face[k : k + each, None], axis=1)[:, 0]
             used, place = np.unique(face, return_inverse=True)
-            offsets = np.full(len(used), np.inf)
-            np.minimum.at(offsets, place, least)
+            offsets = least_of(least, place, len(used))
             middle = vertices.mean(axis=0)
             self.center[i] = middle
             if not (offsets - product(planes[used, :3], middle[:, None])[:, 0] > 0).all():
@@ -271,8 +267,7 @@ class Elements:
             length = lengths(way)
             way /= np.where(length > 0, length, 1.0)[:, None]
             excess = dot(unit, way[owner]) - share
-            least = np.full(len(middles), np.inf)
-            np.minimum.at(least, owner, excess)
+            least = least_of(excess, owner, len(middles))
             worst = np.flatnonzero((excess == least[owner]) & (least[owner] <= 0))
             if len(worst) == 0:
                 break

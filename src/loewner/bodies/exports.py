@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 import struct
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from hashlib import sha256
 from itertools import product
@@ -21,7 +21,7 @@ import numpy as np
 
 from loewner._base import _validate
 from loewner._base._files import named_by_content, replacing
-from loewner._base._matrices import dot, lengths
+from loewner._base._matrices import dot, lengths, normals_of
 from loewner._base._rotations import quaternions_of, to_rpy
 from loewner._base._validate import Floats
 from loewner._kernels import columns
@@ -96,10 +96,10 @@ class Shape:
 def _wider_mesh(vertices: Floats, triangles: Any, by: float) -> Mesh:
     """Scale a convex mesh so that each face moves outwards; other meshes stay as they are."""
     middle = vertices.mean(axis=0)
-    a, b, c = np.moveaxis(vertices[triangles], 1, 0)
-    normals = np.cross(b - a, c - a)
+    corners = vertices[triangles]
+    normals = normals_of(corners)
     wide = lengths(normals) > 0.0
-    normals, a = normals[wide] / lengths(normals)[wide, None], a[wide]
+    normals, a = normals[wide] / lengths(normals)[wide, None], corners[wide, 0]
     heights = dot(normals, a - middle)
     size = float(np.abs(vertices).max())
     above = (vertices @ normals.T - dot(normals, a)).max()
@@ -153,7 +153,7 @@ def _is_small(vertices: Floats, triangles: Any, number: int) -> bool:
         If MuJoCo would refuse it as a surface, too.
     """
     corners = (vertices - vertices[0])[triangles]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals = normals_of(corners)
     area = 0.5 * float(np.linalg.norm(normals, axis=1).sum())
     if area < SMALLEST:
         raise InputError(
@@ -191,7 +191,7 @@ def save_stl(packed: Packed, path: Path) -> None:
     facets = np.zeros(len(corners), FACETS)
     facets["corners"] = corners
     corners = facets["corners"].astype(np.float64)
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals = normals_of(corners)
     size = np.linalg.norm(normals, axis=1, keepdims=True)
     facets["normal"] = np.divide(normals, size, out=np.zeros_like(normals), where=size > 0)
     with replacing(path) as temporary, temporary.open("wb") as file:
@@ -290,18 +290,14 @@ def _obj(vertices: Floats, triangles: Any) -> str:
 
 
 def _listed(packed: Packed, which: str | None, accepted: Callable[[Mesh], bool] | None = None) -> list[Shape]:
-    shapes = list(_shapes(packed, which, accepted))
-    if not shapes:
-        raise InputError("expected a body with inner ellipsoids, found surfaces whose inner ellipsoids are points")
-    return shapes
-
-
-def _shapes(packed: Packed, which: str | None, accepted: Callable[[Mesh], bool] | None) -> Iterator[Shape]:
     """Convert the pieces, or the inner or outer ellipsoid of each, to shapes."""
     if which is not None:
         _validate.choice(which, "ellipsoids", ELLIPSOIDS)
         fitted = zip(*ellipsoids_of(packed, which), strict=True)
-        return (_ellipsoid(center, factor) for center, factor in fitted if factor.any())
+        shapes = [_ellipsoid(center, factor) for center, factor in fitted if factor.any()]
+        if not shapes:
+            raise InputError("expected a body with inner ellipsoids, found surfaces whose inner ellipsoids are points")
+        return shapes
     surface, meshes = packed.layout[:, columns.KIND] < columns.POLYTOPE, of_pieces(packed)
     if accepted is not None:
         for number in np.flatnonzero(packed.layout[:, columns.KIND] == columns.SOLID):
@@ -312,7 +308,7 @@ def _shapes(packed: Packed, which: str | None, accepted: Callable[[Mesh], bool] 
             "of points: these formats would collide its convex hull. Write ellipsoids='outer', or make the body of "
             "convex pieces: by Body.from_mesh, of a cloud by voxel="
         )
-    return (_piece(packed, number, mesh) for number, mesh in enumerate(meshes))
+    return [_piece(packed, number, mesh) for number, mesh in enumerate(meshes)]
 
 
 def _ellipsoid(center: Floats, factor: Floats) -> Shape:
@@ -379,7 +375,7 @@ def _for_urdf(shape: Shape, which: str | None) -> Iterable[Shape]:
     unit, triangles = ball(DIVISIONS)
     if which != "inner":
         corners = unit[triangles]
-        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        normals = normals_of(corners)
         normals /= np.linalg.norm(normals, axis=1, keepdims=True)
         unit = unit * (OUTWARD / (normals * corners[:, 0]).sum(axis=1).min())
     return (_mesh((unit * shape.sizes @ shape.rotation.T + shape.center, triangles)),)

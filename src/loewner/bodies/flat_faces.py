@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from loewner._base._matrices import normals_of
 from loewner._base._validate import Floats, Ints
 
 # Neighbours at a smaller angle [rad] count as in one plane.
@@ -27,8 +28,7 @@ def flat_faces(vertices: Floats, triangles: Ints) -> Ints:
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
-    a, b, c = vertices[triangles].transpose(1, 0, 2)
-    normals = np.cross(b - a, c - a)
+    normals = normals_of(vertices[triangles])
     edges = np.sort(np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=-1), axis=-1).reshape(-1, 2)
     order = np.lexsort(edges.T)
     same = (edges[order[1:]] == edges[order[:-1]]).all(axis=1)

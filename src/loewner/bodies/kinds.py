@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from loewner._base import _elementary
-from loewner._base._matrices import dot, lengths
+from loewner._base._matrices import dot, lengths, normals_of
 from loewner._base._validate import Floats, Ints
 from loewner._kernels import columns
 from loewner.errors import InputError
@@ -95,9 +95,9 @@ def ball(subdivisions: int = 3) -> Mesh:
 def inradius(subdivisions: int = 3) -> float:
     """Compute the radius of the ball about the origin that touches the nearest triangle of `ball`."""
     vertices, triangles = ball(subdivisions)
-    a, b, c = np.moveaxis(vertices[triangles], 1, 0)
-    across = np.cross(b - a, c - a)
-    return float((dot(across, a) / lengths(across)).min())
+    corners = vertices[triangles]
+    across = normals_of(corners)
+    return float((dot(across, corners[:, 0]) / lengths(across)).min())
 
 
 def _faces(corners: Floats) -> Ints:

@@ -88,6 +88,18 @@ class PieceArrays(KeepsReadOnly):
         for name in ARRAYS:
             getattr(self, name).setflags(write=False)
 
+    def points_of(self, i: int) -> Floats:
+        """Return the points of a piece."""
+        return self.points[self.layout[i, columns.POINTS_FROM] : self.layout[i, columns.POINTS_TO]]
+
+    def planes_of(self, i: int) -> Floats:
+        """Return the planes of a polytope."""
+        return self.planes[self.layout[i, columns.PLANES_FROM] : self.layout[i, columns.PLANES_TO]]
+
+    def triangles_of(self, i: int) -> Ints:
+        """Return the triangles of a polytope or a surface, as indices into its points."""
+        return self.triangles[self.triangle_start[i] : self.triangle_start[i + 1]]
+
 
 ARRAYS = tuple(f.name for f in fields(PieceArrays))
 
@@ -95,6 +107,50 @@ ARRAYS = tuple(f.name for f in fields(PieceArrays))
 def arrays_of(pieces: PieceArrays) -> dict[str, Any]:
     """Return the arrays by name, in the order of `ARRAYS`."""
     return {name: getattr(pieces, name) for name in ARRAYS}
+
+
+def laid_out(
+    kind: int | Ints,
+    inner: tuple[Floats, Floats],
+    outer: tuple[Floats, Floats],
+    gaps: Floats,
+    *,
+    point_start: Ints | None = None,
+    plane_start: Ints | None = None,
+    radius: float = 0.0,
+    **others: Any,
+) -> PieceArrays:
+    """Lay out pieces of a kind, or of one kind each: one body, without points, planes or triangles unless given.
+
+    Parameters
+    ----------
+    kind : int or ndarray of int64, shape (P,)
+        Number of the kind.
+    inner, outer : tuple
+        Centers and factors of the ellipsoids, shapes (P, 3) and (P, 3, 3).
+    gaps : ndarray, shape (P, 2)
+        Log-volume gaps of the fits.
+    point_start, plane_start : ndarray of int64, shape (P + 1,), optional
+        Starts of the pieces' ranges of points and of planes; without them the ranges are empty.
+    radius : float
+        Rounding radius of all pieces, unless `frames` is given.
+    **others : ndarray
+        Further arrays of `PieceArrays`.
+    """
+    count = len(gaps)
+    layout, frames = np.zeros((count, 5), dtype=np.int64), np.zeros((count, 13))
+    layout[:, columns.KIND], frames[:, 0] = kind, radius
+    for column, start in ((columns.POINTS_FROM, point_start), (columns.PLANES_FROM, plane_start)):
+        if start is not None:
+            layout[:, column], layout[:, column + 1] = start[:-1], start[1:]
+    arrays: dict[str, Any] = {
+        "layout": layout, "points": np.zeros((0, 3)), "planes": np.zeros((0, 4)), "frames": frames, "gaps": gaps,
+        "piece_start": np.array([0, count], dtype=np.int64), "triangles": np.zeros((0, 3), dtype=np.int64),
+        "triangle_start": np.zeros(count + 1, dtype=np.int64),
+    }  # fmt: skip
+    arrays["inner_center"], arrays["inner_factor"] = inner
+    arrays["outer_center"], arrays["outer_factor"] = outer
+    return PieceArrays(**arrays | others)
 
 
 def kernel_arrays(p: PieceArrays, maps: Maps, trees: Trees) -> records.Pieces:
@@ -201,6 +257,15 @@ def direction_maps(layout: Ints, points: Floats) -> Maps:
     }
 
 
+def surface_trees(p: PieceArrays) -> Trees:
+    """Build a tree for every piece that is a surface, keyed by piece index."""
+    kind = p.layout[:, columns.KIND]
+    return {
+        i: SurfaceTree.of(p.points_of(i), p.triangles_of(i), bool(kind[i] == columns.SOLID))
+        for i in np.flatnonzero(kind <= columns.SURFACE).tolist()
+    }
+
+
 def heights_of(
     points: Floats, normals: Floats, center: Floats, factor: Floats, most: float = np.inf
 ) -> tuple[Floats, int]:
@@ -272,7 +337,7 @@ def _kernel_points(p: PieceArrays, maps: Maps, trees: Trees) -> tuple[Ints, Floa
     lengths = p.layout[:, columns.POINTS_TO] - first
     vertices, table_at = p.points, np.zeros(len(first), dtype=np.int64)
     if trees:
-        corners = [_box_corners(p.points[first[i] : first[i] + lengths[i]], _triangles(p, i)) for i in trees]
+        corners = [_box_corners(p.points_of(i), p.triangles_of(i)) for i in trees]
         surfaces = list(trees)
         first[surfaces] = len(vertices) + 8 * np.arange(len(trees))
         lengths[surfaces] = 8
@@ -322,10 +387,6 @@ def _parts(p: PieceArrays, trees: Trees) -> tuple[Floats, Ints]:
         total += outer + inner
     rows = _ellipsoid_columns(*(np.concatenate(column) for column in zip(*ellipsoids, strict=True)))
     return np.ascontiguousarray(rows[:, : columns.HOT]), start.ravel()
-
-
-def _triangles(p: PieceArrays, i: int) -> Ints:
-    return p.triangles[p.triangle_start[i] : p.triangle_start[i + 1]]
 
 
 def _box_corners(points: Floats, triangles: Ints) -> Floats:

@@ -15,7 +15,6 @@ from __future__ import annotations
 import os
 import struct
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -100,10 +99,6 @@ def write(
     target = _validate.path(path, "path")
     if target.suffix != SUFFIX:
         raise InputError(f"path: expected a name that ends in {SUFFIX}, found {target.name!r}")
-    _write(target, names, arrays, packs, counts)
-
-
-def _write(target: Path, names: Any, arrays: dict[str, Any], packs: Sequence[Packed], counts: Any) -> None:
     listed_names = [name for group in names for name in group]
     for name in listed_names:
         if "\0" in name:

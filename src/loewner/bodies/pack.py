@@ -22,10 +22,12 @@ from loewner.bodies.layout import (
     heights_of,
     joined_kernel,
     kernel_arrays,
+    laid_out,
     one_body,
     starts,
+    surface_trees,
 )
-from loewner.bodies.surface_trees import Trees, around_point, surface_trees
+from loewner.bodies.surface_trees import Trees, around_point
 from loewner.errors import GeometryError
 
 
@@ -87,7 +89,7 @@ class Packed(Prepared):
         if maps is None:
             maps = direction_maps(pieces.layout, pieces.points)
         if trees is None:
-            trees = surface_trees(pieces.layout, pieces.points, pieces.triangles, pieces.triangle_start)
+            trees = surface_trees(pieces)
         pieces = _with_inner_of_solids(pieces, trees)
         return cls.with_kernel(
             Prepared(**arrays_of(pieces), maps=maps, trees=trees), kernel_arrays(pieces, maps, trees)
@@ -125,9 +127,7 @@ def _with_inner_of_solids(pieces: PieceArrays, trees: Trees) -> PieceArrays:
         if len(center):
             arrays["inner_center"][i], arrays["inner_factor"][i] = center[0], factor[0]
         else:
-            corner = pieces.points[
-                pieces.layout[i, columns.POINTS_FROM] + pieces.triangles[pieces.triangle_start[i], 0]
-            ]
+            corner = pieces.points_of(i)[pieces.triangles_of(i)[0, 0]]
             arrays["inner_center"][i], arrays["inner_factor"][i] = corner, around_point(pieces.frames[i, 0])
         # The largest ellipsoid inside is no larger than the one around.
         volumes = np.linalg.slogdet(np.stack([pieces.outer_factor[i], arrays["inner_factor"][i]]))[1]
@@ -137,21 +137,10 @@ def _with_inner_of_solids(pieces: PieceArrays, trees: Trees) -> PieceArrays:
 
 def empty() -> Packed:
     """Make the pack of no bodies."""
-    pieces = PieceArrays(
-        layout=np.zeros((0, 5), dtype=np.int64),
-        points=np.zeros((0, 3)),
-        planes=np.zeros((0, 4)),
-        piece_start=np.zeros(1, dtype=np.int64),
-        frames=np.zeros((0, 13)),
-        triangles=np.zeros((0, 3), dtype=np.int64),
-        triangle_start=np.zeros(1, dtype=np.int64),
-        inner_center=np.zeros((0, 3)),
-        inner_factor=np.zeros((0, 3, 3)),
-        outer_center=np.zeros((0, 3)),
-        outer_factor=np.zeros((0, 3, 3)),
-        gaps=np.zeros((0, 2)),
+    inner, outer = ((np.zeros((0, 3)), np.zeros((0, 3, 3))) for _ in range(2))
+    return Packed.of(
+        laid_out(columns.POLYTOPE, inner, outer, np.zeros((0, 2)), piece_start=np.zeros(1, dtype=np.int64))
     )
-    return Packed.of(pieces)
 
 
 def join(parts: Sequence[Packed]) -> Packed:
@@ -208,29 +197,19 @@ def some(p: Prepared, pieces: Ints, piece_start: Ints) -> Prepared:
     points = ranges(layout[:, columns.POINTS_FROM], layout[:, columns.POINTS_TO])
     planes = ranges(layout[:, columns.PLANES_FROM], layout[:, columns.PLANES_TO])
     triangles = ranges(p.triangle_start[pieces], p.triangle_start[pieces + 1])
-    point_start = starts(layout[:, columns.POINTS_TO] - layout[:, columns.POINTS_FROM])
-    plane_start = starts(layout[:, columns.PLANES_TO] - layout[:, columns.PLANES_FROM])
-    moved = np.column_stack(
-        [layout[:, columns.KIND], point_start[:-1], point_start[1:], plane_start[:-1], plane_start[1:]]
-    ).astype(np.int64)
+    regrouped = laid_out(
+        layout[:, columns.KIND],
+        (p.inner_center[pieces], p.inner_factor[pieces]),
+        (p.outer_center[pieces], p.outer_factor[pieces]),
+        p.gaps[pieces],
+        point_start=starts(layout[:, columns.POINTS_TO] - layout[:, columns.POINTS_FROM]), points=p.points[points],
+        plane_start=starts(layout[:, columns.PLANES_TO] - layout[:, columns.PLANES_FROM]), planes=p.planes[planes],
+        triangle_start=starts(p.triangle_start[pieces + 1] - p.triangle_start[pieces]),
+        triangles=p.triangles[triangles], piece_start=piece_start, frames=p.frames[pieces],
+    )  # fmt: skip
     maps = {new: p.maps[old] for new, old in enumerate(pieces.tolist()) if old in p.maps} if p.maps else {}
     trees = {new: p.trees[old] for new, old in enumerate(pieces.tolist()) if old in p.trees} if p.trees else {}
-    return Prepared(
-        layout=np.ascontiguousarray(moved),
-        points=p.points[points],
-        planes=p.planes[planes],
-        piece_start=piece_start,
-        frames=p.frames[pieces],
-        triangles=p.triangles[triangles],
-        triangle_start=starts(p.triangle_start[pieces + 1] - p.triangle_start[pieces]),
-        inner_center=p.inner_center[pieces],
-        inner_factor=p.inner_factor[pieces],
-        outer_center=p.outer_center[pieces],
-        outer_factor=p.outer_factor[pieces],
-        gaps=p.gaps[pieces],
-        maps=maps,
-        trees=trees,
-    )
+    return Prepared(**arrays_of(regrouped), maps=maps, trees=trees)
 
 
 def moved(p: Packed, T: Floats) -> Packed:

@@ -7,12 +7,12 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from loewner._base._matrices import dot, product
+from loewner._base._matrices import dot, least_of, product
 from loewner._base._validate import Bools, Floats
 from loewner._kernels import columns
 from loewner._native import entries
 from loewner.bodies.flat_faces import flat_faces
-from loewner.bodies.layout import PieceArrays, kernel_of_parts
+from loewner.bodies.layout import kernel_of_parts, laid_out
 from loewner.bodies.pack import Packed, Prepared, as_one, some
 from loewner.bodies.surface_trees import SurfaceTree, around_point, around_sums
 from loewner.ellipsoids.polytopes import Polytope
@@ -105,9 +105,7 @@ def _parts_of(packed: Packed, i: int, most: int) -> Packed | None:
 
 
 def _cut(packed: Packed, i: int, most: int) -> Packed | None:
-    row, radius = packed.layout[i], float(packed.frames[i, 0])
-    vertices = packed.points[row[columns.POINTS_FROM] : row[columns.POINTS_TO]]
-    triangles = packed.triangles[packed.triangle_start[i] : packed.triangle_start[i + 1]]
+    vertices, triangles, radius = packed.points_of(i), packed.triangles_of(i), float(packed.frames[i, 0])
     total = len(triangles)
     if min(total, most) < 2:
         return None
@@ -122,26 +120,15 @@ def _cut(packed: Packed, i: int, most: int) -> Packed | None:
     if count < 2:
         return None
     points, first = corners.T.reshape(-1, 3), each * start[:count]
-    layout = np.zeros((count, 5), dtype=np.int64)
-    layout[:, columns.KIND] = columns.SURFACE
-    layout[:, columns.POINTS_FROM], layout[:, columns.POINTS_TO] = first, each * start[1 : count + 1]
     local = np.arange(each * total).reshape(-1, each) - np.repeat(first, np.diff(start[: count + 1]))[:, None]
-    frames = np.zeros((count, 13))
-    frames[:, 0] = radius
-    pieces = PieceArrays(
-        layout=layout,
-        points=points,
-        planes=np.zeros((0, 4)),
-        piece_start=np.array([0, count], dtype=np.int64),
-        frames=frames,
-        triangles=np.ascontiguousarray(np.broadcast_to(local, (total, 3))),
-        triangle_start=start[: count + 1].copy(),
-        inner_center=points[first],
-        inner_factor=np.repeat(around_point(radius)[None], count, axis=0),
-        outer_center=centers[:count],
-        outer_factor=around_sums(shapes[:count], np.full(count, radius)),
-        gaps=np.full((count, 2), [0.0, np.inf]),
-    )
+    pieces = laid_out(
+        columns.SURFACE,
+        (points[first], np.repeat(around_point(radius)[None], count, axis=0)),
+        (centers[:count], around_sums(shapes[:count], np.full(count, radius))),
+        np.full((count, 2), [0.0, np.inf]),
+        point_start=each * start[: count + 1], points=points, radius=radius,
+        triangle_start=start[: count + 1].copy(), triangles=np.ascontiguousarray(np.broadcast_to(local, (total, 3))),
+    )  # fmt: skip
     tree = packed.trees[i]
     made = Prepared(**vars(pieces), maps={}, trees=dict.fromkeys(range(count), tree))
     around = [box.reshape(3, 8).T for box in boxes[:count]]
@@ -171,8 +158,7 @@ def _hull_around(points: Floats, box: Floats) -> Floats:
         return points if len(points) <= len(WAYS) else box
     center = np.add.reduce(hull.vertices, axis=0) / len(hull.vertices)
     normals, vertices = hull.normals[hull.face_of_simplex], hull.vertices[hull.simplices] - center
-    heights = np.full(len(hull.normals), np.inf)
-    np.minimum.at(heights, hull.face_of_simplex, dot(normals[:, None], vertices).min(axis=1))
+    heights = least_of(dot(normals[:, None], vertices).min(axis=1), hull.face_of_simplex, len(hull.normals))
     if not heights.min() > 0:
         return box
     rows, away = hull.normals / heights[:, None], (points - center).T

@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from loewner._base._validate import Floats, Ints
-from loewner._kernels import columns
 from loewner.bodies.kinds import CURVED
-from loewner.bodies.layout import PieceArrays
+from loewner.bodies.layout import laid_out
 from loewner.bodies.pack import Packed
 
 # Relative allowance for the rounding of a closed form and of a stored factor.
@@ -19,23 +18,15 @@ def primitives(kind: int, rounding: Floats, frame: Floats) -> Packed:
     n = len(frame)
     # An ellipsoid is its own fit exactly; the others' closed forms are rounded, so step to the safe side.
     slack = 0.0 if CURVED[kind].is_ball else CLOSED_FORM_ROUNDING
-    layout = np.zeros((n, 5), dtype=np.int64)
-    layout[:, columns.KIND] = kind
     (inner, outer), lifts = ellipsoids_in_frame(np.full(n, kind), rounding, frame)
     inner_center, outer_center = (np.column_stack([np.zeros((n, 2)), lift]) for lift in lifts)
-    pieces = PieceArrays(
-        layout=layout,
-        points=np.zeros((0, 3)),
-        planes=np.zeros((0, 4)),
+    pieces = laid_out(
+        kind,
+        (inner_center, _diagonal(inner) * (1 - slack)),
+        (outer_center, _diagonal(outer) * (1 + slack)),
+        np.full((n, 2), 6 * slack),
         piece_start=np.arange(n + 1),
         frames=np.column_stack([rounding, np.zeros((n, 3)), _diagonal(frame).reshape(n, 9)]),
-        triangles=np.zeros((0, 3), dtype=np.int64),
-        triangle_start=np.zeros(n + 1, dtype=np.int64),
-        inner_center=inner_center,
-        inner_factor=_diagonal(inner) * (1 - slack),
-        outer_center=outer_center,
-        outer_factor=_diagonal(outer) * (1 + slack),
-        gaps=np.full((n, 2), 6 * slack),
     )
     return Packed.of(pieces)
 

@@ -7,7 +7,7 @@ import numpy as np
 from loewner._base import _memory
 from loewner._base._validate import Bools, Floats, Ints
 from loewner._kernels import columns
-from loewner.bodies.layout import PieceArrays
+from loewner.bodies.layout import PieceArrays, laid_out
 from loewner.bodies.primitives import CLOSED_FORM_ROUNDING
 from loewner.bodies.surfaces import surface_pieces
 from loewner.ellipsoids.polytopes import box_hull
@@ -31,23 +31,10 @@ def ball_pieces(centers: Floats, radii: Floats) -> PieceArrays:
     """
     n = len(centers)
     _memory.expect_left(n * PIECE_BYTES, f"{n} spheres")
-    layout = np.zeros((n, 5), dtype=np.int64)
-    layout[:, columns.KIND] = columns.POINT
     factor = radii[:, None, None] * np.eye(3)
-    return PieceArrays(
-        layout=layout,
-        points=np.zeros((0, 3)),
-        planes=np.zeros((0, 4)),
-        piece_start=np.array([0, n], dtype=np.int64),
-        frames=np.column_stack([radii, centers, factor.reshape(n, 9)]),
-        triangles=np.zeros((0, 3), dtype=np.int64),
-        triangle_start=np.zeros(n + 1, dtype=np.int64),
-        inner_center=centers.copy(),
-        inner_factor=factor,
-        outer_center=centers.copy(),
-        outer_factor=factor.copy(),
-        gaps=np.zeros((n, 2)),
-    )
+    inner, outer = (centers.copy(), factor), (centers.copy(), factor.copy())
+    frames = np.column_stack([radii, centers, factor.reshape(n, 9)])
+    return laid_out(columns.POINT, inner, outer, np.zeros((n, 2)), frames=frames)
 
 
 def box_pieces(lower: Floats, upper: Floats) -> PieceArrays:
@@ -86,25 +73,15 @@ def box_pieces(lower: Floats, upper: Floats) -> PieceArrays:
     planes[:, :, :3] = unit.normals
     for face, axis in zip(*np.nonzero(unit.normals), strict=True):
         planes[:, face, 3] = upper[:, axis] if unit.normals[face, axis] > 0 else -lower[:, axis]
-    layout = np.zeros((n, 5), dtype=np.int64)
-    layout[:, columns.KIND] = columns.POLYTOPE
-    for column, count in ((columns.POINTS_FROM, 8), (columns.PLANES_FROM, 6)):
-        layout[:, column], layout[:, column + 1] = count * np.arange(n), count * np.arange(1, n + 1)
-    factor = half[:, None] * np.eye(3)
-    return PieceArrays(
-        layout=layout,
-        points=corners.reshape(-1, 3),
-        planes=planes.reshape(-1, 4),
-        piece_start=np.array([0, n], dtype=np.int64),
-        frames=np.zeros((n, 13)),
-        triangles=np.tile(unit.triangles, (n, 1)),
-        triangle_start=np.arange(n + 1, dtype=np.int64) * len(unit.triangles),
-        inner_center=center,
-        inner_factor=factor * (1 - off)[:, None, None],
-        outer_center=center.copy(),
-        outer_factor=factor * (np.sqrt(3.0) * (1 + off))[:, None, None],
-        gaps=np.repeat(6 * off[:, None], 2, axis=1),
-    )
+    factor, number = half[:, None] * np.eye(3), np.arange(n + 1, dtype=np.int64)
+    return laid_out(
+        columns.POLYTOPE,
+        (center, factor * (1 - off)[:, None, None]),
+        (center.copy(), factor * (np.sqrt(3.0) * (1 + off))[:, None, None]),
+        np.repeat(6 * off[:, None], 2, axis=1),
+        point_start=8 * number, points=corners.reshape(-1, 3), plane_start=6 * number, planes=planes.reshape(-1, 4),
+        triangle_start=number * len(unit.triangles), triangles=np.tile(unit.triangles, (n, 1)),
+    )  # fmt: skip
 
 
 def point_pieces(points: Floats, radius: float, tol: float) -> PieceArrays:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from loewner._base._matrices import cholesky, product
 from loewner._base._validate import Floats, Ints
-from loewner._kernels import columns, records
+from loewner._kernels import records
 from loewner._native import entries
 from loewner.meshes.inscribed import FEWEST_TRIANGLES, inscribed_ellipsoids
 
@@ -77,10 +77,7 @@ class SurfaceTree:
 
     @property
     def _arrays(self) -> tuple[Any, ...]:
-        return (
-            self.boxes, self.children, self.blocks, self.parts, self.diagonals, self.ellipsoids, self.inner_center,
-            self.inner_factor,
-        )  # fmt: skip
+        return tuple(getattr(self, field.name) for field in fields(self) if field.name != "table")
 
     @property
     def nbytes(self) -> int:
@@ -129,13 +126,3 @@ def _lines(array: NDArray[Any], kind: type[np.floating[Any]] | type[float]) -> N
 
 
 Trees = dict[int, SurfaceTree]
-
-
-def surface_trees(layout: Ints, points: Floats, triangles: Ints, triangle_start: Ints) -> Trees:
-    """Build a tree for every piece that is a surface, keyed by piece index."""
-    made = {}
-    for i in np.flatnonzero(layout[:, columns.KIND] <= columns.SURFACE):
-        vertices = points[layout[i, columns.POINTS_FROM] : layout[i, columns.POINTS_TO]]
-        solid = layout[i, columns.KIND] == columns.SOLID
-        made[int(i)] = SurfaceTree.of(vertices, triangles[triangle_start[i] : triangle_start[i + 1]], solid)
-    return made

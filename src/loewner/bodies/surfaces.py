@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from loewner._base import _memory, _validate
-from loewner._base._matrices import product
+from loewner._base._matrices import normals_of, product
 from loewner._base._plausible import warn
 from loewner._base._validate import Floats, Ints
 from loewner._kernels import columns
 from loewner._native import entries
-from loewner.bodies.layout import PieceArrays
+from loewner.bodies.layout import PieceArrays, laid_out
 from loewner.bodies.surface_trees import around_point, around_sums
 from loewner.ellipsoids.polytopes import FLATNESS
 from loewner.errors import GeometryError
@@ -68,23 +68,14 @@ def surface_pieces(
     center, factor, gap = _outer(vertices, tol)
     if radius > 0:
         center, factor, gap = _with_radius(center, factor, gap, radius)
-    layout = np.array([[columns.SOLID if solid else columns.SURFACE, 0, len(vertices), 0, 0]], dtype=np.int64)
-    frames = np.zeros((1, 13))
-    frames[0, 0] = radius
-    return PieceArrays(
-        layout=layout,
-        points=vertices,
-        planes=np.zeros((0, 4)),
-        piece_start=np.array([0, 1], dtype=np.int64),
-        frames=frames,
-        triangles=triangles,
-        triangle_start=np.array([0, len(triangles)], dtype=np.int64),
-        inner_center=vertices[triangles[:1, 0]],
-        inner_factor=around_point(radius)[None],
-        outer_center=center[None],
-        outer_factor=factor[None],
-        gaps=np.array([[0.0, gap]]),
-    )
+    return laid_out(
+        columns.SOLID if solid else columns.SURFACE,
+        (vertices[triangles[:1, 0]], around_point(radius)[None]),
+        (center[None], factor[None]),
+        np.array([[0.0, gap]]),
+        point_start=np.array([0, len(vertices)]), points=vertices, radius=radius,
+        triangle_start=np.array([0, len(triangles)], dtype=np.int64), triangles=triangles,
+    )  # fmt: skip
 
 
 def _merged(vertices: Floats, triangles: Ints) -> tuple[Floats, Ints]:
@@ -139,8 +130,7 @@ def nearly_closed(vertices: Floats, triangles: Ints, open_edges: int) -> bool:
 
     Few of its edges are open, and the area vectors of its triangles nearly cancel, as in a closed mesh.
     """
-    a, b, c = vertices[triangles].transpose(1, 0, 2)
-    areas = np.cross(b - a, c - a)
+    areas = normals_of(vertices[triangles])
     total = float(np.linalg.norm(areas, axis=1).sum())
     left = float(np.linalg.norm(areas.sum(axis=0)))
     return open_edges <= FEW_OPEN * 1.5 * len(triangles) and left <= NEARLY_CANCELLED * total

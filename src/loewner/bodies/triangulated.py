@@ -65,8 +65,7 @@ def of_piece(packed: Packed, number: int, coarse: bool = False) -> Mesh:
     """Triangulate the surface of one piece; `coarse` balls have 80 triangles."""
     row, frame = packed.layout[number], packed.frames[number]
     if row[columns.KIND] <= columns.POLYTOPE:
-        triangles = packed.triangles[packed.triangle_start[number] : packed.triangle_start[number + 1]]
-        return packed.points[row[columns.POINTS_FROM] : row[columns.POINTS_TO]], triangles
+        return packed.points_of(number), packed.triangles_of(number)
     kind, rounding, center, factor = CURVED[int(row[columns.KIND])], frame[0], frame[1:4], frame[4:].reshape(3, 3)
     unit, triangles = ball(1) if coarse and kind.mesh is ball else kind.mesh()
     if kind.core is None:

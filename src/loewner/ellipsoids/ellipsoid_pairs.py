@@ -183,12 +183,8 @@ def near_points(E1: Ellipsoids, E2: Ellipsoids, method: str = "lin-han", angle: 
         )
     _expect_numbers(distance, "near_points")
     batch, k = pair.batch, pair.scale[:, None]
-    return NearPoints(
-        (pair.c1 + k * x1).reshape(*batch, 3),
-        (pair.c1 + k * x2).reshape(*batch, 3),
-        (pair.scale * distance).reshape(batch)[()],
-        iterations.reshape(batch)[()],
-    )
+    point_1, point_2 = ((pair.c1 + k * x).reshape(*batch, 3) for x in (x1, x2))
+    return NearPoints(point_1, point_2, (pair.scale * distance).reshape(batch)[()], iterations.reshape(batch)[()])
 
 
 class PairArrays:

@@ -67,11 +67,9 @@ class Ellipsoids(KeepsReadOnly):
         self._freeze(c, F)
 
     def _freeze(self, c: Floats, F: Floats) -> None:
-        c, F = np.array(c), np.array(F)
-        c.setflags(write=False)
-        F.setflags(write=False)
-        object.__setattr__(self, "center", c)
-        object.__setattr__(self, "factor", F)
+        for name, array in (("center", np.array(c)), ("factor", np.array(F))):
+            array.setflags(write=False)
+            object.__setattr__(self, name, array)
 
     @classmethod
     def from_shape_matrix(cls, center: ArrayLike, shape_matrix: ArrayLike) -> Ellipsoids:
@@ -96,10 +94,7 @@ class Ellipsoids(KeepsReadOnly):
         Q = _validate.finite_array(shape_matrix, "shape_matrix", ("...", None, None))
         if Q.shape[-1] != Q.shape[-2]:
             raise InputError(f"shape_matrix: expected square matrices, found shape {_validate.shape_text(Q.shape)}")
-        half, other = (
-            Q / 2,
-            np.swapaxes(Q, -1, -2) / 2,
-        )  # halves, since the sum of whole numbers may overflow
+        half, other = Q / 2, np.swapaxes(Q, -1, -2) / 2  # halves, since the sum of whole numbers may overflow
         if Q.size and np.abs(half - other).max() > 1e-9 * np.abs(half).max():
             raise GeometryError("shape_matrix: expected a symmetric matrix, found Q != Qᵀ")
         try:

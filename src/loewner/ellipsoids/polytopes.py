@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from loewner._base import _memory, _validate
 from loewner._base._guard import guarded
+from loewner._base._matrices import least_of
 from loewner._base._read_only import KeepsReadOnly
 from loewner._base._threads import in_shares
 from loewner._base._validate import Floats, Ints, Progress
@@ -390,9 +391,7 @@ def _hull_of_sample(coordinates: Floats) -> tuple[Floats, Floats, Floats] | None
         return None
     center = sample[used].mean(axis=0)
     heights = np.einsum("sj,skj->sk", normals[face_of], sample[simplices] - center).min(axis=1)
-    depths = np.full(len(normals), np.inf)
-    np.minimum.at(depths, face_of, heights)
-    return center, normals, depths
+    return center, normals, least_of(heights, face_of, len(normals))
 
 
 _HULL_FAULTS = {

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from loewner._base import _validate
+from loewner._base._matrices import least_of
 from loewner._base._validate import Floats, Ints
 from loewner.ellipsoids.polytopes import Polytope
 from loewner.meshes.triangles import halved, longest_edges, squared_distances
@@ -221,7 +222,6 @@ def distances_from(points: Floats, hull: Polytope, slack: float) -> Floats:
         height = x @ hull.normals.T - hull.offsets
         seen = (height > -slack) & (height.max(axis=1) > 0)[:, None]
         i, j = np.nonzero(seen[:, hull.face_of_simplex])
-        squared = np.full(len(x), np.inf)
-        np.minimum.at(squared, i, squared_distances(x[i], hull.vertices[hull.simplices[j]]))
+        squared = least_of(squared_distances(x[i], hull.vertices[hull.simplices[j]]), i, len(x))
         distance[k : k + chunk] = np.where(seen.any(axis=1), np.sqrt(squared), 0.0)
     return distance

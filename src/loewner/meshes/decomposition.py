@@ -444,12 +444,8 @@ def _import(package: str, purpose: str = "") -> Any:
     try:
         return __import__(package)
     except ImportError:
-        raise MissingExtraError(_install_hint(package, purpose)) from None
-
-
-def _install_hint(package: str, purpose: str = "") -> str:
-    usual = {"coacd": "decomposing meshes", "trimesh": "converting a mesh's unit of length"}[package]
-    return f"{purpose or usual} needs {package}: {installing('meshes')}"
+        usual = {"coacd": "decomposing meshes", "trimesh": "converting a mesh's unit of length"}[package]
+        raise MissingExtraError(f"{purpose or usual} needs {package}: {installing('meshes')}") from None
 
 
 def _metres(mesh: Any) -> float:

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from loewner._base import _elementary
-from loewner._base._matrices import dot, image, lengths, principal_axes, product
+from loewner._base._matrices import dot, image, lengths, normals_of, principal_axes, product
 from loewner._base._validate import Floats, Progress
 from loewner.ellipsoids.polytopes import Polytope
 from loewner.errors import GeometryError
@@ -130,7 +130,7 @@ class _Progress:
         """Report the share of the surface in cells that need no more cuts."""
         if self.tell is None:
             return
-        areas = [float(lengths(_normals(cell.triangles)).sum()) for cell in cells]
+        areas = [float(lengths(normals_of(cell.triangles)).sum()) for cell in cells]
         done = sum(area for cell, area in zip(cells, areas, strict=True) if not cell.is_out(tolerance))
         self.told = max(self.told, int(99 * done / max(sum(areas), np.finfo(float).tiny)))
         self.tell(self.told, 100)
@@ -368,10 +368,4 @@ def _volume(hull: Polytope) -> float:
 def _faces(hull: Polytope) -> tuple[Floats, Floats]:
     """Return the corners of a hull's triangles, and the normals of the triangles."""
     corners = hull.vertices[hull.simplices]
-    return corners, _normals(corners)
-
-
-def _normals(triangles: Floats) -> Floats:
-    """Compute triangle normals of twice the area's length; for a few triangles, np.cross takes ten times as long."""
-    (ax, ay, az), (bx, by, bz) = (triangles[:, 1] - triangles[:, 0]).T, (triangles[:, 2] - triangles[:, 0]).T
-    return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=1)
+    return corners, normals_of(corners)

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from loewner._base._matrices import dot, lengths, power
+from loewner._base._matrices import dot, lengths, normals_of, power
 from loewner._base._validate import Floats, Ints
 from loewner._kernels import records
 from loewner._native import entries
@@ -33,8 +33,7 @@ def longest_edges(triangles: Floats) -> tuple[Floats, Ints]:
 
 def unit_normals(triangles: Floats) -> Floats:
     """Compute right-handed unit normals; zero for slivers."""
-    a, b, c = triangles.transpose(1, 0, 2)
-    normals = np.cross(b - a, c - a)
+    normals = normals_of(triangles)
     length = lengths(normals)
     sound = length > SLIVER * power(longest_edges(triangles)[0], 2)
     return np.where(sound[:, None], normals / np.where(sound, length, 1.0)[:, None], 0.0)
@@ -63,8 +62,7 @@ def cut(triangles: Floats, normals: Floats, offsets: Floats, rounding: float) ->
     lower, upper = (height < 0).sum(axis=1), (height > 0).sum(axis=1)
     crossed = np.flatnonzero((lower > 0) & (upper > 0))
     in_plane = np.flatnonzero((lower == 0) & (upper == 0))
-    a, b, c = triangles[in_plane].transpose(1, 0, 2)
-    facing = dot(np.cross(b - a, c - a), normals[in_plane]) > 0
+    facing = dot(normals_of(triangles[in_plane]), normals[in_plane]) > 0
     # Triangles in the plane are treated like triangles on one side.
     lower[in_plane[facing]] = upper[in_plane[~facing]] = 1
     whole_below = np.flatnonzero((lower > 0) & (upper == 0))

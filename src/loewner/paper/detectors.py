@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -117,8 +117,7 @@ class Faces:
     offsets: Floats
     start: Ints
 
-    def take(self, index: NDArray[np.intp]) -> Faces:
-        """Select bodies by an index array, in its order."""
+    def __getitem__(self, index: NDArray[np.intp]) -> Faces:
         count = np.diff(self.start)[index]
         start = np.concatenate([[0], np.cumsum(count)])
         rows = np.arange(start[-1]) + np.repeat(self.start[index] - start[:-1], count)
@@ -182,16 +181,9 @@ class Pairs:
             raise InputError(f"bodies: expected equally many on both sides, found {len(a)} and {len(b)}")
         faces_1, points_1 = _unpacked(a)
         faces_2, points_2 = _unpacked(b)
-        return cls(
-            a.inner,
-            a.outer,
-            b.inner,
-            b.outer,
-            shrunk(a.outer, faces_1, points_1 if heuristic == "centroid" else a.outer.center),
-            shrunk(b.outer, faces_2, points_2 if heuristic == "centroid" else b.outer.center),
-            faces_1,
-            faces_2,
-        )
+        center_1, center_2 = (points_1, points_2) if heuristic == "centroid" else (a.outer.center, b.outer.center)
+        heuristic_1, heuristic_2 = shrunk(a.outer, faces_1, center_1), shrunk(b.outer, faces_2, center_2)
+        return cls(a.inner, a.outer, b.inner, b.outer, heuristic_1, heuristic_2, faces_1, faces_2)
 
     def take(self, index: Any) -> Pairs:
         """Select pairs by an index array, in its order.
@@ -214,16 +206,7 @@ class Pairs:
             raise InputError(
                 f"index: expected pairs from 0 to {len(self) - 1}, shape (k,), found {_validate.short(index)}"
             )
-        return Pairs(
-            self.inner_1[index],
-            self.outer_1[index],
-            self.inner_2[index],
-            self.outer_2[index],
-            self.heuristic_1[index],
-            self.heuristic_2[index],
-            self.faces_1.take(index),
-            self.faces_2.take(index),
-        )
+        return Pairs(*(getattr(self, field.name)[index] for field in fields(self)))
 
 
 @dataclass(frozen=True)

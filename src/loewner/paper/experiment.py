@@ -98,16 +98,9 @@ def run(
         tell("detectors", len(results), len(detectors.DETECTORS))
         results.append(_detected(k, model, truth))
     tell("detectors", len(results), len(results))
-    found = Experiment(
-        data,
-        bodies_1,
-        bodies_2,
-        model,
-        truth,
-        tuple(results),
-        _counted(0, "F_in F_out <= 1", detectors.estimate(model), truth),
-        fit_one_by_one(bodies_1, bodies_2),
-    )
+    estimate = _counted(0, "F_in F_out <= 1", detectors.estimate(model), truth)
+    fittings = fit_one_by_one(bodies_1, bodies_2)
+    found = Experiment(data, bodies_1, bodies_2, model, truth, tuple(results), estimate, fittings)
     if counts is not None:
         write_atomically(counts, (_json.dumps(found.as_dict(), indent=2) + "\n").encode())
     if out is not None:
@@ -121,26 +114,14 @@ def _detected(detector: int, pairs: Pairs, truth: Bools) -> Result:
     """Compute the answers, counts and times of one detector."""
     answers = detectors.detect(detector, pairs)
     hard = pairs.take(np.flatnonzero(answers.ambiguous))
-    return _counted(
-        detector,
-        detectors.DETECTORS[detector],
-        answers,
-        truth,
-        detectors.time_per_check(detector, pairs),
-        detectors.time_per_check(detector, hard),
-    )
+    microseconds = detectors.time_per_check(detector, pairs), detectors.time_per_check(detector, hard)
+    return _counted(detector, detectors.DETECTORS[detector], answers, truth, *microseconds)
 
 
 def _counted(number: int, name: str, answers: Answers, truth: Bools, *microseconds: float) -> Result:
     chosen = answers.ambiguous
-    return Result(
-        number,
-        name,
-        answers,
-        Confusion.of(answers.collides, truth),
-        Confusion.of(answers.collides[chosen], truth[chosen]),
-        *microseconds,
-    )
+    every, hard = Confusion.of(answers.collides, truth), Confusion.of(answers.collides[chosen], truth[chosen])
+    return Result(number, name, answers, every, hard, *microseconds)
 
 
 def folder_exists(path: Path) -> bool:

@@ -14,7 +14,6 @@ import numpy as np
 
 from loewner._base._validate import Floats
 from loewner._kernels.tolerances import PAPER_ANGLE
-from loewner.bodies import Piece
 from loewner.ellipsoids.ellipsoid_pairs import near_points
 from loewner.ellipsoids.ellipsoids import Ellipsoids
 from loewner.errors import MissingExtraError, installing
@@ -101,13 +100,6 @@ def _exit(E: Ellipsoids, p: Floats, e: Floats) -> float:
     return float((-b + np.sqrt(b * b - a * c)) / a)
 
 
-def _faces(piece: Piece) -> tuple[Floats, Floats]:
-    """Return normals and offsets; all pieces of the experiment are polytopes."""
-    assert piece.normals is not None
-    assert piece.offsets is not None
-    return piece.normals, piece.offsets
-
-
 def _polytope_exit(normals: Floats, offsets: Floats, p: Floats, e: Floats) -> float:
     """Compute the parameter t at which the ray p + t e leaves a polytope that contains p."""
     speed, slack = normals @ e, offsets - normals @ p
@@ -162,9 +154,9 @@ def _section(experiment: Experiment, k: int, kind: str) -> Any:
         curve = _ellipse(E, line.v1, line.e, across)
         if curve is not None:
             ax.plot(*curve, style, color=color, lw=1.4)
-    pieces = [bodies[k].pieces[0] for bodies in (experiment.bodies_1, experiment.bodies_2)]
-    for piece, color in zip(pieces, (BLUE, RED), strict=True):
-        polygon = _polygon(*_faces(piece), line.v1, line.e, across)
+    faces_1, faces_2 = (faces[np.array([k])] for faces in (experiment.pairs.faces_1, experiment.pairs.faces_2))
+    for faces, color in ((faces_1, BLUE), (faces_2, RED)):
+        polygon = _polygon(faces.normals, faces.offsets, line.v1, line.e, across)
         if len(polygon):
             ax.fill(*polygon.T, facecolor=to_rgba(color, 0.22), edgecolor=to_rgba(color, 0.8), lw=1.0)
     marks = {
@@ -175,8 +167,8 @@ def _section(experiment: Experiment, k: int, kind: str) -> Any:
     }
     if earlier:
         v2 = line.v1 + line.L * line.e
-        marks["$v_1$"] = (_polytope_exit(*_faces(pieces[0]), line.v1, line.e), BLUE)
-        marks["$v_2$"] = (line.L - _polytope_exit(*_faces(pieces[1]), v2, -line.e), RED)
+        marks["$v_1$"] = (_polytope_exit(faces_1.normals, faces_1.offsets, line.v1, line.e), BLUE)
+        marks["$v_2$"] = (line.L - _polytope_exit(faces_2.normals, faces_2.offsets, v2, -line.e), RED)
     ax.axhline(0.0, color=GREY, lw=0.7, zorder=0)
     # Labels alternate above and below in the order along the line, so that near neighbours stay legible.
     for place, (name, (t, color)) in enumerate(sorted(marks.items(), key=lambda item: item[1][0])):

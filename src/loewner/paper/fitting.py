@@ -72,11 +72,6 @@ def _counted(name: str, fit: Callable[[Floats], Fit], polyhedra: Sequence[Floats
             gaps.append(fit(polyhedron).gap)
         except LoewnerError:
             continue
-    seconds = time.perf_counter() - begin
-    return Fitting(
-        name,
-        len(polyhedra),
-        len(polyhedra) - len(gaps),
-        max(gaps, default=float("nan")),
-        1e6 * seconds / len(polyhedra),
-    )
+    microseconds = 1e6 * (time.perf_counter() - begin) / len(polyhedra)
+    failed, largest = len(polyhedra) - len(gaps), max(gaps, default=float("nan"))
+    return Fitting(name, len(polyhedra), failed, largest, microseconds)

@@ -25,6 +25,9 @@ CAPTIONS = {
     "figure-4": "Figure 4. A pair of each cell of Table 2 (b), detector 2: polyhedra and inner ellipsoids.",
 }
 
+# Blocks of one paragraph: the beginning of the line in Markdown, and the element in HTML.
+PARAGRAPHS = {"title": ("# ", "h1"), "heading": ("## ", "h2"), "text": ("", "p")}
+
 
 def prepare(folder: str | os.PathLike[str]) -> Path:
     """Before any work is done, create the folder and check that figures can be drawn.
@@ -56,23 +59,17 @@ def write(experiment: Experiment, folder: str | os.PathLike[str]) -> list[Path]:
         "report.md": markdown(experiment).encode(),
         "report.html": html(experiment, images).encode(),
     }
-    paths = []
     for name, content in contents.items():
         write_atomically(target / name, content)
-        paths.append(target / name)
-    return paths
+    return [target / name for name in contents]
 
 
 def markdown(experiment: Experiment) -> str:
     """Format the report as Markdown that refers to the figures' SVG files."""
     lines: list[str] = []
     for kind, content in _blocks(experiment):
-        if kind == "title":
-            lines += [f"# {content}", ""]
-        elif kind == "heading":
-            lines += [f"## {content}", ""]
-        elif kind == "text":
-            lines += [content, ""]
+        if kind in PARAGRAPHS:
+            lines += [PARAGRAPHS[kind][0] + content, ""]
         elif kind == "list":
             lines += [*(f"- {item}" for item in content), ""]
         elif kind == "sheet":
@@ -100,12 +97,9 @@ def html(experiment: Experiment, images: dict[str, bytes]) -> str:
     parts: list[str] = []
     escape = _html.escape
     for kind, content in _blocks(experiment):
-        if kind == "title":
-            parts.append(f"<h1>{escape(content)}</h1>")
-        elif kind == "heading":
-            parts.append(f"<h2>{escape(content)}</h2>")
-        elif kind == "text":
-            parts.append(f"<p>{escape(content)}</p>")
+        if kind in PARAGRAPHS:
+            tag = PARAGRAPHS[kind][1]
+            parts.append(f"<{tag}>{escape(content)}</{tag}>")
         elif kind == "list":
             parts.append("<ul>" + "".join(f"<li>{escape(item)}</li>" for item in content) + "</ul>")
         elif kind == "sheet":

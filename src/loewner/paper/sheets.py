@@ -180,14 +180,7 @@ def fits(experiment: Experiment) -> Sheet:
 
 def in_order(experiment: Experiment) -> tuple[Sheet, ...]:
     """Return the terminal's output: every table, without the confidence intervals."""
-    return (
-        pairs(experiment),
-        *counts(experiment),
-        right(experiment),
-        outside(experiment),
-        times(experiment),
-        fits(experiment),
-    )
+    return pairs(experiment), *counts(experiment), *(sheet(experiment) for sheet in (right, outside, times, fits))
 
 
 # -- rows ------------------------------------------------------------------------------------------

@@ -30,12 +30,8 @@ PAPER_COLLIDING = PAPER[1][0].tp + PAPER[1][0].fn  # the same in all four tables
 # ellipsoids apart. Each class is followed by the cells from which it is computed.
 CLASSES = ("inner overlap", "ambiguous, colliding", "ambiguous, free", "outer apart")
 CLASS_SOURCES = ("(a) (1,1) - (b) (1,1)", "(b) (1,1) + (2,1)", "(b) (1,2) + (2,2)", "(a) (2,2) - (b) (2,2)")
-PAPER_CLASSES = (
-    PAPER[3][0].tp - PAPER[3][1].tp,
-    PAPER[3][1].tp + PAPER[3][1].fn,
-    PAPER[3][1].fp + PAPER[3][1].tn,
-    PAPER[3][0].tn - PAPER[3][1].tn,
-)
+_ALL, _HARD = PAPER[3][:2]
+PAPER_CLASSES = (_ALL.tp - _HARD.tp, _HARD.tp + _HARD.fn, _HARD.fp + _HARD.tn, _ALL.tn - _HARD.tn)
 
 CELLS = ("true collision", "false collision", "missed collision", "true free")
 SIGNIFICANCE = 0.01  # below this p the numbers count as different
@@ -204,19 +200,12 @@ def _table(
     title: str, detector: str, own: Confusion, paper: Confusion | None, microseconds: float, milliseconds: float
 ) -> Table:
     cells = []
-    for k, name in enumerate(CELLS):
-        count = own.counts[k]
-        paper_count = None if paper is None else paper.counts[k]
-        cells.append(
-            Cell(
-                name,
-                count,
-                count / own.total if own.total else math.nan,
-                *wilson(count, own.total),
-                paper_count,
-                math.nan if paper is None or paper_count is None else paper_count / paper.total,
-            )
-        )
+    for k, (name, count) in enumerate(zip(CELLS, own.counts, strict=True)):
+        share = count / own.total if own.total else math.nan
+        printed: tuple[int | None, float] = (None, math.nan)
+        if paper is not None:
+            printed = paper.counts[k], paper.counts[k] / paper.total
+        cells.append(Cell(name, count, share, *wilson(count, own.total), *printed))
     p = math.nan if paper is None else homogeneity(own.counts, paper.counts)
     right = (own.tp + own.tn) / own.total if own.total else math.nan
     return Table(title, detector, tuple(cells), right, p, statement(p), microseconds, milliseconds)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal, overload
+from typing import Literal, NamedTuple, TypeAlias, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -33,6 +33,9 @@ PAIR_BYTES = 40
 
 # A measured pair takes its rows once more, and its distance.
 DEPTH_BYTES = 16 + EXACT_BYTES
+
+# The groups of boxes of a tree, the start of each level, and the order of the bodies in the lowest level.
+Tree: TypeAlias = tuple[Floats, Ints, Ints]
 
 MODES = {"exact": codes.EXACT, "certified": codes.CERTIFY}
 
@@ -151,24 +154,39 @@ def overlapping_pairs(
     mode = MODES[_validate.choice(method, "method", MODES)]
     keep = _validate.positive_scalar(margin, "margin", zero=True)
     measured = _validate.flag(depth, "depth")
-    n, steps, operands = _prepare(bodies, T_world)
-    pairs = _met(mode, keep, n, steps, operands)
-    return _measured(pairs, steps, operands) if measured else pairs
+    crowd = _prepare(bodies, T_world)
+    pairs = _met(mode, keep, crowd)
+    return _measured(pairs, crowd) if measured else pairs
 
 
-def _met(mode: int, margin: float, n: int, steps: tuple[int, int], operands: tuple[Packed, Floats]) -> Ints:
-    """Find the pairs of n bodies that are not proven free, in lexicographic order."""
+class _Crowd(NamedTuple):
+    """Bodies at poses: their number, flags 1 if each has its own pieces and its own pose, the pieces and the poses."""
+
+    n: int
+    steps: tuple[int, int]
+    packed: Packed
+    T: Floats
+
+    def asked(self, rows: Ints) -> Operands:
+        """Make the operands of a query about listed pairs: the same bodies twice."""
+        plan = np.array([rows.shape[1], *self.steps, *self.steps], dtype=np.int64)[:, None]
+        return plan, rows, self.packed.handle, self.T, self.packed.handle, self.T
+
+
+def _met(mode: int, margin: float, crowd: _Crowd) -> Ints:
+    """Find the pairs of bodies that are not proven free, in lexicographic order."""
+    n = crowd.n
     if n < 2:
         return np.empty((0, 2), dtype=np.int64)
     threads = min(get_num_threads(), -(-n // CHUNK))
     _validate.fits_memory(
         BODY_BYTES * n + threads * 16 * (columns.WIDE * n + CANDIDATES), f"candidate pairs of {n} bodies"
     )
-    tree = _tree(n, steps, operands)
+    tree = _tree(crowd)
     counts: list[int] = []  # of the pairs found so far
 
     def settled(first: int, last: int) -> Ints:
-        return _settled(mode, margin, first, last, tree, steps, operands, counts)
+        return _settled(mode, margin, first, last, tree, crowd, counts)
 
     leaves = -(-n // columns.WIDE)
     keys = np.concatenate(in_shares(settled, leaves, CHUNK // columns.WIDE))
@@ -176,11 +194,11 @@ def _met(mode: int, margin: float, n: int, steps: tuple[int, int], operands: tup
     return np.stack(np.divmod(keys, n), axis=1)
 
 
-def _measured(pairs: Ints, steps: tuple[int, int], operands: tuple[Packed, Floats]) -> Overlaps:
+def _measured(pairs: Ints, crowd: _Crowd) -> Overlaps:
     """Measure the distances of pairs whose poses have been checked to be rigid motions."""
     count = len(pairs)
     _validate.fits_memory(DEPTH_BYTES * count, f"distances of {count} pairs")
-    found = measure(True, count, _asked(count, np.ascontiguousarray(pairs.T), steps, operands))
+    found = measure(True, count, crowd.asked(np.ascontiguousarray(pairs.T)))
     overlaps = Overlaps(pairs, found.distance, found.witness_a, found.witness_b, found.normal)
     indices = np.flatnonzero(found.unsettled)
     if len(indices):
@@ -194,15 +212,8 @@ def _measured(pairs: Ints, steps: tuple[int, int], operands: tuple[Packed, Float
     return overlaps
 
 
-def _asked(count: int, rows: Ints, steps: tuple[int, int], operands: tuple[Packed, Floats]) -> Operands:
-    """Make the operands of a query about listed pairs: the same bodies twice, with one row per body or one for all."""
-    plan = np.array([[count], [steps[0]], [steps[1]], [steps[0]], [steps[1]]], dtype=np.int64)
-    packed, T = operands
-    return plan, rows, packed.handle, T, packed.handle, T
-
-
-def _prepare(bodies: Body | Bodies, T_world: ArrayLike | None) -> tuple[int, tuple[int, int], tuple[Packed, Floats]]:
-    """Return the number of bodies, flags 1 if each has its own pieces and its own pose, the pieces and the poses."""
+def _prepare(bodies: Body | Bodies, T_world: ArrayLike | None) -> _Crowd:
+    """Check bodies and poses."""
     if not isinstance(bodies, (Body, Bodies)):
         raise InputError(f"bodies: expected loewner.Bodies or loewner.Body, found {type(bodies).__name__}")
     T = _validate.poses(T_world, "T_world")
@@ -215,36 +226,27 @@ def _prepare(bodies: Body | Bodies, T_world: ArrayLike | None) -> tuple[int, tup
         if T_world is not None and len(T) != n:
             raise PoseError(f"T_world: expected one pose for each of {n} bodies, found {len(T)}")
     steps = int(isinstance(bodies, Bodies)), int(T_world is not None)
-    return n, steps, (packed_of(bodies), T.reshape(-1, 4, 4))
+    return _Crowd(n, steps, packed_of(bodies), T.reshape(-1, 4, 4))
 
 
-def _tree(n: int, steps: tuple[int, int], operands: tuple[Packed, Floats]) -> tuple[Floats, Ints, Ints]:
-    """Group boxes in a tree: the groups, the start of each level, and the order of the bodies in the lowest level."""
-    lower, upper = np.empty((n, 3)), np.empty((n, 3))
+def _tree(crowd: _Crowd) -> Tree:
+    """Group the boxes of bodies in a tree."""
+    lower, upper = np.empty((2, crowd.n, 3))
 
     def box(first: int, last: int) -> None:
-        entries.body_boxes(first, last, *steps, operands[0].handle, operands[1], lower, upper)
+        entries.body_boxes(first, last, *crowd.steps, crowd.packed.handle, crowd.T, lower, upper)
 
-    in_shares(box, n, CHUNK)
+    in_shares(box, crowd.n, CHUNK)
     order = entries.curve_order(lower, upper)
     return (*entries.box_tree(lower, upper, order), order)
 
 
-def _settled(
-    mode: int,
-    margin: float,
-    first: int,
-    last: int,
-    tree: tuple[Floats, Ints, Ints],
-    steps: tuple[int, int],
-    operands: tuple[Packed, Floats],
-    counts: list[int],
-) -> Ints:
+def _settled(mode: int, margin: float, first: int, last: int, tree: Tree, crowd: _Crowd, counts: list[int]) -> Ints:
     """Find pairs i, j not proven free, encoded as i n + j, with the earlier body in the leaf groups first to last.
 
     The number of pairs found is added to `counts`, which all threads share.
     """
-    n = len(tree[2])
+    n = crowd.n
     rows = np.empty((2, columns.WIDE * n + CANDIDATES), dtype=np.int64)
     found: list[Ints] = []
     leaf = first
@@ -255,8 +257,8 @@ def _settled(
         listed = rows[:, :count].copy()
         a, b = listed
         out = np.empty(count, dtype=np.int8)
-        if settle(mode, margin, 0, count, _asked(count, listed, steps, operands), out) is None:
-            _validate.rigid_motions(operands[1], "T_world")
+        if settle(mode, margin, 0, count, crowd.asked(listed), out) is None:
+            _validate.rigid_motions(crowd.T, "T_world")
             raise PoseError("T_world: expected rigid motions, found poses that changed during the call")
         if mode == codes.EXACT:
             _refuse_unsettled(out, a, b)

@@ -125,10 +125,6 @@ def first_contact(
     """
     within = _validate.positive_scalar(tolerance, "tolerance")
     keep = _validate.positive_scalar(margin, "margin", zero=True)
-    return _followed(a, motion_a, b, motion_b, within, keep)
-
-
-def _followed(a: Any, motion_a: Any, b: Any, motion_b: Any, tolerance: float, margin: float) -> FirstContact:
     expect_bodies(a, b)
     Ta, Tb = _ends(motion_a, "motion_a"), _ends(motion_b, "motion_b")
     plan = plan_of(a, Ta[0].shape, b, Tb[0].shape, each=BYTES)
@@ -139,7 +135,7 @@ def _followed(a: Any, motion_a: Any, b: Any, motion_b: Any, tolerance: float, ma
     def run(first: int, last: int) -> None:
         memory = workspace(entries.memory_of_first_contacts())
         fault, _ = entries.first_contacts(
-            first, last, plan.steps, pack_a.handle, Ta0, Ta1, pack_b.handle, Tb0, Tb1, margin, tolerance, memory,
+            first, last, plan.steps, pack_a.handle, Ta0, Ta1, pack_b.handle, Tb0, Tb1, keep, within, memory,
             times, verdicts,
         )  # fmt: skip
         if fault >= 0:

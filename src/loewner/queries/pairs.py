@@ -43,6 +43,9 @@ COLLIDE_BYTES, LIST_BYTES = 3, 16
 # Poses of a body or several, as users give them.
 Poses = ArrayLike | None
 
+# The shape of an array.
+Lengths = tuple[int, ...]
+
 Verdicts = NDArray[np.int8]
 
 METHODS = ("exact", "estimate")
@@ -147,28 +150,6 @@ Bounds = Distance[Number, None, None]
 Measured = Distance[Number, Number, Floats]
 
 
-class _Pairs(NamedTuple):
-    """The broadcast operands of a query, in the form that the kernels take."""
-
-    shape: tuple[int, ...]
-    total: int
-    plan: Ints
-    packs: tuple[Packed, Packed]
-    poses: tuple[Floats, Floats]
-    rows: Ints = NO_ROWS
-
-    @property
-    def operands(self) -> Operands:
-        """Return the plan, the rows, and the packs and poses of a and of b, in the order that the kernels take."""
-        (a, b), (Ta, Tb) = self.packs, self.poses
-        return self.plan, self.rows, a.handle, Ta, b.handle, Tb
-
-
-def _of_mesh(source: Any) -> str:
-    """Make the advice, for a message, about a mesh given in place of a body."""
-    return "; Body.from_surface or Body.from_mesh makes one of it" if hasattr(source, "faces") else ""
-
-
 def _prepare(
     a: Body | Bodies,
     T_world_a: ArrayLike | None,
@@ -189,17 +170,18 @@ def _prepare(
     Tb = _validate.poses(T_world_b, "T_world_b", check=check)
     packs = packed_of(a), packed_of(b)
     if chosen is None and Ta.ndim == 2 and Tb.ndim == 2 and isinstance(a, Body) and isinstance(b, Body):
-        return _Pairs((), 1, ONE_PAIR, packs, (Ta.reshape(1, 4, 4), Tb.reshape(1, 4, 4)))
-    plan = plan_of(a, Ta.shape, b, Tb.shape, each=each, chosen=chosen)
-    return _Pairs(plan.shape, plan.total, plan.steps, packs, (Ta.reshape(-1, 4, 4), Tb.reshape(-1, 4, 4)), plan.rows)
+        plan = Plan((), 1, ONE_PAIR)
+    else:
+        plan = plan_of(a, Ta.shape, b, Tb.shape, each=each, chosen=chosen)
+    return _Pairs(plan, packs, (Ta.reshape(-1, 4, 4), Tb.reshape(-1, 4, 4)))
 
 
 def expect_bodies(a: Any, b: Any) -> None:
     """Refuse operands that are not bodies."""
-    if not isinstance(a, (Body, Bodies)):
-        raise InputError(f"a: expected loewner.Body or loewner.Bodies, found {type(a).__name__}{_of_mesh(a)}")
-    if not isinstance(b, (Body, Bodies)):
-        raise InputError(f"b: expected loewner.Body or loewner.Bodies, found {type(b).__name__}{_of_mesh(b)}")
+    for name, x in (("a", a), ("b", b)):
+        if not isinstance(x, (Body, Bodies)):
+            advice = "; Body.from_surface or Body.from_mesh makes one of it" if hasattr(x, "faces") else ""
+            raise InputError(f"{name}: expected loewner.Body or loewner.Bodies, found {type(x).__name__}{advice}")
 
 
 class Plan(NamedTuple):
@@ -215,17 +197,31 @@ class Plan(NamedTuple):
         Rows of a and of b if the pairs are listed by row number; otherwise empty.
     """
 
-    shape: tuple[int, ...]
+    shape: Lengths
     total: int
     steps: Ints
     rows: Ints = NO_ROWS
 
 
+class _Pairs(NamedTuple):
+    """The broadcast operands of a query, in the form that the kernels take."""
+
+    plan: Plan
+    packs: tuple[Packed, Packed]
+    poses: tuple[Floats, Floats]
+
+    @property
+    def operands(self) -> Operands:
+        """Return the plan, the rows, and the packs and poses of a and of b, in the order that the kernels take."""
+        (a, b), (Ta, Tb) = self.packs, self.poses
+        return self.plan.steps, self.plan.rows, a.handle, Ta, b.handle, Tb
+
+
 def plan_of(
     a: Body | Bodies,
-    of_poses_a: tuple[int, ...],
+    of_poses_a: Lengths,
     b: Body | Bodies,
-    of_poses_b: tuple[int, ...],
+    of_poses_b: Lengths,
     *,
     each: int = 1,
     chosen: ArrayLike | None = None,
@@ -249,12 +245,7 @@ def plan_of(
 
 
 def _listed(
-    chosen: ArrayLike,
-    a: Body | Bodies,
-    of_poses_a: tuple[int, ...],
-    b: Body | Bodies,
-    of_poses_b: tuple[int, ...],
-    each: int,
+    chosen: ArrayLike, a: Body | Bodies, of_poses_a: Lengths, b: Body | Bodies, of_poses_b: Lengths, each: int
 ) -> Plan:
     """Check pairs that are given by row numbers."""
     rows = _validate.integer_array(chosen, "pairs")
@@ -282,7 +273,7 @@ def _listed(
     return Plan(rows.shape[:-1], flat.shape[1], np.array(plan, dtype=np.int64), flat)
 
 
-def _row_strides(part: tuple[int, ...], ndim: int) -> list[int]:
+def _row_strides(part: Lengths, ndim: int) -> list[int]:
     """Compute an operand's step in rows along each axis of the batch; 0 along axes where it repeats."""
     strides = [0] * ndim
     step = 1
@@ -293,7 +284,7 @@ def _row_strides(part: tuple[int, ...], ndim: int) -> list[int]:
     return strides
 
 
-def _collapse(shape: tuple[int, ...], strides: list[list[int]]) -> Ints:
+def _collapse(shape: Lengths, strides: list[list[int]]) -> Ints:
     """Merge neighbouring axes over which the stride of every operand is constant; usually one axis remains.
 
     Return the plan: the merged shape in the first row, then the strides of each operand in a row of its own.
@@ -314,7 +305,7 @@ def _settle(mode: int, margin: float, pairs: _Pairs, estimate: bool = False) -> 
 
     With `estimate`, the product of the contact functions decides pairs that would otherwise be AMBIGUOUS.
     """
-    out = np.empty(pairs.total, dtype=np.int8)
+    out = np.empty(pairs.plan.total, dtype=np.int8)
 
     def run(first: int, last: int) -> Ints:
         tally = settle(mode, margin, first, last, pairs.operands, out)
@@ -326,7 +317,7 @@ def _settle(mode: int, margin: float, pairs: _Pairs, estimate: bool = False) -> 
             _validate.rigid_motions(T, name)
         raise PoseError("expected rigid motions, found poses that changed during the call")
 
-    return out, reduce(np.add, in_shares(run, pairs.total, CHUNK))
+    return out, reduce(np.add, in_shares(run, pairs.plan.total, CHUNK))
 
 
 # fmt: off
@@ -413,7 +404,7 @@ def classify(
 def _classified(margin: float, a: Any, T_world_a: Any, b: Any, T_world_b: Any, chosen: Any) -> VerdictOrVerdicts:
     asked = _prepare(a, T_world_a, b, T_world_b, check=False, chosen=chosen)
     out, _ = _settle(codes.CERTIFY, margin, asked)
-    return Verdict(int(out[0])) if asked.shape == () else out.reshape(asked.shape)
+    return Verdict(int(out[0])) if asked.plan.shape == () else out.reshape(asked.plan.shape)
 
 
 # fmt: off
@@ -519,7 +510,8 @@ def decided(
     # With the numbers: NumPy would call Python code of `Verdict`, and drop an interrupt that occurs there.
     unsettled = out == codes.AMBIGUOUS
     colliding = (out == codes.COLLIDING) | unsettled
-    return bool(colliding[0]) if asked.shape == () else colliding.reshape(asked.shape), unsettled
+    shape = asked.plan.shape
+    return bool(colliding[0]) if shape == () else colliding.reshape(shape), unsettled
 
 
 # fmt: off
@@ -696,8 +688,8 @@ def _measured(a: Any, T_world_a: Any, b: Any, T_world_b: Any, exact: Any, chosen
 def measured(a: Any, T_world_a: Any, b: Any, T_world_b: Any, exact: bool, chosen: Any = None) -> tuple[Distance, Bools]:
     """Compute bounds on distances, and the distances; unsettled pairs are NaN, and are marked in a flat array."""
     asked = _prepare(a, T_world_a, b, T_world_b, check=True, each=EXACT_BYTES if exact else BOUND_BYTES, chosen=chosen)
-    shape = asked.shape
-    *answers, unsettled = measure(exact, asked.total, asked.operands)
+    shape = asked.plan.shape
+    *answers, unsettled = measure(exact, asked.plan.total, asked.operands)
 
     def shaped(x: Floats) -> Any:
         if shape == ():

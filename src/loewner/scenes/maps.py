@@ -118,9 +118,8 @@ def body_of(grid: Map, height: float, *, unknown: bool) -> Body | None:
     cells = rectangles(grid.occupied | grid.unknown if unknown else grid.occupied)
     if len(cells) == 0:
         return None
-    low, high = (grid.resolution * cells[:, ends] for ends in (slice(0, 2), slice(2, 4)))
-    centers = np.column_stack([(low + high) / 2.0, np.full(len(low), height / 2.0)])
-    return Body.boxes(centers, np.column_stack([high - low, np.full(len(low), height)]))
+    ends = np.asarray(grid.resolution * cells, dtype=np.float64)
+    return _boxes(ends[:, :2], ends[:, 2:], height)
 
 
 def around(grid: Map, height: float, width: float) -> Body:
@@ -128,8 +127,13 @@ def around(grid: Map, height: float, width: float) -> Body:
     a, b = grid.resolution * np.array(grid.occupied.shape)
     low = np.array([[-width, -width], [a, -width], [0.0, -width], [0.0, b]])
     high = np.array([[0.0, b + width], [a + width, b + width], [a, 0.0], [a, b + width]])
-    centers = np.column_stack([(low + high) / 2.0, np.full(4, height / 2.0)])
-    return Body.boxes(centers, np.column_stack([high - low, np.full(4, height)]))
+    return _boxes(low, high, height)
+
+
+def _boxes(low: Floats, high: Floats, height: float) -> Body:
+    """Make boxes on the plane z = 0 between corners in this plane, shape (n, 2)."""
+    centers = np.column_stack([(low + high) / 2.0, np.full(len(low), height / 2.0)])
+    return Body.boxes(centers, np.column_stack([high - low, np.full(len(low), height)]))
 
 
 def bounds_of(grid: Map) -> Floats:

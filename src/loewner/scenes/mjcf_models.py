@@ -16,7 +16,7 @@ import numpy as np
 
 from loewner._base import _validate
 from loewner._base._plausible import warn
-from loewner._base._rotations import from_quaternion
+from loewner._base._rotations import from_quaternion, pose_of
 from loewner._base._validate import Bools, Floats, Ints, Pair
 from loewner.bodies import Body
 from loewner.errors import ConvergenceError, FileError, InputError, MissingExtraError, installing
@@ -183,7 +183,10 @@ def compiled_model(model: Any, data: Any, file: Path, tol: float, *, couplings: 
             name=names.bodies[body],
             parent=int(model.body_parentid[body]),
             T_parent_body=_in_parent(model, data, body),
-            joints=_joints(model, names, body, mimics),
+            joints=tuple(
+                _joint(model, names, int(model.body_jntadr[body]) + k, mimics)  # in the order in which they move it
+                for k in range(int(model.body_jntnum[body]))
+            ),
             parts=tuple(
                 MjcfPart(part_names[geoms], _union([_geom_body(mujoco, model, names, g, file, tol) for g in geoms]))
                 for geoms in members[body]
@@ -315,9 +318,7 @@ def _in_parent(model: Any, data: Any, body: int) -> Floats:
 
 
 def _pose(position: Floats, wxyz: Floats) -> Floats:
-    T = np.eye(4)
-    T[:3, :3], T[:3, 3] = from_quaternion(wxyz.tolist(), "quat"), position
-    return T
+    return pose_of(from_quaternion(wxyz.tolist(), "quat"), position)
 
 
 def _couplings(mujoco: Any, model: Any, names: _Names, active: Bools) -> dict[int, tuple[str, float, float]]:
@@ -338,12 +339,6 @@ def _couplings(mujoco: Any, model: Any, names: _Names, active: Bools) -> dict[in
         followed[y] = x
         mimics[y] = names.joints[x], c1, y0 + c0 - c1 * x0
     return mimics
-
-
-def _joints(model: Any, names: _Names, body: int, mimics: dict[int, tuple[str, float, float]]) -> tuple[MjcfJoint, ...]:
-    """Read the joints of a body, in the order in which they move it."""
-    first = int(model.body_jntadr[body])
-    return tuple(_joint(model, names, first + k, mimics) for k in range(int(model.body_jntnum[body])))
 
 
 def _joint(model: Any, names: _Names, joint: int, mimics: dict[int, tuple[str, float, float]]) -> MjcfJoint:
@@ -420,9 +415,7 @@ def _shape(kinds: Any, model: Any, geom: int, tol: float) -> Body:
     if kind == kinds.mjGEOM_MESH:
         return Body.from_points(_hull_points(model, int(model.geom_dataid[geom])), tol=tol)
     if kind == kinds.mjGEOM_PLANE:
-        below = np.eye(4)
-        below[2, 3] = -PLANE_EDGE / 2
-        return Body.box([PLANE_EDGE] * 3).transformed(below)
+        return Body.box([PLANE_EDGE] * 3).transformed(pose_of(np.eye(3), [0.0, 0.0, -PLANE_EDGE / 2]))
     if kind == kinds.mjGEOM_HFIELD:
         return _terrain(model, int(model.geom_dataid[geom]))
     raise InputError(
@@ -438,9 +431,8 @@ def _terrain(model: Any, field: int) -> Body:
     half_x, half_y, highest, below = model.hfield_size[field].tolist()
     shares = np.array(model.hfield_data[first : first + rows * columns], dtype=np.float64).reshape(rows, columns)
     spacing = [2 * half_x / (columns - 1), 2 * half_y / (rows - 1)]
-    corner = np.eye(4)
-    corner[:2, 3] = -half_x, -half_y
-    return Body.height_field(highest * shares.T, spacing, base=-below).transformed(corner)
+    field_at_corner = Body.height_field(highest * shares.T, spacing, base=-below)
+    return field_at_corner.transformed(pose_of(np.eye(3), [-half_x, -half_y, 0.0]))
 
 
 def _hull_points(model: Any, mesh: int) -> Floats:

@@ -21,7 +21,8 @@ from loewner._base._guard import guarded
 from loewner._base._pictures import COLOURS, MOST_BODIES, MOST_NAMES, Shape, bodies, pictured
 from loewner._base._plausible import doubt_about_size, warn
 from loewner._base._read_only import KeepsReadOnly
-from loewner._base._validate import Floats, Ints, Pair
+from loewner._base._rotations import pose_of
+from loewner._base._validate import Entry, Floats, Ints, Pair
 from loewner._kernels.columns import OUTER_RADIUS
 from loewner.bodies import Bodies, Body, for_pictures, packed_of, reach_of
 from loewner.errors import InputError
@@ -239,22 +240,22 @@ class Scene:
     @property
     def attachments(self) -> dict[str, Attachment]:
         """How each attached body is fixed to the robot, keyed by the name of the body."""
-        with _CHANGING:
-            held = {name: self._attachments[name] for name in self._bodies if name in self._attachments}
-        return _validate.Named("attached body", held)
+        return _validate.Named("attached body", self._in_order(self._attachments))
 
     @property
     def following(self) -> dict[str, PosePath]:
         """The motion of each body that follows one, keyed by the name of the body."""
-        with _CHANGING:
-            held = {name: self._following[name] for name in self._bodies if name in self._following}
-        return _validate.Named("body that follows a motion", held)
+        return _validate.Named("body that follows a motion", self._in_order(self._following))
 
     @property
     def bounds(self) -> dict[str, PoseBounds]:
         """How far bodies may be from their poses or motions, keyed by name; other bodies are exactly there."""
+        return self._in_order(self._bounds)
+
+    def _in_order(self, held: dict[str, Entry]) -> dict[str, Entry]:
+        """Copy entries of some bodies, in the order in which the bodies were added."""
         with _CHANGING:
-            return {name: self._bounds[name] for name in self._bodies if name in self._bounds}
+            return {name: held[name] for name in self._bodies if name in held}
 
     @property
     def version(self) -> int:
@@ -308,18 +309,10 @@ class Scene:
         Scene
             A copy that shares the arrays that are already packed.
         """
-        other = Scene()
+        other = object.__new__(Scene)
         with _CHANGING:
-            other.__dict__.update(self.__dict__)
-            other._bodies = dict(self._bodies)
-            other._poses = dict(self._poses)
-            other._attachments = dict(self._attachments)
-            other._following = dict(self._following)
-            other._bounds = dict(self._bounds)
-            other._allowed = set(self._allowed)
-            other._leaving, other._reaching = set(self._leaving), set(self._reaching)
-            other._margins = dict(self._margins)
-            other._lowered = set(self._lowered)
+            for name, value in self.__dict__.items():
+                other.__dict__[name] = value.copy() if isinstance(value, (dict, set)) else value
         return other
 
     # -- changes ------------------------------------------------------------------------------
@@ -444,13 +437,9 @@ class Scene:
         """
         with _CHANGING:
             del self._bodies[self._known(name)]
-            self._poses.pop(name, None)
-            self._attachments.pop(name, None)
-            self._following.pop(name, None)
-            self._bounds.pop(name, None)
+            self._let_go(name)
             # A body that is later added under the same name must not inherit permission to touch.
-            self._allowed = {pair for pair in self._allowed if name not in pair}
-            self._end_contacts(name)
+            self._allowed -= {pair for pair in self._allowed if name in pair}
             self._margins = {key: margin for key, margin in self._margins.items() if name not in key}
             self._lowered.intersection_update(self._margins)
             self._changed()
@@ -708,9 +697,7 @@ class Scene:
             self._structure_version += before is None or rested != (path.rests and name in self._bounds)
             self._version += 1
         if not self._doubted:
-            farthest = np.eye(4)
-            farthest[:3, 3] = np.abs(path.positions).max(axis=0)
-            self._doubt(name, body, farthest)
+            self._doubt(name, body, pose_of(np.eye(3), np.abs(path.positions).max(axis=0)))
 
     def attach(
         self,
@@ -768,11 +755,8 @@ class Scene:
         T = _validate.pose(T_link_body, f"T_link_body of {name!r}")
         T.setflags(write=False)
         with _CHANGING:
-            self._attachments[self._known(name)] = Attachment(link, T, tuple(sorted(touching)))
-            self._poses.pop(name, None)
-            self._following.pop(name, None)
-            self._bounds.pop(name, None)
-            self._end_contacts(name)
+            self._let_go(self._known(name))
+            self._attachments[name] = Attachment(link, T, tuple(sorted(touching)))
             self._leaving |= leaving
             self._reaching |= reaching
             unseen = sorted(
@@ -804,11 +788,8 @@ class Scene:
         with _CHANGING:
             if self._known(name) in self._poses:
                 raise InputError(f"{name!r}: expected an attached body, found one that stands in the world")
+            self._let_go(name)
             self._poses[name] = T
-            self._attachments.pop(name, None)
-            self._following.pop(name, None)
-            self._bounds.pop(name, None)
-            self._end_contacts(name)
             self._changed()
 
     # -- rules --------------------------------------------------------------------------------
@@ -827,10 +808,7 @@ class Scene:
         a, b : str
             Names of bodies, which may be added later, or of links.
         """
-        pair = _pair(a, b)
-        with _CHANGING:
-            self._allowed.add(pair)
-            self._changed()
+        self._add_rule(self._allowed, _pair(a, b))
 
     def forbid(self, a: str, b: str) -> None:
         """Undo `allow`.
@@ -900,7 +878,7 @@ class Scene:
         >>> scene.leaving
         frozenset({('can', 'left_finger')})
         """
-        self._begin_contact(self._leaving, _pair(a, b))
+        self._add_rule(self._leaving, _pair(a, b))
 
     def reach(self, a: str, b: str) -> None:
         """Let two bodies come into contact at the end of a motion, as `leave` lets them separate at the start of one.
@@ -925,15 +903,18 @@ class Scene:
         >>> scene.reaching
         frozenset({('can', 'shelf')})
         """
-        self._begin_contact(self._reaching, _pair(a, b))
+        self._add_rule(self._reaching, _pair(a, b))
 
-    def _begin_contact(self, rules: set[Pair], pair: Pair) -> None:
+    def _add_rule(self, rules: set[Pair], pair: Pair) -> None:
         with _CHANGING:
             rules.add(pair)
             self._changed()
 
-    def _end_contacts(self, name: str) -> None:
-        """Drop the rules of `leave` and `reach` for a body whose contacts have changed."""
+    def _let_go(self, name: str) -> None:
+        """Drop where a body is, and the rules of `leave` and `reach` for it, since its contacts change."""
+        places: tuple[dict[str, Any], ...] = (self._poses, self._attachments, self._following, self._bounds)
+        for held in places:
+            held.pop(name, None)
         for rules in (self._leaving, self._reaching):
             rules.difference_update([pair for pair in rules if name in pair])
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -44,6 +44,15 @@ def root_of_inverse(matrix: Floats) -> Floats | None:
         return inverse_of(np.linalg.cholesky(matrix))
     except np.linalg.LinAlgError:
         return None
+
+
+def solver_of(matrix: Floats, diagonal: Floats | float) -> Callable[[Floats], Floats] | None:
+    """Solver of (matrix + diag(diagonal)) X = B, in the memory of the matrix; None if that is singular to rounding."""
+    from scipy.linalg.lapack import dpotrf, dpotrs
+
+    matrix.ravel()[:: len(matrix) + 1] += diagonal
+    lower, failed = dpotrf(matrix.T, lower=1, overwrite_a=1, clean=0)
+    return None if failed else lambda B: dpotrs(lower, B, lower=1)[0]
 
 
 def room(x: Floats, dx: Floats) -> float:

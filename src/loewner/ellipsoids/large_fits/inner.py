@@ -38,6 +38,7 @@ from loewner.ellipsoids.large_fits.dense import (
     lower_root,
     room,
     root_of_inverse,
+    solver_of,
 )
 from loewner.ellipsoids.polytopes import FLATNESS
 
@@ -275,31 +276,20 @@ def _step(A: Floats, T: Floats, d: Floats, h: Floats, y: Floats, z: Floats) -> t
 
 def _factorised(T: Floats, diagonal: Floats) -> Callable[[Floats], Floats] | None:
     """Solver of (diag(diagonal) + (T Tᵀ)∘(T Tᵀ)) X = B; None if that is singular to rounding."""
-    from scipy.linalg.lapack import dpotrf, dpotrs
-
     k, n = T.shape
     rank = n * (n + 1) // 2
     if k * (k / 3 + n) <= rank * (k + rank / (3 * k)) and k <= LARGEST_SYSTEM:
         matrix = T @ T.T
         matrix *= matrix
-        matrix.ravel()[:: k + 1] += diagonal
-        lower, failed = dpotrf(matrix.T, lower=1, overwrite_a=1, clean=0)
-        return None if failed else lambda B: dpotrs(lower, B, lower=1)[0]
+        return solver_of(matrix, diagonal)
     _validate.fits_memory(8 * rank * (2 * k + rank), f"the largest ellipsoid in {k} half-spaces of dimension {n}")
     first, second = np.tril_indices(n)
     V = T[:, first] * T[:, second] * np.where(first == second, 1.0, np.sqrt(2.0))
     scaled = V / diagonal[:, None]
-    inner = V.T @ scaled
-    inner.ravel()[:: rank + 1] += 1.0
-    lower, failed = dpotrf(inner.T, lower=1, overwrite_a=1, clean=0)
-    if failed:
+    inner = solver_of(V.T @ scaled, 1.0)
+    if inner is None:
         return None
-
-    def solve(B: Floats) -> Floats:
-        weights = dpotrs(lower, scaled.T @ B, lower=1)[0]
-        return np.asarray(((B - V @ weights).T / diagonal).T)
-
-    return solve
+    return lambda B: np.asarray(((B - V @ inner(scaled.T @ B)).T / diagonal).T)
 
 
 # -- the proof ------------------------------------------------------------------------------------

@@ -35,6 +35,7 @@ from loewner.ellipsoids.large_fits.dense import (
     lower_root,
     room,
     root_of_inverse,
+    solver_of,
 )
 from loewner.ellipsoids.polytopes import FLATNESS, flat_error
 
@@ -355,18 +356,15 @@ def _interior_point(active: _WorkingSet, target: float, reporter: Reporter) -> t
 
 def _newton_step(W: Floats, w: Floats, u: Floats, s: Floats) -> tuple[Floats, Floats] | None:
     """Weights and slacks after Mehrotra's predictor and corrector; None if the matrix is singular to rounding."""
-    from scipy.linalg.lapack import dpotrf, dpotrs
-
     k, N = W.shape
     matrix = W @ W.T
     matrix *= matrix
-    matrix.ravel()[:: k + 1] += s / u
-    lower, failed = dpotrf(matrix.T, lower=1, overwrite_a=1, clean=0)
-    if failed:
+    solve = solver_of(matrix, s / u)
+    if solve is None:
         return None
 
     def direction(extra: Floats) -> tuple[Floats, Floats]:
-        du = dpotrs(lower, w - N + extra, lower=1)[0]
+        du = solve(w - N + extra)
         return du, extra - s - s / u * du
 
     mean = float(u @ s) / k

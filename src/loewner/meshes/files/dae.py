@@ -8,6 +8,7 @@ import numpy as np
 
 from loewner._base import _elementary
 from loewner._base._matrices import product
+from loewner._base._rotations import pose_of
 from loewner._base._validate import Floats, Ints
 from loewner._base._xml import Element, XmlError, parse
 from loewner.meshes.files.parts import (
@@ -151,13 +152,9 @@ def _parsed(data: bytes) -> _Element:
     """Parse the tree of elements; entities and other declarations are refused."""
     try:
         return parse(
-            *(data, "a Collada file", _Element),
-            deepest=MOST_DEPTH,
-            most=MOST_ELEMENTS,
-            texts=True,
-            doctype=False,
+            data, "a Collada file", _Element, deepest=MOST_DEPTH, most=MOST_ELEMENTS, texts=True, doctype=False,
             strip=True,
-        )
+        )  # fmt: skip
     except XmlError as error:
         raise Refusal(str(error), error.line) from None
 
@@ -380,10 +377,6 @@ def _polygons(element: _Element, runs: list[Ints], cut_all: _Cut) -> Triangles:
     )
 
 
-def _trifans(element: _Element, runs: list[Ints], _: _Cut) -> Triangles:
-    return _polygons(element, runs, fans)
-
-
 def _strips(element: _Element, runs: list[Ints], _: _Cut) -> Triangles:
     return np.concatenate([np.empty((0, 3), dtype=np.int64), *(strip(run) for run in _runs(element, runs))])
 
@@ -392,7 +385,7 @@ _PRIMITIVES: dict[str, Callable[[_Element, list[Ints], _Cut], Triangles]] = {
     "triangles": _triangles,
     "polylist": _polylist,
     "polygons": _polygons,
-    "trifans": _trifans,
+    "trifans": lambda element, runs, _: _polygons(element, runs, fans),
     "tristrips": _strips,
 }
 
@@ -410,9 +403,7 @@ def _matrix(element: _Element) -> Floats:
 
 
 def _translate(element: _Element) -> Floats:
-    T = np.eye(4)
-    T[:3, 3] = element.floats(3)
-    return T
+    return pose_of(np.eye(3), element.floats(3))
 
 
 def _scale(element: _Element) -> Floats:
@@ -428,9 +419,8 @@ def _rotate(element: _Element) -> Floats:
     expect(0 < length < math.inf and math.isfinite(angle), "<rotate>: expected an axis and an angle", element.line)
     x, y, z = np.array(axis) / length
     K = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    T = np.eye(4)
-    T[:3, :3] += _elementary.sin(math.radians(angle)) * K + (1 - _elementary.cos(math.radians(angle))) * product(K, K)
-    return T
+    turn = _elementary.sin(math.radians(angle)) * K + (1 - _elementary.cos(math.radians(angle))) * product(K, K)
+    return pose_of(np.eye(3) + turn, 0.0)
 
 
 _TRANSFORMS: dict[str, Callable[[_Element], Floats]] = {

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from loewner._base import _json
 from loewner._base._files import read_regular
 from loewner._base._matrices import lengths, product
+from loewner._base._rotations import pose_of, rotations_of
 from loewner._base._validate import Floats, Ints
 from loewner.errors import FileError
 from loewner.meshes.files.parts import (
@@ -150,9 +151,8 @@ class _Reader:
         self.made: dict[int, tuple[Floats, Triangles]] = {}
         self.unknown: dict[str, str] = {}  # keys, and the first object that has each
         self.check(tree, "the file", "the file")
-        asset = tree.get("asset")
-        if not isinstance(asset, dict):
-            raise Refusal("expected an asset of version 2")
+        asset: Any = tree.get("asset")
+        expect(isinstance(asset, dict), "expected an asset of version 2")
         self.check(asset, "asset", "asset")
         version, least = asset.get("version"), asset.get("minVersion", "2.0")
         expect(isinstance(version, str) and version.startswith("2."), "expected an asset of version 2")
@@ -243,19 +243,12 @@ class _Reader:
                 f"{where}: expected an affine matrix, found {T[3].tolist()} as its last row",
             )
             return T
-        x, y, z, w = quaternion = self.floats(node, where, "rotation", [0.0, 0.0, 0.0, 1.0])
+        quaternion = self.floats(node, where, "rotation", [0.0, 0.0, 0.0, 1.0])
         length = float(lengths(quaternion)) if abs(quaternion).max() < 2 else math.inf
         expect(abs(length - 1) < _UNIT, f"{where}: expected a rotation of length 1, found {length:g}")
-        x, y, z, w = quaternion / length
-        T = np.eye(4)
-        T[:3, :3] = [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-        ]
-        T[:3, :3] *= self.floats(node, where, "scale", [1.0] * 3)
-        T[:3, 3] = self.floats(node, where, "translation", [0.0] * 3)
-        return T
+        turn = rotations_of(np.roll(quaternion / length, 1))
+        scale, shift = self.floats(node, where, "scale", [1.0] * 3), self.floats(node, where, "translation", [0.0] * 3)
+        return pose_of(turn * scale, shift)
 
     def expect_rigid(self, holder: dict[str, Any], where: str) -> None:
         """Refuse features that deform a mesh or place it more than once."""
@@ -280,9 +273,8 @@ class _Reader:
         expect(mode <= _FAN, f"{where}: expected a mode of 0 to 6, found {mode}")
         if mode < _TRIANGLES:
             return None
-        attributes = primitive.get("attributes")
-        if not isinstance(attributes, dict):
-            raise Refusal(f"{where}: expected attributes, an object")
+        attributes: Any = primitive.get("attributes")
+        expect(isinstance(attributes, dict), f"{where}: expected attributes, an object")
         number = self.integer(attributes, where, "POSITION")
         if number not in self.points:
             self.points[number] = self.accessor(number, "VEC3")[0].astype(np.float64)
@@ -338,14 +330,12 @@ class _Reader:
 
     def replaced(self, sparse: Any, where: str, values: NDArray[Any], kind: int) -> NDArray[Any]:
         """Apply the replacements of a sparse accessor to `values`."""
-        if not isinstance(sparse, dict):
-            raise Refusal(f"{where}: expected an object")
+        expect(isinstance(sparse, dict), f"{where}: expected an object")
         self.check(sparse, where, "sparse")
         count = self.integer(sparse, where, "count", least=1)
         expect(count <= len(values), f"{where}: expected a count of at most {len(values)}, found {count}")
         rows, new = sparse.get("indices"), sparse.get("values")
-        if not isinstance(rows, dict) or not isinstance(new, dict):
-            raise Refusal(f"{where}: expected indices and values, objects")
+        expect(isinstance(rows, dict) and isinstance(new, dict), f"{where}: expected indices and values, objects")
         self.check(rows, f"{where}.indices", "sparse indices")
         self.check(new, f"{where}.values", "sparse values")
         row_kind = self.integer(rows, where, "componentType")
@@ -375,8 +365,7 @@ class _Reader:
 
     def linked(self, uri: Any, where: str) -> bytes:
         """Return the bytes of a data URI, or of a file in this file's folder or below."""
-        if not isinstance(uri, str):
-            raise Refusal(f"{where}: expected a uri, found {type(uri).__name__}")
+        expect(isinstance(uri, str), f"{where}: expected a uri, found {type(uri).__name__}")
         if uri.startswith("data:"):
             head, _, text = uri.partition(",")
             expect(head.endswith(";base64"), f"{where}: expected data in base64, found {quoted(head)}")

@@ -16,6 +16,7 @@ from loewner.meshes.files.parts import (
     integers,
     quoted,
     remarks,
+    table_of,
     tell_unit,
 )
 
@@ -79,12 +80,4 @@ def _face(line: list[bytes], number: int, count: int) -> Ints:
 def _vertices(lines: list[list[bytes]], numbers: list[int], widths: tuple[int, ...]) -> Floats:
     width = len(lines[0])
     expect(width in widths, f"expected a vertex of {widths[0]} numbers, found {width}", numbers[0])
-    if set(map(len, lines)) != {width}:
-        k = next(k for k, line in enumerate(lines) if len(line) != width)
-        raise Refusal(f"expected a vertex of {width} numbers as the first, found {len(lines[k])}", numbers[k])
-    try:
-        return floats([token for line in lines for token in line]).reshape(-1, width)[:, :3].copy()
-    except Refusal:
-        for line, number in zip(lines, numbers, strict=True):
-            in_line(number, floats, line)
-        raise
+    return table_of(lines, numbers, width, f"a vertex of {width} numbers as the first")[:, :3].copy()

@@ -110,6 +110,24 @@ def in_line(number: int, convert: Callable[[Sequence[bytes]], NDArray[T]], token
         raise Refusal(str(refusal), number) from None
 
 
+def table_of(lines: list[list[bytes]], numbers: list[int], width: int, wanted: str) -> Floats:
+    """Convert the words of lines of equal length, shape (lines, width); a refusal includes the line's number."""
+    if set(map(len, lines)) - {width}:
+        k = next(k for k, line in enumerate(lines) if len(line) != width)
+        raise Refusal(f"expected {wanted}, found {len(lines[k])}", numbers[k])
+    try:
+        return floats([word for line in lines for word in line]).reshape(len(lines), width)
+    except Refusal:
+        refuse_line(lines, numbers)
+        raise
+
+
+def refuse_line(lines: list[list[bytes]], numbers: list[int]) -> None:
+    """Refuse the first line that has a word that is not a number, if there is one."""
+    for line, number in zip(lines, numbers, strict=True):
+        in_line(number, floats, line)
+
+
 def tell_unit(comments: bytes, tell: Tell) -> None:
     """Report a unit that comments name."""
     doubt = doubt_about_unit(comments.decode("latin-1"))

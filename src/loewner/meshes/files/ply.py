@@ -19,26 +19,15 @@ from loewner.meshes.files.parts import (
     in_line,
     integers,
     quoted,
+    refuse_line,
+    table_of,
     tell_unit,
 )
 
+_KINDS = ("i1", "u1", "i2", "u2", "i4", "u4", "f4", "f8")
 _TYPES = {
-    "char": "i1",
-    "uchar": "u1",
-    "short": "i2",
-    "ushort": "u2",
-    "int": "i4",
-    "uint": "u4",
-    "int8": "i1",
-    "uint8": "u1",
-    "int16": "i2",
-    "uint16": "u2",
-    "int32": "i4",
-    "uint32": "u4",
-    "float": "f4",
-    "double": "f8",
-    "float32": "f4",
-    "float64": "f8",
+    **dict(zip(("char", "uchar", "short", "ushort", "int", "uint", "float", "double"), _KINDS, strict=True)),
+    **dict(zip(("int8", "uint8", "int16", "uint16", "int32", "uint32", "float32", "float64"), _KINDS, strict=True)),
 }
 _FORMATS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 _COMMENTS = (b"comment", b"obj_info")
@@ -193,18 +182,8 @@ def _text_element(element: _Element, lines: list[list[bytes]], numbers: list[int
     properties = element.properties
     scalars: dict[str, Any] = {p.name: np.empty(0) for p in properties if p.length is None}
     if not any(p.length for p in properties):
-        if set(map(len, lines)) - {len(properties)}:
-            k = next(k for k, line in enumerate(lines) if len(line) != len(properties))
-            found = f"expected {len(properties)} numbers for a {element.name}, found {len(lines[k])}"
-            raise Refusal(found, numbers[k])
-        try:
-            for k, p in enumerate(properties):
-                scalars[p.name] = floats([line[k] for line in lines])
-        except Refusal:
-            for line, number in zip(lines, numbers, strict=True):
-                in_line(number, floats, line)
-            raise
-        return _Content(scalars, _no_integers(), _no_integers())
+        table = table_of(lines, numbers, len(properties), f"{len(properties)} numbers for a {element.name}")
+        return _Content(dict(zip(scalars, table.T, strict=True)), _no_integers(), _no_integers())
     if len(properties) == 1 and lines and len(set(map(len, lines))) == 1 and properties[0].name in _CORNERS:
         with suppress(Refusal):  # which is reported below, with its line
             lengths = integers([line[0] for line in lines])
@@ -239,8 +218,7 @@ def _text_element(element: _Element, lines: list[list[bytes]], numbers: list[int
             scalars[name] = floats(column)
         return _Content(scalars, integers(corners), np.array(sizes, dtype=np.int64))
     except Refusal as refusal:
-        for line, number in zip(lines, numbers, strict=True):
-            in_line(number, floats, line)
+        refuse_line(lines, numbers)
         raise Refusal(f"{element.name}: {refusal}") from None
 
 

@@ -29,11 +29,7 @@ SAME_ROTATION = 1e-2
 TOP_KEYS = ("robot", "joints", "problems")
 PROBLEM_KEYS = ("sphere", "box", "cylinder", "index", "problem", "start", "goals", "valid")
 NEEDED_KEYS = ("index", "start", "goals")
-OBSTACLE_KEYS = {
-    "sphere": ("radius",),
-    "box": ("half_extents",),
-    "cylinder": ("radius", "length"),
-}
+OBSTACLE_KEYS = {"sphere": ("radius",), "box": ("half_extents",), "cylinder": ("radius", "length")}
 PLACE_KEYS = ("position", "orientation_quat_xyzw", "orientation_euler_xyz")
 
 
