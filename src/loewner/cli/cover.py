@@ -50,7 +50,7 @@ def add(commands: Any) -> None:
 
 
 def _run(options: argparse.Namespace) -> int:
-    cover_tables.refuse_other_pictures(options.picture)
+    inputs.expect_suffix(options.picture, "--picture", inputs.DRAWN)
     chosen = format_of(options.out, options.format)
     if chosen in OF_SPHERES and options.kind != "spheres":
         raise InputError(f"--kind: expected spheres for {chosen}, which has nothing else, found {options.kind}")

@@ -13,27 +13,16 @@ from loewner import plots
 from loewner.bodies import packed_of
 from loewner.bodies.triangulated import of_pieces
 from loewner.cli.inputs import numbers
-from loewner.cli.output import AMBIGUOUS, COLLIDING, FREE, new_table, print_table, progress_bar
-from loewner.errors import FileError
+from loewner.cli.output import AMBIGUOUS, COLLIDING, FREE, new_table, print_table, progress_of
 from loewner.meshes.coverage import CoverReport
 
-DRAWN = (".png", ".svg")
 STATUS = {"covered": FREE, "undecided": AMBIGUOUS, "uncovered": COLLIDING}
-
-
-def refuse_other_pictures(picture: Path | None) -> None:
-    """Refuse the name of a picture of another kind, before any work."""
-    if picture is not None and picture.suffix.lower() not in DRAWN:
-        raise FileError(f"--picture: expected a .png or .svg file, found {picture}")
 
 
 def judged(robot: loewner.Robot, model: loewner.Robot, tolerance: float | None = None) -> dict[str, CoverReport]:
     """Judge a model, and show a progress bar."""
-    with progress_bar() as progress:
-        task = progress.add_task("proofs", total=len(robot.bodies))
-        return robot.covered_by(
-            model, tolerance=tolerance, progress=lambda done, total: progress.update(task, completed=done, total=total)
-        )
+    with progress_of("proofs", len(robot.bodies)) as progress:
+        return robot.covered_by(model, tolerance=tolerance, progress=progress)
 
 
 def print_reports(
@@ -73,9 +62,8 @@ def print_reports(
 def _area(body: loewner.Body) -> float:
     """The area of the surfaces of all pieces."""
     corners = np.concatenate([vertices[triangles] for vertices, triangles in of_pieces(packed_of(body))])
-    return (
-        float(np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1).sum()) / 2
-    )
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    return float(np.linalg.norm(normals, axis=1).sum()) / 2
 
 
 def _percent(share: tuple[float, float]) -> str:

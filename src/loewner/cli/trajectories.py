@@ -26,25 +26,26 @@ Part = planners.ControllerPoints | Floats
 
 def add_options(command: argparse.ArgumentParser) -> None:
     """Add the options of commands that read a trajectory."""
-    command.add_argument(
+    option = command.add_argument
+    option(
         "--controller",
         choices=CONTROLLERS,
         help="interpolation between points (default: from the contents of the file)",
     )
-    command.add_argument(
+    option(
         "--others",
         metavar="Q",
         help="values of joints that the file does not name: a state, a file, or numbers (those of the message's start "
         "state, or 0)",
     )
-    command.add_argument(
+    option(
         "--attach",
         action="append",
         default=[],
         metavar="[PART:]BODY=LINK",
         help="let a link carry a body of the scene, in all parts of a message or in one (may be repeated)",
     )
-    command.add_argument(
+    option(
         "--start-time",
         type=float,
         metavar="T",

@@ -34,40 +34,39 @@ The page is served on this machine, at the address that is printed; Ctrl+C close
 def add(commands: Any) -> None:
     """Add the command."""
     view = inputs.command(commands, "view", "two bodies, or a robot, in the browser", EXAMPLES)
-    view.add_argument("a", metavar="A", type=Path, nargs="?", help="a saved body (.npz) or a mesh")
-    view.add_argument("b", metavar="B", type=Path, nargs="?", help="the other one")
-    view.add_argument("--pose-a", metavar="POSE", help="initial pose of A (the origin); as in loewner check")
-    view.add_argument("--pose-b", metavar="POSE", help="initial pose of B (next to A)")
-    view.add_argument("--margin", type=float, default=0.0, metavar="M", help="distance that A and B keep [m] (0)")
-    view.add_argument(
+    option = view.add_argument
+    option("a", metavar="A", type=Path, nargs="?", help="a saved body (.npz) or a mesh")
+    option("b", metavar="B", type=Path, nargs="?", help="the other one")
+    option("--pose-a", metavar="POSE", help="initial pose of A (the origin); as in loewner check")
+    option("--pose-b", metavar="POSE", help="initial pose of B (next to A)")
+    option("--margin", type=float, default=0.0, metavar="M", help="distance that A and B keep [m] (0)")
+    option(
         "--robot",
         dest="urdf",
         metavar="URDF",
         type=Path,
         help="a robot instead of two bodies; its meshes become hulls, or --model",
     )
-    view.add_argument("--srdf", metavar="SRDF", type=Path, help="its states and disabled pairs")
-    view.add_argument("--scene", metavar="YAML", type=Path, help="scene around the robot (docs/scenes.md)")
-    view.add_argument(
+    option("--srdf", metavar="SRDF", type=Path, help="its states and disabled pairs")
+    option("--scene", metavar="YAML", type=Path, help="scene around the robot (docs/scenes.md)")
+    option(
         "--trajectory",
         metavar="FILE",
         type=Path,
         help="path of the robot to play, with or without times: any file of loewner audit (.csv, .json, .yaml)",
     )
     trajectories.add_options(view)
-    view.add_argument("--part", type=int, metavar="N", help="which trajectory of a message with several, from 1 on")
-    view.add_argument(
+    option("--part", type=int, metavar="N", help="which trajectory of a message with several, from 1 on")
+    option(
         "--at",
         metavar="T",
         help='where on the path the robot is at first: seconds since its start, or "worst", where it comes nearest (0)',
     )
-    view.add_argument("--package-dir", metavar="DIR", type=Path, action="append", default=[], help="for package://")
-    view.add_argument("--decompose", action="store_true", help="for the robot: the same as --model pieces")
-    view.add_argument("--port", type=int, default=0, help="default: any free port")
-    view.add_argument("--no-browser", action="store_true", help="only print the address")
-    view.add_argument(
-        "--screenshot", metavar="PNG", type=Path, help="write a picture of the page and exit, without a window"
-    )
+    option("--package-dir", metavar="DIR", type=Path, action="append", default=[], help="for package://")
+    option("--decompose", action="store_true", help="for the robot: the same as --model pieces")
+    option("--port", type=int, default=0, help="default: any free port")
+    option("--no-browser", action="store_true", help="only print the address")
+    option("--screenshot", metavar="PNG", type=Path, help="write a picture of the page and exit, without a window")
     inputs.add_mesh_options(view, "pieces")
     view.set_defaults(run=_run, default=view.get_default)
 
