@@ -151,18 +151,15 @@ class Device:
 
     # -- work ---------------------------------------------------------------------------------
 
-    def launch(self, kernel: str, threads: int, *arguments: int) -> None:
+    def launch(self, kernel: str, threads: int, *arguments: int | Memory) -> None:
         """Run a kernel with threads 0 .. `threads`; it receives the number of threads before the arguments."""
         if threads == 0:
             return
-        numbers = [ctypes.c_int64(number) for number in (threads, *arguments)]
-        addresses = [ctypes.cast(ctypes.byref(number), ctypes.c_void_p) for number in numbers]
-        packed = (ctypes.c_void_p * len(numbers))(*addresses)
-        blocks = -(-threads // BLOCK)
+        numbers = [ctypes.c_int64(x.address if isinstance(x, Memory) else x) for x in (threads, *arguments)]
+        packed = (ctypes.c_void_p * len(numbers))(*map(ctypes.addressof, numbers))
+        sizes = -(-threads // BLOCK), 1, 1, BLOCK, 1, 1, 0
         with self._current():
-            self._ask(
-                "cuLaunchKernel", self._functions[kernel], blocks, 1, 1, BLOCK, 1, 1, 0, self._stream, packed, None
-            )
+            self._ask("cuLaunchKernel", self._functions[kernel], *sizes, self._stream, packed, None)
 
     def wait(self) -> None:
         """Return when all work is done."""
