@@ -101,15 +101,14 @@ def add(commands: Any) -> None:
     option("--json", action="store_true", help="print JSON")
     clash.set_defaults(run=_run, usual_model="surface", hull=False)
     clash.set_defaults(**dict.fromkeys((*inputs.OF_PIECES, *inputs.OF_SURFACES)))
-    clash.set_defaults(usual={name: clash.get_default(name) for name in (*OF_ROBOTS, *OF_BODIES)})
 
 
 def _run(options: argparse.Namespace) -> int:
     alone = options.moving is None
-    for name in OF_BODIES if alone else OF_ROBOTS:
-        if getattr(options, name) != options.usual[name]:
-            wanted = "two bodies with it, found one file" if alone else "a robot alone with it, found two files"
-            raise InputError(f"--{name.replace('_', '-')}: expected {wanted}")
+    if alone:
+        inputs.refuse(options, OF_BODIES, "{}: expected two bodies with it, found one file")
+    else:
+        inputs.refuse(options, OF_ROBOTS, "{}: expected a robot alone with it, found two files")
     inputs.expect_suffix(options.out, "--out", inputs.DRAWN)
     if not alone:
         return _run_motion(options)

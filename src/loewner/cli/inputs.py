@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -33,10 +33,18 @@ def expect_suffix(path: Path | None, option: str, endings: Sequence[str]) -> Non
         raise FileError(f"{option}: expected a {' or '.join(endings)} file, found {path}")
 
 
+def refuse(options: argparse.Namespace, names: Iterable[str], message: str) -> None:
+    """Refuse options that would silently be ignored, by a message with a place for the option."""
+    for name in names:
+        if getattr(options, name) != options.default(name):
+            raise InputError(message.format(f"--{name.replace('_', '-')}"))
+
+
 def command(commands: Any, name: str, what: str, examples: str) -> argparse.ArgumentParser:
     """Add a command whose help ends with examples."""
     raw = argparse.RawDescriptionHelpFormatter
     added: argparse.ArgumentParser = commands.add_parser(name, help=what, epilog=examples, formatter_class=raw)
+    added.set_defaults(default=added.get_default)
     return added
 
 

@@ -71,9 +71,8 @@ def add(commands: Any) -> None:
 
 def _run(options: argparse.Namespace) -> int:
     asked = next(name for name in OPTIONS if getattr(options, name) is not None)
-    for name in (name for names in OPTIONS.values() for name in names if name not in OPTIONS[asked]):
-        if getattr(options, name) not in (None, []):
-            raise InputError(f"--{name.replace('_', '-')}: expected no such option with --{asked}, found one")
+    others = (name for names in OPTIONS.values() for name in names if name not in OPTIONS[asked])
+    inputs.refuse(options, others, f"{{}}: expected no such option with --{asked}, found one")
     if options.meshes is not None:
         allowed = inputs.MODELS if options.answers else link_bodies.MODELS
         _validate.choice(options.meshes, f"--meshes with --{asked}", allowed)

@@ -17,7 +17,6 @@ from loewner._base import _validate
 from loewner._base._files import read_regular
 from loewner.cli import configurations, inputs
 from loewner.cli.output import COLLIDING, FREE, OVERLAP, print_answer
-from loewner.errors import InputError
 
 EXAMPLES = """examples:
   loewner verify plan.proof
@@ -63,9 +62,8 @@ def add(commands: Any) -> None:
 def _run(options: argparse.Namespace) -> int:
     overlap = _validate.positive_scalar(options.overlap, "--overlap", zero=True)
     if options.urdf is None:
-        for name in ("srdf", "scene", "model", "decompose", "package_dir", "leave", "reach"):
-            if getattr(options, name):
-                raise InputError(f"--{name.replace('_', '-')}: expected --robot with it; without it there is no model")
+        of_robot = ("srdf", "scene", "model", "decompose", "package_dir", "leave", "reach")
+        inputs.refuse(options, of_robot, "{}: expected --robot with it; without it there is no model")
     data = read_regular(options.file, "a proof", 2 * verify.MOST_BYTES)  # too large ones are refused below
     try:
         report = verify.verify(data)

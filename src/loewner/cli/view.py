@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Sequence
 from contextlib import redirect_stdout
 from pathlib import Path
 from typing import Any
@@ -68,7 +67,7 @@ def add(commands: Any) -> None:
     option("--no-browser", action="store_true", help="only print the address")
     option("--screenshot", metavar="PNG", type=Path, help="write a picture of the page and exit, without a window")
     inputs.add_mesh_options(view, "pieces")
-    view.set_defaults(run=_run, default=view.get_default)
+    view.set_defaults(run=_run)
 
 
 def _run(options: argparse.Namespace) -> int:
@@ -99,7 +98,7 @@ def _view_pair(options: argparse.Namespace) -> Any:
     if options.a is None or options.b is None:
         raise InputError("view: expected two bodies, A and B, or --robot URDF")
     of_robots = ("srdf", "scene", "trajectory", *OF_TRAJECTORIES, "package_dir", "decompose")
-    _refuse(options, of_robots, "with --robot only, found it with A and B")
+    inputs.refuse(options, of_robots, "view: expected {} with --robot only, found it with A and B")
     Ta, Tb = inputs.pose(options.pose_a, "--pose-a"), inputs.pose(options.pose_b, "--pose-b")
     a, b = inputs.bodies((options.a, options.b), options)
     if Tb is None:
@@ -114,12 +113,9 @@ def _view_robot(options: argparse.Namespace) -> Any:
 
     if options.a is not None:
         raise InputError(f"view: expected no A and B with --robot, found {options.a}")
-    _refuse(
-        options,
-        ("pose_a", "pose_b", "hull", "scale", *inputs.OF_SURFACES, *inputs.OF_PIECES),
-        "with A and B only, not --robot",
-    )
-    _refuse(options, ("margin",), "with A and B only, not --robot: margins of a robot are the scene's")
+    only, of_pairs = "view: expected {} with A and B only, not --robot", ("pose_a", "pose_b", "hull", "scale")
+    inputs.refuse(options, (*of_pairs, *inputs.OF_SURFACES, *inputs.OF_PIECES), only)
+    inputs.refuse(options, ("margin",), f"{only}: margins of a robot are the scene's")
     scene = None if options.scene is None else loewner.load_scene(options.scene)
     if scene is not None and len(scene) == 0:
         raise InputError(
@@ -127,7 +123,7 @@ def _view_robot(options: argparse.Namespace) -> Any:
         )
     robot = inputs.robot(options)
     if options.trajectory is None:
-        _refuse(options, OF_TRAJECTORIES, "with --trajectory only")
+        inputs.refuse(options, OF_TRAJECTORIES, "view: expected {} with --trajectory only")
         return viewer.show_robot(loewner.CollisionChecker(robot, scene), port=options.port)
     at = options.at if options.at in (None, "worst") else _seconds(options.at)
     scene = loewner.Scene() if scene is None else scene
@@ -165,10 +161,3 @@ def _played(options: argparse.Namespace, scene: loewner.Scene, robot: loewner.Ro
         if given is not parts[number - 1]:
             trajectories.put_down(scene, robot, given, held)
     return parts[number - 1]
-
-
-def _refuse(options: argparse.Namespace, names: Sequence[str], where: str) -> None:
-    """Refuse options that would silently be ignored."""
-    for name in names:
-        if getattr(options, name) != options.default(name):
-            raise InputError(f"view: expected --{name.replace('_', '-')} {where}")

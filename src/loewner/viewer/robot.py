@@ -23,17 +23,8 @@ from loewner.queries.pairs import Verdict
 from loewner.robots import CollisionChecker, Robot, StateDistance
 from loewner.robots.description.robot import first_shown
 from loewner.scenes.scene import Contact
-from loewner.viewer.drawing import (
-    LABELS,
-    VERDICT_COLOURS,
-    Drawing,
-    NearPoints,
-    Rgb,
-    add_mesh,
-    place,
-    spanned,
-)
-from loewner.viewer.framing import add_ground, aim, diagonal, framed, round_length
+from loewner.viewer.drawing import LABELS, VERDICT_COLOURS, Drawing, Rgb, add_mesh, place, spanned
+from loewner.viewer.framing import framed, round_length
 from loewner.viewer.page import Mover, PoseInputs, Viewer, certified_words, length_text, note_lines
 from loewner.viewer.playing import (
     COLLIDING,
@@ -251,11 +242,10 @@ class RobotViewer(Viewer):
     def q(self, q: ArrayLike) -> None:
         self._check_open()
         checked = np.array(self.checker.robot.checked_one(q))
-        with self.lock:
+        with self._changing():
             self._stop()
             self._state.value = OTHER
             self._set_configuration(checked)
-            self.refresh()
 
     @property
     def time(self) -> float:
@@ -266,10 +256,9 @@ class RobotViewer(Viewer):
     def time(self, t: float) -> None:
         self._check_open()
         self._the_way().positions(_validate.real(t, "time"))
-        with self.lock:
+        with self._changing():
             self._stop()
             self._go_to(float(t))
-            self.refresh()
 
     @property
     def playing(self) -> bool:
@@ -297,10 +286,8 @@ class RobotViewer(Viewer):
         (array([1., 0.]), False)
         True
         """
-        self._check_open()
-        with self.lock:
+        with self._changing():
             self._start(self._the_way())
-            self.refresh()
 
     def go_to_worst(self) -> float:
         """Move the robot to the moment at which the nearest pair is nearest, among 401 moments and all moments at which
@@ -328,21 +315,18 @@ class RobotViewer(Viewer):
         """
         self._check_open()
         way = self._the_way()
-        with self.lock:
+        with self._changing():
             self._prove()
             worst = worst_along(self.checker, way, self._proof or proven_along(self.checker, way))
             self._stop()
             self._go_to(worst)
-            self.refresh()
         return worst
 
     def pause(self) -> None:
         """Stop the robot in place; InputError if there is no path."""
-        self._check_open()
-        self._the_way()
-        with self.lock:
+        with self._changing():
+            self._the_way()
             self._stop()
-            self.refresh()
 
     def move(self, name: str, T_world_body: ArrayLike | None) -> None:
         """Move a body of the scene, and show it immediately.
@@ -361,10 +345,8 @@ class RobotViewer(Viewer):
         UnknownNameError, PoseError
             As for `Scene.move`.
         """
-        self._check_open()
-        with self.lock:
+        with self._changing():
             self.checker.scene.move(name, T_world_body)
-            self.refresh()
 
     # -- the page ---------------------------------------------------------------------------------
 
@@ -429,11 +411,7 @@ class RobotViewer(Viewer):
             # Planes of MJCF are links of the robot.
             boxes[shown.mover is None and np.ptp(box, axis=0).max() < WORLD].append(box)
         box = framed(spanned(boxes[True]), boxes[False], WIDEST) if boxes[True] else spanned(boxes[False])
-        self._size = diagonal(box)
-        aim(self.server, box)
-        self._ground, cell = add_ground(self.server.scene, box)
-        self._marks["ground"].label = f"grid, {cell:g} m"
-        self._near = NearPoints(self.server.scene, self._size)
+        self._frame_view(box, self._marks["ground"])
         for shown in self._shown.values():
             if shown.mover is not None:
                 shown.mover.fit(shown.drawing.box(np.eye(4)), self._size)
