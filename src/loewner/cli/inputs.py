@@ -37,7 +37,7 @@ def refuse(options: argparse.Namespace, names: Iterable[str], message: str) -> N
     """Refuse options that would silently be ignored, by a message with a place for the option."""
     for name in names:
         if getattr(options, name) != options.default(name):
-            raise InputError(message.format(f"--{name.replace('_', '-')}"))
+            raise InputError(message.replace("{}", f"--{name.replace('_', '-')}", 1))
 
 
 def command(commands: Any, name: str, what: str, examples: str) -> argparse.ArgumentParser:
@@ -116,14 +116,9 @@ def add_robot_options(command: argparse.ArgumentParser, *, required: bool = True
 def bodies(paths: Sequence[Path], options: argparse.Namespace) -> Iterator[loewner.Body]:
     """Load saved bodies, or make the bodies of meshes, one after another; mesh options require a mesh."""
     if all(path.suffix.lower() == ".npz" for path in paths):
-        found = given(options, ("model", *OF_SURFACES, *OF_PIECES))
-        found |= {"scale": options.scale} if options.scale != 1.0 else {}
-        found |= {"hull": True} if options.hull else {}
-        for name in found:
-            raise InputError(
-                f"--{name.replace('_', '-')}: expected a mesh to make a body of, found saved bodies, "
-                f"{', '.join(path.name for path in paths)}"
-            )
+        found = ", ".join(path.name for path in paths)
+        of_meshes = ("model", *OF_SURFACES, *OF_PIECES, "scale", "hull")
+        refuse(options, of_meshes, f"{{}}: expected a mesh to make a body of, found saved bodies, {found}")
     return (body(path, options) for path in paths)
 
 

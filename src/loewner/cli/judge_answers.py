@@ -295,11 +295,7 @@ def _for_json(said: Judgement, named: Sequence[tuple[str, str]], bodies: dict[st
         {
             "row": k + 1,
             "bodies": list(named[k]),
-            "wrong": {
-                part: {"finding": Finding(kind).name, "at_least": error}
-                for part, kind, error in zip(PARTS, said.kinds[k].tolist(), said.excess[k].tolist(), strict=True)
-                if kind > Finding.UNDECIDED
-            },
+            "wrong": {part: {"finding": kind.name, "at_least": error} for part, kind, error in _wrong_parts(said, k)},
             "lower": None if np.isinf(said.lower[k]) else float(said.lower[k]),
             "upper": float(said.upper[k]),
         }
@@ -330,16 +326,18 @@ def _print(
     more = f"; and {len(judged) - SHOWN} more (--json)" if len(judged) > SHOWN else ""
     print(f"judged    {'; '.join(judged[:SHOWN])}{more}")
     for k in worst[:SHOWN]:
-        parts = [
-            f"{part} {Finding(kind)} by {error:.6g} m"
-            for part, kind, error in zip(PARTS, said.kinds[k].tolist(), said.excess[k].tolist(), strict=True)
-            if kind > Finding.UNDECIDED
-        ]
+        parts = [f"{part} {kind} by {error:.6g} m" for part, kind, error in _wrong_parts(said, k)]
         print(f"row {k + 1}, {' and '.join(named[k])}: {', '.join(parts)}; proven {_interval(said, k)}")
     if len(worst) > SHOWN:
         print(f"and {len(worst) - SHOWN} more (--json)")
     if written:
         print(f"program   {written}")
+
+
+def _wrong_parts(said: Judgement, k: int) -> list[tuple[str, Finding, float]]:
+    """The wrong parts of the answer in a row, each with its finding and its error."""
+    parts = zip(PARTS, map(Finding, said.kinds[k].tolist()), said.excess[k].tolist(), strict=True)
+    return [part for part in parts if part[1] > Finding.UNDECIDED]
 
 
 def _interval(said: Judgement, k: int) -> str:

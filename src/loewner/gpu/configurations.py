@@ -245,12 +245,15 @@ class Checker:
     def _asked(self, ready: Problem, gpu: Device, total: int, Q: int) -> tuple[Memory, Ints]:
         """Return the verdicts of configurations at an address, and the indices that are left to the CPU."""
         expect_few(total, "configurations")
-        verdicts, left = gpu.memory(total), Left(gpu, total)
+        verdicts, left, dof = gpu.memory(total), Left(gpu, total), self._checker.robot.dof
         with self._lock:
             tables = self._tables_of(gpu, ready)
             tile = self._tile_of(gpu, tables, total)
             for first in range(0, total, tile.most):
-                self._run(gpu, tables, tile, Q, first, min(tile.most, total - first), verdicts, left)
+                count, at = min(tile.most, total - first), Q + 4 * dof * first
+                place(gpu, tables, tile, at, 0, dof, count)
+                check(gpu, tables, tile, count)
+                gpu.launch("conclude", count, first, tile.state, dof, at, at, verdicts, left.list)
             return verdicts, left.numbers()
 
     def _asked_motions(self, ready: Problem, gpu: Device, total: int, *ends: int) -> tuple[Memory, Ints]:
@@ -260,16 +263,6 @@ class Checker:
             tables = self._tables_of(gpu, ready)
             tile = self._tile_of(gpu, tables, motions.slots(total))
             return motions.certified(gpu, tables, tile, self._checker.robot.dof, ends, total)
-
-    def _run(
-        self, gpu: Device, tables: Tables, tile: Tile, Q: int, first: int, count: int, verdicts: Memory, left: Left
-    ) -> None:
-        """Run the kernels on one tile, one after the other."""
-        dof = self._checker.robot.dof
-        Q += 4 * dof * first
-        place(gpu, tables, tile, Q, 0, dof, count)
-        check(gpu, tables, tile, count)
-        gpu.launch("conclude", count, first, tile.state, dof, Q, Q, verdicts, left.list)
 
     def _tile_of(self, gpu: Device, tables: Tables, count: int) -> Tile:
         """Return memory for a tile of up to `count` configurations, from the last call if it fits."""

@@ -95,11 +95,12 @@ class Device:
         text = ctypes.create_string_buffer(256)
         self._ask("cuDeviceGetName", text, len(text), handle)
         self.name = text.value.decode(errors="replace")
-        self.capability = self._attribute(MAJOR, handle), self._attribute(MINOR, handle)
+        major, minor = (self._integer("cuDeviceGetAttribute", which, handle) for which in (MAJOR, MINOR))
+        self.capability = major, minor
         if self.capability < LEAST_CAPABILITY:
             raise GpuError(
                 "device: expected a GPU of compute capability 7.5 (Turing) or newer, found "
-                f"{self.name} of {self.capability[0]}.{self.capability[1]}"
+                f"{self.name} of {major}.{minor}"
             )
         self._context = ctypes.c_void_p()
         self._ask("cuDevicePrimaryCtxRetain", ctypes.byref(self._context), handle)
@@ -232,9 +233,6 @@ class Device:
         found = ctypes.c_int()
         self._ask(function, ctypes.byref(found), *arguments)
         return int(found.value)
-
-    def _attribute(self, which: int, handle: int) -> int:
-        return self._integer("cuDeviceGetAttribute", which, handle)
 
     def _ask(self, function: str, *arguments: Any, size: int | None = None) -> None:
         """Call a function of the driver, and raise an exception if it fails."""

@@ -23,23 +23,10 @@ from loewner.queries.pairs import Verdict
 from loewner.robots import CollisionChecker, Robot, StateDistance
 from loewner.robots.description.robot import first_shown
 from loewner.scenes.scene import Contact
+from loewner.viewer import playing as paths
 from loewner.viewer.drawing import LABELS, VERDICT_COLOURS, Drawing, Rgb, add_mesh, place, spanned
 from loewner.viewer.framing import framed, round_length
 from loewner.viewer.page import Mover, PoseInputs, Viewer, certified_words, length_text, note_lines
-from loewner.viewer.playing import (
-    COLLIDING,
-    UNSETTLED,
-    Proof,
-    Standing,
-    Way,
-    checked_way,
-    found_along,
-    proof_strip,
-    proven_along,
-    proven_at,
-    sampled_strip,
-    worst_along,
-)
 from loewner.viewer.visuals import visual_meshes
 
 LINK, OBSTACLE, HELD = (187, 187, 187), (102, 153, 204), (170, 136, 187)
@@ -201,7 +188,7 @@ class RobotViewer(Viewer):
         _validate.instance(checker, "checker", CollisionChecker)
         robot = checker.robot
         self.checker = checker
-        self._way: Way | None = checked_way(robot, path, trajectory)
+        self._way: paths.Way | None = paths.checked_way(robot, path, trajectory)
         self.trajectory = self._way if isinstance(self._way, Trajectory) else None
         self._time = 0.0
         # Value of `monotonic` at time 0 of the path that is being played.
@@ -214,7 +201,7 @@ class RobotViewer(Viewer):
         if q is not None:
             self._first_state = None
         if self._way is None and checker.scene.following:
-            self._way = Standing(checker.scene.following.values(), self._q)
+            self._way = paths.Standing(checker.scene.following.values(), self._q)
         if not checker.checked_pairs:
             raise InputError(
                 "checker: expected pairs to check, found none; the robot has "
@@ -223,7 +210,7 @@ class RobotViewer(Viewer):
         self._seen = self._seen_structure = -1
         self._seen_along: Any = None
         self._along: Ints | None = None
-        self._proof: Proof | None = None
+        self._proof: paths.Proof | None = None
         # Value of `monotonic` at which the path is to be proven.
         self._prove_at = math.inf
         self._size = math.inf
@@ -317,7 +304,7 @@ class RobotViewer(Viewer):
         way = self._the_way()
         with self._changing():
             self._prove()
-            worst = worst_along(self.checker, way, self._proof or proven_along(self.checker, way))
+            worst = paths.worst_along(self.checker, way, self._proof or paths.proven_along(self.checker, way))
             self._stop()
             self._go_to(worst)
         return worst
@@ -390,7 +377,7 @@ class RobotViewer(Viewer):
         self._match_scene()
         self._frame(links)
 
-    def _build_path(self, way: Way) -> None:
+    def _build_path(self, way: paths.Way) -> None:
         gui = self.server.gui
         with gui.add_folder("Path"):
             label = f"time since {way.start_time:g} s, s" if way.start_time else "time, s"
@@ -567,16 +554,16 @@ class RobotViewer(Viewer):
 
     # -- the path ---------------------------------------------------------------------------------
 
-    def _the_way(self) -> Way:
+    def _the_way(self) -> paths.Way:
         if self._way is None:
             raise InputError("page: expected one with a path or trajectory, found none; show_robot(path=...) takes it")
         return self._way
 
-    def _follow(self, way: Way, done: dict[str, Any]) -> None:
+    def _follow(self, way: paths.Way, done: dict[str, Any]) -> None:
         """Continue a path that is being played; it stops when a joint is moved by hand, unless only bodies move."""
         if "speed" in done:
             self._set_speed(SPEEDS[self._pace.value])
-        if isinstance(way, Standing):
+        if isinstance(way, paths.Standing):
             way.q = self._q
         elif {"state", "random", "joints"} & done.keys():
             self._stop()
@@ -594,7 +581,7 @@ class RobotViewer(Viewer):
             if self._time == way.duration:
                 self._stop()
 
-    def _start(self, way: Way) -> None:
+    def _start(self, way: paths.Way) -> None:
         begin = 0.0 if self._time >= way.duration else self._time
         self._began = monotonic() - begin / self._speed
         self._button.label = PAUSE
@@ -614,7 +601,7 @@ class RobotViewer(Viewer):
         self._time = t
         self._clock.value = t
         way = self._the_way()
-        if not isinstance(way, Standing):
+        if not isinstance(way, paths.Standing):
             self._state.value = OTHER
             self._set_configuration(way.positions(t))
 
@@ -658,19 +645,19 @@ class RobotViewer(Viewer):
         way = self._way
         if way is None:
             return
-        if isinstance(way, Standing):
+        if isinstance(way, paths.Standing):
             way.q = self._q
-        seen = self._seen, self._q.tobytes() if isinstance(way, Standing) else None
+        seen = self._seen, self._q.tobytes() if isinstance(way, paths.Standing) else None
         if self._seen_along != seen:
-            self._along = found_along(self.checker, way)
-            self._strip.content = sampled_strip(self._along, way.duration)
+            self._along = paths.found_along(self.checker, way)
+            self._strip.content = paths.sampled_strip(self._along, way.duration)
             self._proof, self._proof_strip.content = None, ""
             self._seen_along, self._prove_at = seen, monotonic() + STILL
         elif monotonic() >= self._prove_at:
             self._prove_at = math.inf
             try:
-                self._proof = proven_along(self.checker, way)
-                self._proof_strip.content = proof_strip(self._proof)
+                self._proof = paths.proven_along(self.checker, way)
+                self._proof_strip.content = paths.proof_strip(self._proof)
             except LoewnerError as error:
                 self._proof_strip.content = note_lines([f"proof: none; {error}"])
 
@@ -691,12 +678,12 @@ class RobotViewer(Viewer):
         if self._way is None or not np.array_equal(self._q, self._way.positions(self._time)):
             return None
         verdicts = np.array([Verdict.AMBIGUOUS]) if self._proof is None else self._proof.verdicts
-        along = np.array([UNSETTLED]) if self._along is None else self._along
+        along = np.array([paths.UNSETTLED]) if self._along is None else self._along
         if (verdicts == Verdict.FREE).all():
             return Verdict.FREE
         scene = self.checker.scene
         # Samples may be in contact that is allowed at the beginning or the end; the proof decides.
-        sampled = (along == COLLIDING).any() and not (scene.leaving or scene.reaching)
+        sampled = (along == paths.COLLIDING).any() and not (scene.leaving or scene.reaching)
         return Verdict.COLLIDING if sampled or (verdicts == Verdict.COLLIDING).any() else Verdict.AMBIGUOUS
 
     def _show_near(self) -> None:
@@ -735,7 +722,7 @@ class RobotViewer(Viewer):
         if self._way is not None:
             yield "time", f"{self._time:.3f} s of {self._way.duration:.6g} s"
             if self._proof is not None and np.array_equal(self._q, self._way.positions(self._time)):
-                yield "proof", proven_at(self._proof, self._time)
+                yield "proof", paths.proven_at(self._proof, self._time)
 
     def _contact_lines(self) -> list[str]:
         deepest = sorted(self.contacts, key=lambda contact: contact.distance)
