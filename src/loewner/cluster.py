@@ -349,15 +349,8 @@ def _request(
     report: Callable[[Path, Outcome], None],
 ) -> None:
     """Request meshes and report their outcomes, except cancelled ones; if the wait ends early, so does the work."""
-    futures = client.map(
-        _fit_one,
-        [str(_absolute(mesh)) for mesh in targets],
-        [str(_absolute(target)) for target in targets.values()],
-        options=options,
-        run=run,
-        pure=False,
-        batch_size=AT_A_TIME,
-    )
+    meshes, bodies = ([str(_absolute(path)) for path in some] for some in (targets, targets.values()))
+    futures = client.map(_fit_one, meshes, bodies, options=options, run=run, pure=False, batch_size=AT_A_TIME)
     # A worker keeps an outcome as long as a reference to it exists; if the worker dies, the outcome is computed again.
     waiting = dict(zip(futures, targets, strict=True))
     del futures
@@ -585,25 +578,17 @@ def _by_chunks(
         _check_array(da, Q, name, checker.robot.dof)
     (first, *others) = arrays.values()
     if any(Q.shape != first.shape for Q in others):
-        raise InputError(
-            f"expected Q0 and Q1 of one shape, found {' and '.join(str(Q.shape) for Q in arrays.values())}"
-        )
+        found = " and ".join(str(Q.shape) for Q in arrays.values())
+        raise InputError(f"expected Q0 and Q1 of one shape, found {found}")
     first = first.rechunk({-1: -1})
     # The checker is sent as bytes, a copy of its current state that is named by its checksum. The task that unpacks
     # them is sent once, and its result to each worker that has a chunk; a checker among a task's arguments would be
     # sent with each task.
     packed = pickle.dumps(checker, protocol=pickle.HIGHEST_PROTOCOL)
     there = delayed(pickle.loads)(packed, dask_key_name=f"loewner-checker-{_checksum(packed)[:32]}")
-    return da.map_blocks(
-        task,
-        first,
-        *(Q.rechunk(first.chunks) for Q in others),
-        checker=there,
-        **more,
-        dtype=dtype,
-        drop_axis=first.ndim - 1,
-        meta=np.empty((0,) * (first.ndim - 1), dtype=dtype),
-    )
+    chunked, axes = [first, *(Q.rechunk(first.chunks) for Q in others)], first.ndim - 1
+    meta = np.empty((0,) * axes, dtype=dtype)
+    return da.map_blocks(task, *chunked, checker=there, **more, dtype=dtype, drop_axis=axes, meta=meta)
 
 
 def _check_array(da: Any, Q: Any, name: str, dof: int) -> None:

@@ -37,11 +37,11 @@ def print_reports(
     heads = ["link", "shapes", "outcome", "uncovered", "up to", *(["at, m"] if where else []), "sticks out", *more]
     table = new_table(*heads, title=f"{robot.name}: {len(robot.bodies)} links with bodies")
     for number, (link, report) in enumerate(reports.items()):
-        shapes = len(model.bodies[link].pieces) if link in model.bodies else 0
         witness = [] if not where else ["-" if report.witness is None else numbers(report.witness)]
         table.add_row(
-            link, str(shapes), report.outcome, _percent(report.uncovered_share), _millimetres(report.depth), *witness,
-            _millimetres(report.excess), *(column[number] for column in more.values()),
+            link, str(_shapes(model, link)), report.outcome, _percent(report.uncovered_share),
+            _millimetres(report.depth), *witness, _millimetres(report.excess),
+            *(column[number] for column in more.values()),
         )  # fmt: skip
     print_table(table)
     counts = {name: sum(report.outcome == name for report in reports.values()) for name in STATUS}
@@ -87,28 +87,28 @@ def _number(x: float, rounded: Callable[[float], float]) -> str:
     return f"{rounded(x / step) * step:.4g}"
 
 
-def entry(report: CoverReport, shapes: int) -> dict[str, Any]:
-    """A report in the form of JSON; infinite distances become null."""
+def entries(model: loewner.Robot, reports: Mapping[str, CoverReport]) -> dict[str, dict[str, Any]]:
+    """All reports in the form of JSON; infinite distances become null."""
 
     def ends(pair: tuple[float, float]) -> list[float | None]:
         return [end if np.isfinite(end) else None for end in pair]
 
     return {
-        "shapes": shapes,
-        "outcome": report.outcome,
-        "uncovered_share": ends(report.uncovered_share),
-        "depth": ends(report.depth),
-        "witness": None if report.witness is None else report.witness.tolist(),
-        "excess": ends(report.excess),
-    }
-
-
-def entries(model: loewner.Robot, reports: Mapping[str, CoverReport]) -> dict[str, dict[str, Any]]:
-    """All reports in the form of JSON."""
-    return {
-        link: entry(report, len(model.bodies[link].pieces) if link in model.bodies else 0)
+        link: {
+            "shapes": _shapes(model, link),
+            "outcome": report.outcome,
+            "uncovered_share": ends(report.uncovered_share),
+            "depth": ends(report.depth),
+            "witness": None if report.witness is None else report.witness.tolist(),
+            "excess": ends(report.excess),
+        }
         for link, report in reports.items()
     }
+
+
+def _shapes(model: loewner.Robot, link: str) -> int:
+    """How many shapes a model has for a link."""
+    return len(model.bodies[link].pieces) if link in model.bodies else 0
 
 
 def draw(robot: loewner.Robot, model: loewner.Robot, picture: Path | None) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 import time
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -63,7 +64,7 @@ def add(commands: Any) -> None:
     """Add the command."""
     plan = inputs.command(commands, "plan", "a path from start to goal with proven motions", EXAMPLES)
     inputs.add_robot_options(plan)
-    option = plan.add_argument
+    option, number = plan.add_argument, partial(plan.add_argument, type=float)
     option("--scene", type=Path, metavar="FILE", help="obstacles and attached bodies (.yaml)")
     inputs.add_rule_options(plan, "start", "goal")
     option("--start", required=True, metavar="Q", help='start: a state, a file, or numbers in quotes, "0 0.5 -0.7"')
@@ -82,33 +83,23 @@ def add(commands: Any) -> None:
     option("--proof", type=Path, metavar="FILE", help="write a proof of the path, for loewner verify")
     option("--seed", type=int, default=0, help="equal seeds give equal paths (0)")
     option("--max-iterations", type=int, metavar="N", help="configurations to draw before giving up (no limit)")
-    option("--timeout", type=float, default=10.0, metavar="S", help="seconds to search (10)")
-    option(
-        "--joint-error", type=float, default=0.0, metavar="E", help="largest deviation of every value [rad or m] (0)"
-    )
-    option(
-        "--improve-for", type=float, default=0.0, metavar="S", help="improve the path until S seconds have passed (0)"
-    )
+    number("--timeout", default=10.0, metavar="S", help="seconds to search (10)")
+    number("--joint-error", default=0.0, metavar="E", help="largest deviation of every value [rad or m] (0)")
+    number("--improve-for", default=0.0, metavar="S", help="improve the path until S seconds have passed (0)")
     option(
         "--weights",
         metavar="W",
         help="with --improve-for: factors of the joint values in the cost of a path, one for each value (1)",
     )
-    option(
-        "--clearance", type=float, metavar="D", help="with --improve-for: metres to keep from the scene where it can be"
-    )
-    option(
-        "--start-time", type=float, metavar="T", help="plan in time, from T seconds on (0, if bodies follow motions)"
-    )
-    option("--arrive-by", type=float, metavar="T", help="in time: the latest arrival, on the same clock")
+    number("--clearance", metavar="D", help="with --improve-for: metres to keep from the scene where it can be")
+    number("--start-time", metavar="T", help="plan in time, from T seconds on (0, if bodies follow motions)")
+    number("--arrive-by", metavar="T", help="in time: the latest arrival, on the same clock")
     option("--velocity", metavar="V", help="in time: largest velocities, one number or one for each value (the URDF's)")
     option("--sampled", action="store_true", help="sample motions in steps instead of proving them")
-    option(
-        "--resolution",
-        type=float,
-        metavar="R",
+    number(
+        "--resolution", metavar="R",
         help="for --sampled, and for OMPL's planners: the longest step, in the units of the joints (0.05)",
-    )
+    )  # fmt: skip
     option("--no-simplify", action="store_true", help="do not shorten the path")
     option("--planner", metavar="NAME", help="a planner of OMPL, such as BITstar (RRT-Connect, compiled, without OMPL)")
     drives.add_options(plan)

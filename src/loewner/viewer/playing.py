@@ -189,10 +189,8 @@ def found_along(checker: CollisionChecker, way: Way) -> Ints:
     """Return FREE, COLLIDING or UNSETTLED for each of LOOKS times, evenly spaced from start to end."""
     times = np.linspace(0.0, way.duration, LOOKS)
     ready = prepared_of(checker, timed=True)
-    found, _ = classified(
-        ready, codes.EXACT, np.ascontiguousarray(with_bodies(ready, way.positions(times), way.start_time + times))
-    )
-    return SEEN[found]
+    Q = np.ascontiguousarray(with_bodies(ready, way.positions(times), way.start_time + times))
+    return SEEN[classified(ready, codes.EXACT, Q)[0]]
 
 
 class Proof(NamedTuple):
