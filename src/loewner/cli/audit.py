@@ -108,9 +108,7 @@ def _run(options: argparse.Namespace) -> int:
     inputs.refuse_no_pairs(checker, options.urdf)
     limits = None if options.limits is None else planners.JointLimits.load(options.limits, robot)
     overlap = _validate.positive_scalar(options.overlap, "--overlap", zero=True)
-    present = None
-    if options.present is not None:
-        present = robot.checked_one(configurations.given(options.present, "--from", options, robot, None), "--from")
+    present = configurations.one(options.present, "--from", options, robot)
     parts, carrying = trajectories.read(options.trajectory, options, scene, robot, present)
     answers = []
     for number, given in enumerate(parts):

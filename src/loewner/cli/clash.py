@@ -125,9 +125,7 @@ def _run(options: argparse.Namespace) -> int:
     pairs = _pairs(robot, scene, options)
     given: Any = {"margin": options.margin, "limits": limits, "scene": scene, "boxes": options.boxes}
     if options.largest:
-        about = None
-        if options.at is not None:
-            about = robot.checked_one(configurations.given(options.at, "--at", options, robot, None), "--at")
+        about = configurations.one(options.at, "--at", options, robot)
         ranges = robot.free_range(options.largest, about, pairs=pairs, **given)
         print_answer(options, {name: list(ends) for name, ends in ranges.items()}, lambda: _print_ranges(ranges))
         return STATUS["FREE"]

@@ -17,7 +17,7 @@ from loewner._base import _tables
 from loewner._base._files import replacing, shown
 from loewner._base._validate import Floats, finite_array, positive_scalar
 from loewner.cli import configurations, inputs
-from loewner.cli.output import FREE, NO_PATH, new_table, print_answer, print_table, progress_bar, remove_older_proof
+from loewner.cli.output import FREE, NO_PATH, new_table, print_answer, print_table, progress_of, remove_older_proof
 from loewner.errors import InputError, PlanningError
 from loewner.planners.drives import base_columns
 from loewner.scenes import maps
@@ -67,8 +67,7 @@ def run(options: argparse.Namespace) -> int:
     inputs.refuse_no_pairs(checker, options.urdf)
     limits: dict[str, Any] = {} if options.max_iterations is None else {"max_iterations": options.max_iterations}
     try:
-        with progress_bar() as progress:
-            progress.add_task("searching", total=None)
+        with progress_of("searching"):
             drive = planners.plan(
                 checker, start, goal, base=options.base, radius=options.radius, reverse=not options.no_reverse,
                 joint_error=options.joint_error, timeout=options.timeout, simplify=not options.no_simplify,

@@ -17,7 +17,7 @@ from loewner._base import _archives, _tables
 from loewner._base._files import read_regular, shown
 from loewner._base._validate import Floats
 from loewner.cli import configurations, drives, inputs
-from loewner.cli.output import NO_PATH, STATUS, new_table, print_answer, print_table, progress_bar, remove_older_proof
+from loewner.cli.output import NO_PATH, STATUS, new_table, print_answer, print_table, progress_of, remove_older_proof
 from loewner.errors import ConvergenceError, InputError, PlanningError
 
 # Number of configurations per motion, including its ends, at which the distance of the nearest pair is measured.
@@ -212,8 +212,7 @@ def _found(
     given = {"joint_error": options.joint_error, "search": search, "seed": options.seed, "joints": options.joints}
     if options.joints is not None and len(options.joints) == 1:
         given["joints"] = options.joints[0]
-    with progress_bar() as progress:
-        progress.add_task("searching", total=None)
+    with progress_of("searching"):
         if options.start_time is None:
             weights = options.weights and _numbers("--weights", options.weights)
             improve = planners.Improve(options.improve_for, weights=weights, clearance=options.clearance)

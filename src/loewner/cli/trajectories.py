@@ -70,10 +70,8 @@ def read(
         If an option does not fit the file, or the robot carries bodies that neither the scene nor --attach assigns to
         it.
     """
-    others = present
-    if options.others is not None:
-        others = robot.checked_one(configurations.given(options.others, "--others", options, robot, None), "--others")
-    parts = _parts(path, robot, others)
+    others = configurations.one(options.others, "--others", options, robot)
+    parts = _parts(path, robot, present if others is None else others)
     carrying = _carrying(options.attach, scene, robot, len(parts))
     for number, given in enumerate(parts):
         if isinstance(given, planners.ControllerPoints):

@@ -335,6 +335,11 @@ class PoseInputs:
         self.turn.value = tuple((np.round(turn, 2) + 0.0).tolist())
 
 
+def cut_short(lines: list[str], most: int) -> list[str]:
+    """Keep the first lines, and count the others."""
+    return lines if len(lines) <= most else [*lines[:most], f"and {len(lines) - most} more"]
+
+
 def length_text(length: float) -> str:
     """Write a length in metres; in millimetres if it is less than a metre."""
     return f"{1e3 * length:.4g} mm" if length < 1.0 else f"{length:.4g} m"

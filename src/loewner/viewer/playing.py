@@ -22,7 +22,7 @@ from loewner.robots.proofs import approaches, curves
 from loewner.robots.proofs.courses import configurations
 from loewner.robots.proofs.in_time import with_bodies
 from loewner.viewer.drawing import VERDICT_COLOURS, Rgb
-from loewner.viewer.page import TEXT
+from loewner.viewer.page import TEXT, cut_short
 
 # A path has no times: it is played at this speed, measured by `Robot.distances` [rad or m per second].
 PACE = 1.0
@@ -282,9 +282,7 @@ def _strip(name: str, bars: Sequence[tuple[str, Rgb, float]], words: str) -> str
 
 
 def _listed(stretches: list[str]) -> str:
-    if len(stretches) > MOST_STRETCHES:
-        stretches = [*stretches[:MOST_STRETCHES], f"and {len(stretches) - MOST_STRETCHES} more"]
-    return "; ".join(stretches)
+    return "; ".join(cut_short(stretches, MOST_STRETCHES))
 
 
 def _stretches(found: Ints) -> list[tuple[int, int, int]]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property
 from time import monotonic
 from typing import Any
 
@@ -26,7 +26,7 @@ from loewner.scenes.scene import Contact
 from loewner.viewer import playing as paths
 from loewner.viewer.drawing import LABELS, VERDICT_COLOURS, Drawing, Rgb, add_mesh, place, spanned
 from loewner.viewer.framing import framed, round_length
-from loewner.viewer.page import Mover, PoseInputs, Viewer, certified_words, length_text, note_lines
+from loewner.viewer.page import Mover, PoseInputs, Viewer, certified_words, cut_short, length_text, note_lines
 from loewner.viewer.visuals import visual_meshes
 
 LINK, OBSTACLE, HELD = (187, 187, 187), (102, 153, 204), (170, 136, 187)
@@ -418,8 +418,9 @@ class RobotViewer(Viewer):
             node = f"/robot/{link}{node}"
             handle = self.server.scene.add_frame(node, show_axes=False)
             place(handle, _identity_or(T_link_body))
-        look = None if link is None or T_link_body is not None else partial(self._look, name)
-        drawing = Drawing(self.server.scene, node, body, colour, self._which(), look or (lambda: None))
+        is_link = link is not None and T_link_body is None  # only these have visual meshes
+        mesh = (lambda: self._visuals[0].get(name)) if is_link else (lambda: None)
+        drawing = Drawing(self.server.scene, node, body, colour, self._which(), mesh)
         if mover is not None:
             mover.fit(drawing.box(np.eye(4)), self._size)
             drawing.on_click(lambda _: self._tell("clicked", name))
@@ -427,9 +428,6 @@ class RobotViewer(Viewer):
 
     def _which(self) -> dict[str, bool]:
         return {name: box.value for name, box in self._layers.items()}
-
-    def _look(self, link: str) -> Mesh | None:
-        return self._visuals[0].get(link)
 
     @cached_property
     def _visuals(self) -> tuple[dict[str, Mesh], list[str]]:
@@ -456,7 +454,7 @@ class RobotViewer(Viewer):
         notes = [f"{name}: drawn, but not checked, for it has no collision geometry" for name in self._unchecked]
         if not looks and not faults:
             notes.append("The URDF has no visual geometry.")
-        self._notes.content = note_lines(cut_short([*faults, *notes]))
+        self._notes.content = note_lines(cut_short([*faults, *notes], MOST_LINES))
 
     def _match_scene(self) -> None:
         """Add, remove and move the bodies that have changed in the scene since the last check."""
@@ -731,12 +729,7 @@ class RobotViewer(Viewer):
                                             f"{1e3 * c.distance:z.3g} mm apart")
             for c in deepest
         ]  # fmt: skip
-        return cut_short(lines)
-
-
-def cut_short(lines: list[str]) -> list[str]:
-    """Keep the lines that fit on the panel."""
-    return lines if len(lines) <= MOST_LINES else [*lines[:MOST_LINES], f"and {len(lines) - MOST_LINES} more"]
+        return cut_short(lines, MOST_LINES)
 
 
 def _identity_or(T: Floats | None) -> Floats:
