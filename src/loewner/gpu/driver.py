@@ -35,7 +35,7 @@ OLD_DRIVER = (34, 35, 36, 803)
 # After these errors nothing more can be done in the context, which holds all of this process's work on the GPU.
 LOST = (201, 700, 702, 709, 710, 714, 715, 716, 717, 718, 719, 721, 999)
 
-# Our wording for codes, apart from those that need numbers.
+# Our wording for codes, unless it needs numbers.
 CAUSES = {
     **dict.fromkeys(LOST, "the GPU's work was lost, and all that this process keeps there; start the process again"),
     **dict.fromkeys(OLD_DRIVER, "expected a newer driver of the GPU: update it"),

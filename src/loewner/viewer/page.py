@@ -155,14 +155,14 @@ class Viewer(ABC):
 
     @contextmanager
     def _changing(self) -> Iterator[None]:
-        """Let Python change what an open page shows, and update the page."""
+        """Let Python change an open page, and update the page."""
         self._check_open()
         with self.lock:
             yield
             self.refresh()
 
     def _frame_view(self, box: Floats, grid: Any) -> None:
-        """Aim the camera at a box, and add a grid, whose check box gets its label, and marks of matching size."""
+        """Aim the camera at a box; add a grid with a label for its check box, and marks of matching size."""
         self._size = diagonal(box)
         aim(self.server, box)
         self._ground, cell = add_ground(self.server.scene, box)
