@@ -118,15 +118,9 @@ def recipe() -> str:
     """Hash of everything except the levels on which the files depend."""
     digest = hashlib.sha256(source_hash().encode())
     digest.update(repr((version("numba"), version("llvmlite"), version("numpy"), headers.text())).encode())
-    written = [
-        HERE / "build.py",
-        HERE / "emit.py",
-        *HERE.glob("*.[ch]"),
-        *HERE.glob("capi/*.[ch]"),
-        HEADERS / "loewner.h",
-    ]
-    besides = SOURCES / "loewner" / "_native" / "entries.py", SOURCES / "loewner" / "gpu" / "_ptx.py"
-    for path in sorted([*written, *besides]):
+    package = SOURCES / "loewner"
+    named = HERE / "build.py", HERE / "emit.py", package / "_native" / "entries.py", package / "gpu" / "_ptx.py"
+    for path in sorted([*named, *HERE.glob("*.[ch]"), *HERE.glob("capi/*.[ch]"), HEADERS / "loewner.h"]):
         digest.update(path.read_bytes())
     return digest.hexdigest()
 
@@ -189,11 +183,7 @@ def build(levels: list[str], home: Path = HOME, gpu: bool = False, in_groups: bo
         print(f"native library: {what} ...", file=sys.stderr, flush=True)
         for_c = [pool.submit(compile_api, work / name) for name in FOR_C]
         start = time.perf_counter()
-        run(
-            [str(HERE / "emit.py")],
-            os.environ | {"LOEWNER_QUIET": "1"},
-            "expected a Numba with which the kernels can be built, found another or none",
-        )
+        check_numba()
         slowness = (time.perf_counter() - start) / CHECK
         groups = grouped(list(GROUPS) if in_groups else ["all"])
         (work / "groups.json").write_text(json.dumps(groups), encoding="utf-8")
@@ -322,10 +312,12 @@ def build_all(
             process.wait()
 
 
-def run(arguments: list[str], environment: dict[str, str], failed: str) -> None:
-    """Run Python in a process of its own, or stop with its error output."""
-    done = subprocess.run([sys.executable, *arguments], env=environment, capture_output=True, text=True, check=False)
+def check_numba() -> None:
+    """Let `emit.py` check Numba in a process of its own, and stop with its error output."""
+    command, quiet = [sys.executable, str(HERE / "emit.py")], os.environ | {"LOEWNER_QUIET": "1"}
+    done = subprocess.run(command, env=quiet, capture_output=True, text=True, check=False)
     if done.returncode:
+        failed = "expected a Numba with which the kernels can be built, found another or none"
         raise BuildError(f"{failed}:\n{done.stderr.strip()[-4000:]}")
 
 
@@ -337,9 +329,8 @@ def compile_extension(to: Path, flags: tuple[str, ...] = RELEASE) -> None:
     if not headers.exists():
         raise BuildError(f"expected the headers of Python, found no {headers}; install them (python3-dev)")
     included = [f"-I{headers.parent}", f"-I{numpy.get_include()}"]
-    python = (
-        ["-undefined", "dynamic_lookup"] if MAC else [f"-L{Path(sys.base_prefix, 'libs')}"] if WINDOWS else ["-ldl"]
-    )
+    elsewhere = [f"-L{Path(sys.base_prefix, 'libs')}"] if WINDOWS else ["-ldl"]
+    python = ["-undefined", "dynamic_lookup"] if MAC else elsewhere
     compile_c([*(HERE / name for name in EXTENSION), written_header(to.parent), *included, *python], to, flags)
 
 
@@ -409,15 +400,10 @@ def go_on_in_background(lock: int | None, log: Path) -> None:
     """Run this command again in a process that stays, and hand the lock on to it."""
     log.parent.mkdir(parents=True, exist_ok=True)
     command = [sys.executable, *sys.argv, *([] if lock is None else ["--lock", str(lock)])]
+    kept = () if lock is None else (lock,)
     with log.open("wb") as said:
-        subprocess.Popen(
-            command,
-            stdin=subprocess.DEVNULL,
-            stdout=said,
-            stderr=said,
-            pass_fds=() if lock is None else (lock,),
-            start_new_session=True,
-        )
+        streams: Any = {"stdin": subprocess.DEVNULL, "stdout": said, "stderr": said}
+        subprocess.Popen(command, **streams, pass_fds=kept, start_new_session=True)
     print(f"native library: being built in the background; {log} has its progress", file=sys.stderr, flush=True)
 
 

@@ -204,7 +204,7 @@ def test_no_claim_about_a_configuration_is_wrong(device, rng):
     checker = CollisionChecker(robot, robot_samples.obstacles(4))
     Q = robot.random_configurations(30_000, seed=2)
     ready, there = checker._ready(), device.upload(Q.astype(np.float32))
-    verdicts, left = gpu.Checker(checker)._asked(device, ready, there.address, len(Q))
+    verdicts, left = gpu.Checker(checker)._asked(ready, device, len(Q), there.address)
     said = np.empty(len(Q), dtype=np.int8)
     device.download(verdicts.address, said)
     assert ((said == Verdict.AMBIGUOUS) == np.isin(np.arange(len(Q)), left)).all()

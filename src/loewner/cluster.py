@@ -31,7 +31,7 @@ from loewner._base._plausible import told_to
 from loewner._base._threads import at_most
 from loewner._base._validate import Bools, Floats, Progress
 from loewner.bodies import Body
-from loewner.errors import FileError, GeometryError, InputError, LoewnerError, MissingExtraError, installing
+from loewner.errors import FileError, GeometryError, InputError, LoewnerError, imported
 from loewner.meshes import files as mesh_files
 from loewner.robots import CollisionChecker
 
@@ -51,6 +51,12 @@ LARGEST_RECORD = 2**16
 
 # Such a file may refer to other files for its mesh, so its own bytes do not identify the mesh.
 LINKING = (".gltf", ".glb")
+
+# Types of options in a record.
+PLAIN: dict[str, Callable[[Any], Any]] = {
+    "decompose": bool, "tol": float, "scale": lambda scale: np.asarray(scale, dtype=np.float64).tolist(), "cover": bool,
+    "tolerance": float, "threshold": float, "max_pieces": int, "seed": int,
+}  # fmt: skip
 
 HOW_TO_START = "start one by `dask scheduler`, and its workers by `dask worker ADDRESS --nworkers auto`"
 
@@ -179,7 +185,10 @@ def fit(
     >>> Body.load("bodies/box2.npz")
     Body(polytope, 8 vertices)
     """
-    options = _checked_options(decompose, tol, scale, cover, tolerance, threshold, max_pieces, seed)
+    options = _checked_options({
+        "decompose": decompose, "tol": tol, "scale": scale, "cover": cover, "tolerance": tolerance,
+        "threshold": threshold, "max_pieces": max_pieces, "seed": seed,
+    })  # fmt: skip
     targets = _targets(paths, _validate.path(out, "out", wanted="a folder"), root)
     _validate.callback(progress, "progress")
     with _connected(client) as connected:
@@ -189,9 +198,7 @@ def fit(
     return _told(targets, outcomes)
 
 
-def _checked_options(
-    decompose: Any, tol: Any, scale: Any, cover: Any, tolerance: Any, threshold: Any, max_pieces: Any, seed: Any
-) -> dict[str, Any]:
+def _checked_options(options: dict[str, Any]) -> dict[str, Any]:
     """Check options of `Body.from_mesh`, and convert them to plain numbers for a record.
 
     Raises
@@ -200,22 +207,9 @@ def _checked_options(
         If `Body.from_mesh` would refuse an option. The options are tried once on a tiny body, so that a bad option is
         reported once and not for each file.
     """
-    options = {
-        "decompose": decompose, "tol": tol, "scale": scale, "cover": cover, "tolerance": tolerance,
-        "threshold": threshold, "max_pieces": max_pieces, "seed": seed,
-    }  # fmt: skip
     with told_to([]), suppress(GeometryError):  # the scale may suit meshes and not the tiny body
         Body.from_mesh(TETRAHEDRON, **options)
-    return {
-        "decompose": bool(decompose),
-        "tol": float(tol),
-        "scale": np.asarray(scale, dtype=np.float64).tolist(),
-        "cover": bool(cover),
-        "tolerance": None if tolerance is None else float(tolerance),
-        "threshold": float(threshold),
-        "max_pieces": None if max_pieces is None else int(max_pieces),
-        "seed": int(seed),
-    }
+    return {name: None if value is None else PLAIN[name](value) for name, value in options.items()}
 
 
 def _targets(paths: Any, out: Path, root: Any) -> dict[Path, Path]:
@@ -355,20 +349,13 @@ def _request(
     report: Callable[[Path, Outcome], None],
 ) -> None:
     """Request meshes and report their outcomes, except cancelled ones; if the wait ends early, so does the work."""
-    futures = client.map(
-        _fit_one,
-        [str(_absolute(mesh)) for mesh in targets],
-        [str(_absolute(target)) for target in targets.values()],
-        options=options,
-        run=run,
-        pure=False,
-        batch_size=AT_A_TIME,
-    )
+    meshes, bodies = ([str(_absolute(path)) for path in some] for some in (targets, targets.values()))
+    futures = client.map(_fit_one, meshes, bodies, options=options, run=run, pure=False, batch_size=AT_A_TIME)
     # A worker keeps an outcome as long as a reference to it exists; if the worker dies, the outcome is computed again.
     waiting = dict(zip(futures, targets, strict=True))
     del futures
     try:
-        for future in _distributed().as_completed(waiting, loop=client.loop):
+        for future in _dask("distributed").as_completed(waiting, loop=client.loop):
             mesh = waiting.pop(future)
             outcome = _outcome(future, mesh)
             future.release()
@@ -384,7 +371,7 @@ def _outcome(future: Any, mesh: Path) -> Outcome | None:
     """Return a worker's result or error; None if the work was cancelled or the scheduler cannot be reached."""
     try:
         outcome: Outcome = future.result()  # the outcome of a worker that has died is computed again, and waited for
-    except _distributed().KilledWorker:
+    except _dask("distributed").KilledWorker:
         return Outcome(
             "failed", f"{shown(mesh)}: the workers that fitted it died, one by one; it may take too much memory"
         )
@@ -433,7 +420,7 @@ def _connected(client: Any) -> Iterator[Any]:
     InputError
         If the argument is neither an open client nor the address of a scheduler.
     """
-    distributed = _distributed()
+    distributed = _dask("distributed")
     if isinstance(client, str):
         try:
             distributed.comm.resolve_address(client)  # not an address, which would leave a client half initialised
@@ -584,32 +571,24 @@ def _by_chunks(
     task: Callable[..., Any], dtype: Any, checker: CollisionChecker, arrays: dict[str, Any], **more: Any
 ) -> Any:
     """Apply a task to each chunk; the last axis of a chunk holds the entries of a configuration."""
-    da, delayed = _dask_array()
+    da, delayed = _dask("dask.array"), _dask("dask").delayed
     if not isinstance(checker, CollisionChecker):
         raise InputError(f"checker: expected loewner.CollisionChecker, found {_validate.short(checker)}")
     for name, Q in arrays.items():
         _check_array(da, Q, name, checker.robot.dof)
     (first, *others) = arrays.values()
     if any(Q.shape != first.shape for Q in others):
-        raise InputError(
-            f"expected Q0 and Q1 of one shape, found {' and '.join(str(Q.shape) for Q in arrays.values())}"
-        )
+        found = " and ".join(str(Q.shape) for Q in arrays.values())
+        raise InputError(f"expected Q0 and Q1 of one shape, found {found}")
     first = first.rechunk({-1: -1})
     # The checker is sent as bytes, a copy of its current state that is named by its checksum. The task that unpacks
     # them is sent once, and its result to each worker that has a chunk; a checker among a task's arguments would be
     # sent with each task.
     packed = pickle.dumps(checker, protocol=pickle.HIGHEST_PROTOCOL)
     there = delayed(pickle.loads)(packed, dask_key_name=f"loewner-checker-{_checksum(packed)[:32]}")
-    return da.map_blocks(
-        task,
-        first,
-        *(Q.rechunk(first.chunks) for Q in others),
-        checker=there,
-        **more,
-        dtype=dtype,
-        drop_axis=first.ndim - 1,
-        meta=np.empty((0,) * (first.ndim - 1), dtype=dtype),
-    )
+    chunked, axes = [first, *(Q.rechunk(first.chunks) for Q in others)], first.ndim - 1
+    meta = np.empty((0,) * axes, dtype=dtype)
+    return da.map_blocks(task, *chunked, checker=there, **more, dtype=dtype, drop_axis=axes, meta=meta)
 
 
 def _check_array(da: Any, Q: Any, name: str, dof: int) -> None:
@@ -639,25 +618,5 @@ def _verdicts(Q0: Floats, Q1: Floats, checker: CollisionChecker, tolerance: floa
         return np.asarray(checker.certify_edges(Q0, Q1, tolerance=tolerance).verdict, dtype=np.int8)
 
 
-# -- Dask -----------------------------------------------------------------------------------------
-
-
-def _distributed() -> Any:
-    try:
-        import distributed
-    except ImportError:
-        raise _missing() from None
-    return distributed
-
-
-def _dask_array() -> tuple[Any, Any]:
-    try:
-        import dask
-        import dask.array
-    except ImportError:
-        raise _missing() from None
-    return dask.array, dask.delayed
-
-
-def _missing() -> MissingExtraError:
-    return MissingExtraError(f"work on a cluster needs Dask: {installing('cluster')}")
+def _dask(module: str) -> Any:
+    return imported(module, "work on a cluster needs Dask", "cluster")

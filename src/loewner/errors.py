@@ -3,6 +3,7 @@
 Each error also derives from the matching built-in exception, so that ``except ValueError`` works without this module.
 """
 
+from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -210,6 +211,14 @@ class MissingExtraError(LoewnerError, ImportError):
         ...
     loewner.errors.MissingExtraError: decomposing meshes needs coacd: pip install "loewner[meshes]"
     """
+
+
+def imported(module: str, purpose: str, extra: str) -> Any:
+    """Import a module of an optional package; `MissingExtraError` states its purpose and how to install it."""
+    try:
+        return import_module(module)
+    except ImportError:
+        raise MissingExtraError(f"{purpose}: {installing(extra)}") from None
 
 
 def installing(extra: str) -> str:

@@ -7,12 +7,13 @@ name, ``import loewner.jax``: ``from loewner import jax`` would hide JAX's own n
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from loewner._base import _validate
-from loewner.errors import InputError, MissingExtraError, installing
+from loewner.errors import InputError, imported
 from loewner.robots import CollisionChecker
 from loewner.robots import gradients as _gradients
 from loewner.robots.gradients import Measure
@@ -137,12 +138,7 @@ def _differentiable(measure: Measure) -> Callable[[Any], Any]:
     def twice(primals: Any, tangents: Any) -> Any:
         raise measure.no_second_derivatives()
 
-    def function(Q: Any) -> Any:
-        return values(_checked(Q, measure))
-
-    function.__name__ = function.__qualname__ = measure.name
-    function.__doc__ = f"The {measure.name} of configurations Q, shape (..., dof), in metres, shape (...)."
-    return function
+    return measure.named(lambda Q: values(_checked(Q, measure)))
 
 
 def _checked(Q: Any, measure: Measure) -> Any:
@@ -177,9 +173,4 @@ def _called(measure: Measure, Q: Any, gradient: bool) -> Any:
     return jax.pure_callback(call, results, Q, vmap_method="expand_dims")
 
 
-def _jax() -> Any:
-    try:
-        import jax
-    except ImportError:
-        raise MissingExtraError(f"functions for JAX need JAX: {installing('jax')}") from None
-    return jax
+_jax = partial(imported, "jax", "functions for JAX need JAX", "jax")

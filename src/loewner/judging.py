@@ -442,14 +442,14 @@ def _judged(pairs: _Pairs, said: dict[str, Floats], allowed: float) -> Judgement
     way = np.where(value < 0.0, 3.0 * slack - value, 0.0)
     apart = (value < 0.0) & pairs.moved(way[..., None] * normal).verdicts()[0]
     lower = np.where(apart, np.maximum(lower, -way - pairs.rounding()), lower)
-
-    court = _Court.of(value.shape, allowed)
-    _fill(court, pairs, said, lower, upper)
+    court = _filled(pairs, said, lower, upper, allowed)
     return Judgement(court.kinds, court.excess, lower, upper, tuple(_conventions(court, pairs, said, lower, upper)))
 
 
-def _fill(court: _Court, pairs: _Pairs, said: dict[str, Floats], lower: Floats, upper: Floats) -> None:
+def _filled(pairs: _Pairs, said: dict[str, Floats], lower: Floats, upper: Floats, allowed: float) -> _Court:
     """Judge the parts of answers that are given."""
+    shape = (*lower.shape, len(PARTS))
+    court = _Court(np.zeros(shape, dtype=np.int8), np.zeros(shape), allowed)
     if "colliding" in said:
         yes = said["colliding"] == 1.0
         court.judge(
@@ -464,6 +464,7 @@ def _fill(court: _Court, pairs: _Pairs, said: dict[str, Floats], lower: Floats, 
         _judge_witnesses(court, said, pairs.kinds()[0] | (lower > 0.0), upper)
     if "normal" in said:
         _judge_normal(court, pairs, said["normal"], lower, upper)
+    return court
 
 
 def _conventions(
@@ -475,23 +476,16 @@ def _conventions(
         kinds, excess, right, spoilt = court.kinds[..., at], court.excess[..., at], 0, 0
         wrong = kinds > Finding.UNDECIDED
         if wrong.any() and wrong.sum() >= TRIED * (kinds != Finding.NOT_GIVEN).sum():
-            other = _reread(pairs, answers, lower, upper, court.allowed)
+            other = _filled(pairs, answers, lower, upper, court.allowed)
             explained = wrong & (other.excess[..., at] <= LEFT * excess)
             if is_unit:
                 half = {name: x / 2 for name, x in answers.items()}
-                halved = _reread(pairs, half, lower, upper, court.allowed).excess[..., at]
+                halved = _filled(pairs, half, lower, upper, court.allowed).excess[..., at]
                 explained &= halved > HALVED * other.excess[..., at]
             right = int(explained.sum())
             spoilt = int(((kinds == Finding.OK) & (other.kinds[..., at] > Finding.UNDECIDED)).sum())
         if wrong.any():
             yield Convention(about, reading, int(wrong.sum()), right, spoilt)
-
-
-def _reread(pairs: _Pairs, answers: dict[str, Floats], lower: Floats, upper: Floats, allowed: float) -> _Court:
-    """Judge answers as they are in another convention."""
-    court = _Court.of(lower.shape, allowed)
-    _fill(court, pairs, answers, lower, upper)
-    return court
 
 
 def _readings(pairs: _Pairs, said: dict[str, Floats]) -> Iterator[tuple[str, str, dict[str, Floats], bool]]:
@@ -523,11 +517,6 @@ class _Court:
     excess: Floats
     allowed: float
 
-    @classmethod
-    def of(cls, shape: tuple[int, ...], allowed: float) -> _Court:
-        """Make an empty table for answers of a shape."""
-        return cls(np.zeros((*shape, len(PARTS)), dtype=np.int8), np.zeros((*shape, len(PARTS))), allowed)
-
     def judge(self, part: str, given: Bools, least: Floats, most: Floats, wrong: Any) -> None:
         """Judge errors that are proven to be at least `least` and at most `most`."""
         at = PARTS.index(part)
@@ -541,11 +530,7 @@ def _judge_lengths(court: _Court, said: dict[str, Floats], lower: Floats, upper:
     """Judge distances and depths by the interval of the signed distance."""
     near, far = np.maximum(lower, 0.0), np.maximum(upper, 0.0)
     shallow, deep = np.maximum(-upper, 0.0), np.maximum(-lower, 0.0)
-    claims = []
-    if "distance" in said:
-        claims.append(("distance", said["distance"]))
-    if "depth" in said:
-        claims.append(("depth", -said["depth"]))
+    claims = [(part, -said[part] if part == "depth" else said[part]) for part in ("distance", "depth") if part in said]
     for part, claim in claims:
         as_depth = (part == "depth") | ((claim < 0.0) & (lower <= 0.0))
         length = np.where(as_depth, -claim, claim)

@@ -8,6 +8,7 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,7 @@ from loewner._base._proportions import wilson
 from loewner._base._validate import Bools, Floats
 from loewner.bodies import Body, packed_of
 from loewner.bodies.triangulated import of_pieces
-from loewner.errors import FileError, InputError, MissingExtraError, installing
+from loewner.errors import FileError, InputError, imported
 from loewner.meshes.triangles import halved, longest_edges
 from loewner.queries.pairs import Verdict, classify, collide, distance
 from loewner.robots import ClosestApproach, CollisionChecker, Robot, Settled
@@ -306,15 +307,18 @@ def _inside(points: Floats, model: Body | None) -> Bools:
 
 def _draw_outlines(ax: Any, body: Body, T: Floats) -> None:
     """Draw spheres and ellipsoids as circles, and other pieces as their triangles."""
-    from mpl_toolkits.mplot3d.art3d import Line3DCollection
-
     moved = body.outer.transformed(T)
     for k, (piece, (vertices, corners)) in enumerate(zip(body.pieces, of_pieces(packed_of(body)), strict=True)):
         if piece.kind in ("sphere", "ellipsoid"):
-            lines = moved.center[k] + _WIRES @ moved.factor[k].T
-            ax.add_collection3d(Line3DCollection(lines, colors=COLOURS[0], linewidths=0.3, alpha=0.5))
+            _add_wires(ax, moved.center[k], moved.factor[k], colors=COLOURS[0], linewidths=0.3, alpha=0.5)
         else:
             _add_triangles(ax, (vertices @ T[:3, :3].T + T[:3, 3])[corners], COLOURS[0], 0.1)
+
+
+def _add_wires(ax: Any, center: Floats, factor: Floats, **look: Any) -> None:
+    from mpl_toolkits.mplot3d.art3d import Line3DCollection
+
+    ax.add_collection3d(Line3DCollection(center + _WIRES @ factor.T, **look))
 
 
 def _add_triangles(ax: Any, corners: Floats, colour: str, alpha: float) -> None:
@@ -647,22 +651,19 @@ def save(figure: Any, path: str | os.PathLike[str]) -> Path:
     return target
 
 
-def _axes(given: Any) -> Any:
-    """Return the given 3-D axes, or new ones."""
+def _axes(given: Any, projection: str = "3d") -> Any:
+    """Return the given axes, or new ones, in space or in the plane ("rectilinear")."""
+    height, method, where = (6, "add_collection3d", "space") if projection == "3d" else (4, "barh", "the plane")
     if given is None:
-        return _figure(6, 6).add_subplot(projection="3d")
-    if getattr(given, "name", None) != "3d" or not hasattr(given, "add_collection3d"):
-        raise InputError(f"ax: expected matplotlib axes in space, found {_validate.short(given)}")
+        # Without pyplot, which would keep every figure alive and choose a window system.
+        figures = imported("matplotlib.figure", "figures need matplotlib", "plots")
+        return figures.Figure(figsize=(6, height)).add_subplot(projection=projection)
+    if getattr(given, "name", None) != projection or not hasattr(given, method):
+        raise InputError(f"ax: expected matplotlib axes in {where}, found {_validate.short(given)}")
     return given
 
 
-def _flat_axes(given: Any) -> Any:
-    """Return the given 2-D axes, or new ones."""
-    if given is None:
-        return _figure(6, 4).add_subplot()
-    if getattr(given, "name", None) != "rectilinear" or not hasattr(given, "barh"):
-        raise InputError(f"ax: expected matplotlib axes in the plane, found {_validate.short(given)}")
-    return given
+_flat_axes = partial(_axes, projection="rectilinear")
 
 
 def _colour(x: Any) -> Any:
@@ -680,15 +681,6 @@ def _colour(x: Any) -> Any:
 def _expect_text(x: Any, name: str) -> None:
     if not isinstance(x, str):
         raise InputError(f"{name}: expected text, found {_validate.short(x)}")
-
-
-def _figure(width: float, height: float) -> Any:
-    try:
-        from matplotlib.figure import Figure
-    except ImportError:
-        raise MissingExtraError(f"figures need matplotlib: {installing('plots')}") from None
-    # Without pyplot, which would keep every figure alive and choose a window system.
-    return Figure(figsize=(width, height))
 
 
 def _named(x: Any, name: str) -> Mapping[Any, Any]:
@@ -737,8 +729,6 @@ def _counted(x: Any, name: str) -> tuple[int, int]:
 
 
 def _draw(ax: Any, body: Body, T: Floats, colour: str, ellipsoids: bool) -> None:
-    from mpl_toolkits.mplot3d.art3d import Line3DCollection
-
     for piece in body.pieces:
         if piece.vertices is not None and piece.triangles is not None:
             _add_triangles(ax, (piece.vertices @ T[:3, :3].T + T[:3, 3])[piece.triangles], colour, 0.55)
@@ -746,9 +736,8 @@ def _draw(ax: Any, body: Body, T: Floats, colour: str, ellipsoids: bool) -> None
         for fitted, line, width in ((body.outer, OUTER, 0.4), (body.inner, INNER, 0.6)):
             moved = fitted.transformed(T)
             for center, factor in zip(moved.center, moved.factor, strict=True):
-                if not factor.any():  # a point: a surface has no inside
-                    continue
-                ax.add_collection3d(Line3DCollection(center + _WIRES @ factor.T, colors=line, linewidths=width))
+                if factor.any():  # otherwise a point: a surface has no inside
+                    _add_wires(ax, center, factor, colors=line, linewidths=width)
 
 
 def _legend(ax: Any, entries: list[tuple[str, str]]) -> None:
@@ -780,15 +769,8 @@ def _corners(body: Body, T: Floats) -> Floats:
 def _frame(ax: Any, corners: Floats) -> None:
     """Fit the axes to all corners, with the same scale along all axes."""
     middle, half = (corners.max(axis=0) + corners.min(axis=0)) / 2, np.ptp(corners, axis=0).max() / 2
-    ax.set(
-        xlim=(middle[0] - half, middle[0] + half),
-        ylim=(middle[1] - half, middle[1] + half),
-        zlim=(middle[2] - half, middle[2] + half),
-        xlabel="x, m",
-        ylabel="y, m",
-        zlabel="z, m",
-    )
+    for name, center in zip("xyz", middle, strict=True):
+        ax.set(**{f"{name}lim": (center - half, center + half), f"{name}label": f"{name}, m"})
+        getattr(ax, f"{name}axis").labelpad = 12  # clear of the tick labels
     ax.set_box_aspect((1, 1, 1))
     ax.locator_params(nbins=3)
-    for axis in (ax.xaxis, ax.yaxis, ax.zaxis):
-        axis.labelpad = 12  # clear of the tick labels

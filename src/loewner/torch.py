@@ -7,13 +7,13 @@ full name, ``import loewner.torch``: ``from loewner import torch`` would hide Py
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cache
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
 
 from loewner._base import _validate
-from loewner.errors import InputError, MissingExtraError, installing
+from loewner.errors import InputError, imported
 from loewner.robots import CollisionChecker
 from loewner.robots import gradients as _gradients
 from loewner.robots.gradients import Measure
@@ -119,9 +119,7 @@ def _differentiable(measure: Measure) -> Callable[[Any], Any]:
         _expect_configurations(Q, measure)
         return asked.apply(Q, measure, _is_differentiated(Q))[0]
 
-    function.__name__ = function.__qualname__ = measure.name
-    function.__doc__ = f"The {measure.name} of configurations Q, shape (..., dof), in metres, shape (...)."
-    return function
+    return measure.named(function)
 
 
 def _expect_configurations(Q: Any, measure: Measure) -> None:
@@ -214,9 +212,4 @@ def _functions() -> tuple[Any, Any]:
     return Asked, Times
 
 
-def _torch() -> Any:
-    try:
-        import torch
-    except ImportError:
-        raise MissingExtraError(f"functions for PyTorch need PyTorch: {installing('torch')}") from None
-    return torch
+_torch = partial(imported, "torch", "functions for PyTorch need PyTorch", "torch")

@@ -15,8 +15,7 @@ from loewner._base import _validate
 from loewner._base._nodes import some
 from loewner._base._validate import Floats
 from loewner.cli import configurations, inputs, trajectories
-from loewner.cli.output import AMBIGUOUS, COLLIDING, FREE, OVERLAP, new_table, print_table, remove_older_proof
-from loewner.errors import FileError
+from loewner.cli.output import COLLIDING, OVERLAP, STATUS, new_table, print_table, remove_older_proof
 from loewner.planners import limit_use
 from loewner.planners.controller_points import START_TOLERANCE
 from loewner.robots import ClosestApproach
@@ -38,7 +37,6 @@ MARKS = {Verdict.FREE: ".", Verdict.AMBIGUOUS: "?", Verdict.COLLIDING: "#"}
 # How far outside its limits a value is reported: above the rounding of decimals in files.
 ROUNDED = 1e-9
 
-DRAWN = (".png", ".svg")
 WORST_FIRST = ("COLLIDING", "AMBIGUOUS", "FREE")
 
 EXAMPLES = """examples:
@@ -77,38 +75,32 @@ def add(commands: Any) -> None:
     """Add the command."""
     audit = inputs.command(commands, "audit", "collisions of a trajectory as a controller executes it", EXAMPLES)
     inputs.add_robot_options(audit)
-    audit.add_argument(
-        "trajectory", type=Path, metavar="FILE", help="points with times, or a path (.csv, .json, .yaml)"
-    )
-    audit.add_argument("--scene", type=Path, metavar="FILE", help="obstacles and attached bodies (.yaml)")
+    option = audit.add_argument
+    option("trajectory", type=Path, metavar="FILE", help="points with times, or a path (.csv, .json, .yaml)")
+    option("--scene", type=Path, metavar="FILE", help="obstacles and attached bodies (.yaml)")
     trajectories.add_options(audit)
-    audit.add_argument(
+    option(
         "--joint-error", type=float, default=0.0, metavar="E", help="largest deviation of every value [rad or m] (0)"
     )
-    audit.add_argument(
-        "--limits", type=Path, metavar="FILE", help="limits of joints, which replace the URDF's (joint_limits.yaml)"
-    )
-    audit.add_argument(
+    option("--limits", type=Path, metavar="FILE", help="limits of joints, which replace the URDF's (joint_limits.yaml)")
+    option(
         "--overlap", type=float, default=OVERLAP, metavar="M",
         help="deepest overlap of contacts that leave: and reach: allow, in metres (default %(default)s)",
     )  # fmt: skip
-    audit.add_argument(
+    option(
         "--from",
         dest="present",
         metavar="Q",
         help="the robot's present state, as a state, a file or numbers: also prove the straight way to the first point",
     )
-    audit.add_argument(
-        "-o", "--out", type=Path, metavar="FILE", help="draw distances along the trajectory (.png or .svg)"
-    )
-    audit.add_argument("--proof", type=Path, metavar="FILE", help="if it is free: write a proof, for loewner verify")
-    audit.add_argument("--json", action="store_true", help="print JSON")
+    option("-o", "--out", type=Path, metavar="FILE", help="draw distances along the trajectory (.png or .svg)")
+    option("--proof", type=Path, metavar="FILE", help="if it is free: write a proof, for loewner verify")
+    option("--json", action="store_true", help="print JSON")
     audit.set_defaults(run=_run)
 
 
 def _run(options: argparse.Namespace) -> int:
-    if options.out is not None and options.out.suffix.lower() not in DRAWN:
-        raise FileError(f"--out: expected a .png or .svg file, found {options.out}")
+    inputs.expect_suffix(options.out, "--out", inputs.DRAWN)
     remove_older_proof(options.proof)
     scene = loewner.Scene() if options.scene is None else loewner.load_scene(options.scene)
     robot = inputs.robot(options)
@@ -116,9 +108,7 @@ def _run(options: argparse.Namespace) -> int:
     inputs.refuse_no_pairs(checker, options.urdf)
     limits = None if options.limits is None else planners.JointLimits.load(options.limits, robot)
     overlap = _validate.positive_scalar(options.overlap, "--overlap", zero=True)
-    present = None
-    if options.present is not None:
-        present = robot.checked_one(configurations.given(options.present, "--from", options, robot, None), "--from")
+    present = configurations.one(options.present, "--from", options, robot)
     parts, carrying = trajectories.read(options.trajectory, options, scene, robot, present)
     answers = []
     for number, given in enumerate(parts):
@@ -149,16 +139,16 @@ def _run(options: argparse.Namespace) -> int:
     if worst == "FREE" and any(answer["deep"] for answer in answers):
         return COLLIDING
     exceeded = any(a["exceeded"] or (a["before"] and a["before"]["too_fast"]) for a in answers)
-    return {"FREE": BEYOND if exceeded else FREE, "COLLIDING": COLLIDING, "AMBIGUOUS": AMBIGUOUS}[worst]
+    return BEYOND if exceeded and worst == "FREE" else STATUS[worst]
 
 
 def _way_to(
-    checker: loewner.CollisionChecker, part: planners.ControllerPoints | Floats, present: Floats, joint_error: float
+    checker: loewner.CollisionChecker, part: trajectories.Part, present: Floats, joint_error: float
 ) -> dict[str, Any]:
     """Prove the straight way from the present state to the first point of a part, within the time that it has."""
     robot, first = checker.robot, trajectories.end(checker.robot, part, 0)
-    begin = part.start_time if isinstance(part, planners.ControllerPoints) else 0.0
-    due = float(part.times[0]) if isinstance(part, planners.ControllerPoints) else 0.0
+    timed = isinstance(part, planners.ControllerPoints)
+    begin, due = (part.start_time, float(part.times[0])) if isinstance(part, planners.ControllerPoints) else (0.0, 0.0)
     t0, t1 = (begin, begin + due) if checker.scene.following else (None, None)
     found = checker.certify_edges(present, first, joint_error=joint_error, t0=t0, t1=t1)
     off = np.abs(first - present)
@@ -168,7 +158,7 @@ def _way_to(
         text += f": {' and '.join(found.names)} at the fraction {found.fraction:.4g}"
     if off[most] <= START_TOLERANCE:
         text += f"; the robot is within {off[most]:.3g} of the point"
-    elif isinstance(part, planners.ControllerPoints) and due == 0:
+    elif timed and due == 0:
         text += (
             f"; but the point is due at once, and {robot.configuration_names[most]} is off by {off[most]:.6g}, so most "
             "controllers refuse to start"
@@ -190,7 +180,7 @@ def _numbered(file: Path | None, number: int, count: int) -> Path | None:
 
 def _answer(
     checker: loewner.CollisionChecker,
-    given: planners.ControllerPoints | Floats,
+    given: trajectories.Part,
     options: argparse.Namespace,
     limits: planners.JointLimits | None,
     written: Path | None,
@@ -273,7 +263,7 @@ def _nearest(near: ClosestApproach, k: int) -> dict[str, Any]:
     return _for_json(numbers)
 
 
-def _told_by_a_message(given: planners.ControllerPoints | Floats) -> dict[str, Any]:
+def _told_by_a_message(given: trajectories.Part) -> dict[str, Any]:
     """Return the other contents of a message, and the time of its first point."""
     if not isinstance(given, planners.ControllerPoints):
         return {}

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import argparse
-import json
 from pathlib import Path
 from typing import Any
 
 import loewner
+from loewner import Body, Distance, Verdict
 from loewner.cli import inputs
-from loewner.cli.output import AMBIGUOUS, COLLIDING, FREE, covering_text, is_surface, model_text
+from loewner.cli.output import STATUS, covering_text, is_surface, model_text, print_answer
 
 # Share of the mesh's volume by which pieces may exceed it without a note.
 WORTH_TELLING = 0.01
@@ -44,26 +44,19 @@ def add(commands: Any) -> None:
 def _run(options: argparse.Namespace) -> int:
     Ta, Tb = inputs.pose(options.pose_a, "--pose-a"), inputs.pose(options.pose_b, "--pose-b")
     a, b = inputs.bodies((options.a, options.b), options)
-    certified = loewner.Verdict(int(loewner.classify(a, Ta, b, Tb, margin=options.margin)))
+    certified = Verdict(int(loewner.classify(a, Ta, b, Tb, margin=options.margin)))
     found = loewner.distance(a, Ta, b, Tb, exact=options.method == "exact")
     verdict = certified
-    if options.method != "certified" and certified == loewner.Verdict.AMBIGUOUS:
+    if options.method != "certified" and certified == Verdict.AMBIGUOUS:
         colliding = loewner.collide(a, Ta, b, Tb, method=options.method, margin=options.margin)
-        verdict = loewner.Verdict.COLLIDING if colliding else loewner.Verdict.FREE
-    if options.json:
-        print(json.dumps(_answer(options, a, b, certified, verdict, found), indent=2))
-    else:
-        _print_answer(options, a, b, certified, verdict, found)
-    return {"FREE": FREE, "COLLIDING": COLLIDING, "AMBIGUOUS": AMBIGUOUS}[verdict.name]
+        verdict = Verdict.COLLIDING if colliding else Verdict.FREE
+    settled = options, a, b, certified, verdict, found
+    print_answer(options, _answer(*settled), lambda: _print_answer(*settled))
+    return STATUS[verdict.name]
 
 
 def _answer(
-    options: argparse.Namespace,
-    a: Any,
-    b: Any,
-    certified: loewner.Verdict,
-    verdict: loewner.Verdict,
-    found: loewner.Distance,
+    options: argparse.Namespace, a: Body, b: Body, certified: Verdict, verdict: Verdict, found: Distance
 ) -> dict[str, Any]:
     answer: dict[str, Any] = {
         "verdict": verdict.name,
@@ -86,17 +79,12 @@ def _answer(
 
 
 def _print_answer(
-    options: argparse.Namespace,
-    a: Any,
-    b: Any,
-    certified: loewner.Verdict,
-    verdict: loewner.Verdict,
-    found: loewner.Distance,
+    options: argparse.Namespace, a: Body, b: Body, certified: Verdict, verdict: Verdict, found: Distance
 ) -> None:
     how = {"certified": "the ellipsoids cannot tell", "estimate": "estimated", "exact": "exact"}[options.method]
-    if certified == verdict != loewner.Verdict.AMBIGUOUS:
+    if certified == verdict != Verdict.AMBIGUOUS:
         how = "certified by the ellipsoids"
-    relation = {loewner.Verdict.FREE: "by more than", loewner.Verdict.COLLIDING: "or closer than"}
+    relation = {Verdict.FREE: "by more than", Verdict.COLLIDING: "or closer than"}
     keep = f" {relation.get(verdict, 'with a margin of')} {options.margin:g} m" if options.margin else ""
     print(f"{verdict.name}{keep}  ({how})")
     print(f"distance    {found.lower:z.6g} .. {found.upper:z.6g} m, from the ellipsoids")
@@ -105,7 +93,7 @@ def _print_answer(
         print(f"on A        {inputs.numbers(found.witness_a)}")
         print(f"on B        {inputs.numbers(found.witness_b)}")
         print(f"normal      {inputs.numbers(found.normal)}, from A to B")
-    if verdict == loewner.Verdict.AMBIGUOUS:
+    if verdict == Verdict.AMBIGUOUS:
         print("            --method exact decides it")
     for name, body in ((options.a, a), (options.b, b)):
         if is_surface(body):
@@ -115,7 +103,7 @@ def _print_answer(
             print(f"note: {name}: {covering_text(body.covering)}; the answer is about the pieces")
 
 
-def _kind_of_distance(a: Any, b: Any, distance: float) -> str:
+def _kind_of_distance(a: Body, b: Body, distance: float) -> str:
     """Describe an exact distance; for a depth, the description depends on the bodies."""
     if distance >= 0:
         return "exact"

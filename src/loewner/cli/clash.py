@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from itertools import combinations
 from pathlib import Path
@@ -17,13 +16,11 @@ from loewner._base._files import shown
 from loewner._base._rotations import quaternions_of
 from loewner._base._validate import Floats, Pair
 from loewner.cli import configurations, inputs
-from loewner.cli.output import AMBIGUOUS, COLLIDING, FREE, model_text, progress_bar, remove_older_proof
+from loewner.cli.output import STATUS, model_text, print_answer, progress_of, remove_older_proof
 from loewner.cli.pair_tables import print_pairs
-from loewner.errors import FileError, InputError
+from loewner.errors import InputError
 from loewner.queries.pose_paths import path_of
 from loewner.robots.description.pair_verdicts import PairVerdict, ProvenPair, ProvenPairs
-
-DRAWN = (".png", ".svg")
 
 # Options of robots only, and of two bodies only, by their names in the parser.
 OF_ROBOTS = (
@@ -66,59 +63,54 @@ def add(commands: Any) -> None:
     """Add the command."""
     clash = inputs.command(commands, "clash", "which parts of a mechanism can ever collide", EXAMPLES)
     inputs.add_robot_options(clash)
-    clash.add_argument("moving", nargs="?", type=Path, metavar="B", help="a body that moves past the first one")
+    option = clash.add_argument
+    option("moving", nargs="?", type=Path, metavar="B", help="a body that moves past the first one")
     end = clash.add_mutually_exclusive_group()
     end.add_argument("--to", metavar="POSE", help=f"pose of B at the end: {inputs.POSE_HELP}")
     end.add_argument(
         "--motion", type=Path, metavar="FILE",
         help="poses of B: a line for each, or a .npy file of shape (n, 4, 4)",
     )  # fmt: skip
-    clash.add_argument("--pose-a", metavar="POSE", help="pose of the first body, which is at rest (the origin)")
-    clash.add_argument("--pose-b", metavar="POSE", help="pose of B at the beginning (the origin)")
-    clash.add_argument("--scale", type=float, default=1.0, help="factor for all lengths of two meshes (1)")
-    clash.add_argument("--scene", type=Path, metavar="FILE", help="bodies at rest, and attached ones (.yaml)")
+    option("--pose-a", metavar="POSE", help="pose of the first body, which is at rest (the origin)")
+    option("--pose-b", metavar="POSE", help="pose of B at the beginning (the origin)")
+    option("--scale", type=float, default=1.0, help="factor for all lengths of two meshes (1)")
+    option("--scene", type=Path, metavar="FILE", help="bodies at rest, and attached ones (.yaml)")
     which = clash.add_mutually_exclusive_group()
     which.add_argument(
         "--between", nargs=2, metavar=("A", "B"), action="append", help="two links or bodies; repeatable"
     )
     which.add_argument("--exempt", action="store_true", help="the pairs that are exempt from checking")
     which.add_argument("--all", action="store_true", help="all pairs of links with bodies")
-    clash.add_argument("--margin", type=float, default=0.0, metavar="M", help="distance that counts as contact [m] (0)")
-    clash.add_argument(
+    option("--margin", type=float, default=0.0, metavar="M", help="distance that counts as contact [m] (0)")
+    option(
         "--limits", action="append", default=[], metavar="J=LO,HI",
         help="a range [rad or m] instead of the limits in the URDF; repeatable",
     )  # fmt: skip
-    clash.add_argument(
-        "--boxes", type=int, default=1_000_000, metavar="N", help="boxes of configurations to examine (%(default)s)"
-    )
-    clash.add_argument(
+    option("--boxes", type=int, default=1_000_000, metavar="N", help="boxes of configurations to examine (%(default)s)")
+    option(
         "--largest", action="append", metavar="J",
         help="the largest range of this joint about --at that is proven free; repeatable for a box of several",
     )  # fmt: skip
-    clash.add_argument("--at", metavar="Q", help="a configuration for --largest: a state, a file or numbers (zero)")
-    clash.add_argument(
+    option("--at", metavar="Q", help="a configuration for --largest: a state, a file or numbers (zero)")
+    option(
         "-o", "--out", type=Path, metavar="FILE", help="draw the deepest contact, or the nearest pair (.png or .svg)"
     )
-    clash.add_argument("--write-srdf", type=Path, metavar="FILE", help="add the pairs that are proven to this SRDF")
-    clash.add_argument(
-        "--narrower", action="store_true", help="with --write-srdf: also pairs proven for less than the hard limits"
-    )
-    clash.add_argument("--proof", type=Path, metavar="FILE", help="write a proof of all pairs, for loewner verify")
-    clash.add_argument("--json", action="store_true", help="print JSON")
+    option("--write-srdf", type=Path, metavar="FILE", help="add the pairs that are proven to this SRDF")
+    option("--narrower", action="store_true", help="with --write-srdf: also pairs proven for less than the hard limits")
+    option("--proof", type=Path, metavar="FILE", help="write a proof of all pairs, for loewner verify")
+    option("--json", action="store_true", help="print JSON")
     clash.set_defaults(run=_run, usual_model="surface", hull=False)
     clash.set_defaults(**dict.fromkeys((*inputs.OF_PIECES, *inputs.OF_SURFACES)))
-    clash.set_defaults(usual={name: clash.get_default(name) for name in (*OF_ROBOTS, *OF_BODIES)})
 
 
 def _run(options: argparse.Namespace) -> int:
     alone = options.moving is None
-    for name in OF_BODIES if alone else OF_ROBOTS:
-        if getattr(options, name) != options.usual[name]:
-            wanted = "two bodies with it, found one file" if alone else "a robot alone with it, found two files"
-            raise InputError(f"--{name.replace('_', '-')}: expected {wanted}")
-    if options.out is not None and options.out.suffix.lower() not in DRAWN:
-        raise FileError(f"--out: expected a .png or .svg file, found {options.out}")
-    if options.moving is not None:
+    if alone:
+        inputs.refuse(options, OF_BODIES, "{}: expected two bodies with it, found one file")
+    else:
+        inputs.refuse(options, OF_ROBOTS, "{}: expected a robot alone with it, found two files")
+    inputs.expect_suffix(options.out, "--out", inputs.DRAWN)
+    if not alone:
         return _run_motion(options)
     if options.at is not None and not options.largest:
         raise InputError("--at: expected --largest with it, found none")
@@ -131,29 +123,18 @@ def _run(options: argparse.Namespace) -> int:
     if len(limits) < len(options.limits):
         raise InputError("--limits: expected each joint once, found one again")
     pairs = _pairs(robot, scene, options)
+    given: Any = {"margin": options.margin, "limits": limits, "scene": scene, "boxes": options.boxes}
     if options.largest:
-        about = None
-        if options.at is not None:
-            about = robot.checked_one(configurations.given(options.at, "--at", options, robot, None), "--at")
-        ranges = robot.free_range(
-            options.largest, about, pairs=pairs, margin=options.margin, limits=limits, scene=scene,
-            boxes=options.boxes,
-        )  # fmt: skip
-        _print_ranges(ranges, options.json)
-        return FREE
-    with progress_bar() as progress:
-        task = progress.add_task("pairs", total=len(pairs))
-        found = robot.prove_pairs(
-            pairs, margin=options.margin, limits=limits, scene=scene, boxes=options.boxes,
-            progress=lambda done, total: progress.update(task, completed=done, total=total),
-            proof=options.proof is not None,
-        )  # fmt: skip
+        about = configurations.one(options.at, "--at", options, robot)
+        ranges = robot.free_range(options.largest, about, pairs=pairs, **given)
+        print_answer(options, {name: list(ends) for name, ends in ranges.items()}, lambda: _print_ranges(ranges))
+        return STATUS["FREE"]
+    with progress_of("pairs", len(pairs)) as progress:
+        found = robot.prove_pairs(pairs, progress=progress, proof=options.proof is not None, **given)
     if found.proof is not None:
         found.proof.save(options.proof)
-    if options.json:
-        print(json.dumps({"robot": found.robot, "pairs": [_entry(row, robot) for row in found]}, indent=2))
-    else:
-        print_pairs(found, robot)
+    answer = {"robot": found.robot, "pairs": [_entry(row, robot) for row in found]}
+    print_answer(options, answer, lambda: print_pairs(found, robot))
     if options.out is not None:
         _draw(found, robot, scene, options.out)
     if options.write_srdf is not None:
@@ -161,8 +142,8 @@ def _run(options: argparse.Namespace) -> int:
         print(f"{shown(options.write_srdf)}: {len(written)} pairs added")
     verdicts = {row.verdict for row in found}
     if verdicts & {PairVerdict.ALWAYS, PairVerdict.SOMETIMES, PairVerdict.CAN}:
-        return COLLIDING
-    return AMBIGUOUS if PairVerdict.OPEN in verdicts else FREE
+        return STATUS["COLLIDING"]
+    return STATUS["AMBIGUOUS" if PairVerdict.OPEN in verdicts else "FREE"]
 
 
 def _run_motion(options: argparse.Namespace) -> int:
@@ -183,17 +164,14 @@ def _run_motion(options: argparse.Namespace) -> int:
         answer["distance"] = near.distance
         answer |= {name: np.asarray(getattr(near, name)).tolist() for name in ("witness_a", "witness_b", "normal")}
     answer |= {"a_model": model_text(a), "b_model": model_text(b)}
-    if options.json:
-        print(json.dumps(answer, indent=2))
-    else:
-        _print_contact(answer, options.urdf, options.moving)
+    print_answer(options, answer, lambda: _print_contact(answer, options.urdf, options.moving))
     if options.out is not None and at is not None:
         ax = plots.pair(a, Ta, b, answer["pose"])
         ax.set_title(f"{options.urdf.stem} and {options.moving.stem}: {verdict.name} at {at:.6g}")
         plots.save(ax.figure, options.out)
     elif options.out is not None:
         print(f"note: {shown(options.out)} is not written, since no contact is known", file=sys.stderr)
-    return {"FREE": FREE, "COLLIDING": COLLIDING, "AMBIGUOUS": AMBIGUOUS}[verdict.name]
+    return STATUS[verdict.name]
 
 
 def _motion(options: argparse.Namespace) -> Floats:
@@ -267,13 +245,12 @@ def _entry(row: ProvenPair, robot: loewner.Robot) -> dict[str, Any]:
     def named(q: Floats | None) -> dict[str, float] | None:
         return None if q is None else dict(zip(robot.configuration_names, q.tolist(), strict=True))
 
+    ends = zip(row.lower.tolist(), row.upper.tolist(), strict=True)
+    finite = [[end if np.isfinite(end) else None for end in pair] for pair in ends]
     return {
         "names": list(row.names),
         "verdict": str(row.verdict),
-        "range": {
-            name: [low if np.isfinite(low) else None, high if np.isfinite(high) else None]
-            for name, low, high in zip(row.columns, row.lower.tolist(), row.upper.tolist(), strict=True)
-        },
+        "range": dict(zip(row.columns, finite, strict=True)),
         "whole_range": row.complete,
         "margin": row.margin,
         "distance": None if np.isnan(row.distance) else row.distance,
@@ -286,10 +263,7 @@ def _entry(row: ProvenPair, robot: loewner.Robot) -> dict[str, Any]:
     }
 
 
-def _print_ranges(ranges: dict[str, tuple[float, float]], as_json: bool) -> None:
-    if as_json:
-        print(json.dumps({name: list(ends) for name, ends in ranges.items()}, indent=2))
-        return
+def _print_ranges(ranges: dict[str, tuple[float, float]]) -> None:
     for name, (low, high) in ranges.items():
         print(f"FREE       {name} from {low:.13g} to {high:.13g}")
 

@@ -8,7 +8,7 @@ from typing import Any
 
 from loewner._native import library
 from loewner.cli.compilation import PARTS, compile_kernels
-from loewner.cli.output import progress_bar
+from loewner.cli.output import progress_of
 
 
 def add(commands: Any) -> None:
@@ -23,11 +23,8 @@ def _run(options: argparse.Namespace) -> int:
         print(f"nothing to compile: the native library is in use ({level})")
         return 0
     if sys.stderr.isatty():
-        with progress_bar() as bar:
-            task = bar.add_task("compiling", total=None)
-            folder = compile_kernels(
-                options.only, progress=lambda done, total: bar.update(task, completed=done, total=total)
-            )
+        with progress_of("compiling") as progress:
+            folder = compile_kernels(options.only, progress=progress)
     else:  # a log if no bar is shown
         _log(f"compiling {', '.join(options.only)}; takes a few minutes")
         folder = compile_kernels(options.only, progress=lambda done, total: _log(f"{done} of {total} parts compiled"))

@@ -111,6 +111,11 @@ def given(text: str, name: str, options: argparse.Namespace, robot: loewner.Robo
     return robot.checked(numbers, name)
 
 
+def one(text: str | None, name: str, options: argparse.Namespace, robot: loewner.Robot) -> Floats | None:
+    """Read one configuration likewise, if there is a text."""
+    return None if text is None else robot.checked_one(given(text, name, options, robot, None), name)
+
+
 def rows_of(text: str) -> list[list[str]]:
     """Return the cells of a table, without empty rows."""
     return [[cell.strip() for cell in row] for row in csv.reader(text.splitlines()) if row]

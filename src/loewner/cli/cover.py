@@ -10,7 +10,7 @@ from typing import Any
 
 from loewner._base._files import shown
 from loewner.cli import cover_tables, inputs
-from loewner.cli.output import progress_bar
+from loewner.cli.output import progress_of
 from loewner.errors import InputError
 from loewner.robots.cover_files import FORMATS, OF_SPHERES, format_of
 from loewner.robots.covers import KINDS, exempt_pairs, new_contacts
@@ -50,7 +50,7 @@ def add(commands: Any) -> None:
 
 
 def _run(options: argparse.Namespace) -> int:
-    cover_tables.refuse_other_pictures(options.picture)
+    inputs.expect_suffix(options.picture, "--picture", inputs.DRAWN)
     chosen = format_of(options.out, options.format)
     if chosen in OF_SPHERES and options.kind != "spheres":
         raise InputError(f"--kind: expected spheres for {chosen}, which has nothing else, found {options.kind}")
@@ -59,15 +59,14 @@ def _run(options: argparse.Namespace) -> int:
     if not count:
         raise InputError(f"{options.urdf}: expected links with bodies, found none")
     seconds, last = [0.0] * count, time.perf_counter()
-    with progress_bar() as progress:
-        task = progress.add_task("links", total=count)
+    with progress_of("links", count) as progress:
 
         def report(done: int, total: int) -> None:
             nonlocal last
             now = time.perf_counter()
             seconds[(done - 1) % count] += now - last
             last = now
-            progress.update(task, completed=done, total=total)
+            progress(done, total)
 
         made = robot.cover(options.kind, n=options.number, protrusion=options.protrusion, progress=report)
     made.save_cover(options.out, options.format)

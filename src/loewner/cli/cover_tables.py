@@ -13,27 +13,16 @@ from loewner import plots
 from loewner.bodies import packed_of
 from loewner.bodies.triangulated import of_pieces
 from loewner.cli.inputs import numbers
-from loewner.cli.output import AMBIGUOUS, COLLIDING, FREE, new_table, print_table, progress_bar
-from loewner.errors import FileError
+from loewner.cli.output import AMBIGUOUS, COLLIDING, FREE, new_table, print_table, progress_of
 from loewner.meshes.coverage import CoverReport
 
-DRAWN = (".png", ".svg")
 STATUS = {"covered": FREE, "undecided": AMBIGUOUS, "uncovered": COLLIDING}
-
-
-def refuse_other_pictures(picture: Path | None) -> None:
-    """Refuse the name of a picture of another kind, before any work."""
-    if picture is not None and picture.suffix.lower() not in DRAWN:
-        raise FileError(f"--picture: expected a .png or .svg file, found {picture}")
 
 
 def judged(robot: loewner.Robot, model: loewner.Robot, tolerance: float | None = None) -> dict[str, CoverReport]:
     """Judge a model, and show a progress bar."""
-    with progress_bar() as progress:
-        task = progress.add_task("proofs", total=len(robot.bodies))
-        return robot.covered_by(
-            model, tolerance=tolerance, progress=lambda done, total: progress.update(task, completed=done, total=total)
-        )
+    with progress_of("proofs", len(robot.bodies)) as progress:
+        return robot.covered_by(model, tolerance=tolerance, progress=progress)
 
 
 def print_reports(
@@ -48,11 +37,11 @@ def print_reports(
     heads = ["link", "shapes", "outcome", "uncovered", "up to", *(["at, m"] if where else []), "sticks out", *more]
     table = new_table(*heads, title=f"{robot.name}: {len(robot.bodies)} links with bodies")
     for number, (link, report) in enumerate(reports.items()):
-        shapes = len(model.bodies[link].pieces) if link in model.bodies else 0
         witness = [] if not where else ["-" if report.witness is None else numbers(report.witness)]
         table.add_row(
-            link, str(shapes), report.outcome, _percent(report.uncovered_share), _millimetres(report.depth), *witness,
-            _millimetres(report.excess), *(column[number] for column in more.values()),
+            link, str(_shapes(model, link)), report.outcome, _percent(report.uncovered_share),
+            _millimetres(report.depth), *witness, _millimetres(report.excess),
+            *(column[number] for column in more.values()),
         )  # fmt: skip
     print_table(table)
     counts = {name: sum(report.outcome == name for report in reports.values()) for name in STATUS}
@@ -73,9 +62,8 @@ def print_reports(
 def _area(body: loewner.Body) -> float:
     """The area of the surfaces of all pieces."""
     corners = np.concatenate([vertices[triangles] for vertices, triangles in of_pieces(packed_of(body))])
-    return (
-        float(np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1).sum()) / 2
-    )
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    return float(np.linalg.norm(normals, axis=1).sum()) / 2
 
 
 def _percent(share: tuple[float, float]) -> str:
@@ -99,28 +87,28 @@ def _number(x: float, rounded: Callable[[float], float]) -> str:
     return f"{rounded(x / step) * step:.4g}"
 
 
-def entry(report: CoverReport, shapes: int) -> dict[str, Any]:
-    """A report in the form of JSON; infinite distances become null."""
+def entries(model: loewner.Robot, reports: Mapping[str, CoverReport]) -> dict[str, dict[str, Any]]:
+    """All reports in the form of JSON; infinite distances become null."""
 
     def ends(pair: tuple[float, float]) -> list[float | None]:
         return [end if np.isfinite(end) else None for end in pair]
 
     return {
-        "shapes": shapes,
-        "outcome": report.outcome,
-        "uncovered_share": ends(report.uncovered_share),
-        "depth": ends(report.depth),
-        "witness": None if report.witness is None else report.witness.tolist(),
-        "excess": ends(report.excess),
-    }
-
-
-def entries(model: loewner.Robot, reports: Mapping[str, CoverReport]) -> dict[str, dict[str, Any]]:
-    """All reports in the form of JSON."""
-    return {
-        link: entry(report, len(model.bodies[link].pieces) if link in model.bodies else 0)
+        link: {
+            "shapes": _shapes(model, link),
+            "outcome": report.outcome,
+            "uncovered_share": ends(report.uncovered_share),
+            "depth": ends(report.depth),
+            "witness": None if report.witness is None else report.witness.tolist(),
+            "excess": ends(report.excess),
+        }
         for link, report in reports.items()
     }
+
+
+def _shapes(model: loewner.Robot, link: str) -> int:
+    """How many shapes a model has for a link."""
+    return len(model.bodies[link].pieces) if link in model.bodies else 0
 
 
 def draw(robot: loewner.Robot, model: loewner.Robot, picture: Path | None) -> None:

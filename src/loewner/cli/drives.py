@@ -17,7 +17,7 @@ from loewner._base import _tables
 from loewner._base._files import replacing, shown
 from loewner._base._validate import Floats, finite_array, positive_scalar
 from loewner.cli import configurations, inputs
-from loewner.cli.output import FREE, NO_PATH, new_table, print_table, progress_bar, remove_older_proof
+from loewner.cli.output import FREE, NO_PATH, new_table, print_answer, print_table, progress_of, remove_older_proof
 from loewner.errors import InputError, PlanningError
 from loewner.planners.drives import base_columns
 from loewner.scenes import maps
@@ -38,12 +38,11 @@ OF_DRIVES = ("radius", "no_reverse", "map")
 
 def add_options(plan: argparse.ArgumentParser) -> None:
     """Add the options of drives to `loewner plan`."""
-    plan.add_argument(
-        "--base", choices=("differential", "car"), help="plan for a mobile base that cannot drive sideways"
-    )
-    plan.add_argument("--radius", type=float, metavar="R", help="with --base car: least radius of its turns in metres")
-    plan.add_argument("--no-reverse", action="store_true", help="with --base: do not drive backwards")
-    plan.add_argument(
+    option = plan.add_argument
+    option("--base", choices=("differential", "car"), help="plan for a mobile base that cannot drive sideways")
+    option("--radius", type=float, metavar="R", help="with --base car: least radius of its turns in metres")
+    option("--no-reverse", action="store_true", help="with --base: do not drive backwards")
+    option(
         "--map", nargs=2, metavar=("FILE", "H"), help="with --base: a map of ROS's map server, H metres high (.yaml)"
     )
 
@@ -68,8 +67,7 @@ def run(options: argparse.Namespace) -> int:
     inputs.refuse_no_pairs(checker, options.urdf)
     limits: dict[str, Any] = {} if options.max_iterations is None else {"max_iterations": options.max_iterations}
     try:
-        with progress_bar() as progress:
-            progress.add_task("searching", total=None)
+        with progress_of("searching"):
             drive = planners.plan(
                 checker, start, goal, base=options.base, radius=options.radius, reverse=not options.no_reverse,
                 joint_error=options.joint_error, timeout=options.timeout, simplify=not options.no_simplify,
@@ -83,10 +81,7 @@ def run(options: argparse.Namespace) -> int:
     if drive.proof is not None:
         drive.proof.save(options.proof)
     answer = _answer(checker, drive, options)
-    if options.json:
-        print(json.dumps(answer, indent=2))
-    else:
-        _print_answer(answer)
+    print_answer(options, answer, lambda: _print_answer(answer))
     return FREE
 
 

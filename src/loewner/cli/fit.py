@@ -21,7 +21,7 @@ from loewner._base._plausible import told_to
 from loewner._base._threads import MOST_THREADS
 from loewner._base._validate import Progress
 from loewner.cli import inputs, jobs
-from loewner.cli.output import ERROR, model_text, new_table, print_table, progress_bar
+from loewner.cli.output import ERROR, model_text, new_table, print_table, progress_bar, progress_of
 from loewner.ellipsoids.fits import DEFAULT_TOLERANCE
 from loewner.errors import GeometryError, InputError
 
@@ -47,16 +47,13 @@ MAKING = ("model", "hull", "usual_model", "scale", "tol", *inputs.OF_PIECES, *in
 def add(commands: Any) -> None:
     """Add the command."""
     fit = inputs.command(commands, "fit", "meshes to bodies, saved as .npz", EXAMPLES)
-    fit.add_argument(
-        "meshes", nargs="+", type=Path, metavar="MESH", help="STL, OBJ, PLY, OFF, GLB, glTF or DAE, in metres"
-    )
-    fit.add_argument("-o", "--out", type=Path, required=True, metavar="DIR", help="folder for the .npz files")
+    option = fit.add_argument
+    option("meshes", nargs="+", type=Path, metavar="MESH", help="STL, OBJ, PLY, OFF, GLB, glTF or DAE, in metres")
+    option("-o", "--out", type=Path, required=True, metavar="DIR", help="folder for the .npz files")
     inputs.add_mesh_options(fit, "pieces")
-    fit.add_argument("--tol", type=float, help="certified log-volume gap of the fits of pieces and hulls (1e-4)")
-    fit.add_argument(
-        "-j", "--jobs", type=int, metavar="N", help="number of meshes at a time, each in a separate process (1)"
-    )
-    fit.add_argument(
+    option("--tol", type=float, help="certified log-volume gap of the fits of pieces and hulls (1e-4)")
+    option("-j", "--jobs", type=int, metavar="N", help="number of meshes at a time, each in a separate process (1)")
+    option(
         "--scheduler",
         metavar="ADDRESS",
         help="Dask cluster whose workers fit the meshes; meshes already fitted with these options are skipped",
@@ -165,18 +162,11 @@ def _on_a_cluster(options: argparse.Namespace) -> int:
     model = inputs.model(options)
     if model == "surface":
         raise InputError("--scheduler: expected pieces or hulls to fit, found --model surface, which fits nothing")
-    with progress_bar() as progress:
-        task = progress.add_task("meshes", total=len(options.meshes))
+    with progress_of("meshes", len(options.meshes)) as progress:
         fitted = cluster.fit(
-            options.meshes,
-            options.scheduler,
-            options.out,
-            decompose=model == "pieces",
-            scale=options.scale,
-            tol=options.tol,
-            progress=lambda done, total: progress.update(task, completed=done, total=total),
-            **inputs.given(options, inputs.OF_PIECES),
-        )
+            options.meshes, options.scheduler, options.out, decompose=model == "pieces", scale=options.scale,
+            tol=options.tol, progress=progress, **inputs.given(options, inputs.OF_PIECES),
+        )  # fmt: skip
     for text in (text for texts in fitted.warned.values() for text in texts):
         warnings.warn(text, stacklevel=1)
     return _summary(f"{len(fitted.done)} done, {len(fitted.skipped)} done before", fitted.failed)

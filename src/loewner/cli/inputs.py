@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +14,7 @@ from loewner._base import _archives, _tables
 from loewner._base._files import read_regular
 from loewner._base._rotations import from_quaternion
 from loewner._base._validate import Floats, Progress
-from loewner.cli.output import progress_bar
+from loewner.cli.output import progress_of
 from loewner.ellipsoids.fits import DEFAULT_TOLERANCE
 from loewner.errors import FileError, InputError, PoseError
 from loewner.robots.description import link_bodies
@@ -23,10 +23,28 @@ from loewner.robots.description import link_bodies
 MOST_POSE_BYTES = 2**20
 
 
+# Formats of pictures.
+DRAWN = (".png", ".svg")
+
+
+def expect_suffix(path: Path | None, option: str, endings: Sequence[str]) -> None:
+    """Refuse a file of another kind, before any work."""
+    if path is not None and path.suffix.lower() not in endings:
+        raise FileError(f"{option}: expected a {' or '.join(endings)} file, found {path}")
+
+
+def refuse(options: argparse.Namespace, names: Iterable[str], message: str) -> None:
+    """Refuse options that would silently be ignored, by a message with a place for the option."""
+    for name in names:
+        if getattr(options, name) != options.default(name):
+            raise InputError(message.replace("{}", f"--{name.replace('_', '-')}", 1))
+
+
 def command(commands: Any, name: str, what: str, examples: str) -> argparse.ArgumentParser:
     """Add a command whose help ends with examples."""
     raw = argparse.RawDescriptionHelpFormatter
     added: argparse.ArgumentParser = commands.add_parser(name, help=what, epilog=examples, formatter_class=raw)
+    added.set_defaults(default=added.get_default)
     return added
 
 
@@ -43,27 +61,24 @@ POSE_HELP = '"x y z", "x y z qw qx qy qz" (metres; the quaternion\'s scalar firs
 
 def add_mesh_options(command: argparse.ArgumentParser, default: str) -> None:
     """Add the options of commands that take meshes; `default` is the default model."""
-    command.add_argument(
+    option = command.add_argument
+    option(
         "--model",
         choices=MODELS,
         help=f"the triangles as they are, convex pieces, or the convex hull ({default}; pieces with their options)",
     )
-    command.add_argument("--hull", action="store_true", help="the same as --model hull")
-    command.add_argument("--scale", type=float, default=1.0, help="factor for all lengths: 0.001 for millimetres (1)")
-    command.add_argument(
-        "--radius", type=float, metavar="M", help="for surfaces: radius of a ball around each point [m] (0)"
-    )
-    command.add_argument(
+    option("--hull", action="store_true", help="the same as --model hull")
+    option("--scale", type=float, default=1.0, help="factor for all lengths: 0.001 for millimetres (1)")
+    option("--radius", type=float, metavar="M", help="for surfaces: radius of a ball around each point [m] (0)")
+    option(
         "--solid",
         action=argparse.BooleanOptionalAction,
         help="for surfaces: with or without the enclosed space (with, if closed)",
     )
-    command.add_argument(
-        "--tolerance", type=float, metavar="M", help="largest distance by which the pieces may stick out [m]"
-    )
-    command.add_argument("--threshold", type=float, help="concavity of a piece, 0.01 to 1 (0.05)")
-    command.add_argument("--max-pieces", type=int, metavar="N", help="at most this many pieces")
-    command.add_argument("--seed", type=int, help="seed of the decomposition (0)")
+    option("--tolerance", type=float, metavar="M", help="largest distance by which the pieces may stick out [m]")
+    option("--threshold", type=float, help="concavity of a piece, 0.01 to 1 (0.05)")
+    option("--max-pieces", type=int, metavar="N", help="at most this many pieces")
+    option("--seed", type=int, help="seed of the decomposition (0)")
     command.set_defaults(usual_model=default)
 
 
@@ -85,38 +100,25 @@ def apply_rules(scene: loewner.Scene, options: argparse.Namespace) -> None:
 
 def add_robot_options(command: argparse.ArgumentParser, *, required: bool = True) -> None:
     """Add the options of commands that take a robot; if the robot is not required, it is also an option."""
+    option = command.add_argument
     if required:
-        command.add_argument("urdf", type=Path, metavar="URDF", help="the robot: a URDF file")
+        option("urdf", type=Path, metavar="URDF", help="the robot: a URDF file")
     else:
-        command.add_argument(
-            "--robot", dest="urdf", type=Path, metavar="URDF", help="the robot that the proof must be about"
-        )
-    command.add_argument("--srdf", type=Path, metavar="FILE", help="groups, states, pairs that need no check")
-    command.add_argument(
-        "--package-dir",
-        type=Path,
-        metavar="DIR",
-        action="append",
-        default=[],
-        help="folder of packages; repeatable",
+        option("--robot", dest="urdf", type=Path, metavar="URDF", help="the robot that the proof must be about")
+    option("--srdf", type=Path, metavar="FILE", help="groups, states, pairs that need no check")
+    option(
+        "--package-dir", type=Path, metavar="DIR", action="append", default=[], help="folder of packages; repeatable"
     )
-    command.add_argument(
-        "--model", choices=link_bodies.MODELS, help=f"representation of meshes ({link_bodies.USUAL_MODEL})"
-    )
-    command.add_argument("--decompose", action="store_true", help="the same as --model pieces")
+    option("--model", choices=link_bodies.MODELS, help=f"representation of meshes ({link_bodies.USUAL_MODEL})")
+    option("--decompose", action="store_true", help="the same as --model pieces")
 
 
 def bodies(paths: Sequence[Path], options: argparse.Namespace) -> Iterator[loewner.Body]:
     """Load saved bodies, or make the bodies of meshes, one after another; mesh options require a mesh."""
     if all(path.suffix.lower() == ".npz" for path in paths):
-        found = given(options, ("model", *OF_SURFACES, *OF_PIECES))
-        found |= {"scale": options.scale} if options.scale != 1.0 else {}
-        found |= {"hull": True} if options.hull else {}
-        for name in found:
-            raise InputError(
-                f"--{name.replace('_', '-')}: expected a mesh to make a body of, found saved bodies, "
-                f"{', '.join(path.name for path in paths)}"
-            )
+        found = ", ".join(path.name for path in paths)
+        of_meshes = ("model", *OF_SURFACES, *OF_PIECES, "scale", "hull")
+        refuse(options, of_meshes, f"{{}}: expected a mesh to make a body of, found saved bodies, {found}")
     return (body(path, options) for path in paths)
 
 
@@ -139,19 +141,10 @@ def from_mesh(
     if chosen == "surface":
         return loewner.Body.from_surface(path, scale=options.scale, **given(options, OF_SURFACES))
     if progress is None:
-        with progress_bar() as bar:
-            task = bar.add_task(path.name, total=None)
-            return from_mesh(
-                path, options, tol=tol, progress=lambda done, total: bar.update(task, completed=done, total=total)
-            )
-    return loewner.Body.from_mesh(
-        path,
-        decompose=chosen == "pieces",
-        scale=options.scale,
-        tol=tol,
-        progress=progress,
-        **given(options, OF_PIECES),
-    )
+        with progress_of(path.name) as shown:
+            return from_mesh(path, options, tol=tol, progress=shown)
+    made_of, decompose = given(options, OF_PIECES), chosen == "pieces"
+    return loewner.Body.from_mesh(path, decompose=decompose, scale=options.scale, tol=tol, progress=progress, **made_of)
 
 
 def model(options: argparse.Namespace) -> str:
@@ -187,10 +180,11 @@ def pose(text: str | None, name: str) -> Floats | None:
         raise PoseError(f"{wanted} ({error})") from None
     if len(numbers) not in (3, 7) or not np.isfinite(numbers).all():
         raise PoseError(wanted)
-    return _pose_of(numbers, name)
+    return pose_of(numbers, name)
 
 
-def _pose_of(numbers: Sequence[float], name: str) -> Floats:
+def pose_of(numbers: Sequence[float], name: str) -> Floats:
+    """Return the pose with a position, and with a quaternion if there are seven numbers."""
     T = np.eye(4)
     T[:3, 3] = numbers[:3]
     if len(numbers) == 7:
@@ -212,7 +206,7 @@ def poses(path: Path) -> Floats:
             f'{path}: expected two lines "x y z" or "x y z qw qx qy qz" or more, found {rows.shape[0]} of '
             f"{rows.shape[1]} numbers"
         )
-    return np.array([_pose_of(row, f"{path}, pose {k}") for k, row in enumerate(rows.tolist())])
+    return np.array([pose_of(row, f"{path}, pose {k}") for k, row in enumerate(rows.tolist())])
 
 
 def numbers(vector: Sequence[float] | Floats) -> str:
@@ -239,16 +233,11 @@ def robot(options: argparse.Namespace) -> loewner.Robot:
     """Read the robot, and show progress."""
     if options.decompose and options.model not in (None, "pieces"):
         raise InputError(f"--decompose: expected no other model with it, found --model {options.model}")
-    with progress_bar() as progress:
-        task = progress.add_task(options.urdf.name, total=None)
-        robot = loewner.Robot.from_urdf(
-            options.urdf,
-            srdf=options.srdf,
-            package_dirs=options.package_dir,
-            meshes="pieces" if options.decompose else options.model or link_bodies.USUAL_MODEL,
-            progress=lambda done, total: progress.update(task, completed=done, total=total),
+    meshes: Any = "pieces" if options.decompose else options.model or link_bodies.USUAL_MODEL
+    with progress_of(options.urdf.name) as progress:
+        return loewner.Robot.from_urdf(
+            options.urdf, srdf=options.srdf, package_dirs=options.package_dir, meshes=meshes, progress=progress
         )
-    return robot
 
 
 def refuse_no_pairs(checker: loewner.CollisionChecker, urdf: Path) -> None:

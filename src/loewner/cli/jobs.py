@@ -51,13 +51,8 @@ def answers(entry: str, tasks: Sequence[dict[str, Any]], jobs: int) -> Iterator[
     try:
         for thread in threads:
             thread.start()
-        ended = 0
-        while ended < jobs:
-            event = said.get()
-            if event is None:
-                ended += 1
-            else:
-                yield event
+        for _ in threads:  # each reports None at its end
+            yield from iter(said.get, None)
     finally:
         pool.end()
 

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import argparse
-import json
 from pathlib import Path
 from typing import Any
 
 from loewner._base import _validate
 from loewner.cli import cover_tables, inputs, judge_answers, judge_configurations
+from loewner.cli.output import print_answer
 from loewner.errors import InputError
 from loewner.robots.cover_files import FORMATS
 from loewner.robots.description import link_bodies
@@ -43,12 +43,9 @@ OPTIONS = {
 def add(commands: Any) -> None:
     """Add the command."""
     judge = inputs.command(commands, "judge", "other programs' answers about pairs, and models of robots", EXAMPLES)
-    judge.add_argument(
-        "files",
-        nargs="*",
-        type=Path,
-        metavar="FILE",
-        help="--answers: bodies (.npz) or meshes; else: a robot (URDF)",
+    option = judge.add_argument
+    option(
+        "files", nargs="*", type=Path, metavar="FILE", help="--answers: bodies (.npz) or meshes; else: a robot (URDF)"
     )
     which = judge.add_mutually_exclusive_group(required=True)
     which.add_argument("--model", type=Path, metavar="FILE", help="spheres or other shapes that should contain links")
@@ -65,18 +62,17 @@ def add(commands: Any) -> None:
     of_model.add_argument("--picture", type=Path, metavar="FILE", help="draw the parts outside (.png or .svg)")
     judge_answers.add_options(judge.add_argument_group("options of --answers"))
     usual = f"representation of meshes (robots: {link_bodies.USUAL_MODEL}; --answers: surface)"
-    judge.add_argument("--meshes", choices=[*dict.fromkeys([*link_bodies.MODELS, *inputs.MODELS])], help=usual)
+    option("--meshes", choices=[*dict.fromkeys([*link_bodies.MODELS, *inputs.MODELS])], help=usual)
     tolerance = "error that is allowed (1e-6), or --model: size of the smallest cells of a proof [m]"
-    judge.add_argument("--tolerance", type=float, metavar="M", help=tolerance)
-    judge.add_argument("--json", action="store_true", help="print JSON")
+    option("--tolerance", type=float, metavar="M", help=tolerance)
+    option("--json", action="store_true", help="print JSON")
     judge.set_defaults(run=_run)
 
 
 def _run(options: argparse.Namespace) -> int:
     asked = next(name for name in OPTIONS if getattr(options, name) is not None)
-    for name in (name for names in OPTIONS.values() for name in names if name not in OPTIONS[asked]):
-        if getattr(options, name) not in (None, []):
-            raise InputError(f"--{name.replace('_', '-')}: expected no such option with --{asked}, found one")
+    others = (name for names in OPTIONS.values() for name in names if name not in OPTIONS[asked])
+    inputs.refuse(options, others, f"{{}}: expected no such option with --{asked}, found one")
     if options.meshes is not None:
         allowed = inputs.MODELS if options.answers else link_bodies.MODELS
         _validate.choice(options.meshes, f"--meshes with --{asked}", allowed)
@@ -89,17 +85,13 @@ def _run(options: argparse.Namespace) -> int:
 
 def _run_model(options: argparse.Namespace) -> int:
     """Judge the shapes of each link."""
-    cover_tables.refuse_other_pictures(options.picture)
-    of_robot = {"urdf": options.files[0], "model": options.meshes, "decompose": False}
-    robot = inputs.robot(argparse.Namespace(**{**vars(options), **of_robot}))
+    inputs.expect_suffix(options.picture, "--picture", inputs.DRAWN)
+    robot = judge_configurations.robot_of(options)
     if not robot.bodies:
         raise InputError(f"{options.files[0]}: expected links with bodies, found none")
     model = robot.with_cover(options.model, options.format)
     reports = cover_tables.judged(robot, model, options.tolerance)
-    if options.json:
-        links = cover_tables.entries(model, reports)
-        print(json.dumps({"robot": robot.name, "model": str(options.model), "links": links}, indent=2))
-    else:
-        cover_tables.print_reports(robot, model, reports)
+    answer = {"robot": robot.name, "model": str(options.model), "links": cover_tables.entries(model, reports)}
+    print_answer(options, answer, lambda: cover_tables.print_reports(robot, model, reports))
     cover_tables.draw(robot, model, options.picture)
     return cover_tables.status(reports)

@@ -126,13 +126,9 @@ def _bodies(options: argparse.Namespace) -> dict[str, loewner.Body]:
     for name in names:
         if names.count(name) > 1 and len(names) > 2:
             raise InputError(f"expected files with different names, found two of {name}")
-    of_meshes = {
-        "model": options.meshes or "surface",
-        "usual_model": "surface",
-        "hull": False,
-        "scale": 1.0 if options.scale is None else options.scale,
-    }
-    taken = argparse.Namespace(**of_meshes, **dict.fromkeys((*inputs.OF_PIECES, *inputs.OF_SURFACES)))
+    scale = 1.0 if options.scale is None else options.scale
+    usual = dict.fromkeys((*inputs.OF_PIECES, *inputs.OF_SURFACES))
+    taken = argparse.Namespace(model=options.meshes or "surface", hull=False, scale=scale, **usual)
     made = [
         loewner.Body.load(path) if path.suffix.lower() == ".npz" else inputs.from_mesh(path, taken)
         for path in options.files
@@ -224,16 +220,12 @@ def _numbers(value: Any, where: str) -> list[float]:
 
 def _pose(row: dict[str, Any], column: str, where: str) -> Floats:
     """The pose of a row: a translation, one with a quaternion, or a matrix."""
-    numbers, T = _numbers(row.get(column), f"{where}, {column}"), np.eye(4)
+    numbers = _numbers(row.get(column), f"{where}, {column}")
     if len(numbers) == 16:
         return np.array(numbers).reshape(4, 4)
     if len(numbers) not in (0, 3, 7):
         raise FileError(f"{where}, {column}: expected 3, 7 or 16 numbers, found {len(numbers)}")
-    if numbers:
-        T[:3, 3] = numbers[:3]
-    if len(numbers) == 7:
-        T[:3, :3] = from_quaternion(numbers[3:], f"{where}, {column}")
-    return T
+    return inputs.pose_of(numbers or [0.0] * 3, f"{where}, {column}")
 
 
 def _answers(rows: Sequence[dict[str, Any]], path: Path) -> dict[str, Floats]:
@@ -303,11 +295,7 @@ def _for_json(said: Judgement, named: Sequence[tuple[str, str]], bodies: dict[st
         {
             "row": k + 1,
             "bodies": list(named[k]),
-            "wrong": {
-                part: {"finding": Finding(kind).name, "at_least": error}
-                for part, kind, error in zip(PARTS, said.kinds[k].tolist(), said.excess[k].tolist(), strict=True)
-                if kind > Finding.UNDECIDED
-            },
+            "wrong": {part: {"finding": kind.name, "at_least": error} for part, kind, error in _wrong_parts(said, k)},
             "lower": None if np.isinf(said.lower[k]) else float(said.lower[k]),
             "upper": float(said.upper[k]),
         }
@@ -338,16 +326,18 @@ def _print(
     more = f"; and {len(judged) - SHOWN} more (--json)" if len(judged) > SHOWN else ""
     print(f"judged    {'; '.join(judged[:SHOWN])}{more}")
     for k in worst[:SHOWN]:
-        parts = [
-            f"{part} {Finding(kind)} by {error:.6g} m"
-            for part, kind, error in zip(PARTS, said.kinds[k].tolist(), said.excess[k].tolist(), strict=True)
-            if kind > Finding.UNDECIDED
-        ]
+        parts = [f"{part} {kind} by {error:.6g} m" for part, kind, error in _wrong_parts(said, k)]
         print(f"row {k + 1}, {' and '.join(named[k])}: {', '.join(parts)}; proven {_interval(said, k)}")
     if len(worst) > SHOWN:
         print(f"and {len(worst) - SHOWN} more (--json)")
     if written:
         print(f"program   {written}")
+
+
+def _wrong_parts(said: Judgement, k: int) -> list[tuple[str, Finding, float]]:
+    """The wrong parts of the answer in a row, each with its finding and its error."""
+    parts = zip(PARTS, map(Finding, said.kinds[k].tolist()), said.excess[k].tolist(), strict=True)
+    return [part for part in parts if part[1] > Finding.UNDECIDED]
 
 
 def _interval(said: Judgement, k: int) -> str:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import csv
-import json
 from typing import Any
 
 import numpy as np
@@ -14,7 +13,7 @@ from loewner._base._files import read_regular
 from loewner._base._validate import Bools, Floats, short
 from loewner.cli import configurations, inputs
 from loewner.cli.judge_answers import SHOWN, TOLERANCE, WORDS
-from loewner.cli.output import COLLIDING, FREE
+from loewner.cli.output import COLLIDING, FREE, print_answer
 from loewner.errors import FileError
 
 TABLE = """--configurations: a .csv file whose header names the joint values, in any order, and a column colliding.
@@ -29,8 +28,7 @@ ANSWER = "colliding"
 def run(options: argparse.Namespace) -> int:
     """Judge a table of configurations, and print the wrong verdicts."""
     tolerance = TOLERANCE if options.tolerance is None else options.tolerance
-    of_robot = {"urdf": options.files[0], "model": options.meshes, "decompose": False}
-    robot = inputs.robot(argparse.Namespace(**{**vars(options), **of_robot}))
+    robot = robot_of(options)
     scene = None if options.scene is None else loewner.load_scene(options.scene)
     checker = loewner.CollisionChecker(robot, scene)
     Q, said = table(options.configurations, robot)
@@ -43,10 +41,12 @@ def run(options: argparse.Namespace) -> int:
                 finding = "WRONG_COLLIDING" if said[rows[k]] else "WRONG_FREE"
                 row = {"row": int(rows[k]) + 1, "finding": finding, "bodies": found.names[k].tolist()}
                 wrong.append(row | {"distance": float(found.distance[k])})
-    if options.json:
-        print(json.dumps({"configurations": len(Q), "wrong": wrong}, indent=2))
-        return COLLIDING if wrong else FREE
-    print(f"{len(wrong)} of {len(Q)} verdicts proven wrong")
+    print_answer(options, {"configurations": len(Q), "wrong": wrong}, lambda: _print(wrong, len(Q)))
+    return COLLIDING if wrong else FREE
+
+
+def _print(wrong: list[dict[str, Any]], count: int) -> None:
+    print(f"{len(wrong)} of {count} verdicts proven wrong")
     for kind, text in (("WRONG_FREE", "collisions missed"), ("WRONG_COLLIDING", "false alarms")):
         print(f"{text:<18} {sum(row['finding'] == kind for row in wrong)}")
     for row in wrong[:SHOWN]:
@@ -54,7 +54,12 @@ def run(options: argparse.Namespace) -> int:
         print(f"row {row['row']}: {row['finding']}; {' and '.join(row['bodies'])} {what}")
     if len(wrong) > SHOWN:
         print(f"and {len(wrong) - SHOWN} more (--json)")
-    return COLLIDING if wrong else FREE
+
+
+def robot_of(options: argparse.Namespace) -> loewner.Robot:
+    """Read the robot of a command whose first file is one."""
+    of_robot = {"urdf": options.files[0], "model": options.meshes, "decompose": False}
+    return inputs.robot(argparse.Namespace(**{**vars(options), **of_robot}))
 
 
 def table(path: Any, robot: loewner.Robot) -> tuple[Floats, Bools]:

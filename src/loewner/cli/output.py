@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import argparse
 import io
+import json
 import os
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from itertools import zip_longest
 from pathlib import Path
@@ -26,6 +27,9 @@ if TYPE_CHECKING:
 
 # Exit status: done or free; at least one collision; an error; undecided by the ellipsoids.
 FREE, COLLIDING, ERROR, AMBIGUOUS = 0, 1, 2, 3
+
+# The same by the name of a verdict.
+STATUS = {"FREE": FREE, "COLLIDING": COLLIDING, "AMBIGUOUS": AMBIGUOUS}
 
 # Metres by which bodies may overlap in contacts that rules allow: well above tolerances and errors of poses.
 OVERLAP = 1e-3
@@ -166,6 +170,22 @@ def _console(**options: Any) -> Console:
             raise BrokenPipeError
 
     return Quiet(**options)
+
+
+def print_answer(options: argparse.Namespace, answer: Any, print_text: Callable[[], None]) -> None:
+    """Print an answer as JSON if --json is given, otherwise as text."""
+    if options.json:
+        print(json.dumps(answer, indent=2))
+    else:
+        print_text()
+
+
+@contextmanager
+def progress_of(name: str, total: int | None = None) -> Iterator[Callable[[int, int], None]]:
+    """Show the progress of one task, which a callback ``progress(done, total)`` updates."""
+    with progress_bar() as bar:
+        task = bar.add_task(name, total=total)
+        yield lambda done, total: bar.update(task, completed=done, total=total)
 
 
 def progress_bar() -> Progress | NoProgress:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 import time
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,20 +15,10 @@ import loewner
 from loewner import Verdict, planners
 from loewner._base import _archives, _tables
 from loewner._base._files import read_regular, shown
-from loewner._base._rotations import from_quaternion
 from loewner._base._validate import Floats
 from loewner.cli import configurations, drives, inputs
-from loewner.cli.output import (
-    AMBIGUOUS,
-    COLLIDING,
-    FREE,
-    NO_PATH,
-    new_table,
-    print_table,
-    progress_bar,
-    remove_older_proof,
-)
-from loewner.errors import ConvergenceError, FileError, InputError, PlanningError
+from loewner.cli.output import NO_PATH, STATUS, new_table, print_answer, print_table, progress_of, remove_older_proof
+from loewner.errors import ConvergenceError, InputError, PlanningError
 
 # Number of configurations per motion, including its ends, at which the distance of the nearest pair is measured.
 MEASURED = 33
@@ -74,63 +64,46 @@ def add(commands: Any) -> None:
     """Add the command."""
     plan = inputs.command(commands, "plan", "a path from start to goal with proven motions", EXAMPLES)
     inputs.add_robot_options(plan)
-    plan.add_argument("--scene", type=Path, metavar="FILE", help="obstacles and attached bodies (.yaml)")
+    option, number = plan.add_argument, partial(plan.add_argument, type=float)
+    option("--scene", type=Path, metavar="FILE", help="obstacles and attached bodies (.yaml)")
     inputs.add_rule_options(plan, "start", "goal")
-    plan.add_argument(
-        "--start", required=True, metavar="Q", help='start: a state, a file, or numbers in quotes, "0 0.5 -0.7"'
-    )
+    option("--start", required=True, metavar="Q", help='start: a state, a file, or numbers in quotes, "0 0.5 -0.7"')
     ends = plan.add_mutually_exclusive_group(required=True)
     ends.add_argument("--goal", metavar="Q", help="goal, likewise")
     ends.add_argument(
         "--goal-pose", nargs=2, metavar=("LINK", "POSE"), help="or a pose of a link as the goal: numbers, or a file"
     )
-    plan.add_argument(
+    option(
         "--joints",
         metavar="NAME",
         action="append",
         help="a group of the SRDF, or a joint: these move, all others stay; joints are repeatable (all)",
     )
-    plan.add_argument("-o", "--out", type=Path, metavar="FILE", help="write the path (.csv or .json)")
-    plan.add_argument("--proof", type=Path, metavar="FILE", help="write a proof of the path, for loewner verify")
-    plan.add_argument("--seed", type=int, default=0, help="equal seeds give equal paths (0)")
-    plan.add_argument(
-        "--max-iterations", type=int, metavar="N", help="configurations to draw before giving up (no limit)"
-    )
-    plan.add_argument("--timeout", type=float, default=10.0, metavar="S", help="seconds to search (10)")
-    plan.add_argument(
-        "--joint-error", type=float, default=0.0, metavar="E", help="largest deviation of every value [rad or m] (0)"
-    )
-    plan.add_argument(
-        "--improve-for", type=float, default=0.0, metavar="S", help="improve the path until S seconds have passed (0)"
-    )
-    plan.add_argument(
+    option("-o", "--out", type=Path, metavar="FILE", help="write the path (.csv or .json)")
+    option("--proof", type=Path, metavar="FILE", help="write a proof of the path, for loewner verify")
+    option("--seed", type=int, default=0, help="equal seeds give equal paths (0)")
+    option("--max-iterations", type=int, metavar="N", help="configurations to draw before giving up (no limit)")
+    number("--timeout", default=10.0, metavar="S", help="seconds to search (10)")
+    number("--joint-error", default=0.0, metavar="E", help="largest deviation of every value [rad or m] (0)")
+    number("--improve-for", default=0.0, metavar="S", help="improve the path until S seconds have passed (0)")
+    option(
         "--weights",
         metavar="W",
         help="with --improve-for: factors of the joint values in the cost of a path, one for each value (1)",
     )
-    plan.add_argument(
-        "--clearance", type=float, metavar="D", help="with --improve-for: metres to keep from the scene where it can be"
-    )
-    plan.add_argument(
-        "--start-time", type=float, metavar="T", help="plan in time, from T seconds on (0, if bodies follow motions)"
-    )
-    plan.add_argument("--arrive-by", type=float, metavar="T", help="in time: the latest arrival, on the same clock")
-    plan.add_argument(
-        "--velocity", metavar="V", help="in time: largest velocities, one number or one for each value (the URDF's)"
-    )
-    plan.add_argument("--sampled", action="store_true", help="sample motions in steps instead of proving them")
-    plan.add_argument(
-        "--resolution",
-        type=float,
-        metavar="R",
+    number("--clearance", metavar="D", help="with --improve-for: metres to keep from the scene where it can be")
+    number("--start-time", metavar="T", help="plan in time, from T seconds on (0, if bodies follow motions)")
+    number("--arrive-by", metavar="T", help="in time: the latest arrival, on the same clock")
+    option("--velocity", metavar="V", help="in time: largest velocities, one number or one for each value (the URDF's)")
+    option("--sampled", action="store_true", help="sample motions in steps instead of proving them")
+    number(
+        "--resolution", metavar="R",
         help="for --sampled, and for OMPL's planners: the longest step, in the units of the joints (0.05)",
-    )
-    plan.add_argument("--no-simplify", action="store_true", help="do not shorten the path")
-    plan.add_argument(
-        "--planner", metavar="NAME", help="a planner of OMPL, such as BITstar (RRT-Connect, compiled, without OMPL)"
-    )
+    )  # fmt: skip
+    option("--no-simplify", action="store_true", help="do not shorten the path")
+    option("--planner", metavar="NAME", help="a planner of OMPL, such as BITstar (RRT-Connect, compiled, without OMPL)")
     drives.add_options(plan)
-    plan.add_argument("--json", action="store_true", help="print JSON")
+    option("--json", action="store_true", help="print JSON")
     plan.set_defaults(run=_run)
 
 
@@ -172,11 +145,8 @@ def _run(options: argparse.Namespace) -> int:
     if options.proof is not None and isinstance(found, planners.Plan) and found.proof is not None:
         found.proof.save(options.proof)
     answer = _answer(checker, found, seconds, options)
-    if options.json:
-        print(json.dumps(answer, indent=2))
-    else:
-        _print_answer(answer)
-    return {"FREE": FREE, "COLLIDING": COLLIDING, "AMBIGUOUS": AMBIGUOUS}[answer["verdict"]]
+    print_answer(options, answer, lambda: _print_answer(answer))
+    return STATUS[answer["verdict"]]
 
 
 def _pose_goal(link: str, text: str) -> planners.PoseGoal:
@@ -190,12 +160,8 @@ def _pose_goal(link: str, text: str) -> planners.PoseGoal:
         raise InputError(f"--goal-pose: expected numbers or a .npy file, found {text!r} ({error})") from None
     if len(numbers) not in (3, 7):
         raise InputError(f"--goal-pose: expected x y z qw qx qy qz, or x y z, found {len(numbers)} numbers")
-    T = np.eye(4)
-    T[:3, 3] = numbers[:3]
-    if len(numbers) == 3:
-        return planners.PoseGoal(link, T, tolerance=[0, 0, 0, np.inf, np.inf, np.inf])
-    T[:3, :3] = from_quaternion(numbers[3:], "--goal-pose")
-    return planners.PoseGoal(link, T)
+    T = inputs.pose_of(numbers, "--goal-pose")
+    return planners.PoseGoal(link, T, tolerance=None if len(numbers) == 7 else [0, 0, 0, np.inf, np.inf, np.inf])
 
 
 def _refuse_unused(options: argparse.Namespace) -> None:
@@ -212,8 +178,7 @@ def _refuse_unused(options: argparse.Namespace) -> None:
         raise InputError("--clearance: expected --improve-for with it; without that no path is improved")
     if options.max_iterations is not None and options.planner is not None:
         raise InputError("--max-iterations: expected no --planner with it; OMPL's planners end by --timeout")
-    if options.out is not None and options.out.suffix.lower() not in configurations.WRITTEN:
-        raise FileError(f"--out: expected a .csv or .json file, found {options.out}")
+    inputs.expect_suffix(options.out, "--out", configurations.WRITTEN)
 
 
 def _begin_in_time(options: argparse.Namespace, scene: loewner.Scene) -> None:
@@ -247,8 +212,7 @@ def _found(
     given = {"joint_error": options.joint_error, "search": search, "seed": options.seed, "joints": options.joints}
     if options.joints is not None and len(options.joints) == 1:
         given["joints"] = options.joints[0]
-    with progress_bar() as progress:
-        progress.add_task("searching", total=None)
+    with progress_of("searching"):
         if options.start_time is None:
             weights = options.weights and _numbers("--weights", options.weights)
             improve = planners.Improve(options.improve_for, weights=weights, clearance=options.clearance)
@@ -282,6 +246,7 @@ def _answer(
         path, times, t0, t1 = plan.path, None, None, None
         own = {"cost": plan.cost, "cost_bound": plan.bound, "improvements": plan.iterations, "seconds": plan.seconds}
     proof = plan.proof if isinstance(plan, planners.Plan) else None
+    proof_bytes = proof and {"file": len(proof.data), "model": len(proof.model), "proof": proof.size}
     robot, a, b = checker.robot, path[:-1], path[1:]
     started = time.perf_counter()
     found = checker.certify_edges(a, b, joint_error=options.joint_error, t0=t0, t1=t1)
@@ -322,9 +287,7 @@ def _answer(
         "proof_seconds": proof_seconds,
         "out": None if options.out is None else str(options.out),
         "proof": None if proof is None else str(options.proof),
-        "proof_bytes": None
-        if proof is None
-        else {"file": len(proof.data), "model": len(proof.model), "proof": proof.size},
+        "proof_bytes": proof_bytes,
     }
 
 

@@ -89,8 +89,7 @@ def add(commands: Any) -> None:
 def _write(options: argparse.Namespace) -> int:
     if options.out.suffix.lower() != ".zip":
         raise InputError(f"--out: expected a name that ends in .zip, found {options.out.name!r}")
-    kept = {name: getattr(options, name) for name in OPTIONS[options.query]}
-    kept = {name: value for name, value in kept.items() if value is not None}
+    kept = inputs.given(options, [*OPTIONS[options.query]])
     with tempfile.TemporaryDirectory() as folder:
         options.pack(options, Path(folder))
         answers = _answered(options.query, Path(folder), kept)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import time
 from collections import Counter
 from dataclasses import asdict
@@ -17,7 +16,7 @@ import loewner
 from loewner._base import _validate
 from loewner._base._validate import Floats
 from loewner.cli import configurations, inputs
-from loewner.cli.output import COLLIDING, FREE, is_surface, new_table, print_table, progress_bar
+from loewner.cli.output import COLLIDING, FREE, is_surface, new_table, print_answer, print_table, progress_bar
 from loewner.cli.pair_tables import print_pairs
 from loewner.errors import InputError
 
@@ -81,13 +80,11 @@ def add(commands: Any) -> None:
 
 def _info(options: argparse.Namespace) -> int:
     robot = inputs.robot(options)
-    links = new_table(
-        "link", "pieces", "vertices", "gap", "shapes", title=f"{robot.name}: {len(robot.link_names)} links"
-    )
+    title = f"{robot.name}: {len(robot.link_names)} links"
+    links = new_table("link", "pieces", "vertices", "gap", "shapes", title=title)
     for name in robot.link_names:
-        links.add_row(
-            name, *(_link_row(robot.bodies[name], robot.shapes[name]) if name in robot.bodies else ("-",) * 4)
-        )
+        row = _link_row(robot.bodies[name], robot.shapes[name]) if name in robot.bodies else ("-",) * 4
+        links.add_row(name, *row)
     limits, heads = [robot.lower, robot.upper], ["lower", "upper"]
     if (robot.lower != robot.hard_lower).any() or (robot.upper != robot.hard_upper).any():
         limits, heads = [*limits, robot.hard_lower, robot.hard_upper], [*heads, "hard lower", "hard upper"]
@@ -132,9 +129,8 @@ def _check(options: argparse.Namespace) -> int:
     if options.seed is not None and options.random is None:
         raise InputError("--seed: expected --random with it, found none: only random configurations have a seed")
     if options.state is not None and options.srdf is None:
-        raise InputError(
-            f"--state: expected --srdf with it, which has the states; no SRDF was given for {options.state!r}"
-        )
+        wanted = "expected --srdf with it, which has the states"
+        raise InputError(f"--state: {wanted}; no SRDF was given for {options.state!r}")
     scene = None if options.scene is None else loewner.load_scene(options.scene)
     if options.margin is not None and scene is not None:
         scene.widen(_validate.positive_scalar(options.margin, "--margin", zero=True))
@@ -143,10 +139,7 @@ def _check(options: argparse.Namespace) -> int:
     Q = _configurations(robot, options)
     inputs.refuse_no_pairs(checker, options.urdf)
     answer = _checked_configurations(checker, Q)
-    if options.json:
-        print(json.dumps(answer, indent=2))
-    else:
-        _print_checked(answer)
+    print_answer(options, answer, lambda: _print_checked(answer))
     return COLLIDING if answer["colliding"] else FREE
 
 
@@ -157,11 +150,8 @@ def _configurations(robot: loewner.Robot, options: argparse.Namespace) -> Floats
     if options.configs is not None:
         Q = np.atleast_2d(robot.checked(configurations.read(options.configs, robot), str(options.configs)))
         return _validate.finite_array(Q, str(options.configs), (None, robot.dof))
-    seed = 0 if options.seed is None else options.seed
-    if options.random < 1 or seed < 0:
-        what, least, found = ("random", 1, options.random) if options.random < 1 else ("seed", 0, seed)
-        raise InputError(f"--{what}: expected an integer >= {least}, found {found}")
-    return robot.random_configurations(options.random, seed)
+    count = _validate.whole_number(options.random, "--random", 1)
+    return robot.random_configurations(count, _validate.whole_number(options.seed or 0, "--seed", 0))
 
 
 def _checked_configurations(checker: loewner.CollisionChecker, Q: Floats) -> dict[str, Any]:
@@ -205,9 +195,8 @@ def _checked_configurations(checker: loewner.CollisionChecker, Q: Floats) -> dic
 def _print_checked(answer: dict[str, Any]) -> None:
     count, colliding = answer["configurations"], answer["colliding"]
     print(f"{'COLLIDING' if colliding else 'FREE'}  {colliding:,} of {count:,} configurations collide")
-    table = new_table(
-        "settled by", "free", "colliding", title=f"{answer['robot']}, {answer['checked_pairs']} pairs checked"
-    )
+    title = f"{answer['robot']}, {answer['checked_pairs']} pairs checked"
+    table = new_table("settled by", "free", "colliding", title=title)
     for name, title in (
         ("bounds", "bounding spheres and boxes"),
         ("ellipsoids", "ellipsoids"),

@@ -12,7 +12,7 @@ import loewner
 from loewner import planners
 from loewner.bodies import for_pictures, packed_of
 from loewner.cli import inputs, trajectories
-from loewner.cli.output import FREE, progress_bar
+from loewner.cli.output import FREE, progress_of
 from loewner.errors import FileError
 from loewner.meshes import decomposition as meshes
 from loewner.robots.swept import united
@@ -38,44 +38,33 @@ def add(commands: Any) -> None:
     """Add the command."""
     swept = inputs.command(commands, "swept", "a body that contains links along a whole trajectory", EXAMPLES)
     inputs.add_robot_options(swept)
-    swept.add_argument(
-        "trajectory", type=Path, metavar="FILE", help="points with times, or a path (.csv, .json, .yaml)"
-    )
-    swept.add_argument("-o", "--out", type=Path, metavar="FILE", required=True, help="the body (.stl or .npz)")
-    swept.add_argument("--links", nargs="+", metavar="NAME", help="links, or bodies that are carried (all)")
-    swept.add_argument(
+    option = swept.add_argument
+    option("trajectory", type=Path, metavar="FILE", help="points with times, or a path (.csv, .json, .yaml)")
+    option("-o", "--out", type=Path, metavar="FILE", required=True, help="the body (.stl or .npz)")
+    option("--links", nargs="+", metavar="NAME", help="links, or bodies that are carried (all)")
+    option(
         "--tolerance", type=float, default=0.01, metavar="M",
         help="largest distance by which the body may stick out, in metres (default %(default)s)",
     )  # fmt: skip
-    swept.add_argument(
+    option(
         "--joint-error", type=float, default=0.0, metavar="E", help="largest deviation of every value [rad or m] (0)"
     )
-    swept.add_argument("--scene", type=Path, metavar="FILE", help="attached bodies (.yaml)")
+    option("--scene", type=Path, metavar="FILE", help="attached bodies (.yaml)")
     trajectories.add_options(swept)
     swept.set_defaults(run=_run)
 
 
 def _run(options: argparse.Namespace) -> int:
-    if options.out.suffix.lower() not in (".stl", ".npz"):
-        raise FileError(f"--out: expected a .stl or .npz file, found {options.out}")
+    inputs.expect_suffix(options.out, "--out", (".stl", ".npz"))
     scene = loewner.Scene() if options.scene is None else loewner.load_scene(options.scene)
     robot, found = inputs.robot(options), []
     parts, carrying = trajectories.read(options.trajectory, options, scene, robot)
-    with progress_bar() as progress:
-        for number, given in enumerate(parts):
-            trajectories.carry(scene, robot, given, carrying[number])
-            task = progress.add_task(f"part {number + 1}" if len(parts) > 1 else options.trajectory.name, total=None)
-
-            def report(done: int, total: int, task: Any = task) -> None:
-                progress.update(task, completed=done, total=total)
-
-            found.append(
-                robot.swept(
-                    given, links=options.links, tolerance=options.tolerance, joint_error=options.joint_error,
-                    scene=scene, progress=report,
-                )
-            )  # fmt: skip
-            trajectories.put_down(scene, robot, given, carrying[number])
+    kept: Any = {"tolerance": options.tolerance, "joint_error": options.joint_error, "scene": scene}
+    for number, given in enumerate(parts):
+        trajectories.carry(scene, robot, given, carrying[number])
+        with progress_of(f"part {number + 1}" if len(parts) > 1 else options.trajectory.name) as progress:
+            found.append(robot.swept(given, links=options.links, progress=progress, **kept))
+        trajectories.put_down(scene, robot, given, carrying[number])
     body, excess = united(found)
     if options.out.suffix.lower() == ".npz":
         body.save(options.out)

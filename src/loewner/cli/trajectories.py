@@ -26,25 +26,26 @@ Part = planners.ControllerPoints | Floats
 
 def add_options(command: argparse.ArgumentParser) -> None:
     """Add the options of commands that read a trajectory."""
-    command.add_argument(
+    option = command.add_argument
+    option(
         "--controller",
         choices=CONTROLLERS,
         help="interpolation between points (default: from the contents of the file)",
     )
-    command.add_argument(
+    option(
         "--others",
         metavar="Q",
         help="values of joints that the file does not name: a state, a file, or numbers (those of the message's start "
         "state, or 0)",
     )
-    command.add_argument(
+    option(
         "--attach",
         action="append",
         default=[],
         metavar="[PART:]BODY=LINK",
         help="let a link carry a body of the scene, in all parts of a message or in one (may be repeated)",
     )
-    command.add_argument(
+    option(
         "--start-time",
         type=float,
         metavar="T",
@@ -69,10 +70,8 @@ def read(
         If an option does not fit the file, or the robot carries bodies that neither the scene nor --attach assigns to
         it.
     """
-    others = present
-    if options.others is not None:
-        others = robot.checked_one(configurations.given(options.others, "--others", options, robot, None), "--others")
-    parts = _parts(path, robot, others)
+    others = configurations.one(options.others, "--others", options, robot)
+    parts = _parts(path, robot, present if others is None else others)
     carrying = _carrying(options.attach, scene, robot, len(parts))
     for number, given in enumerate(parts):
         if isinstance(given, planners.ControllerPoints):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from itertools import pairwise
 from pathlib import Path
@@ -17,8 +16,7 @@ from loewner import verify
 from loewner._base import _validate
 from loewner._base._files import read_regular
 from loewner.cli import configurations, inputs
-from loewner.cli.output import COLLIDING, FREE, OVERLAP
-from loewner.errors import InputError
+from loewner.cli.output import COLLIDING, FREE, OVERLAP, print_answer
 
 EXAMPLES = """examples:
   loewner verify plan.proof
@@ -44,35 +42,34 @@ MOST_SHOWN = 10
 def add(commands: Any) -> None:
     """Add the command."""
     command = inputs.command(commands, "verify", "check the proof of a plan", EXAMPLES)
-    command.add_argument(
+    option = command.add_argument
+    option(
         "file", type=Path, metavar="FILE",
         help="a proof, as loewner plan --proof, loewner clash --proof or loewner.prove writes it",
     )  # fmt: skip
     inputs.add_robot_options(command, required=False)
-    command.add_argument("--scene", type=Path, metavar="FILE", help="obstacles and attached bodies (.yaml)")
+    option("--scene", type=Path, metavar="FILE", help="obstacles and attached bodies (.yaml)")
     inputs.add_rule_options(command, "start of motions", "end of motions")
-    command.add_argument("--path", type=Path, metavar="FILE", help="a path, as loewner plan -o writes it")
-    command.add_argument(
+    option("--path", type=Path, metavar="FILE", help="a path, as loewner plan -o writes it")
+    option(
         "--overlap", type=float, default=OVERLAP, metavar="M",
         help="deepest overlap that contacts may allow, in metres (default %(default)s)",
     )  # fmt: skip
-    command.add_argument("--json", action="store_true", help="print JSON")
+    option("--json", action="store_true", help="print JSON")
     command.set_defaults(run=_run)
 
 
 def _run(options: argparse.Namespace) -> int:
     overlap = _validate.positive_scalar(options.overlap, "--overlap", zero=True)
     if options.urdf is None:
-        for name in ("srdf", "scene", "model", "decompose", "package_dir", "leave", "reach"):
-            if getattr(options, name):
-                raise InputError(f"--{name.replace('_', '-')}: expected --robot with it; without it there is no model")
+        of_robot = ("srdf", "scene", "model", "decompose", "package_dir", "leave", "reach")
+        inputs.refuse(options, of_robot, "{}: expected --robot with it; without it there is no model")
     data = read_regular(options.file, "a proof", 2 * verify.MOST_BYTES)  # too large ones are refused below
     try:
         report = verify.verify(data)
     except verify.Refused as error:
         print(f"refused: {error}", file=sys.stderr)
-        if options.json:
-            print(json.dumps({"verified": False, "refused": str(error)}, indent=2))
+        print_answer(options, {"verified": False, "refused": str(error)}, lambda: None)
         return COLLIDING
     lines, faults, found = [str(report)], list[str](), list[str]()
     if options.urdf is not None:
@@ -94,10 +91,8 @@ def _run(options: argparse.Namespace) -> int:
     for *pair, motion, _, _, least in [row for row in report.contacts if -row[-1] > overlap][:1]:
         words = f"{verify._shown(*pair)} may overlap by {-1000 * least:.12g} mm in motion {motion}"
         faults.append(f"DEEP CONTACT: {words}, and --overlap allows {1000 * overlap:.12g} mm")
-    if options.json:
-        print(json.dumps(_entry(report, faults) | {"different": found}, indent=2))
-    else:
-        print("\n".join([*lines, *(faults or [f"verified: {_claim(report)}"])]))
+    text = "\n".join([*lines, *(faults or [f"verified: {_claim(report)}"])])
+    print_answer(options, _entry(report, faults) | {"different": found}, lambda: print(text))
     return COLLIDING if faults or report.common else FREE
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Sequence
 from contextlib import redirect_stdout
 from pathlib import Path
 from typing import Any
@@ -34,42 +33,41 @@ The page is served on this machine, at the address that is printed; Ctrl+C close
 def add(commands: Any) -> None:
     """Add the command."""
     view = inputs.command(commands, "view", "two bodies, or a robot, in the browser", EXAMPLES)
-    view.add_argument("a", metavar="A", type=Path, nargs="?", help="a saved body (.npz) or a mesh")
-    view.add_argument("b", metavar="B", type=Path, nargs="?", help="the other one")
-    view.add_argument("--pose-a", metavar="POSE", help="initial pose of A (the origin); as in loewner check")
-    view.add_argument("--pose-b", metavar="POSE", help="initial pose of B (next to A)")
-    view.add_argument("--margin", type=float, default=0.0, metavar="M", help="distance that A and B keep [m] (0)")
-    view.add_argument(
+    option = view.add_argument
+    option("a", metavar="A", type=Path, nargs="?", help="a saved body (.npz) or a mesh")
+    option("b", metavar="B", type=Path, nargs="?", help="the other one")
+    option("--pose-a", metavar="POSE", help="initial pose of A (the origin); as in loewner check")
+    option("--pose-b", metavar="POSE", help="initial pose of B (next to A)")
+    option("--margin", type=float, default=0.0, metavar="M", help="distance that A and B keep [m] (0)")
+    option(
         "--robot",
         dest="urdf",
         metavar="URDF",
         type=Path,
         help="a robot instead of two bodies; its meshes become hulls, or --model",
     )
-    view.add_argument("--srdf", metavar="SRDF", type=Path, help="its states and disabled pairs")
-    view.add_argument("--scene", metavar="YAML", type=Path, help="scene around the robot (docs/scenes.md)")
-    view.add_argument(
+    option("--srdf", metavar="SRDF", type=Path, help="its states and disabled pairs")
+    option("--scene", metavar="YAML", type=Path, help="scene around the robot (docs/scenes.md)")
+    option(
         "--trajectory",
         metavar="FILE",
         type=Path,
         help="path of the robot to play, with or without times: any file of loewner audit (.csv, .json, .yaml)",
     )
     trajectories.add_options(view)
-    view.add_argument("--part", type=int, metavar="N", help="which trajectory of a message with several, from 1 on")
-    view.add_argument(
+    option("--part", type=int, metavar="N", help="which trajectory of a message with several, from 1 on")
+    option(
         "--at",
         metavar="T",
         help='where on the path the robot is at first: seconds since its start, or "worst", where it comes nearest (0)',
     )
-    view.add_argument("--package-dir", metavar="DIR", type=Path, action="append", default=[], help="for package://")
-    view.add_argument("--decompose", action="store_true", help="for the robot: the same as --model pieces")
-    view.add_argument("--port", type=int, default=0, help="default: any free port")
-    view.add_argument("--no-browser", action="store_true", help="only print the address")
-    view.add_argument(
-        "--screenshot", metavar="PNG", type=Path, help="write a picture of the page and exit, without a window"
-    )
+    option("--package-dir", metavar="DIR", type=Path, action="append", default=[], help="for package://")
+    option("--decompose", action="store_true", help="for the robot: the same as --model pieces")
+    option("--port", type=int, default=0, help="default: any free port")
+    option("--no-browser", action="store_true", help="only print the address")
+    option("--screenshot", metavar="PNG", type=Path, help="write a picture of the page and exit, without a window")
     inputs.add_mesh_options(view, "pieces")
-    view.set_defaults(run=_run, default=view.get_default)
+    view.set_defaults(run=_run)
 
 
 def _run(options: argparse.Namespace) -> int:
@@ -100,7 +98,7 @@ def _view_pair(options: argparse.Namespace) -> Any:
     if options.a is None or options.b is None:
         raise InputError("view: expected two bodies, A and B, or --robot URDF")
     of_robots = ("srdf", "scene", "trajectory", *OF_TRAJECTORIES, "package_dir", "decompose")
-    _refuse(options, of_robots, "with --robot only, found it with A and B")
+    inputs.refuse(options, of_robots, "view: expected {} with --robot only, found it with A and B")
     Ta, Tb = inputs.pose(options.pose_a, "--pose-a"), inputs.pose(options.pose_b, "--pose-b")
     a, b = inputs.bodies((options.a, options.b), options)
     if Tb is None:
@@ -115,12 +113,9 @@ def _view_robot(options: argparse.Namespace) -> Any:
 
     if options.a is not None:
         raise InputError(f"view: expected no A and B with --robot, found {options.a}")
-    _refuse(
-        options,
-        ("pose_a", "pose_b", "hull", "scale", *inputs.OF_SURFACES, *inputs.OF_PIECES),
-        "with A and B only, not --robot",
-    )
-    _refuse(options, ("margin",), "with A and B only, not --robot: margins of a robot are the scene's")
+    only, of_pairs = "view: expected {} with A and B only, not --robot", ("pose_a", "pose_b", "hull", "scale")
+    inputs.refuse(options, (*of_pairs, *inputs.OF_SURFACES, *inputs.OF_PIECES), only)
+    inputs.refuse(options, ("margin",), f"{only}: margins of a robot are the scene's")
     scene = None if options.scene is None else loewner.load_scene(options.scene)
     if scene is not None and len(scene) == 0:
         raise InputError(
@@ -128,7 +123,7 @@ def _view_robot(options: argparse.Namespace) -> Any:
         )
     robot = inputs.robot(options)
     if options.trajectory is None:
-        _refuse(options, OF_TRAJECTORIES, "with --trajectory only")
+        inputs.refuse(options, OF_TRAJECTORIES, "view: expected {} with --trajectory only")
         return viewer.show_robot(loewner.CollisionChecker(robot, scene), port=options.port)
     at = options.at if options.at in (None, "worst") else _seconds(options.at)
     scene = loewner.Scene() if scene is None else scene
@@ -166,10 +161,3 @@ def _played(options: argparse.Namespace, scene: loewner.Scene, robot: loewner.Ro
         if given is not parts[number - 1]:
             trajectories.put_down(scene, robot, given, held)
     return parts[number - 1]
-
-
-def _refuse(options: argparse.Namespace, names: Sequence[str], where: str) -> None:
-    """Refuse options that would silently be ignored."""
-    for name in names:
-        if getattr(options, name) != options.default(name):
-            raise InputError(f"view: expected --{name.replace('_', '-')} {where}")

@@ -2,13 +2,14 @@
 
 llvmlite's wheels include LLVM's back end for PTX. It takes the intermediate code that Numba makes from the library's
 own formulas, so there is no second source, and nothing else to install. PTX that was built with the native library is
-used as it is. Otherwise it is made when it is first requested, and kept as a sealed file beside the compiled kernels.
+used as it is. Otherwise it is made when it is first requested, and kept in the store of compiled kernels.
 """
 
 from __future__ import annotations
 
 import sys
 import zlib
+from contextlib import suppress
 from functools import cache
 from importlib import import_module
 from pathlib import Path
@@ -30,17 +31,10 @@ KERNELS = {
     "pairs": ("classify_pieces", "classify_bodies", "gather_rows", "scatter_bytes"),
     "configurations": ("place_links", "place_body", "cull_pair", "certify_survivor", "search_survivor", "conclude"),
     "motions": (
-        "bound_motion",
-        "list_probe",
-        "strike_motion",
-        "begin_motion",
-        "place_end",
-        "cull_interval",
-        "certify_interval",
-        "search_interval",
-        "halve_interval",
-    ),  # fmt: skip
-}
+        "bound_motion", "list_probe", "strike_motion", "begin_motion", "place_end", "cull_interval",
+        "certify_interval", "search_interval", "halve_interval",
+    ),
+}  # fmt: skip
 
 
 @cache
@@ -56,45 +50,21 @@ def text() -> bytes:
     if shipped is not None:
         return zlib.decompress(shipped)
     expect_numba()
-    path = _kept()
-    if path is not None:
-        try:
-            return _sealed.read(path)
-        except (OSError, _sealed.DamagedFileError):
-            pass  # it is made anew
+    from loewner._kernels import _jit, _store
+
+    key = ""
+    with suppress(OSError):  # where sources cannot be read, nothing is kept, since its origin would be unknown
+        if _store.is_usable():
+            made_of = Path(__file__).read_bytes(), _jit.MADE_WITH, source_hash()
+            key = _store.key_of("threads.ptx", made_of, frozenset())
+    with suppress(OSError, _sealed.DamagedFileError):  # otherwise it is made anew
+        if key:
+            return _store.read(key)
     made = compiled()
-    if path is not None:
-        _keep(path, made)
+    with suppress(OSError):  # otherwise it is made again in the next process
+        if key:
+            _store.write(key, made)
     return made
-
-
-def _kept() -> Path | None:
-    """Path of the cached PTX; None if the sources cannot be read, since its origin would then be unknown.
-
-    The file is named by the sources, and by the versions of the compilers.
-    """
-    import hashlib
-
-    import llvmlite
-    import numba
-
-    from loewner._kernels import _store
-
-    try:
-        made_of = Path(__file__).read_bytes(), llvmlite.__version__, numba.__version__, source_hash()
-    except OSError:
-        return None
-    made_by = hashlib.sha256(repr(made_of).encode()).hexdigest()[:16]
-    return _store.FOLDER / f"threads-{made_by}.ptx" if source_hash() else None
-
-
-def _keep(path: Path, made: bytes) -> None:
-    """Write the file if possible."""
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        _sealed.write(path, made)
-    except OSError:
-        pass  # it is made again in the next process
 
 
 def compiled() -> bytes:

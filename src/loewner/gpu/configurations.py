@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import threading
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -112,11 +113,7 @@ class Checker:
         ready, there = self._ready(), is_on_gpu(Q)
         checked = None if there else self._checker.robot.checked(Q)
 
-        def ask(gpu: Device, total: int, address: int) -> tuple[Memory, Ints]:
-            return self._asked(gpu, ready, address, total)
-
-        def settle(left: Floats) -> NDArray[np.int8]:
-            return self._settled(ready, left)
+        ask, settle = partial(self._asked, ready), partial(_settled, ready)
 
         def on_gpu() -> Any:
             gpu = driver.opened(self._number)
@@ -126,9 +123,7 @@ class Checker:
             out = self._decided_here(gpu, [rows], ask, settle) == codes.COLLIDING
             return bool(out[0]) if checked.ndim == 1 else out.reshape(checked.shape[:-1])
 
-        def on_cpu() -> Any:
-            return self._checker.collide(Q)
-
+        on_cpu = partial(self._checker.collide, Q)
         return attempted(on_gpu, on_cpu if self._instead and not there else None)
 
     @guarded
@@ -188,11 +183,7 @@ class Checker:
             raise InputError("expected no pairs that may be in contact at the ends of motions, found some")
         ends = None if there[0] else edges.ends(self._checker.robot, Q0, Q1)
 
-        def ask(gpu: Device, total: int, *addresses: int) -> tuple[Memory, Ints]:
-            return self._asked_motions(gpu, ready, addresses, total)
-
-        def settle(a: Floats, b: Floats) -> NDArray[np.int8]:
-            return _proven(ready, a, b, tolerance)
+        ask, settle = partial(self._asked_motions, ready), partial(_proven, ready, tolerance)
 
         def on_gpu() -> Any:
             gpu = driver.opened(self._number)
@@ -251,42 +242,27 @@ class Checker:
             )
         return view
 
-    def _settled(self, ready: Problem, Q: Floats) -> NDArray[np.int8]:
-        """Let the checker decide the given configurations, in the state of the scene that the GPU used."""
-        if len(Q) == 0:
-            return np.empty(0, dtype=np.int8)
-        found, _ = classified(ready, codes.EXACT, Q)
-        expect_settled(ready, Q, found)
-        return found
-
-    def _asked(self, gpu: Device, ready: Problem, Q: int, total: int) -> tuple[Memory, Ints]:
+    def _asked(self, ready: Problem, gpu: Device, total: int, Q: int) -> tuple[Memory, Ints]:
         """Return the verdicts of configurations at an address, and the indices that are left to the CPU."""
         expect_few(total, "configurations")
-        verdicts, left = gpu.memory(total), Left(gpu, total)
+        verdicts, left, dof = gpu.memory(total), Left(gpu, total), self._checker.robot.dof
         with self._lock:
             tables = self._tables_of(gpu, ready)
             tile = self._tile_of(gpu, tables, total)
             for first in range(0, total, tile.most):
-                self._run(gpu, tables, tile, Q, first, min(tile.most, total - first), verdicts, left)
+                count, at = min(tile.most, total - first), Q + 4 * dof * first
+                place(gpu, tables, tile, at, 0, dof, count)
+                check(gpu, tables, tile, count)
+                gpu.launch("conclude", count, first, tile.state, dof, at, at, verdicts, left.list)
             return verdicts, left.numbers()
 
-    def _asked_motions(self, gpu: Device, ready: Problem, ends: tuple[int, ...], total: int) -> tuple[Memory, Ints]:
+    def _asked_motions(self, ready: Problem, gpu: Device, total: int, *ends: int) -> tuple[Memory, Ints]:
         """Return the verdicts of motions between two addresses, and the indices that are left to the CPU."""
         expect_few(total, "motions")
         with self._lock:
             tables = self._tables_of(gpu, ready)
             tile = self._tile_of(gpu, tables, motions.slots(total))
             return motions.certified(gpu, tables, tile, self._checker.robot.dof, ends, total)
-
-    def _run(
-        self, gpu: Device, tables: Tables, tile: Tile, Q: int, first: int, count: int, verdicts: Memory, left: Left
-    ) -> None:
-        """Run the kernels on one tile, one after the other."""
-        dof = self._checker.robot.dof
-        Q += 4 * dof * first
-        place(gpu, tables, tile, Q, 0, dof, count)
-        check(gpu, tables, tile, count)
-        gpu.launch("conclude", count, first, tile.state.address, dof, Q, Q, verdicts.address, left.list.address)
 
     def _tile_of(self, gpu: Device, tables: Tables, count: int) -> Tile:
         """Return memory for a tile of up to `count` configurations, from the last call if it fits."""
@@ -305,7 +281,16 @@ class Checker:
         return tables
 
 
-def _proven(ready: Problem, a: Floats, b: Floats, tolerance: float) -> NDArray[np.int8]:
+def _settled(ready: Problem, Q: Floats) -> NDArray[np.int8]:
+    """Let the CPU decide the given configurations, in the state of the scene that the GPU used."""
+    if len(Q) == 0:
+        return np.empty(0, dtype=np.int8)
+    found, _ = classified(ready, codes.EXACT, Q)
+    expect_settled(ready, Q, found)
+    return found
+
+
+def _proven(ready: Problem, tolerance: float, a: Floats, b: Floats) -> NDArray[np.int8]:
     """Let the CPU prove the given motions, in the state of the scene that the GPU used."""
     if len(a) == 0:
         return np.empty(0, dtype=np.int8)

@@ -35,6 +35,13 @@ OLD_DRIVER = (34, 35, 36, 803)
 # After these errors nothing more can be done in the context, which holds all of this process's work on the GPU.
 LOST = (201, 700, 702, 709, 710, 714, 715, 716, 717, 718, 719, 721, 999)
 
+# Our wording for codes, unless it needs numbers.
+CAUSES = {
+    **dict.fromkeys(LOST, "the GPU's work was lost, and all that this process keeps there; start the process again"),
+    **dict.fromkeys(OLD_DRIVER, "expected a newer driver of the GPU: update it"),
+    NO_DEVICE: "expected an NVIDIA GPU, found none",
+}
+
 # Attributes of a GPU's compute capability, and the oldest that is accepted: sm_75.
 MAJOR, MINOR, LEAST_CAPABILITY = 75, 76, (7, 5)
 
@@ -95,11 +102,12 @@ class Device:
         text = ctypes.create_string_buffer(256)
         self._ask("cuDeviceGetName", text, len(text), handle)
         self.name = text.value.decode(errors="replace")
-        self.capability = self._attribute(MAJOR, handle), self._attribute(MINOR, handle)
+        major, minor = (self._integer("cuDeviceGetAttribute", which, handle) for which in (MAJOR, MINOR))
+        self.capability = major, minor
         if self.capability < LEAST_CAPABILITY:
             raise GpuError(
                 "device: expected a GPU of compute capability 7.5 (Turing) or newer, found "
-                f"{self.name} of {self.capability[0]}.{self.capability[1]}"
+                f"{self.name} of {major}.{minor}"
             )
         self._context = ctypes.c_void_p()
         self._ask("cuDevicePrimaryCtxRetain", ctypes.byref(self._context), handle)
@@ -127,21 +135,17 @@ class Device:
         array = np.ascontiguousarray(array)
         to = self.memory(array.nbytes)
         if array.nbytes:
+            there, here, size = _places(to.address, array)
             with self._current():
-                self._ask(
-                    "cuMemcpyHtoDAsync_v2", ctypes.c_uint64(to.address), ctypes.c_void_p(array.ctypes.data),
-                    ctypes.c_size_t(array.nbytes), self._stream,
-                )  # fmt: skip
+                self._ask("cuMemcpyHtoDAsync_v2", there, here, size, self._stream)
         return to
 
     def download(self, address: int, array: NDArray[Any]) -> None:
         """Fill an array from the GPU's memory, once all earlier work is done."""
+        there, here, size = _places(address, array)
         with self._current():
             if array.nbytes:
-                self._ask(
-                    "cuMemcpyDtoHAsync_v2", ctypes.c_void_p(array.ctypes.data), ctypes.c_uint64(address),
-                    ctypes.c_size_t(array.nbytes), self._stream,
-                )  # fmt: skip
+                self._ask("cuMemcpyDtoHAsync_v2", here, there, size, self._stream)
             self._ask("cuStreamSynchronize", self._stream)
 
     def clear(self, address: int, size: int) -> None:
@@ -151,18 +155,15 @@ class Device:
 
     # -- work ---------------------------------------------------------------------------------
 
-    def launch(self, kernel: str, threads: int, *arguments: int) -> None:
+    def launch(self, kernel: str, threads: int, *arguments: int | Memory) -> None:
         """Run a kernel with threads 0 .. `threads`; it receives the number of threads before the arguments."""
         if threads == 0:
             return
-        numbers = [ctypes.c_int64(number) for number in (threads, *arguments)]
-        addresses = [ctypes.cast(ctypes.byref(number), ctypes.c_void_p) for number in numbers]
-        packed = (ctypes.c_void_p * len(numbers))(*addresses)
-        blocks = -(-threads // BLOCK)
+        numbers = [ctypes.c_int64(x.address if isinstance(x, Memory) else x) for x in (threads, *arguments)]
+        packed = (ctypes.c_void_p * len(numbers))(*map(ctypes.addressof, numbers))
+        sizes = -(-threads // BLOCK), 1, 1, BLOCK, 1, 1, 0
         with self._current():
-            self._ask(
-                "cuLaunchKernel", self._functions[kernel], blocks, 1, 1, BLOCK, 1, 1, 0, self._stream, packed, None
-            )
+            self._ask("cuLaunchKernel", self._functions[kernel], *sizes, self._stream, packed, None)
 
     def wait(self) -> None:
         """Return when all work is done."""
@@ -236,9 +237,6 @@ class Device:
         self._ask(function, ctypes.byref(found), *arguments)
         return int(found.value)
 
-    def _attribute(self, which: int, handle: int) -> int:
-        return self._integer("cuDeviceGetAttribute", which, handle)
-
     def _ask(self, function: str, *arguments: Any, size: int | None = None) -> None:
         """Call a function of the driver, and raise an exception if it fails."""
         code = getattr(self._cuda, function)(*arguments)
@@ -248,22 +246,14 @@ class Device:
     def _error(self, function: str, code: int, size: int | None = None, said: str = "") -> GpuError:
         """Make the error for a code, with the driver's explanation and, if that is unclear, with ours."""
         self.lost = self.lost or code in LOST
-        text = f"{function}: {self._words(code)}"
+        cause, text = CAUSES.get(code), f"{function}: {self._words(code)}"
         if code == OUT_OF_MEMORY and size is not None:
-            text = f"expected {size / 1e6:.0f} MB of memory on the GPU, found less; ask for fewer at a time ({text})"
-        elif code == NO_DEVICE:
-            text = f"expected an NVIDIA GPU, found none ({text})"
-        elif code in OLD_DRIVER:
-            text = f"expected a newer driver of the GPU: update it ({text})"
+            cause = f"expected {size / 1e6:.0f} MB of memory on the GPU, found less; ask for fewer at a time"
         elif code in (UNSUPPORTED_PTX, INVALID_PTX, NO_IMAGE):
-            found = f"{self.driver // 1000}.{self.driver % 1000 // 10}"
-            text = (
-                f"expected a driver that takes PTX {_ptx.VERSION[3]}.{_ptx.VERSION[4]} (CUDA 11.0 or newer), "
-                f"found one for CUDA {found} that refuses it; update the driver ({text})"
-            )
-        elif code in LOST:
-            text = f"the GPU's work was lost, and all that this process keeps there; start the process again ({text})"
-        return GpuError(text + (f": {said}" if said else ""), code)
+            wanted = f"PTX {_ptx.VERSION[3]}.{_ptx.VERSION[4]} (CUDA 11.0 or newer)"
+            found = f"CUDA {self.driver // 1000}.{self.driver % 1000 // 10}"
+            cause = f"expected a driver that takes {wanted}, found one for {found} that refuses it; update the driver"
+        return GpuError((f"{cause} ({text})" if cause else text) + (f": {said}" if said else ""), code)
 
     def _words(self, code: int) -> str:
         """Return the driver's name and description of an error."""
@@ -278,6 +268,11 @@ class Device:
         """Free memory, which may already be gone at the end of a process or of a context."""
         with contextlib.suppress(Exception), self._current():
             self._cuda.cuMemFree_v2(ctypes.c_uint64(address))
+
+
+def _places(address: int, array: NDArray[Any]) -> tuple[Any, Any, Any]:
+    """Address on the GPU, address on the CPU, and size of a copy of an array, for the driver."""
+    return ctypes.c_uint64(address), ctypes.c_void_p(array.ctypes.data), ctypes.c_size_t(array.nbytes)
 
 
 _opened: dict[int, Device] = {}

@@ -31,7 +31,7 @@ def certified(
         count = min(run.most, total - first)
         Q0, Q1 = (end + 4 * dof * first for end in ends)
         run.prove(Q0, Q1, count)
-        gpu.launch("conclude", count, first, run.state.address, dof, Q0, Q1, verdicts.address, left.list.address)
+        gpu.launch("conclude", count, first, run.state, dof, Q0, Q1, verdicts, left.list)
     return verdicts, left.numbers()
 
 
@@ -48,17 +48,12 @@ class _Run:
 
     def prove(self, Q0: int, Q1: int, count: int) -> None:
         """Find the states of `count` motions."""
-        gpu, cell, bends = self._gpu, self._tables.cell.address, self._bends.address
+        gpu, t, bends = self._gpu, self._tables, self._bends
         gpu.clear(self.state.address, 4 * count)
-        gpu.launch(
-            "bound_motion", self._tables.chains * self.most, self.most, count, self._dof, Q0, Q1, cell, bends
-        )  # fmt: skip
+        gpu.launch("bound_motion", t.chains * self.most, self.most, count, self._dof, Q0, Q1, t.cell, bends)
         self._probe(Q0, Q1, count)
         gpu.clear(self._items.address, 4)
-        gpu.launch(
-            "begin_motion", count, self.most, self._tables.moving, bends, self.state.address, self._items.address,
-            self._room,
-        )  # fmt: skip
+        gpu.launch("begin_motion", count, self.most, t.moving, bends, self.state, self._items, self._room)
         listed = min(length_of(gpu, self._items), self._room)
         while listed > 0:
             gpu.clear(self._halves.address, 4)
@@ -75,34 +70,32 @@ class _Run:
             listed, items = min(tile.most // 2, 2 * count - first), self._items.address + 4 + 8 * first
             self._place(Q0, Q1, items, listed)
             check(gpu, self._tables, tile, 2 * listed)
-            gpu.launch("strike_motion", 2 * listed, items, tile.state.address, self.state.address)
+            gpu.launch("strike_motion", 2 * listed, items, tile.state, self.state)
 
     def _place(self, Q0: int, Q1: int, items: int, count: int) -> None:
         """Place the robot at both ends of intervals."""
-        self._gpu.launch(
-            "place_end", 2 * count * self._dof, self._dof, Q0, Q1, items, self._Q.address, self._spans.address
-        )
+        self._gpu.launch("place_end", 2 * count * self._dof, self._dof, Q0, Q1, items, self._Q, self._spans)
         place(self._gpu, self._tables, self._tile, self._Q.address, self._spans.address, self._dof, 2 * count)
 
     def _halve(self, Q0: int, Q1: int, items: int, count: int) -> None:
         """Prove intervals of a tile, and list the halves of the others."""
-        gpu, t, tile, state, flags = self._gpu, self._tables, self._tile, self.state.address, self._flags.address
+        gpu, t, tile, state, flags = self._gpu, self._tables, self._tile, self.state, self._flags
+        bends, survivors, searches = self._bends, tile.survivors, tile.searches
         S, log_S = room_for(2 * count)
-        cell, bends, searches = t.cell.address, self._bends.address, tile.searches.address
-        gpu.clear(flags, 4 * count)
-        gpu.clear(tile.survivors.address, 4)
-        gpu.clear(searches, 4)
+        gpu.clear(flags.address, 4 * count)
+        gpu.clear(survivors.address, 4)
+        gpu.clear(searches.address, 4)
         self._place(Q0, Q1, items, count)
         gpu.launch(
-            "cull_interval", t.pair_count * (S // 2), S, log_S, self.most, count, cell, items,
-            tile.bounds.address, t.standing.address, bends, state, tile.survivors.address, tile.capacity, flags,
+            "cull_interval", t.pair_count * (S // 2), S, log_S, self.most, count, t.cell, items, tile.bounds,
+            t.standing, bends, state, survivors, tile.capacity, flags,
         )  # fmt: skip
         gpu.launch(
-            "certify_interval", min(tile.capacity, t.pair_count * count), S, log_S, self.most, cell, items,
-            tile.placed.address, bends, state, tile.survivors.address, searches, tile.capacity, flags,
+            "certify_interval", min(tile.capacity, t.pair_count * count), S, log_S, self.most, t.cell, items,
+            tile.placed, bends, state, survivors, searches, tile.capacity, flags,
         )  # fmt: skip
         gpu.launch(
-            "search_interval", min(tile.capacity, t.piece_pairs * count), S, log_S, self.most, cell, items,
-            tile.placed.address, bends, state, searches, tile.capacity, flags,
+            "search_interval", min(tile.capacity, t.piece_pairs * count), S, log_S, self.most, t.cell, items,
+            tile.placed, bends, state, searches, tile.capacity, flags,
         )  # fmt: skip
-        gpu.launch("halve_interval", count, items, state, flags, self._halves.address, self._room)
+        gpu.launch("halve_interval", count, items, state, flags, self._halves, self._room)

@@ -103,23 +103,16 @@ def classify(
     refined, instead = _validate.flag(refine, "refine"), _validate.choice(fallback, "fallback", FALLBACKS) == "cpu"
     for bodies in (a, b):
         single_rows(packed_of(bodies))  # pieces that the GPU cannot take are refused on the CPU, too
-    there = [is_on_gpu(T) for T in (T_world_a, T_world_b)]
-    here = [
-        None if on else _validate.poses(T, name, check=False)
-        for T, on, name in ((T_world_a, there[0], "T_world_a"), (T_world_b, there[1], "T_world_b"))
-    ]
+    poses = {"T_world_a": T_world_a, "T_world_b": T_world_b}
+    there = [is_on_gpu(T) for T in poses.values()]
+    here = [None if is_on_gpu(T) else _validate.poses(T, name, check=False) for name, T in poses.items()]
     if not any(there):
         queries.plan_of(a, _shape(here[0]), b, _shape(here[1]), each=5, chosen=pairs)  # its errors are not the GPU's
 
     def on_gpu() -> Any:
         gpu = driver.opened(number)
-        views = [
-            taken(T, name, gpu) if on else None
-            for T, on, name in ((T_world_a, there[0], "T_world_a"), (T_world_b, there[1], "T_world_b"))
-        ]
-        operands = [
-            _Operand(bodies, *poses) for bodies, poses in zip((a, b), zip(here, views, strict=True), strict=True)
-        ]
+        views = [taken(T, name, gpu) if is_on_gpu(T) else None for name, T in poses.items()]
+        operands = [_Operand(*each) for each in zip((a, b), here, views, strict=True)]
         plan = queries.plan_of(a, operands[0].shape, b, operands[1].shape, each=5, chosen=pairs)
         return _classified(gpu, plan, operands, refined, any(there))
 

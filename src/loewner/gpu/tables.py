@@ -92,12 +92,10 @@ def _cores(ready: Problem) -> tuple[NDArray[np.int32], NDArray[np.float32], NDAr
     poses[first_static:] = np.repeat(ready.standing.poses.reshape(-1, 4, 4), counts, axis=0)
     R, t = poses[:, :3, :3], poses[:, :3, 3]
     reach += np.abs(t).sum(axis=1)
-    numbers[:, columns.CORE_CENTER : columns.CORE_CENTER + 3] = (
-        (R @ table[:, center : center + 3, None])[:, :, 0] + t
-    )  # fmt: skip
-    numbers[:, columns.CORE_FACTOR : columns.CORE_FACTOR + 9] = (
-        R @ table[:, factor : factor + 9].reshape(-1, 3, 3)
-    ).reshape(-1, 9)  # fmt: skip
+    centers = (R @ table[:, center : center + 3, None])[:, :, 0] + t
+    factors = (R @ table[:, factor : factor + 9].reshape(-1, 3, 3)).reshape(-1, 9)
+    numbers[:, columns.CORE_CENTER : columns.CORE_CENTER + 3] = centers
+    numbers[:, columns.CORE_FACTOR : columns.CORE_FACTOR + 9] = factors
     numbers[:, columns.CORE_RADIUS] = radius * tolerances.UP
     numbers[:, columns.CORE_REACH] = reach * (1.0 + 4.0 * tolerances.ROTATION_TOLERANCE)
     bent = np.linalg.norm(R.transpose(0, 2, 1) @ R - np.eye(3), axis=(1, 2)) > ROUND

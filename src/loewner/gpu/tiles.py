@@ -42,13 +42,8 @@ def room_for(count: int) -> tuple[int, int]:
 def place(gpu: Device, tables: Tables, tile: Tile, Q: int, spans: int, dof: int, count: int) -> None:
     """Place links and bodies at the configurations at an address."""
     t, (S, log_S) = tables, room_for(count)
-    gpu.launch(
-        "place_links", count, S, Q, spans, dof, t.links, t.joints.address, t.constants.address, tile.placed.address
-    )
-    gpu.launch(
-        "place_body", t.moving * S, S, log_S, tile.placed.address, t.bodies.address, t.balls.address,
-        t.rows.address, tile.bounds.address,
-    )  # fmt: skip
+    gpu.launch("place_links", count, S, Q, spans, dof, t.links, t.joints, t.constants, tile.placed)
+    gpu.launch("place_body", t.moving * S, S, log_S, tile.placed, t.bodies, t.balls, t.rows, tile.bounds)
 
 
 def most_of(tables: Tables, count: int) -> int:
@@ -63,17 +58,10 @@ def most_of(tables: Tables, count: int) -> int:
 
 def tile_of(gpu: Device, tables: Tables, most: int) -> Tile:
     """Allocate the kernel output for a tile."""
-    capacity = most * SURVIVORS
-    return Tile(
-        most,
-        (tables.links, tables.moving),
-        gpu.memory(4 * columns.LINK_NUMBERS * tables.links * most),
-        gpu.memory(4 * columns.BOUNDS * tables.moving * most),
-        gpu.memory(4 * most),
-        gpu.memory(4 * (1 + capacity)),
-        gpu.memory(4 * (1 + 3 * capacity)),
-        capacity,
-    )
+    capacity, placed, bounds = most * SURVIVORS, columns.LINK_NUMBERS * tables.links, columns.BOUNDS * tables.moving
+    counts = placed * most, bounds * most, most, 1 + capacity, 1 + 3 * capacity
+    at, boxes, state, survivors, searches = (gpu.memory(4 * count) for count in counts)
+    return Tile(most, (tables.links, tables.moving), at, boxes, state, survivors, searches, capacity)
 
 
 def check(gpu: Device, tables: Tables, tile: Tile, count: int) -> None:
@@ -83,15 +71,14 @@ def check(gpu: Device, tables: Tables, tile: Tile, count: int) -> None:
     gpu.clear(tile.survivors.address, 4)
     gpu.clear(tile.searches.address, 4)
     gpu.launch(
-        "cull_pair", t.pair_count * S, S, log_S, count, t.moving, t.pairs.address, t.margins.address,
-        tile.bounds.address, t.standing.address, tile.state.address, tile.survivors.address, tile.capacity,
+        "cull_pair", t.pair_count * S, S, log_S, count, t.moving, t.pairs, t.margins, tile.bounds, t.standing,
+        tile.state, tile.survivors, tile.capacity,
     )  # fmt: skip
     gpu.launch(
-        "certify_survivor", min(tile.capacity, t.pair_count * count), S, log_S, t.moving, t.bodies.address,
-        t.pairs.address, t.margins.address, tile.placed.address, tile.bounds.address, t.rows.address,
-        tile.state.address, tile.survivors.address, tile.searches.address, tile.capacity,
+        "certify_survivor", min(tile.capacity, t.pair_count * count), S, log_S, t.moving, t.bodies, t.pairs, t.margins,
+        tile.placed, tile.bounds, t.rows, tile.state, tile.survivors, tile.searches, tile.capacity,
     )  # fmt: skip
     gpu.launch(
-        "search_survivor", min(tile.capacity, t.piece_pairs * count), S, log_S, t.cell.address,
-        tile.placed.address, tile.state.address, tile.searches.address, tile.capacity,
+        "search_survivor", min(tile.capacity, t.piece_pairs * count), S, log_S, t.cell, tile.placed, tile.state,
+        tile.searches, tile.capacity,
     )  # fmt: skip

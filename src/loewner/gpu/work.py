@@ -112,7 +112,7 @@ def length_of(device: Device, listed: Memory) -> int:
 def gathered(device: Device, address: int, width: int, rows: Ints) -> Floats:
     """Copy rows of a float32 table from the GPU to the CPU, shape (len(rows), width)."""
     listed, found = device.upload(rows.astype(np.int32)), device.memory(4 * width * len(rows))
-    device.launch("gather_rows", width * len(rows), width, listed.address, address, found.address)
+    device.launch("gather_rows", width * len(rows), width, listed, address, found)
     here = np.empty((len(rows), width), dtype=np.float32)
     device.download(found.address, here)
     return here.astype(np.float64)
@@ -121,5 +121,5 @@ def gathered(device: Device, address: int, width: int, rows: Ints) -> Floats:
 def scattered(device: Device, rows: Ints, values: NDArray[Any], target: Memory) -> None:
     """Write small values to single bytes on the GPU."""
     listed, given = device.upload(rows.astype(np.int32)), device.upload(values.astype(np.int32))
-    device.launch("scatter_bytes", len(rows), listed.address, given.address, target.address)
+    device.launch("scatter_bytes", len(rows), listed, given, target)
     device.wait()  # until then the lists must live

@@ -42,6 +42,12 @@ class Measure:
         """Refuse configurations of another robot before they have values."""
         expect_width(self.checker.robot, shape, "Q")
 
+    def named(self, function: Callable[[Any], Any]) -> Callable[[Any], Any]:
+        """Give a function that computes this measure its name and its description."""
+        function.__name__ = function.__qualname__ = self.name
+        function.__doc__ = f"The {self.name} of configurations Q, shape (..., dof), in metres, shape (...)."
+        return function
+
     def no_second_derivatives(self) -> InputError:
         """The error for second derivatives: zeros would be wrong, but would go unnoticed."""
         return InputError(

@@ -227,7 +227,7 @@ def install(server: Any, guard: Guard) -> None:
         # viser's page can request to be published at an address on the internet.
         for message in (viser._messages.ShareUrlRequest, viser._messages.ShareUrlDisconnect):
             infra.unregister_handler(message)
-        status, first = _ask(guard, guard.port, upgrade=True)
+        status, first = _ask(guard, upgrade=True)
         try:
             if status != http.client.SWITCHING_PROTOCOLS:
                 raise RuntimeError(f"a websocket was answered by {status}")
@@ -270,7 +270,7 @@ async def _put(guard: Guard, connections: Any) -> None:
 
 def _try(guard: Guard) -> None:
     """Send requests that must be refused, and check that they are."""
-    port, foreign = guard.port, f"http://{FOREIGN}:{guard.port}"
+    foreign = f"http://{FOREIGN}:{guard.port}"
     wrong: list[dict[str, Any]] = [
         {"host": FOREIGN},
         {"host": FOREIGN, "upgrade": True},
@@ -280,25 +280,19 @@ def _try(guard: Guard) -> None:
     if guard.token is not None:
         wrong += [{"token": None}, {"token": None, "upgrade": True}]
     for request in wrong:
-        status, connection = _ask(guard, port, **request)
+        status, connection = _ask(guard, **request)
         connection.close()
         if status != FORBIDDEN:
             raise RuntimeError(f"a request with {request} was answered by {status}")
 
 
 def _ask(
-    guard: Guard,
-    port: int,
-    *,
-    host: str = "localhost",
-    origin: str | None = None,
-    token: str | None = "",
-    upgrade: bool = False,
+    guard: Guard, *, host: str = "localhost", origin: str | None = None, token: str | None = "", upgrade: bool = False
 ) -> tuple[int, http.client.HTTPConnection]:
     """Send a request to the server, with the right token or without one, and return the status of the answer."""
     import viser
 
-    headers = {"Host": f"{host}:{port}"}
+    headers = {"Host": f"{host}:{guard.port}"}
     if origin is not None:
         headers["Origin"] = origin
     if upgrade:
@@ -306,6 +300,6 @@ def _ask(
         headers |= {"Sec-WebSocket-Key": base64.b64encode(os.urandom(16)).decode()}
         headers |= {"Sec-WebSocket-Protocol": f"viser-v{viser.__version__}"}
     query = "" if token is None or guard.token is None else f"?token={guard.token}"
-    connection = http.client.HTTPConnection(guard.where.own_address, port, timeout=PATIENCE)
+    connection = http.client.HTTPConnection(guard.where.own_address, guard.port, timeout=PATIENCE)
     connection.request("GET", f"/{query}", headers=headers)
     return connection.getresponse().status, connection

@@ -27,8 +27,8 @@ from loewner._base._validate import Floats
 from loewner.errors import InputError, LoewnerError, MissingExtraError, installing
 from loewner.queries.pairs import Verdict
 from loewner.viewer import guard
-from loewner.viewer.drawing import Rgb, light, place
-from loewner.viewer.framing import round_length
+from loewner.viewer.drawing import NearPoints, Rgb, light, place
+from loewner.viewer.framing import add_ground, aim, diagonal, round_length
 
 # Interval in seconds at which the page checks for changes made in Python.
 LOOK_EVERY = 0.1
@@ -152,6 +152,22 @@ class Viewer(ABC):
     def _check_open(self) -> None:
         if self._closed.is_set():
             raise InputError("page: expected an open page, found a closed one; show_pair and show_robot open another")
+
+    @contextmanager
+    def _changing(self) -> Iterator[None]:
+        """Let Python change an open page, and update the page."""
+        self._check_open()
+        with self.lock:
+            yield
+            self.refresh()
+
+    def _frame_view(self, box: Floats, grid: Any) -> None:
+        """Aim the camera at a box; add a grid with a label for its check box, and marks of matching size."""
+        self._size = diagonal(box)
+        aim(self.server, box)
+        self._ground, cell = add_ground(self.server.scene, box)
+        grid.label = f"grid, {cell:g} m"
+        self._near = NearPoints(self.server.scene, self._size)
 
     @abstractmethod
     def _build(self) -> None:
@@ -317,6 +333,11 @@ class PoseInputs:
             turn = Rotation.from_matrix(T[:3, :3]).as_euler("xyz", degrees=True)
         self.position.value = tuple((np.round(T[:3, 3], self._decimals) + 0.0).tolist())
         self.turn.value = tuple((np.round(turn, 2) + 0.0).tolist())
+
+
+def cut_short(lines: list[str], most: int) -> list[str]:
+    """Keep the first lines, and count the others."""
+    return lines if len(lines) <= most else [*lines[:most], f"and {len(lines) - most} more"]
 
 
 def length_text(length: float) -> str:

@@ -14,8 +14,8 @@ from loewner.bodies import Body
 from loewner.errors import InputError
 from loewner.meshes import decomposition as meshes
 from loewner.queries.pairs import Distance, Verdict, classify, collide, distance
-from loewner.viewer.drawing import INK, LABELS, PAIR, VERDICT_COLOURS, Drawing, NearPoints
-from loewner.viewer.framing import add_ground, aim, diagonal, framed
+from loewner.viewer.drawing import INK, LABELS, PAIR, VERDICT_COLOURS, Drawing
+from loewner.viewer.framing import diagonal, framed
 from loewner.viewer.page import Mover, PoseInputs, Viewer, certified_words
 
 # The first view omits the larger body, and shows only the smaller one, if it would be this many times as wide.
@@ -153,11 +153,9 @@ class PairViewer(Viewer):
         self._move("B", _validate.pose(T, "T_world_b"))
 
     def _move(self, name: str, T: Floats) -> None:
-        self._check_open()
-        with self.lock:
+        with self._changing():
             self._movers[name].move(T)
             self._inputs[name].show(T)
-            self.refresh()
 
     # -- the page ---------------------------------------------------------------------------------
 
@@ -176,18 +174,13 @@ class PairViewer(Viewer):
             )
         boxes = {name: self._drawings[name].box(T) for name, T in poses.items()}
         small, large = sorted(boxes.values(), key=diagonal)
-        box = framed(small, [large], WIDEST)
-        self._size = diagonal(box)
-        aim(self.server, box)
-        self._ground, cell = add_ground(scene, box)
-        self._layers["ground"].label = f"grid, {cell:g} m"
+        self._frame_view(framed(small, [large], WIDEST), self._layers["ground"])
         for name, mover in self._movers.items():
             mover.fit(boxes[name], self._size)
             with gui.add_folder(f"Body {name}"):
                 self._inputs[name] = PoseInputs(self, name, self._size)
                 self._inputs[name].show(mover.T)
         dot = self._size / 120
-        self._near = NearPoints(scene, self._size)
         ends = np.zeros((1, 2, 3), dtype=np.float32)
         self._normal = scene.add_arrows(
             "/near/normal", ends, INK, shaft_radius=dot / 2, head_radius=1.5 * dot, head_length=3 * dot

@@ -22,7 +22,7 @@ from loewner.robots.proofs import approaches, curves
 from loewner.robots.proofs.courses import configurations
 from loewner.robots.proofs.in_time import with_bodies
 from loewner.viewer.drawing import VERDICT_COLOURS, Rgb
-from loewner.viewer.page import TEXT
+from loewner.viewer.page import TEXT, cut_short
 
 # A path has no times: it is played at this speed, measured by `Robot.distances` [rad or m per second].
 PACE = 1.0
@@ -83,8 +83,7 @@ class Path:
 
     def positions(self, t: Any) -> Floats:
         """Return the configurations at times from 0 to `duration`, shape (..., dof)."""
-        at = _within(t, self.duration)
-        k = np.clip(np.searchsorted(self.times, at, side="right") - 1, 0, len(self._rows) - 2)
+        at, k = _located(t, self.times)
         length = self.times[k + 1] - self.times[k]
         share = np.divide(at - self.times[k], length, out=np.ones_like(at), where=length > 0)
         return self._robot.between(self._rows[k], self._rows[k + 1], share)
@@ -136,8 +135,8 @@ class Executed:
 
     def positions(self, t: Any) -> Floats:
         """Return the configurations at times from 0 to `duration`, shape (..., dof)."""
-        at, times = _within(t, self.duration), self._curve.times - self.start_time
-        k = np.clip(np.searchsorted(times, at, side="right") - 1, 0, len(times) - 2)
+        times = self._curve.times - self.start_time
+        at, k = _located(t, times)
         shares = np.clip((at - times[k]) / (times[k + 1] - times[k]), 0.0, 1.0)
         Q = configurations(self._robot, self._curve.courses[k.ravel()], shares.ravel())
         return Q.reshape(*at.shape, Q.shape[-1])
@@ -151,11 +150,12 @@ class Executed:
 Way = Trajectory | Path | Standing | Executed
 
 
-def _within(t: Any, duration: float) -> Floats:
+def _located(t: Any, times: Floats) -> tuple[Floats, Ints]:
+    """Check times from 0 to the last of all times, and find the part that contains each."""
     at = np.asarray(t, dtype=float)
-    if not ((at >= 0.0) & (at <= duration)).all():
-        raise InputError(f"t: expected seconds from 0 to {duration:.15g}, found {at.tolist()}")
-    return at
+    if not ((at >= 0.0) & (at <= times[-1])).all():
+        raise InputError(f"t: expected seconds from 0 to {times[-1]:.15g}, found {at.tolist()}")
+    return at, np.clip(np.searchsorted(times, at, side="right") - 1, 0, len(times) - 2)
 
 
 def checked_way(robot: Robot, path: Any, trajectory: Any) -> Trajectory | Path | Executed | None:
@@ -189,10 +189,8 @@ def found_along(checker: CollisionChecker, way: Way) -> Ints:
     """Return FREE, COLLIDING or UNSETTLED for each of LOOKS times, evenly spaced from start to end."""
     times = np.linspace(0.0, way.duration, LOOKS)
     ready = prepared_of(checker, timed=True)
-    found, _ = classified(
-        ready, codes.EXACT, np.ascontiguousarray(with_bodies(ready, way.positions(times), way.start_time + times))
-    )
-    return SEEN[found]
+    Q = np.ascontiguousarray(with_bodies(ready, way.positions(times), way.start_time + times))
+    return SEEN[classified(ready, codes.EXACT, Q)[0]]
 
 
 class Proof(NamedTuple):
@@ -284,9 +282,7 @@ def _strip(name: str, bars: Sequence[tuple[str, Rgb, float]], words: str) -> str
 
 
 def _listed(stretches: list[str]) -> str:
-    if len(stretches) > MOST_STRETCHES:
-        stretches = [*stretches[:MOST_STRETCHES], f"and {len(stretches) - MOST_STRETCHES} more"]
-    return "; ".join(stretches)
+    return "; ".join(cut_short(stretches, MOST_STRETCHES))
 
 
 def _stretches(found: Ints) -> list[tuple[int, int, int]]:

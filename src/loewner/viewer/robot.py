@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property
 from time import monotonic
 from typing import Any
 
@@ -23,32 +23,10 @@ from loewner.queries.pairs import Verdict
 from loewner.robots import CollisionChecker, Robot, StateDistance
 from loewner.robots.description.robot import first_shown
 from loewner.scenes.scene import Contact
-from loewner.viewer.drawing import (
-    LABELS,
-    VERDICT_COLOURS,
-    Drawing,
-    NearPoints,
-    Rgb,
-    add_mesh,
-    place,
-    spanned,
-)
-from loewner.viewer.framing import add_ground, aim, diagonal, framed, round_length
-from loewner.viewer.page import Mover, PoseInputs, Viewer, certified_words, length_text, note_lines
-from loewner.viewer.playing import (
-    COLLIDING,
-    UNSETTLED,
-    Proof,
-    Standing,
-    Way,
-    checked_way,
-    found_along,
-    proof_strip,
-    proven_along,
-    proven_at,
-    sampled_strip,
-    worst_along,
-)
+from loewner.viewer import playing as paths
+from loewner.viewer.drawing import LABELS, VERDICT_COLOURS, Drawing, Rgb, add_mesh, place, spanned
+from loewner.viewer.framing import framed, round_length
+from loewner.viewer.page import Mover, PoseInputs, Viewer, certified_words, cut_short, length_text, note_lines
 from loewner.viewer.visuals import visual_meshes
 
 LINK, OBSTACLE, HELD = (187, 187, 187), (102, 153, 204), (170, 136, 187)
@@ -210,7 +188,7 @@ class RobotViewer(Viewer):
         _validate.instance(checker, "checker", CollisionChecker)
         robot = checker.robot
         self.checker = checker
-        self._way: Way | None = checked_way(robot, path, trajectory)
+        self._way: paths.Way | None = paths.checked_way(robot, path, trajectory)
         self.trajectory = self._way if isinstance(self._way, Trajectory) else None
         self._time = 0.0
         # Value of `monotonic` at time 0 of the path that is being played.
@@ -223,7 +201,7 @@ class RobotViewer(Viewer):
         if q is not None:
             self._first_state = None
         if self._way is None and checker.scene.following:
-            self._way = Standing(checker.scene.following.values(), self._q)
+            self._way = paths.Standing(checker.scene.following.values(), self._q)
         if not checker.checked_pairs:
             raise InputError(
                 "checker: expected pairs to check, found none; the robot has "
@@ -232,7 +210,7 @@ class RobotViewer(Viewer):
         self._seen = self._seen_structure = -1
         self._seen_along: Any = None
         self._along: Ints | None = None
-        self._proof: Proof | None = None
+        self._proof: paths.Proof | None = None
         # Value of `monotonic` at which the path is to be proven.
         self._prove_at = math.inf
         self._size = math.inf
@@ -251,11 +229,10 @@ class RobotViewer(Viewer):
     def q(self, q: ArrayLike) -> None:
         self._check_open()
         checked = np.array(self.checker.robot.checked_one(q))
-        with self.lock:
+        with self._changing():
             self._stop()
             self._state.value = OTHER
             self._set_configuration(checked)
-            self.refresh()
 
     @property
     def time(self) -> float:
@@ -266,10 +243,9 @@ class RobotViewer(Viewer):
     def time(self, t: float) -> None:
         self._check_open()
         self._the_way().positions(_validate.real(t, "time"))
-        with self.lock:
+        with self._changing():
             self._stop()
             self._go_to(float(t))
-            self.refresh()
 
     @property
     def playing(self) -> bool:
@@ -297,10 +273,8 @@ class RobotViewer(Viewer):
         (array([1., 0.]), False)
         True
         """
-        self._check_open()
-        with self.lock:
+        with self._changing():
             self._start(self._the_way())
-            self.refresh()
 
     def go_to_worst(self) -> float:
         """Move the robot to the moment at which the nearest pair is nearest, among 401 moments and all moments at which
@@ -328,21 +302,18 @@ class RobotViewer(Viewer):
         """
         self._check_open()
         way = self._the_way()
-        with self.lock:
+        with self._changing():
             self._prove()
-            worst = worst_along(self.checker, way, self._proof or proven_along(self.checker, way))
+            worst = paths.worst_along(self.checker, way, self._proof or paths.proven_along(self.checker, way))
             self._stop()
             self._go_to(worst)
-            self.refresh()
         return worst
 
     def pause(self) -> None:
         """Stop the robot in place; InputError if there is no path."""
-        self._check_open()
-        self._the_way()
-        with self.lock:
+        with self._changing():
+            self._the_way()
             self._stop()
-            self.refresh()
 
     def move(self, name: str, T_world_body: ArrayLike | None) -> None:
         """Move a body of the scene, and show it immediately.
@@ -361,10 +332,8 @@ class RobotViewer(Viewer):
         UnknownNameError, PoseError
             As for `Scene.move`.
         """
-        self._check_open()
-        with self.lock:
+        with self._changing():
             self.checker.scene.move(name, T_world_body)
-            self.refresh()
 
     # -- the page ---------------------------------------------------------------------------------
 
@@ -408,7 +377,7 @@ class RobotViewer(Viewer):
         self._match_scene()
         self._frame(links)
 
-    def _build_path(self, way: Way) -> None:
+    def _build_path(self, way: paths.Way) -> None:
         gui = self.server.gui
         with gui.add_folder("Path"):
             label = f"time since {way.start_time:g} s, s" if way.start_time else "time, s"
@@ -429,11 +398,7 @@ class RobotViewer(Viewer):
             # Planes of MJCF are links of the robot.
             boxes[shown.mover is None and np.ptp(box, axis=0).max() < WORLD].append(box)
         box = framed(spanned(boxes[True]), boxes[False], WIDEST) if boxes[True] else spanned(boxes[False])
-        self._size = diagonal(box)
-        aim(self.server, box)
-        self._ground, cell = add_ground(self.server.scene, box)
-        self._marks["ground"].label = f"grid, {cell:g} m"
-        self._near = NearPoints(self.server.scene, self._size)
+        self._frame_view(box, self._marks["ground"])
         for shown in self._shown.values():
             if shown.mover is not None:
                 shown.mover.fit(shown.drawing.box(np.eye(4)), self._size)
@@ -453,8 +418,9 @@ class RobotViewer(Viewer):
             node = f"/robot/{link}{node}"
             handle = self.server.scene.add_frame(node, show_axes=False)
             place(handle, _identity_or(T_link_body))
-        look = None if link is None or T_link_body is not None else partial(self._look, name)
-        drawing = Drawing(self.server.scene, node, body, colour, self._which(), look or (lambda: None))
+        is_link = link is not None and T_link_body is None  # only these have visual meshes
+        mesh = (lambda: self._visuals[0].get(name)) if is_link else (lambda: None)
+        drawing = Drawing(self.server.scene, node, body, colour, self._which(), mesh)
         if mover is not None:
             mover.fit(drawing.box(np.eye(4)), self._size)
             drawing.on_click(lambda _: self._tell("clicked", name))
@@ -462,9 +428,6 @@ class RobotViewer(Viewer):
 
     def _which(self) -> dict[str, bool]:
         return {name: box.value for name, box in self._layers.items()}
-
-    def _look(self, link: str) -> Mesh | None:
-        return self._visuals[0].get(link)
 
     @cached_property
     def _visuals(self) -> tuple[dict[str, Mesh], list[str]]:
@@ -491,7 +454,7 @@ class RobotViewer(Viewer):
         notes = [f"{name}: drawn, but not checked, for it has no collision geometry" for name in self._unchecked]
         if not looks and not faults:
             notes.append("The URDF has no visual geometry.")
-        self._notes.content = note_lines(cut_short([*faults, *notes]))
+        self._notes.content = note_lines(cut_short([*faults, *notes], MOST_LINES))
 
     def _match_scene(self) -> None:
         """Add, remove and move the bodies that have changed in the scene since the last check."""
@@ -589,16 +552,16 @@ class RobotViewer(Viewer):
 
     # -- the path ---------------------------------------------------------------------------------
 
-    def _the_way(self) -> Way:
+    def _the_way(self) -> paths.Way:
         if self._way is None:
             raise InputError("page: expected one with a path or trajectory, found none; show_robot(path=...) takes it")
         return self._way
 
-    def _follow(self, way: Way, done: dict[str, Any]) -> None:
+    def _follow(self, way: paths.Way, done: dict[str, Any]) -> None:
         """Continue a path that is being played; it stops when a joint is moved by hand, unless only bodies move."""
         if "speed" in done:
             self._set_speed(SPEEDS[self._pace.value])
-        if isinstance(way, Standing):
+        if isinstance(way, paths.Standing):
             way.q = self._q
         elif {"state", "random", "joints"} & done.keys():
             self._stop()
@@ -616,7 +579,7 @@ class RobotViewer(Viewer):
             if self._time == way.duration:
                 self._stop()
 
-    def _start(self, way: Way) -> None:
+    def _start(self, way: paths.Way) -> None:
         begin = 0.0 if self._time >= way.duration else self._time
         self._began = monotonic() - begin / self._speed
         self._button.label = PAUSE
@@ -636,7 +599,7 @@ class RobotViewer(Viewer):
         self._time = t
         self._clock.value = t
         way = self._the_way()
-        if not isinstance(way, Standing):
+        if not isinstance(way, paths.Standing):
             self._state.value = OTHER
             self._set_configuration(way.positions(t))
 
@@ -680,19 +643,19 @@ class RobotViewer(Viewer):
         way = self._way
         if way is None:
             return
-        if isinstance(way, Standing):
+        if isinstance(way, paths.Standing):
             way.q = self._q
-        seen = self._seen, self._q.tobytes() if isinstance(way, Standing) else None
+        seen = self._seen, self._q.tobytes() if isinstance(way, paths.Standing) else None
         if self._seen_along != seen:
-            self._along = found_along(self.checker, way)
-            self._strip.content = sampled_strip(self._along, way.duration)
+            self._along = paths.found_along(self.checker, way)
+            self._strip.content = paths.sampled_strip(self._along, way.duration)
             self._proof, self._proof_strip.content = None, ""
             self._seen_along, self._prove_at = seen, monotonic() + STILL
         elif monotonic() >= self._prove_at:
             self._prove_at = math.inf
             try:
-                self._proof = proven_along(self.checker, way)
-                self._proof_strip.content = proof_strip(self._proof)
+                self._proof = paths.proven_along(self.checker, way)
+                self._proof_strip.content = paths.proof_strip(self._proof)
             except LoewnerError as error:
                 self._proof_strip.content = note_lines([f"proof: none; {error}"])
 
@@ -713,12 +676,12 @@ class RobotViewer(Viewer):
         if self._way is None or not np.array_equal(self._q, self._way.positions(self._time)):
             return None
         verdicts = np.array([Verdict.AMBIGUOUS]) if self._proof is None else self._proof.verdicts
-        along = np.array([UNSETTLED]) if self._along is None else self._along
+        along = np.array([paths.UNSETTLED]) if self._along is None else self._along
         if (verdicts == Verdict.FREE).all():
             return Verdict.FREE
         scene = self.checker.scene
         # Samples may be in contact that is allowed at the beginning or the end; the proof decides.
-        sampled = (along == COLLIDING).any() and not (scene.leaving or scene.reaching)
+        sampled = (along == paths.COLLIDING).any() and not (scene.leaving or scene.reaching)
         return Verdict.COLLIDING if sampled or (verdicts == Verdict.COLLIDING).any() else Verdict.AMBIGUOUS
 
     def _show_near(self) -> None:
@@ -757,7 +720,7 @@ class RobotViewer(Viewer):
         if self._way is not None:
             yield "time", f"{self._time:.3f} s of {self._way.duration:.6g} s"
             if self._proof is not None and np.array_equal(self._q, self._way.positions(self._time)):
-                yield "proof", proven_at(self._proof, self._time)
+                yield "proof", paths.proven_at(self._proof, self._time)
 
     def _contact_lines(self) -> list[str]:
         deepest = sorted(self.contacts, key=lambda contact: contact.distance)
@@ -766,12 +729,7 @@ class RobotViewer(Viewer):
                                             f"{1e3 * c.distance:z.3g} mm apart")
             for c in deepest
         ]  # fmt: skip
-        return cut_short(lines)
-
-
-def cut_short(lines: list[str]) -> list[str]:
-    """Keep the lines that fit on the panel."""
-    return lines if len(lines) <= MOST_LINES else [*lines[:MOST_LINES], f"and {len(lines) - MOST_LINES} more"]
+        return cut_short(lines, MOST_LINES)
 
 
 def _identity_or(T: Floats | None) -> Floats:

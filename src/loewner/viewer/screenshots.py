@@ -10,7 +10,7 @@ from typing import Any
 
 from loewner._base import _validate
 from loewner._base._files import replacing
-from loewner.errors import FileError, InputError, MissingExtraError, installing
+from loewner.errors import FileError, InputError, MissingExtraError, imported
 from loewner.viewer.page import Viewer
 
 # Browsers of the system, preferred over Playwright's own, and options to draw without a graphics card.
@@ -61,13 +61,10 @@ def save_screenshot(page: Viewer, path: str | os.PathLike[str], *, width: int = 
     for name, size in sizes.items():
         if isinstance(size, bool) or not isinstance(size, int) or not 200 <= size <= 4000:
             raise InputError(f"{name}: expected pixels from 200 to 4000, found {_validate.short(size)}")
-    try:
-        from playwright.sync_api import Error, sync_playwright
-    except ImportError:
-        raise MissingExtraError(f"screenshots need Playwright: {installing('screenshots')}") from None
+    playwright = imported("playwright.sync_api", "screenshots need Playwright", "screenshots")
     # In a separate thread: the caller's thread may run an event loop, as in a notebook, which Playwright refuses.
     with ThreadPoolExecutor(1) as thread, page._without_gizmos():
-        picture = thread.submit(_picture, page.url, sizes, sync_playwright, Error).result()
+        picture = thread.submit(_picture, page.url, sizes, playwright.sync_playwright, playwright.Error).result()
     with replacing(file) as temporary:
         Path(temporary).write_bytes(picture)
 
