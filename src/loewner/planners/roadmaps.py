@@ -27,7 +27,7 @@ from loewner.errors import InputError, PlanningError
 from loewner.planners import compiled
 from loewner.planners.judge import Judge, checked_checker
 from loewner.planners.pose_goals import PoseGoal
-from loewner.planners.space import NAMED, Space, checked_ends
+from loewner.planners.space import NAMED, Space, Task
 from loewner.robots import CollisionChecker
 from loewner.robots.checker import prepared_of
 
@@ -326,13 +326,13 @@ class Roadmap(KeepsReadOnly):
         """
         simplify = _validate.flag(simplify, "simplify")
         judge = Judge.of(self.checker, 0.0, joint_error)
-        q, goals, names, approaches = checked_ends(self.checker, start, goal, self.joint_names, judge)
-        begins = goals
+        task = Task.of(self.checker, start, goal, self.joint_names)
+        q, (begins, names, approaches) = task.start, task.goals(judge)
         # Where a joint has no limits, they follow from start and goals.
-        space = Space.of_start(self.checker, self.joint_names, q, goals)
+        space = Space.of_start(self.checker, self.joint_names, q, begins)
         if not space.outside(q):  # faults of limits are reported first
             self._space.check_still(q[None], "start", "the roadmap's value", "its joints")
-        goals = space.checked_goals(q, goals, judge, names)
+        goals = space.checked_goals(q, begins, judge, names)
         while (found := self._found(judge, q, goals)) is None:
             pass  # the verdicts of the motions are outdated
         judge, rows = found
