@@ -109,12 +109,11 @@ class Space:
             If a goal moves a joint that does not move in this space.
         """
         Q = np.concatenate([q[None], goals])
-        within = self._inside(Q)
-        if within.all():  # the usual case, which is fast
-            faults, inside = [""] * len(goals), within[1:]
-        else:
+        within = self.inside(Q)
+        faults, inside = [""] * len(goals), within[1:]
+        if not within.all():
             _refuse_start(self.outside(q))
-            faults, inside = [self.outside(goal) for goal in goals], within[1:]
+            faults = [self.outside(goal) for goal in goals]
         if not inside.any():
             raise _no_goal(faults, names)
         self.check_still(goals[inside], "goal", "the start's value", "the joints that move")
@@ -130,8 +129,8 @@ class Space:
         named = [fault or self._fault(goal, judge) for fault, goal in zip(faults[:NAMED], goals[:NAMED], strict=True)]
         raise _no_goal(named + faults[NAMED:], names)
 
-    def _inside(self, Q: Floats) -> Bools:
-        """Return which configurations have all moving joints within their limits."""
+    def inside(self, Q: Floats) -> Bools:
+        """Return which configurations have all moving joints within their limits, up to rounding."""
         values = Q[:, self.columns]
         inside = (values >= self.lower - ON_LIMIT) & (values <= self.upper + ON_LIMIT)
         return np.asarray(inside.all(axis=1))
