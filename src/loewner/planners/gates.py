@@ -426,8 +426,9 @@ class Gate:
         """Return the pairs and the world of one moment, also if another thread changes the scene meanwhile."""
         while True:
             ready = prepared_of(self._checker, timed=True)
-            world = _world(ready, self._checker)
-            if self._checker.scene.version == ready.version:
+            scene = self._checker.scene
+            world = _World(ready.structure_version, ready.standing.poses, scene.following, scene.bounds)
+            if scene.version == ready.version:
                 return ready, world
 
     def _time(self, given: float | None) -> float:
@@ -783,10 +784,6 @@ class Gate:
 def _rates(rows: Floats, dq: Floats, dt: float) -> Floats:
     """Velocities at the ticks of a chunk."""
     return np.vstack([dq, np.diff(rows, axis=0) / dt])
-
-
-def _world(ready: Problem, checker: CollisionChecker) -> _World:
-    return _World(ready.structure_version, ready.standing.poses, checker.scene.following, checker.scene.bounds)
 
 
 def _stop(tick: int, needed: int, block: _Block | None) -> _Stop | None:

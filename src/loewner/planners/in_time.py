@@ -21,7 +21,6 @@ from loewner._base._guard import guarded
 from loewner._base._validate import Bools, Floats, Ints
 from loewner._kernels import codes
 from loewner.errors import InputError, PlanningError
-from loewner.planners import compiled
 from loewner.planners.joint_limits import limits_of
 from loewner.planners.judge import TOLERANCE, Judge
 from loewner.planners.pose_goals import PoseGoal
@@ -233,7 +232,6 @@ def planned(
     velocity: ArrayLike | None = None, arrive_by: float | None = None,
 ) -> Trajectory:  # fmt: skip
     """Plan as `plan_in_time` does."""
-    max_iterations, timeout, simplify = search._most, search.timeout, search.simplify
     checker, q, goal = task.checker, task.start, task.goal
     robot, still = checker.robot, without_motions(checker)
     if not robot.runs_straight:
@@ -267,16 +265,12 @@ def planned(
     if len(direct):
         rows = np.stack([first, ends[direct[needs[direct].argmin()]]])
     else:
-        path = compiled.connect(
-            space, judge_of_still, q, goals, max_iterations=max_iterations, timeout=timeout, seed=seed
-        )
-        if simplify:
-            path = compiled.shortened(judge_of_still, path, max_iterations=compiled.CUTS, seed=seed)
+        path = search._path(space, judge_of_still, q, goals, seed)
         rows = _started(judge, path)
         if rows is None:
             trees = _Trees.of(space, judge, first, ends, path, rng)
-            rows = trees.connected(max_iterations, timeout)
-        if simplify:
+            rows = trees.connected(search._most, search.timeout)
+        if search.simplify:
             rows = _shortened(judge, rows, float(needs.min()), rng)
     made = Trajectory._straight(robot.configuration_names, rows[:, -1].copy(), rows[:, :-1].copy(), judge.begin)
     return replace(made, spacing=made._shortest(judge.fastest))._read_only()

@@ -13,12 +13,12 @@ from loewner._base import _validate
 from loewner._base._guard import guarded
 from loewner._base._validate import Floats
 from loewner.errors import ConvergenceError, InputError, PlanningError
-from loewner.planners import bases, compiled, improving, in_time, ompl_planners
+from loewner.planners import bases, compiled, improving, in_time
 from loewner.planners.departures import Departures
 from loewner.planners.drives import Drive
 from loewner.planners.improving import Improve, Improvement, Plan
 from loewner.planners.judge import TOLERANCE, Judge, checked_checker, refuse_unfree
-from loewner.planners.kept_axes import KeptAxis
+from loewner.planners.kept_axes import KeptAxis, parts_of
 from loewner.planners.pose_goals import PoseGoal
 from loewner.planners.searches import Search, checked_search, checked_seed
 from loewner.planners.space import Space, Task
@@ -330,19 +330,10 @@ def _planned(
     q, goals = ends.free_start, space.checked_goals(ends.free_start, ends.free_goals, judge, names)
     if kept is not None:
         goals = kept.checked(robot, q, goals)
-    rounds, clearing = 0, None
-    if search.planner is not None:
-        make = ompl_planners.named(search.planner)
-        found = ompl_planners.search(
-            space, make, q, goals, search.timeout, search.resolution, judge, search.simplify, seed
-        )
-    else:
-        found = compiled.connect(space, judge, q, goals, max_iterations=search._most, timeout=search.timeout, seed=seed)
-        if search.simplify:
-            found = compiled.shortened(judge, found, max_iterations=compiled.CUTS, seed=seed)
-        if better is not None:
-            clearing = better.clearing(judge)
-            found, rounds = improving.improved(space, judge, found, goals, better, seed, clearing)
+    found, rounds, clearing = search._path(space, judge, q, goals, seed), 0, None
+    if better is not None and search.planner is None:
+        clearing = better.clearing(judge)
+        found, rounds = improving.improved(space, judge, found, goals, better, seed, clearing)
     path = ends.joined(found)
     follows: dict[str, Any] = {}
     if approaches is not None:
@@ -368,12 +359,10 @@ def _planned(
 
 def _kept(keep: Any, robot: Robot, joints: str | Iterable[str] | None, compiled: bool) -> KeptAxis:
     """Check the argument `keep`."""
-    listed = _validate.listed(keep, "keep", wanted="(link, axis, direction, angle)")
-    if len(listed) != 4:
-        raise InputError(f"keep: expected (link, axis, direction, angle), found {_validate.short(keep)}")
+    link, *axis = parts_of(keep, "(link, axis, direction, angle)")
     if not compiled:
         raise InputError("keep: expected the compiled planner with it, found one of OMPL's planners")
-    return KeptAxis.of(*listed[1:]).along(chain_to(robot, listed[0], joints), listed[0])
+    return KeptAxis.of(*axis).along(chain_to(robot, link, joints), link)
 
 
 @guarded
