@@ -537,11 +537,7 @@ def _with_base(part: messages.Part, placed: messages.Motion, name: str, robot: R
     if held is None:
         return ControllerPoints(times, base, names=names)
     curved = "velocities" in held.rows
-    if (
-        curved
-        and any(f"{joint}/qw" in robot.configuration_names for joint in placed.names)
-        and (np.diff(base, axis=0) != 0).any()
-    ):
+    if curved and any(f"{joint}/qw" in robot.configuration_names for joint in placed.names):
         turning = [n for n, column in zip(names, values, strict=True) if "/q" in n and np.ptp(column) != 0]
         if turning:
             raise FileError(
