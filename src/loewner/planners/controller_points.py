@@ -437,7 +437,7 @@ class ControllerPoints:
         return made
 
     def _with(self, positions: Floats, rates: Sequence[Floats | None], names: Sequence[str] | None) -> ControllerPoints:
-        """Return points with other columns or rates, and with all else of these."""
+        """Return points with other columns or rates, and otherwise equal."""
         made = ControllerPoints(self.times, positions, *rates, names=names, start_time=self.start_time)
         made.carried, made.origin = self.carried, self.origin
         return made
