@@ -28,8 +28,8 @@ def _harmless(*keys: str) -> dict[str, str]:
     return dict.fromkeys(keys, HARMLESS)
 
 
-# Fields by type; those that matter are in the order in which they take effect. Fields of a list have the type of its
-# entries.
+# Fields by type; all but the harmless ones are in the order in which they take effect. Fields of a list have the type
+# of its entries.
 TYPES: dict[str, dict[str, str]] = {
     "JointTrajectory": {"header": HARMLESS, "joint_names": USED, "points": USED},
     "MultiDOFJointTrajectory": {"header": HARMLESS, "joint_names": USED, "points": USED},
