@@ -409,7 +409,7 @@ def test_courses_are_the_trajectories(robot, jerk):
             assert courses[part] == pytest.approx(controls(moved), abs=1e-12)
     rows = np.cumsum(rng.uniform(-0.01, 0.02, (30, 3)), axis=0)
     at = 0.02 * np.arange(30)
-    brakes = Brakes.on_path(rows, at, at, strongest, steep)
+    brakes = Brakes.on_path(rows, at, at, strongest, steep, beyond=False)
     courses, seconds, first = brakes.courses(True)
     chunk = Trajectory.of_targets(robot, rows, 0.02)
     assert (brakes.counts == 0).any()

@@ -25,10 +25,10 @@ from loewner.errors import ConvergenceError, InputError, PlanningError
 from loewner.planners import steering
 from loewner.planners.drives import Drive, arcs_of, base_columns
 from loewner.planners.joint_limits import ON_LIMIT
-from loewner.planners.judge import TOLERANCE, Judge, checked_checker
+from loewner.planners.judge import TOLERANCE, Judge
 from loewner.planners.pose_goals import PoseGoal
 from loewner.planners.searches import Search, checked_search
-from loewner.planners.space import Space, checked_ends
+from loewner.planners.space import Space, Task
 from loewner.planners.steering import Ways, driven, moved
 from loewner.queries.pairs import Verdict
 from loewner.robots import CollisionChecker, Robot
@@ -238,19 +238,26 @@ def plan_drive(
     >>> plan_drive(CollisionChecker(cart), [0, 0, 0], [2, 0, 0], "car", radius=0.5).motions
     array([[2., 0.]])
     """
-    begin, search = time.monotonic(), checked_search(search)
+    search = checked_search(search)
     search._refuse("base")
     proof = _validate.flag(proof, "proof")
+    return planned(Task.of(checker, start, goal), base, radius, reverse, joint_error, search, proof)
+
+
+def planned(
+    task: Task, base: Kind, radius: float | None, reverse: bool, joint_error: ArrayLike, search: Search, proof: bool
+) -> Drive:
+    """Plan as `plan_drive` does."""
+    begin, checker, q, goals = time.monotonic(), task.checker, task.start, task.goal
     radius, reverse = _checked_options(base, radius, reverse)
-    columns = base_columns(checked_checker(checker).robot)
-    if isinstance(goal, PoseGoal):
+    columns = base_columns(checker.robot)
+    if isinstance(goals, PoseGoal):
         raise InputError("goal: expected a configuration for a base, found a PoseGoal")
-    judge = Judge.of(checker, 0.0, joint_error)
-    q, goals, names, _ = checked_ends(checker, start, goal)
     if len(goals) != 1:
         raise InputError(f"goal: expected one configuration for a base, found {len(goals)}")
+    judge = Judge.of(checker, 0.0, joint_error)
     model = model_of(judge.ready) if proof else None
-    drives = _base(judge, base, radius, reverse, columns, q, goals, names)
+    drives = _base(judge, base, radius, reverse, columns, q, goals)
     here, there = q[list(columns)], goals[0, list(columns)]
     path, iterations = _found(drives, here, there, search._most, begin + search.timeout)
     ways = [path]
@@ -290,7 +297,7 @@ def _checked_options(base: Kind, radius: float | None, reverse: bool) -> tuple[f
 
 def _base(
     judge: Judge, kind: Kind, radius: float | None, reverse: bool, columns: tuple[int, int, int], q: Floats,
-    goals: Floats, names: list[str],
+    goals: Floats,
 ) -> Base:  # fmt: skip
     """Check the ends, and return the base."""
     robot, at = judge.checker.robot, np.array(columns)
@@ -305,7 +312,7 @@ def _base(
         raise InputError("base: expected a base that turns without limits, found one with limits")
     lower[2], upper[2] = -np.inf, np.inf
     space = Space(judge.checker, at, q, lower, upper, np.array([False, False, True]))
-    space.checked_goals(q, goals, judge, names)
+    space.checked_goals(q, goals, judge, ["goal[0]"])
     if (np.abs((goals[0] - q)[at[:2]]) <= NOTHING).all() and abs(math.sin((goals[0] - q)[at[2]] / 2.0)) <= NOTHING:
         raise InputError("goal: expected a pose of the base that differs from the start, found the same")
     around = _reach(robot, columns, q) if radius is None else radius

@@ -15,7 +15,7 @@ from loewner._base import _validate
 from loewner._base._validate import Bools, Floats, Ints
 from loewner._native import entries
 from loewner.errors import InputError, PlanningError
-from loewner.planners.joint_limits import JointLimits, per_joint
+from loewner.planners.joint_limits import JointLimits, limits_by_name
 
 # A piece is straight if its velocities are along the way between its ends, up to this share of the way and of the
 # distance at these velocities.
@@ -55,20 +55,19 @@ class Brakes(NamedTuple):
     needed: Ints
 
     @classmethod
-    def by_joint(cls, Q: Floats, V: Floats, A: Floats, strongest: Floats, jerk: Floats) -> Brakes:
-        """Stop each joint as soon as its limits allow, from states of shape (n, dof); an infinite `jerk` means no
-        limit."""
-        made = cls._empty(len(Q), 3 * Q.shape[1] + 1, Q.shape[1])
-        entries.brakes_by_joint(*(np.array(x) for x in (Q, V, A, strongest, jerk)), *made[:3])
+    def by_joint(cls, Q: Floats, V: Floats, A: Floats, strongest: Floats, jerk: Floats | None) -> Brakes:
+        """Stop each joint as soon as its limits allow, from states of shape (n, dof)."""
+        made, steep = cls._empty(len(Q), 3 * Q.shape[1] + 1, Q.shape[1]), _steep(strongest, jerk)
+        entries.brakes_by_joint(*(np.array(x) for x in (Q, V, A, strongest, steep)), *made[:3])
         return made
 
     @classmethod
     def on_path(
-        cls, rows: Floats, at: Floats, begins: Floats, strongest: Floats, jerk: Floats, *, beyond: bool = False
+        cls, rows: Floats, at: Floats, begins: Floats, strongest: Floats, jerk: Floats | None, *, beyond: bool
     ) -> Brakes:
         """Stop on straight motions between rows, shape (k, dof), at the times `at`, beginning at each of some times."""
-        made = cls._empty(len(begins), len(rows) + 4, rows.shape[1])
-        entries.brakes_on_path(*(np.array(x) for x in (rows, at, begins, strongest, jerk)), beyond, *made)
+        made, steep = cls._empty(len(begins), len(rows) + 4, rows.shape[1]), _steep(strongest, jerk)
+        entries.brakes_on_path(*(np.array(x) for x in (rows, at, begins, strongest, steep)), beyond, *made)
         return made
 
     @classmethod
@@ -135,6 +134,11 @@ class Brakes(NamedTuple):
         return times, positions, rates, bends
 
 
+def _steep(strongest: Floats, jerk: Floats | None) -> Floats:
+    """Return limits of jerk for kernels, where an infinite one means no limit."""
+    return np.full(len(strongest), np.inf) if jerk is None else jerk
+
+
 class Timed(NamedTuple):
     """The arrays of a `Trajectory`; `bends` is None if accelerations are constant on each piece."""
 
@@ -158,8 +162,7 @@ def braked(names: tuple[str, ...], q: Floats, dq: Floats, ddq: Floats, strongest
             f"acceleration: expected a limit of {names[k]} that is no lower than its acceleration at the start, "
             f"{abs(ddq[k]):g}, found {strongest[k]:g}"
         )
-    steep = np.full(len(q), np.inf) if jerk is None else jerk
-    times, knots, rates, bends = Brakes.by_joint(q[None], dq[None], ddq[None], strongest, steep).one()
+    times, knots, rates, bends = Brakes.by_joint(q[None], dq[None], ddq[None], strongest, jerk).one()
     return Timed(times, knots, rates, np.zeros(len(times) - 1, dtype=bool), None if jerk is None else bends)
 
 
@@ -173,8 +176,7 @@ def braked_on_motions(
     PlanningError
         If the robot cannot stop on them.
     """
-    steep = np.full(rows.shape[1], np.inf) if jerk is None else jerk
-    brakes = Brakes.on_path(rows, at, np.array([begin]), strongest, steep, beyond=beyond)
+    brakes = Brakes.on_path(rows, at, np.array([begin]), strongest, jerk, beyond=beyond)
     if brakes.counts[0] == 0:
         raise PlanningError(_too_late(at[-1] - begin))
     times, knots, rates, bends = brakes.one()
@@ -359,15 +361,11 @@ def brake_limits(
     if limits is not None and not (isinstance(limits, JointLimits) and limits.names == names):
         found = ", ".join(limits.names) if isinstance(limits, JointLimits) else type(limits).__name__
         raise InputError(f"limits: expected planners.JointLimits of {', '.join(names)}, found {found}")
-    most: dict[str, Floats] = {}
-    for name, given in (("acceleration", acceleration), ("jerk", jerk)):
-        each = np.full(len(names), np.inf)
-        for source in (known, limits):
-            if source is not None:
-                each = np.where(np.isfinite(getattr(source, name)), getattr(source, name), each)
-        if given is not None:
-            each = per_joint(given, name, len(names))
-        most[name] = np.where(moves, each, np.inf)
+    none = np.full(len(names), np.inf)
+    most = {
+        name: np.where(moves, limits_by_name(name, given, (known, limits), none), np.inf)
+        for name, given in (("acceleration", acceleration), ("jerk", jerk))
+    }
     some = jerk is not None or np.isfinite(most["jerk"][moves]).any()
     for name in ("acceleration", "jerk") if some else ("acceleration",):
         for k in np.flatnonzero(moves & ~np.isfinite(most[name]))[:1]:

@@ -24,7 +24,7 @@ from loewner.errors import FileError, InputError
 from loewner.planners import messages
 from loewner.planners.controllers import ACCELERATION, BLEND, TIMES, VELOCITY, columns_of, expect_in_table, write
 from loewner.planners.joint_limits import expect_robot
-from loewner.planners.trajectory_files import RATES, SAVED_KEYS, WRITTEN, with_ending
+from loewner.planners.trajectory_files import RATES, SAVED_KEYS, WRITTEN, header_of, with_ending
 from loewner.robots import Robot
 from loewner.robots.description.robot import joints_above
 from loewner.robots.proofs.courses import CURVE_ROUNDINGS
@@ -308,9 +308,8 @@ class ControllerPoints:
             if target.suffix.lower() != ".csv":
                 return messages.written(named, self.times, parts, target.suffix.lower())
             expect_in_table(named)
-            kinds = ("", VELOCITY, ACCELERATION)[: len(parts)]
-            header = [TIMES[0], *(name + kind for kind in kinds for name in named)]
-            return _tables.written(header, np.column_stack([self.times, *parts.values()]), self.start_time)
+            table = np.column_stack([self.times, *parts.values()])
+            return _tables.written(header_of(named, len(parts)), table, self.start_time)
 
         write(target, called, moves.tolist(), controllers, text)
 
@@ -430,11 +429,17 @@ class ControllerPoints:
             for held in (self.velocities, self.accelerations)
         ]
         names = [*self.names, *(robot.configuration_names[k] for k in missing)]
-        made = ControllerPoints(self.times, positions, *rates, names=names, start_time=self.start_time)
+        made = self._with(positions, rates, names)
         used = {} if others is not None or stated is None else {n: stated[n] for n in names if n in stated}
         added = names[len(self.names) :]
         assumed = tuple(n for n in added if n not in used) if others is None else ()
-        made.carried, made.origin = self.carried, replace(self.origin, stated=used, assumed=assumed)
+        made.origin = replace(self.origin, stated=used, assumed=assumed)
+        return made
+
+    def _with(self, positions: Floats, rates: Sequence[Floats | None], names: Sequence[str] | None) -> ControllerPoints:
+        """Return points with other columns or rates, and otherwise equal."""
+        made = ControllerPoints(self.times, positions, *rates, names=names, start_time=self.start_time)
+        made.carried, made.origin = self.carried, self.origin
         return made
 
     def __repr__(self) -> str:
@@ -454,9 +459,7 @@ class ControllerPoints:
 def executed(points: ControllerPoints, derivatives: int) -> ControllerPoints:
     """Return points with only 0, 1 or 2 derivatives, which the points must have."""
     kept = [rate if k < derivatives else None for k, rate in enumerate((points.velocities, points.accelerations))]
-    made = ControllerPoints(points.times, points.positions, *kept, names=points.names, start_time=points.start_time)
-    made.carried, made.origin = points.carried, points.origin
-    return made
+    return points._with(points.positions, kept, points.names)
 
 
 @form_of.register(ControllerPoints)
@@ -534,7 +537,7 @@ def _with_base(part: messages.Part, placed: messages.Motion, name: str, robot: R
     if held is None:
         return ControllerPoints(times, base, names=names)
     curved = "velocities" in held.rows
-    if curved and any(joint in _floating(robot) for joint in placed.names) and (np.diff(base, axis=0) != 0).any():
+    if curved and any(f"{joint}/qw" in robot.configuration_names for joint in placed.names):
         turning = [n for n, column in zip(names, values, strict=True) if "/q" in n and np.ptp(column) != 0]
         if turning:
             raise FileError(
@@ -548,11 +551,6 @@ def _with_base(part: messages.Part, placed: messages.Motion, name: str, robot: R
     made = ControllerPoints(times, positions, *rates, names=[*held.names, *names])
     made.origin = Origin(straight=tuple(names) if curved else ())
     return made
-
-
-def _floating(robot: Robot) -> list[str]:
-    """Return the joints with a position and an orientation."""
-    return [n.removesuffix("/qw") for n in robot.configuration_names if n.endswith("/qw")]
 
 
 def _columns_of(joint: str, T: Floats, name: str, robot: Robot) -> dict[str, Floats]:
@@ -605,9 +603,10 @@ def _expect_begin(part: messages.Part, name: str) -> None:
     if part.joints is None:
         return
     first = dict(zip(part.joints.names, part.joints.rows["positions"][0].tolist(), strict=True))
-    away = [joint for joint, value in part.start.joints.items() if _is_off(value, first.get(joint))]
+    stated = {joint: value for joint, value in part.start.joints.items() if joint in first}
+    away = [joint for joint, value in stated.items() if not abs(value - first[joint]) <= START_TOLERANCE]
     if away:
-        states = ", ".join(f"{joint} = {part.start.joints[joint]:g}" for joint in away)
+        states = ", ".join(f"{joint} = {stated[joint]:g}" for joint in away)
         start = ", ".join(f"{joint} = {first[joint]:g}" for joint in away)
         warn(
             f"{name}: the start state has {states}, and the first point {start}; the trajectory does not "
@@ -690,8 +689,3 @@ def _refuse_beside(beside: dict[str, float], places: dict[str, Floats], sources:
             f"{name}: expected a state of the joints that the points name, found {', '.join(told)} ({where}); give "
             "the robot, by robot=, whose joints stand as the state says, or as others= says"
         )
-
-
-def _is_off(value: float, first: float | None) -> bool:
-    """Return whether a value of the start state is not the one with which the points begin, if they name its joint."""
-    return first is not None and not abs(value - first) <= START_TOLERANCE

@@ -16,12 +16,11 @@ from loewner._base import _validate
 from loewner._base._guard import guarded
 from loewner._base._validate import Floats
 from loewner.errors import InputError, PlanningError
-from loewner.planners.judge import TOLERANCE, Judge, checked_checker
+from loewner.planners.judge import Judge, checked_checker
 from loewner.queries.pairs import Verdict
 from loewner.robots import CollisionChecker
 from loewner.robots.description.assembly import parts_of
 from loewner.robots.description.robot import interpolated
-from loewner.robots.proofs.proofs import prove_by_rules
 
 # States of all robots together that may be visited: some minutes of proofs.
 MOST_STATES = 2**20
@@ -115,10 +114,8 @@ def coordinate(
     ways = _ways(checker, paths, _validate.whole_number(steps, "steps", 1))
     judge = Judge.of(checker, 0.0, joint_error)
     for place, state in (("starts", (0,) * len(ways)), ("ends", tuple(len(way.rows) - 1 for way in ways))):
-        q = _configuration(ways, checker.robot.dof, state)[None]
-        proven = prove_by_rules(judge.ready, q, q, TOLERANCE, judge.joint_error)
-        proven.expect_short(q, q)
-        found = proven.of_shape((), judge.ready)
+        q = _configuration(ways, checker.robot.dof, state)
+        found = judge.certified(q, q)
         if found.verdict != Verdict.FREE:
             a, b = found.names
             raise PlanningError(
@@ -218,9 +215,7 @@ def _why(judge: Judge, ways: list[_Way], done: set[State], ends: State) -> str:
         _configuration(ways, dof, farthest),
         _configuration(ways, dof, tuple(map(min, map(add, farthest, (1,) * len(ends)), ends))),
     )
-    proven = prove_by_rules(judge.ready, a[None], b[None], TOLERANCE, judge.joint_error)
-    proven.expect_short(a[None], b[None])
-    found = proven.of_shape((), judge.ready)
+    found = judge.certified(a, b)
     shares = ", ".join(
         f"{way.times[k] / max(way.times[-1], 1e-300):.0%}" for way, k in zip(ways, farthest, strict=True)
     )

@@ -223,7 +223,9 @@ def _form(given: Drive, name: str) -> Curve:
     columns = list(given.columns)
     if (np.delete(given.path, columns, axis=1) != np.delete(given.path[:1], columns, axis=1)).any():
         raise InputError(f"{name}: expected a drive whose other joints keep their values, found one that moves them")
-    arcs = arcs_between(given.path[:, columns], given.motions)
+    poses, (lengths, turns) = given.path[:, columns], given.motions.T
+    gaps = np.abs(moved(poses[:-1], lengths, turns) - poses[1:])
+    arcs = arcs_of(poses[:-1], lengths, turns, poses[1:], gaps)
     courses = np.repeat(given.path[arcs.owner, None], 8, axis=1)
     courses[..., columns] = arcs.courses
     off = np.zeros((len(courses), given.path.shape[1]))
@@ -233,13 +235,6 @@ def _form(given: Drive, name: str) -> Curve:
     steps = np.diff(given.times)
     times = given.times[arcs.owner] + steps[arcs.owner] * (place / count[arcs.owner])
     return Curve(given.names, np.append(times, given.times[-1]), courses, off)
-
-
-def arcs_between(poses: Floats, motions: Floats) -> Arcs:
-    """Return the courses of motions that begin at all poses but the last, shape (k + 1, 3), and end at the next
-    pose."""
-    ends = moved(poses[:-1], motions[:, 0], motions[:, 1])
-    return arcs_of(poses[:-1], motions[:, 0], motions[:, 1], poses[1:], np.abs(ends - poses[1:]))
 
 
 def arcs_of(poses: Floats, lengths: Floats, turns: Floats, ends: Floats, gaps: Floats) -> Arcs:

@@ -426,8 +426,9 @@ class Gate:
         """Return the pairs and the world of one moment, also if another thread changes the scene meanwhile."""
         while True:
             ready = prepared_of(self._checker, timed=True)
-            world = _world(ready, self._checker)
-            if self._checker.scene.version == ready.version:
+            scene = self._checker.scene
+            world = _World(ready.structure_version, ready.standing.poses, scene.following, scene.bounds)
+            if scene.version == ready.version:
                 return ready, world
 
     def _time(self, given: float | None) -> float:
@@ -683,17 +684,9 @@ class Gate:
             dt = chunk.dt / scale
             late = self._periods(dt)
             slower = _Chunk(
-                chunk.rows,
-                _rates(chunk.rows, scale * chunk.rates[0], dt),
-                chunk.rows[0],
-                dt,
-                chunk.t0,
-                0,
-                late + 1,
-                late,
-                chunk.ends,
-                chunk.world,
-            )
+                chunk.rows, _rates(chunk.rows, scale * chunk.rates[0], dt), chunk.rows[0], dt, chunk.t0, 0, late + 1,
+                late, chunk.ends, chunk.world,
+            )  # fmt: skip
             _, other, work = self._proven(ready, slower, most - spent)
             spent += work
             if other is None:
@@ -704,13 +697,11 @@ class Gate:
 
     def _brakes(self, chunk: _Chunk, ticks: Ints, end: int) -> Brakes:
         """Brake from ticks; on the path up to the last of this number of targets, and then along its last motion."""
-        steep = np.full(chunk.rows.shape[1], np.inf) if self._jerk is None else self._jerk
         if not self._on_path:
-            rates = chunk.rates[ticks]
-            return Brakes.by_joint(chunk.rows[ticks], rates, np.zeros_like(rates), self._strongest, steep)
+            return self._by_joint(chunk.rows[ticks], chunk.rates[ticks])
         rows, ticks = np.vstack([chunk.before, chunk.rows[: end + 1]]), ticks + 1
         at: Floats = chunk.dt * np.arange(float(len(rows)))
-        return Brakes.on_path(rows, at, at[ticks], self._strongest, steep, beyond=True)
+        return Brakes.on_path(rows, at, at[ticks], self._strongest, self._jerk, beyond=True)
 
     def _brake_from(self, chunk: _Chunk, tick: int) -> Trajectory:
         made = self._brakes(chunk, np.array([tick]), int(chunk.ends[tick])).one()
@@ -718,16 +709,14 @@ class Gate:
 
     def _stop(self, state: State, now: float) -> Trajectory:
         """Brake from a measured state, joint by joint."""
-        return self._trajectory(self._stopping(state).one(), now, False)
+        return self._trajectory(self._by_joint(*(x[None] for x in state)).one(), now, False)
 
-    def _stopping(self, state: State) -> Brakes:
-        steep = np.full(len(state[0]), np.inf) if self._jerk is None else self._jerk
-        q, dq = (x[None] for x in state)
-        return Brakes.by_joint(q, dq, np.zeros_like(q), self._strongest, steep)
+    def _by_joint(self, Q: Floats, V: Floats) -> Brakes:
+        return Brakes.by_joint(Q, V, np.zeros_like(Q), self._strongest, self._jerk)
 
     def _stops_free(self, ready: Problem, state: State, now: float, most: int) -> tuple[bool, int]:
         """Whether a brake from a measured state, which is free, is proven, and the steps that this took."""
-        courses, seconds, _ = self._pieces(ready, self._stopping(state), state[1][None])
+        courses, seconds, _ = self._pieces(ready, self._by_joint(*(x[None] for x in state)), state[1][None])
         end = now + np.cumsum(seconds)
         error = np.tile(self._error + self._farther(state[1]), (len(courses), 1))
         _, block, work = self._first_block(ready, courses, error, end - seconds, end, most)
@@ -795,10 +784,6 @@ class Gate:
 def _rates(rows: Floats, dq: Floats, dt: float) -> Floats:
     """Velocities at the ticks of a chunk."""
     return np.vstack([dq, np.diff(rows, axis=0) / dt])
-
-
-def _world(ready: Problem, checker: CollisionChecker) -> _World:
-    return _World(ready.structure_version, ready.standing.poses, checker.scene.following, checker.scene.bounds)
 
 
 def _stop(tick: int, needed: int, block: _Block | None) -> _Stop | None:

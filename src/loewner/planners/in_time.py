@@ -21,12 +21,11 @@ from loewner._base._guard import guarded
 from loewner._base._validate import Bools, Floats, Ints
 from loewner._kernels import codes
 from loewner.errors import InputError, PlanningError
-from loewner.planners import compiled
 from loewner.planners.joint_limits import limits_of
-from loewner.planners.judge import TOLERANCE, Judge, checked_checker
-from loewner.planners.pose_goals import PoseGoal, joints_of
+from loewner.planners.judge import TOLERANCE, Judge
+from loewner.planners.pose_goals import PoseGoal
 from loewner.planners.searches import Search, checked_search, checked_seed
-from loewner.planners.space import Space, checked_ends, touching
+from loewner.planners.space import Space, Task, touching
 from loewner.planners.straights import BLEND_ROUNDINGS
 from loewner.planners.trajectories import Trajectory
 from loewner.robots import CollisionChecker, Robot
@@ -224,17 +223,26 @@ def plan_in_time(
     """
     search, seed = checked_search(search), checked_seed(seed)
     search._refuse("start_time")
-    max_iterations, timeout, simplify = search._most, search.timeout, search.simplify
-    robot, still = checked_checker(checker).robot, without_motions(checker)
-    joints = joints_of(goal, robot, joints)
+    task = Task.of(checker, start, goal, joints)
+    return planned(task, joint_error, search, seed, start_time, velocity, arrive_by)
+
+
+def planned(
+    task: Task, joint_error: ArrayLike, search: Search, seed: int, start_time: float,
+    velocity: ArrayLike | None = None, arrive_by: float | None = None,
+) -> Trajectory:  # fmt: skip
+    """Plan as `plan_in_time` does."""
+    checker, q, goal = task.checker, task.start, task.goal
+    robot, still = checker.robot, without_motions(checker)
     if not robot.runs_straight:
         raise InputError(
             f"start_time: expected a robot whose values run straight, found a floating or ball joint in {robot.name!r}"
         )
     if isinstance(goal, PoseGoal) and not (goal.approach is None and goal.retreat is None):
         raise InputError("goal: expected no approach or retreat in a plan in time, found one; plan them by themselves")
-    q, goals, names, _ = checked_ends(still, start, goal, joints)
-    space, judge_of_still = Space.of_start(still, joints, q, goals), Judge.of(still, 0.0, joint_error)
+    judge_of_still = Judge.of(still, 0.0, joint_error)
+    goals, names, _ = task.goals(judge_of_still)
+    space = Space.of_start(still, task.joints, q, goals)
     judge = _judge(checker, space, start_time, velocity, arrive_by, joint_error)
     first = np.append(q, 0.0)
     goals = space.unwound(q, space.checked_goals(q, goals, judge_of_still, names))
@@ -257,16 +265,12 @@ def plan_in_time(
     if len(direct):
         rows = np.stack([first, ends[direct[needs[direct].argmin()]]])
     else:
-        path = compiled.connect(
-            space, judge_of_still, q, goals, max_iterations=max_iterations, timeout=timeout, seed=seed
-        )
-        if simplify:
-            path = compiled.shortened(judge_of_still, path, max_iterations=compiled.CUTS, seed=seed)
+        path = search._path(space, judge_of_still, q, goals, seed)
         rows = _started(judge, path)
         if rows is None:
             trees = _Trees.of(space, judge, first, ends, path, rng)
-            rows = trees.connected(max_iterations, timeout)
-        if simplify:
+            rows = trees.connected(search._most, search.timeout)
+        if search.simplify:
             rows = _shortened(judge, rows, float(needs.min()), rng)
     made = Trajectory._straight(robot.configuration_names, rows[:, -1].copy(), rows[:, :-1].copy(), judge.begin)
     return replace(made, spacing=made._shortest(judge.fastest))._read_only()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -167,18 +167,10 @@ def limits_of(
             f"velocity: expected a limit of each joint that moves, found none {where} for {names}; "
             f"give velocity=, one number or {robot.dof}"
         )
-    strongest = np.where(np.isfinite(robot.acceleration), robot.acceleration, fastest / UP_IN)
-    if acceleration is not None:
-        strongest = per_joint(acceleration, "acceleration", robot.dof)
-    if given is not None and acceleration is None:
-        strongest = np.where(np.isfinite(given.acceleration), given.acceleration, strongest)
-    most = None if jerk is None else np.where(moves, per_joint(jerk, "jerk", robot.dof), np.inf)
-    known = np.where(np.isnan(robot.jerk), np.inf, robot.jerk)
-    if given is not None:
-        known = np.where(np.isfinite(given.jerk), given.jerk, known)
-    if jerk is None and np.isfinite(known[moves]).any():
-        most = np.where(moves, known, np.inf)
-    return np.where(moves, fastest, np.inf), np.where(moves, strongest, np.inf), most
+    strongest = limits_by_name("acceleration", acceleration, (robot, given), fastest / UP_IN)
+    steepest = limits_by_name("jerk", jerk, (robot, given), np.full(robot.dof, np.inf))
+    fastest, strongest, steepest = (np.where(moves, each, np.inf) for each in (fastest, strongest, steepest))
+    return fastest, strongest, None if jerk is None and np.isinf(steepest).all() else steepest
 
 
 def _expect_within(robot: Robot, rows: Floats, given: JointLimits) -> None:
@@ -193,6 +185,15 @@ def _expect_within(robot: Robot, rows: Floats, given: JointLimits) -> None:
             f"path: expected positions within limits=, found {given.names[k]} = {rows[row, k]:.9g} outside "
             f"{lower[k]:.9g} .. {upper[k]:.9g}"
         )
+
+
+def limits_by_name(name: str, limit: ArrayLike | None, sources: Iterable[Any], otherwise: Floats) -> Floats:
+    """Return one limit per joint: the given one, or the last finite one of a joint in some sources."""
+    if limit is not None:
+        return per_joint(limit, name, len(otherwise))
+    for known in (getattr(source, name) for source in sources if source is not None):
+        otherwise = np.where(np.isfinite(known), known, otherwise)
+    return otherwise
 
 
 def per_joint(limit: ArrayLike, name: str, dof: int) -> Floats:

@@ -20,7 +20,7 @@ from loewner._kernels import codes
 from loewner.errors import InputError, PlanningError
 from loewner.planners.kept_axes import KeptAxis
 from loewner.queries.pairs import Verdict
-from loewner.robots import CollisionChecker
+from loewner.robots import CertifiedMotions, CollisionChecker
 from loewner.robots.checker import prepared_of
 from loewner.robots.checking import verdicts
 from loewner.robots.checking.edges import MOST_STEPS
@@ -123,6 +123,18 @@ class Judge:
             free = np.asarray(found == codes.FREE)
         return free if self.kept is None else free & self.kept.on(Q0, Q1)
 
+    def certified(self, a: Floats, b: Floats) -> CertifiedMotions:
+        """Prove one motion between configurations, by the scene's contact rules as well, whether or not it is sampled.
+
+        Raises
+        ------
+        InputError
+            If the proof would take too many intervals.
+        """
+        found = prove_by_rules(self.ready, a[None], b[None], TOLERANCE, self.joint_error)
+        found.expect_short(a[None], b[None])
+        return found.of_shape((), self.ready)
+
     def proven(self, courses: Floats, off: Floats | None = None) -> Bools:
         """Return which courses of a batch are proven free, including all deviations of up to `off`."""
         return np.asarray(prove(self.ready, courses, TOLERANCE, off).verdicts == codes.FREE)
@@ -166,9 +178,7 @@ def refuse_unfree(judge: Judge, path: Floats, name: str) -> None:
     if free.all():
         return
     k = int(free.argmin())
-    certified = prove_by_rules(judge.ready, path[k : k + 1], path[k + 1 : k + 2], TOLERANCE, judge.joint_error)
-    certified.expect_short(path[k : k + 1], path[k + 1 : k + 2])
-    found = certified.of_shape((), judge.ready)
+    found = judge.certified(path[k], path[k + 1])
     if found.verdict == Verdict.FREE:
         told = f"which is not free where it is looked at in steps of {judge.resolution:g}"
     else:

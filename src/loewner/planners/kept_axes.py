@@ -112,6 +112,14 @@ class KeptAxis:
         return goals[good]
 
 
+def parts_of(keep: Any, wanted: str) -> list[Any]:
+    """Return the parts of an argument `keep`, which must be as many as those named in `wanted`."""
+    listed = _validate.listed(keep, "keep", wanted=wanted)
+    if len(listed) != len(wanted.split(",")):
+        raise InputError(f"keep: expected {wanted}, found {_validate.short(keep)}")
+    return listed
+
+
 def _completed(z: Floats) -> Floats:
     """Return a rotation whose third row is a unit vector."""
     x = np.cross(np.eye(3)[np.abs(z).argmin()], z)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,7 +15,7 @@ from loewner._native import entries
 from loewner.errors import InputError, PlanningError
 from loewner.planners.joint_limits import ON_LIMIT, with_start
 from loewner.planners.judge import TOLERANCE, Judge, checked_checker
-from loewner.planners.kept_axes import KeptAxis
+from loewner.planners.kept_axes import KeptAxis, parts_of
 from loewner.planners.kept_lines import POSITION, ROTATION, checked_tolerance, chord_of
 from loewner.queries.pairs import Verdict
 from loewner.robots import CollisionChecker, Robot
@@ -98,7 +97,8 @@ def straight(
     """
     robot = checked_checker(checker).robot
     position, rotation = checked_tolerance(position, "position"), checked_tolerance(rotation, "rotation")
-    q, kept = robot.checked_one(start, "start"), None if keep is None else _kept(keep)
+    q = robot.checked_one(start, "start")
+    kept = None if keep is None else KeptAxis.of(*parts_of(keep, "(axis, direction, angle)"))
     target = _validate.pose(T, "T")
     chain = chain_to(robot, link, joints)
     judge = Judge.of(checker, 0.0)
@@ -142,14 +142,6 @@ def followed(
     Q = np.repeat(q[None], len(rows), axis=0)
     Q[:, chain.columns] = rows[:, 2:]
     return rows[:, 0], Q, fault
-
-
-def _kept(keep: Any) -> KeptAxis:
-    """Check an axis that is to be kept."""
-    listed = _validate.listed(keep, "keep", wanted="(axis, direction, angle)")
-    if len(listed) != 3:
-        raise InputError(f"keep: expected (axis, direction, angle), found {_validate.short(keep)}")
-    return KeptAxis.of(*listed)
 
 
 def _from_start(robot: Robot, chain: Chain, q: Floats, link: str) -> Chain:

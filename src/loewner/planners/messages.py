@@ -23,96 +23,68 @@ from loewner.errors import FileError, InputError
 # that have such a field.
 USED, HARMLESS, TOLD, ANY = "used", "harmless", "told", "any"
 
-# Fields by type, in the order in which they take effect. Fields of a list have the type of its entries.
+
+def _harmless(*keys: str) -> dict[str, str]:
+    return dict.fromkeys(keys, HARMLESS)
+
+
+# Fields by type; all but the harmless ones are in the order in which they take effect. Fields of a list have the type
+# of its entries.
 TYPES: dict[str, dict[str, str]] = {
     "JointTrajectory": {"header": HARMLESS, "joint_names": USED, "points": USED},
     "MultiDOFJointTrajectory": {"header": HARMLESS, "joint_names": USED, "points": USED},
     "RobotTrajectory": {
-        "joint_trajectory": "JointTrajectory",
-        "multi_dof_joint_trajectory": "MultiDOFJointTrajectory",
+        "joint_trajectory": "JointTrajectory", "multi_dof_joint_trajectory": "MultiDOFJointTrajectory"
     },
-    "RobotState": {
-        "is_diff": USED,
-        "joint_state": USED,
-        "multi_dof_joint_state": USED,
-        "attached_collision_objects": USED,
-    },
+    "RobotState": dict.fromkeys(
+        ("is_diff", "joint_state", "multi_dof_joint_state", "attached_collision_objects"), USED
+    ),
     "PlanningSceneWorld": {"collision_objects": USED, "octomap": USED},
     "PlanningScene": {
-        "name": HARMLESS,
-        "robot_state": "RobotState",
-        "robot_model_name": USED,
-        "fixed_frame_transforms": HARMLESS,  # frames of bodies in the message's world, which is not read
-        "allowed_collision_matrix": HARMLESS,  # more pairs are checked here
-        "link_padding": TOLD,
-        "link_scale": TOLD,
-        "object_colors": HARMLESS,
+        "robot_state": "RobotState", "robot_model_name": USED, "link_padding": TOLD, "link_scale": TOLD,
         "world": "PlanningSceneWorld",
-        "is_diff": HARMLESS,  # of the world; a state has its own
+        # Frames are of bodies in the message's world, which is not read; more pairs are checked here than the matrix
+        # lists; and is_diff is of the world, since a state has its own.
+        **_harmless("name", "fixed_frame_transforms", "allowed_collision_matrix", "object_colors", "is_diff"),
     },
     "DisplayTrajectory": {"model_id": USED, "trajectory_start": "RobotState", "trajectory": "RobotTrajectory"},
     "MotionPlanResponse": {
-        "trajectory_start": "RobotState",
-        "group_name": HARMLESS,
-        "trajectory": "RobotTrajectory",
-        "planning_time": HARMLESS,
-        "error_code": HARMLESS,
+        "trajectory_start": "RobotState", "trajectory": "RobotTrajectory",
+        **_harmless("group_name", "planning_time", "error_code"),
     },
     "MotionPlanDetailedResponse": {
-        "trajectory_start": "RobotState",
-        "group_name": HARMLESS,
-        "trajectory": "RobotTrajectory",
-        "description": HARMLESS,
-        "processing_time": HARMLESS,
-        "error_code": HARMLESS,
+        "trajectory_start": "RobotState", "trajectory": "RobotTrajectory",
+        **_harmless("group_name", "description", "processing_time", "error_code"),
     },
     "MotionSequenceResponse": {
-        "error_code": HARMLESS,
-        "sequence_start": "RobotState",
-        "planned_trajectories": "RobotTrajectory",
-        "planning_time": HARMLESS,
+        "sequence_start": "RobotState", "planned_trajectories": "RobotTrajectory",
+        **_harmless("error_code", "planning_time"),
     },
     "GetCartesianPath": {
-        "start_state": "RobotState",
-        "solution": "RobotTrajectory",
-        "fraction": HARMLESS,
-        "error_code": HARMLESS,
+        "start_state": "RobotState", "solution": "RobotTrajectory", **_harmless("fraction", "error_code"),
     },
     "MoveGroupResult": {
-        "error_code": HARMLESS,
-        "trajectory_start": "RobotState",
-        "planned_trajectory": "RobotTrajectory",
-        "executed_trajectory": TOLD,
-        "planning_time": HARMLESS,
+        "trajectory_start": "RobotState", "planned_trajectory": "RobotTrajectory", "executed_trajectory": TOLD,
+        **_harmless("error_code", "planning_time"),
     },
     "ExecuteTrajectoryGoal": {"trajectory": "RobotTrajectory", "controller_names": HARMLESS},
     "FollowJointTrajectoryGoal": {
-        "trajectory": "JointTrajectory",
-        "multi_dof_trajectory": "MultiDOFJointTrajectory",
-        "path_tolerance": USED,
-        "component_path_tolerance": USED,
-        "goal_tolerance": HARMLESS,  # at the end only
-        "component_goal_tolerance": HARMLESS,
-        "goal_time_tolerance": HARMLESS,
+        "trajectory": "JointTrajectory", "multi_dof_trajectory": "MultiDOFJointTrajectory",
+        "path_tolerance": USED, "component_path_tolerance": USED,
+        **_harmless("goal_tolerance", "component_goal_tolerance", "goal_time_tolerance"),  # at the end only
     },
     "SubTrajectory": {
-        "info": HARMLESS,
-        "execution_info": HARMLESS,
-        "trajectory": "RobotTrajectory",
-        "scene_diff": "PlanningScene",
+        "trajectory": "RobotTrajectory", "scene_diff": "PlanningScene", **_harmless("info", "execution_info"),
     },
-    "Solution": {
-        "task_id": HARMLESS,
-        "start_scene": "PlanningScene",
-        "sub_solution": HARMLESS,  # which parts belong together; the parts are in sub_trajectory
-        "sub_trajectory": "SubTrajectory",
+    "Solution": {  # sub_solution lists which parts belong together; the parts are in sub_trajectory
+        "start_scene": "PlanningScene", "sub_trajectory": "SubTrajectory", **_harmless("task_id", "sub_solution"),
     },
     "ExecuteTaskSolutionGoal": {"solution": "Solution"},
     "GetMotionPlanResponse": {"motion_plan_response": "MotionPlanResponse"},
     "GetMotionSequenceResponse": {"response": "MotionSequenceResponse"},
     "Goal": {"header": HARMLESS, "goal_id": HARMLESS, "goal": ANY},
     "Result": {"header": HARMLESS, "status": HARMLESS, "result": ANY},
-}
+}  # fmt: skip
 WRAPPED = [name for name, fields in TYPES.items() if ANY not in fields.values()]
 
 # Keys of further types. Headers, efforts, the velocities, twists and wrenches of a state, the posture of a gripper and

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import replace
-from typing import Any, Literal, TypedDict, Unpack, cast, overload
+from typing import Any, Literal, TypedDict, Unpack, overload
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,16 +13,15 @@ from loewner._base import _validate
 from loewner._base._guard import guarded
 from loewner._base._validate import Floats
 from loewner.errors import ConvergenceError, InputError, PlanningError
-from loewner.planners import bases, compiled, improving, ompl_planners
+from loewner.planners import bases, compiled, improving, in_time
 from loewner.planners.departures import Departures
 from loewner.planners.drives import Drive
 from loewner.planners.improving import Improve, Improvement, Plan
-from loewner.planners.in_time import plan_in_time
 from loewner.planners.judge import TOLERANCE, Judge, checked_checker, refuse_unfree
-from loewner.planners.kept_axes import KeptAxis
-from loewner.planners.pose_goals import PoseGoal, joints_of
+from loewner.planners.kept_axes import KeptAxis, parts_of
+from loewner.planners.pose_goals import PoseGoal
 from loewner.planners.searches import Search, checked_search, checked_seed
-from loewner.planners.space import Space, checked_ends
+from loewner.planners.space import Space, Task
 from loewner.planners.trajectories import Trajectory
 from loewner.robots import CollisionChecker, Robot
 from loewner.robots.checking.edges import checked_path
@@ -217,6 +216,7 @@ def plan(
     search = replace(checked_search(search), **of_search)
     full, proof = (_validate.flag(others.get(name, False), name) for name in ("full", "proof"))
     reverse = _validate.flag(others.get("reverse", True), "reverse")
+    seed, task = checked_seed(seed), Task.of(checker, start, goal, joints)
     timed, driving = options.keys() & TIMED, options.keys() & DRIVING or not reverse
     refused = ["full=True"] * full + ["keep"] * (keep is not None) + of_path
     if timed:
@@ -228,19 +228,13 @@ def plan(
         if "start_time" not in timed:
             raise InputError("start_time: expected it with velocity or arrive_by, found none")
         search._refuse("start_time", refused + ["base"] * bool(driving))
-        given = {name: options[name] for name in timed}
-        return plan_in_time(
-            checker, start, goal, **given, joints=joints, joint_error=joint_error, search=search, seed=seed
-        )
+        return in_time.planned(task, joint_error, search, seed, **{name: options[name] for name in timed})
     if driving:
         if "base" not in options:
             raise InputError("base: expected it with radius or reverse, found none")
         search._refuse("base", refused + ["joints"] * (joints is not None))
-        checked_seed(seed)  # which has no effect, since the search draws nothing
-        return bases.plan_drive(
-            checker, start, cast(Any, goal), options["base"], radius=options.get("radius"), reverse=reverse,
-            joint_error=joint_error, search=search, proof=proof,
-        )  # fmt: skip
+        # The seed has no effect, since the search draws nothing.
+        return bases.planned(task, options["base"], options.get("radius"), reverse, joint_error, search, proof)
     if proof and not full:
         raise InputError("proof=True needs full=True: the proof is an attribute of the Plan")
     improve = None
@@ -249,7 +243,7 @@ def plan(
         improve = Improve(**{rounds.get(name, name): options[name] for name in of_path})
         if of_path == ["weights"] and not full:
             raise InputError("weights: expected improve_for, improve_iterations or full=True with them")
-    found: Floats | Plan = _planned(checker, start, goal, joints, keep, joint_error, search, seed, improve, full, proof)
+    found: Floats | Plan = _planned(task, keep, joint_error, search, seed, improve, full, proof)
     return found
 
 
@@ -313,43 +307,33 @@ def plan_full(
     """
     proof, search = _validate.flag(proof, "proof"), checked_search(search)
     better = _validate.instance(Improve() if improve is None else improve, "improve", Improve, "planners")
-    found: Plan = _planned(checker, start, goal, joints, keep, joint_error, search, seed, better, True, proof)
+    seed, task = checked_seed(seed), Task.of(checker, start, goal, joints)
+    found: Plan = _planned(task, keep, joint_error, search, seed, better, True, proof)
     return found
 
 
 def _planned(
-    checker: CollisionChecker, start: ArrayLike, goal: ArrayLike | PoseGoal, joints: str | Iterable[str] | None,
-    keep: Keep | None, joint_error: ArrayLike, search: Search, seed: int, improve: Improve | None, full: bool,
-    proof: bool,
+    task: Task, keep: Keep | None, joint_error: ArrayLike, search: Search, seed: int, improve: Improve | None,
+    full: bool, proof: bool,
 ) -> Any:  # fmt: skip
     """Find a path, and improve it as requested; return a `Plan` if `full` is set."""
-    robot, seed = checked_checker(checker).robot, checked_seed(seed)
+    checker, robot, q = task.checker, task.checker.robot, task.start
     if proof and not search.certified:
         raise InputError("proof=True needs certified=True: sampled motions have no proof")
     better = None if improve is None else Improvement.of(robot, improve, search)
-    joints, posed = joints_of(goal, robot, joints), isinstance(goal, PoseGoal)
-    kept = None if keep is None else _kept(keep, robot, joints, search.planner is None)
+    kept = None if keep is None else _kept(keep, robot, task.joints, search.planner is None)
     judge = Judge.of(checker, search._step, joint_error, kept)
-    q, goals, names, approaches = checked_ends(checker, start, goal, joints, judge)
-    space, begins = Space.of_start(checker, joints, q, goals), goals
+    begins, names, approaches = task.goals(judge)
+    space = Space.of_start(checker, task.joints, q, begins)
     model = model_of(judge.ready) if proof else None
-    ends = Departures.of(space, judge, q, goals)
+    ends = Departures.of(space, judge, q, begins)
     q, goals = ends.free_start, space.checked_goals(ends.free_start, ends.free_goals, judge, names)
     if kept is not None:
         goals = kept.checked(robot, q, goals)
-    rounds, clearing = 0, None
-    if search.planner is not None:
-        make = ompl_planners.named(search.planner)
-        found = ompl_planners.search(
-            space, make, q, goals, search.timeout, search.resolution, judge, search.simplify, seed
-        )
-    else:
-        found = compiled.connect(space, judge, q, goals, max_iterations=search._most, timeout=search.timeout, seed=seed)
-        if search.simplify:
-            found = compiled.shortened(judge, found, max_iterations=compiled.CUTS, seed=seed)
-        if better is not None:
-            clearing = better.clearing(judge)
-            found, rounds = improving.improved(space, judge, found, goals, better, seed, clearing)
+    found, rounds, clearing = search._path(space, judge, q, goals, seed), 0, None
+    if better is not None and search.planner is None:
+        clearing = better.clearing(judge)
+        found, rounds = improving.improved(space, judge, found, goals, better, seed, clearing)
     path = ends.joined(found)
     follows: dict[str, Any] = {}
     if approaches is not None:
@@ -361,7 +345,7 @@ def _planned(
         raise PlanningError("path: expected motions into and out of contact that keep the axis, found others")
     if better is None or not full:
         return path
-    made = replace(better.plan(path, ends, goals, rounds, posed, clearing), **follows)
+    made = replace(better.plan(path, ends, goals, rounds, isinstance(task.goal, PoseGoal), clearing), **follows)
     if model is None:
         return made
     off = np.zeros(robot.dof) if judge.joint_error is None else judge.joint_error
@@ -375,12 +359,10 @@ def _planned(
 
 def _kept(keep: Any, robot: Robot, joints: str | Iterable[str] | None, compiled: bool) -> KeptAxis:
     """Check the argument `keep`."""
-    listed = _validate.listed(keep, "keep", wanted="(link, axis, direction, angle)")
-    if len(listed) != 4:
-        raise InputError(f"keep: expected (link, axis, direction, angle), found {_validate.short(keep)}")
+    link, *axis = parts_of(keep, "(link, axis, direction, angle)")
     if not compiled:
         raise InputError("keep: expected the compiled planner with it, found one of OMPL's planners")
-    return KeptAxis.of(*listed[1:]).along(chain_to(robot, listed[0], joints), listed[0])
+    return KeptAxis.of(*axis).along(chain_to(robot, link, joints), link)
 
 
 @guarded

@@ -123,7 +123,8 @@ class PoseGoal:
         InputError, UnknownNameError
             As for `Robot.reach`.
         """
-        Q, _, approaches = self._found(checker, start, joints, None)
+        begin = checked_checker(checker).robot.checked_one(start, "start")
+        Q, _, approaches = self._found(Judge.of(checker, 0.0), begin, joints)
         return Q if approaches is None else np.array([rows[-1] for rows in approaches.rows])
 
     @guarded
@@ -217,25 +218,24 @@ class PoseGoal:
             raise PlanningError(f"{name}: expected a free line that {self.link} can follow, found that {why}")
         return rows
 
+    def _joints(self, robot: Robot) -> list[str]:
+        """Return the joints of the link, for plans to which no others are given: fingers then keep their places."""
+        chain = chain_to(robot, self.link)
+        moving = set(chain.columns[chain.moving].tolist())
+        return [name for name in robot.joint_names if moving & set(range(robot.dof)[robot._columns[name]])]
+
     def _found(
-        self, checker: CollisionChecker, start: ArrayLike, joints: str | Iterable[str] | None, judge: Judge | None
+        self, judge: Judge, begin: Floats, joints: str | Iterable[str] | None
     ) -> tuple[Floats, list[str], Approaches | None]:
         """Find the configurations, and name each for messages: its pose, and its number among the pose's solutions.
 
         With an approach or a retreat, return the configurations where approaches begin.
         """
-        robot, poses = checked_checker(checker).robot, np.asarray(self.T).reshape(-1, 4, 4)
-        begin = robot.checked_one(start, "start")
-        found = robot.reach(
-            self.link,
-            poses,
-            joints=joints,
-            start=begin,
-            seeds=self.seeds,
-            checker=checker,
-            all=True,
+        poses = np.asarray(self.T).reshape(-1, 4, 4)
+        found = judge.checker.robot.reach(
+            self.link, poses, joints=joints, start=begin, seeds=self.seeds, checker=judge.checker, all=True,
             tolerance=self.tolerance,
-        )
+        )  # fmt: skip
         Q = np.concatenate(found.solutions)
         if len(Q) == 0:
             nearest = int((found.residual**2).sum(axis=1).argmin())
@@ -253,7 +253,6 @@ class PoseGoal:
         ]
         if self.approach is None and self.retreat is None:
             return np.asarray(Q[order[:MOST_GOALS]]), [names[k] for k in order[:MOST_GOALS]], None
-        judge = Judge.of(checker, 0.0) if judge is None else judge
         kept, approaches = self._with_lines(judge, Q[order], good[order], joints)
         return np.array([rows[0] for rows in approaches.rows]), [names[order[k]] for k in kept], approaches
 
@@ -390,33 +389,3 @@ def _along(
         return Q, "blocked on", f"contact where the line {'begins' if to_goal else 'ends'}"
     block = block_of(judge, u, Q)
     return Q, "blocked on" if block else "", block
-
-
-def goals_of(
-    goal: Any, checker: CollisionChecker, start: Floats, joints: str | Iterable[str] | None, judge: Judge | None
-) -> tuple[Any, list[str] | None, Approaches | None]:
-    """Return the configurations and names of a goal that is given by poses; return any other goal unchanged."""
-    robot = checker.robot
-    if isinstance(goal, PoseGoal):
-        return goal._found(checker, start, joints, judge)
-    if isinstance(goal, str):  # refused, like a dict, where configurations are checked
-        return goal, None, None
-    shape = _validate.plain_array(goal, "goal").shape
-    if shape[-2:] == (4, 4) and robot.dof != 4:
-        raise InputError(
-            f"goal: expected configurations, shape ({robot.dof},) or (goals, {robot.dof}), or for poses of a link "
-            f"planners.PoseGoal(link, T); found poses, shape {_validate.shape_text(shape)}"
-        )
-    return goal, None, None
-
-
-def joints_of(goal: Any, robot: Robot, joints: str | Iterable[str] | None) -> str | Iterable[str] | None:
-    """Return the joints of a plan; for a pose they are the joints of its link, unless others are given.
-
-    Fingers that hold something then keep their places.
-    """
-    if joints is not None or not isinstance(goal, PoseGoal):
-        return joints
-    chain = chain_to(robot, goal.link)
-    moving = set(chain.columns[chain.moving].tolist())
-    return [name for name in robot.joint_names if moving & set(range(robot.dof)[robot._columns[name]])]

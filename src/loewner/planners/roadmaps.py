@@ -27,7 +27,7 @@ from loewner.errors import InputError, PlanningError
 from loewner.planners import compiled
 from loewner.planners.judge import Judge, checked_checker
 from loewner.planners.pose_goals import PoseGoal
-from loewner.planners.space import NAMED, Space, checked_ends
+from loewner.planners.space import NAMED, Space, Task
 from loewner.robots import CollisionChecker
 from loewner.robots.checker import prepared_of
 
@@ -63,12 +63,7 @@ class _Links(NamedTuple):
 
     def joined(self, more: _Links) -> _Links:
         """Concatenate these links and more links."""
-        a, b = self, more
-        return _Links(
-            np.concatenate([a.nodes, b.nodes]), np.concatenate([a.lengths, b.lengths]),
-            np.concatenate([a.goals, b.goals]), np.concatenate([a.from_nodes, b.from_nodes]),
-            np.concatenate([a.to_lengths, b.to_lengths]),
-        )  # fmt: skip
+        return _Links(*(np.concatenate(both) for both in zip(self, more, strict=True)))
 
 
 class _Way(NamedTuple):
@@ -169,8 +164,7 @@ class _Neighbours:
 
     def of_all(self, Q: Floats, many: int) -> Ints:
         """Find the given number of nodes nearest to each configuration, nearest first, shape (N, many)."""
-        values = self._wrapped(self.space, Q)
-        return self._nearest(values, many)
+        return self._nearest(self._wrapped(self.space, Q), many)
 
     def pairs(self, neighbours: int) -> Ints:
         """List, in order and once, each pair of nodes in which one is among the other's nearest, shape (m, 2)."""
@@ -326,13 +320,13 @@ class Roadmap(KeepsReadOnly):
         """
         simplify = _validate.flag(simplify, "simplify")
         judge = Judge.of(self.checker, 0.0, joint_error)
-        q, goals, names, approaches = checked_ends(self.checker, start, goal, self.joint_names, judge)
-        begins = goals
+        task = Task.of(self.checker, start, goal, self.joint_names)
+        q, (begins, names, approaches) = task.start, task.goals(judge)
         # Where a joint has no limits, they follow from start and goals.
-        space = Space.of_start(self.checker, self.joint_names, q, goals)
+        space = Space.of_start(self.checker, self.joint_names, q, begins)
         if not space.outside(q):  # faults of limits are reported first
             self._space.check_still(q[None], "start", "the roadmap's value", "its joints")
-        goals = space.checked_goals(q, goals, judge, names)
+        goals = space.checked_goals(q, begins, judge, names)
         while (found := self._found(judge, q, goals)) is None:
             pass  # the verdicts of the motions are outdated
         judge, rows = found
@@ -662,9 +656,9 @@ def _count(samples: Any) -> int | None:
 
 def _check_given(space: Space, Q: Floats, name: str) -> None:
     """Refuse given configurations that are outside the limits, or differ in joints that do not move."""
-    outside = _outside(space, Q)
-    if outside.any():
-        k = int(outside.argmax())
+    inside = space.inside(Q)
+    if not inside.all():
+        k = int(inside.argmin())
         raise InputError(f"{name}[{k}]: expected a configuration within the limits, found {space.outside(Q[k])}")
     differs = space.still != Q
     differs[:, space.columns] = False
@@ -674,16 +668,6 @@ def _check_given(space: Space, Q: Floats, name: str) -> None:
             f"{name}[{k}]: expected {space.still[column]:g}, as all have, of {space.name(column)}, which is not among "
             f"the joints that move; found {Q[k, column]:g}"
         )
-
-
-def _outside(space: Space, Q: Floats) -> Bools:
-    """Return which configurations are outside the limits of the joints that move."""
-    values = Q[:, space.columns]
-    beyond = (values < space.lower) | (values > space.upper)
-    found = np.zeros(len(Q), dtype=bool)
-    for k in np.flatnonzero(beyond.any(axis=1)):  # a rounding error does not count as outside
-        found[k] = bool(space.outside(Q[k]))
-    return found
 
 
 def _why(graph: _Graph, links: _Links, tried: int) -> str:

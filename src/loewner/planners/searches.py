@@ -7,8 +7,11 @@ from dataclasses import dataclass
 from typing import Any
 
 from loewner._base import _validate
+from loewner._base._validate import Floats
 from loewner.errors import InputError
 from loewner.planners import compiled, ompl_planners
+from loewner.planners.judge import Judge
+from loewner.planners.space import Space
 
 # Kinds of plans with searches of their own, by the option that chooses them.
 OF_ITS_OWN = {"start_time": "plans in time are proven and shortened", "base": "drives are proven"}
@@ -87,6 +90,16 @@ class Search:
     def _most(self) -> int:
         """Number of iterations."""
         return compiled.UNLIMITED if self.max_iterations is None else self.max_iterations
+
+    def _path(self, space: Space, judge: Judge, start: Floats, goals: Floats, seed: int) -> Floats:
+        """Find a path, shape (k, dof), from a configuration to one of several, and simplify it if requested."""
+        if self.planner is not None:
+            make = ompl_planners.named(self.planner)
+            return ompl_planners.search(
+                space, make, start, goals, self.timeout, self.resolution, judge, self.simplify, seed
+            )
+        path = compiled.connect(space, judge, start, goals, max_iterations=self._most, timeout=self.timeout, seed=seed)
+        return compiled.shortened(judge, path, max_iterations=compiled.CUTS, seed=seed) if self.simplify else path
 
     def _refuse(self, name: str, others: Sequence[str] = ()) -> None:
         """Refuse options that only paths have, if an option chooses another kind of plan."""

@@ -13,7 +13,7 @@ from loewner._base._validate import Bools, Floats, Ints
 from loewner.errors import InputError, PlanningError
 from loewner.planners.joint_limits import ON_LIMIT, with_start
 from loewner.planners.judge import TOLERANCE, Judge, checked_checker
-from loewner.planners.pose_goals import Approaches, PoseGoal, goals_of
+from loewner.planners.pose_goals import Approaches, PoseGoal
 from loewner.robots import CollisionChecker, Robot
 from loewner.robots.checker import prepared_of
 from loewner.robots.checking import distances, verdicts
@@ -109,12 +109,11 @@ class Space:
             If a goal moves a joint that does not move in this space.
         """
         Q = np.concatenate([q[None], goals])
-        within = self._inside(Q)
-        if within.all():  # the usual case, which is fast
-            faults, inside = [""] * len(goals), within[1:]
-        else:
+        within = self.inside(Q)
+        faults, inside = [""] * len(goals), within[1:]
+        if not within.all():
             _refuse_start(self.outside(q))
-            faults, inside = [self.outside(goal) for goal in goals], within[1:]
+            faults = [self.outside(goal) for goal in goals]
         if not inside.any():
             raise _no_goal(faults, names)
         self.check_still(goals[inside], "goal", "the start's value", "the joints that move")
@@ -130,8 +129,8 @@ class Space:
         named = [fault or self._fault(goal, judge) for fault, goal in zip(faults[:NAMED], goals[:NAMED], strict=True)]
         raise _no_goal(named + faults[NAMED:], names)
 
-    def _inside(self, Q: Floats) -> Bools:
-        """Return which configurations have all moving joints within their limits."""
+    def inside(self, Q: Floats) -> Bools:
+        """Return which configurations have all moving joints within their limits, up to rounding."""
         values = Q[:, self.columns]
         inside = (values >= self.lower - ON_LIMIT) & (values <= self.upper + ON_LIMIT)
         return np.asarray(inside.all(axis=1))
@@ -233,27 +232,61 @@ def touching(contacts: Sequence[Contact]) -> str:
     return named + (f", and {len(contacts) - NAMED} more" if len(contacts) > NAMED else "")
 
 
-def checked_ends(
-    checker: CollisionChecker,
-    start: ArrayLike,
-    goal: ArrayLike | PoseGoal,
-    joints: str | Iterable[str] | None = None,
-    judge: Judge | None = None,
-) -> tuple[Floats, Floats, list[str], Approaches | None]:
-    """Check a user's start and goals; return them with shapes (dof,) and (goals, dof), and the goals' names.
+@dataclass(frozen=True, eq=False)
+class Task:
+    """A start and a goal to plan for, as a user gave them, checked.
 
-    Approaches to a pose, and retreats from it, are checked by a judge; the goals are then the configurations at which
-    the approaches begin.
+    Attributes
+    ----------
+    checker : CollisionChecker
+    start : ndarray, shape (dof,)
+    goal : ndarray, shape (goals, dof), or PoseGoal
+    joints : str or iterable of str, optional
+        The joints that move; for a pose, the joints of its link, unless others are given.
     """
-    robot = checked_checker(checker).robot
-    q = robot.checked_one(start, "start")
-    given, names, approaches = goals_of(goal, checker, q, joints, judge)
-    goals = np.atleast_2d(robot.checked(given, "goal"))
+
+    checker: CollisionChecker
+    start: Floats
+    goal: Floats | PoseGoal
+    joints: str | Iterable[str] | None
+
+    @classmethod
+    def of(
+        cls, checker: CollisionChecker, start: ArrayLike, goal: ArrayLike | PoseGoal,
+        joints: str | Iterable[str] | None = None,
+    ) -> Task:  # fmt: skip
+        """Check the arguments of a function that plans."""
+        robot = checked_checker(checker).robot
+        q = robot.checked_one(start, "start")
+        if isinstance(goal, PoseGoal):
+            return cls(checker, q, goal, goal._joints(robot) if joints is None else joints)
+        return cls(checker, q, _checked_goals(robot, goal), joints)
+
+    def goals(self, judge: Judge) -> tuple[Floats, list[str], Approaches | None]:
+        """Return the goals, shape (goals, dof), their names, and the approaches to them.
+
+        Approaches to a pose, and retreats from it, are checked by a judge; the goals are then the configurations at
+        which the approaches begin.
+        """
+        if isinstance(self.goal, PoseGoal):
+            return self.goal._found(judge, self.start, self.joints)
+        return self.goal, [f"goal[{k}]" for k in range(len(self.goal))], None
+
+
+def _checked_goals(robot: Robot, goal: ArrayLike) -> Floats:
+    """Check one goal or several, given as configurations."""
+    expected = f"({robot.dof},) or (goals, {robot.dof})"
+    if not isinstance(goal, str):  # refused, like a dict, where configurations are checked
+        shape = _validate.plain_array(goal, "goal").shape
+        if shape[-2:] == (4, 4) and robot.dof != 4:
+            raise InputError(
+                f"goal: expected configurations, shape {expected}, or for poses of a link planners.PoseGoal(link, T); "
+                f"found poses, shape {_validate.shape_text(shape)}"
+            )
+    goals = np.atleast_2d(robot.checked(goal, "goal"))
     if goals.ndim != 2 or len(goals) == 0:
-        raise InputError(
-            f"goal: expected shape ({robot.dof},) or (goals, {robot.dof}), found {_validate.shape_text(goals.shape)}"
-        )
-    return q, goals, names or [f"goal[{k}]" for k in range(len(goals))], approaches
+        raise InputError(f"goal: expected shape {expected}, found {_validate.shape_text(goals.shape)}")
+    return goals
 
 
 def _by_a_hair(excess: float) -> str:

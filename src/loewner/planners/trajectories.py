@@ -849,18 +849,17 @@ class Trajectory(KeepsReadOnly):
 def _form(given: Trajectory, name: str) -> Curve:
     """Make the curve of parabolas or cubics between knots; see `CollisionChecker.certify_trajectory`."""
     T, first, last = np.diff(given.times)[:, None], given.knots[:-1], given.knots[1:]
+    points: tuple[Floats, ...]
     if given.jumps and given.bends is not None:
-        courses = np.stack(given._control_points(np.arange(len(T)), T), axis=1)
-        return Curve(given.names, given.times, courses, CUBIC_ROUNDINGS * np.abs(courses).max(axis=1))
-    if given.jumps:
-        courses = np.stack([first, last], axis=1)
-        return Curve(given.names, given.times, courses, BLEND_ROUNDINGS * np.abs(courses).max(axis=1))
-    if given.bends is not None:
-        inner = first + given.rates[:-1] * (T / 3), last - given.rates[1:] * (T / 3)
-        courses = np.stack([first, *inner, last], axis=1)
-        return Curve(given.names, given.times, courses, CUBIC_ROUNDINGS * np.abs(courses).max(axis=1))
-    courses = np.stack([first, first + given.rates[:-1] * (T / 2), last], axis=1)
-    return Curve(given.names, given.times, courses, BLEND_ROUNDINGS * np.abs(courses).max(axis=1))
+        points = given._control_points(np.arange(len(T)), T)
+    elif given.jumps:
+        points = first, last
+    elif given.bends is not None:
+        points = first, first + given.rates[:-1] * (T / 3), last - given.rates[1:] * (T / 3), last
+    else:
+        points = first, first + given.rates[:-1] * (T / 2), last
+    courses, roundings = np.stack(points, axis=1), BLEND_ROUNDINGS if given.bends is None else CUBIC_ROUNDINGS
+    return Curve(given.names, given.times, courses, roundings * np.abs(courses).max(axis=1))
 
 
 class OnLine(NamedTuple):

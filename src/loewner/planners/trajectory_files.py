@@ -6,6 +6,7 @@ import csv
 import io
 import json
 import os
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -16,7 +17,7 @@ from loewner._base._files import read_regular, shown
 from loewner._base._nodes import read_json
 from loewner._base._validate import Bools, Floats
 from loewner.errors import FileError, InputError
-from loewner.planners.controllers import expect_in_table
+from loewner.planners.controllers import ACCELERATION, BLEND, TIMES, VELOCITY, expect_in_table
 
 LARGEST_FILE = 2**28  # bytes
 
@@ -78,14 +79,19 @@ def read(source: Path) -> Rows:
         raise FileError(f"{shown(source)}: expected a trajectory, found {why}{OTHERS}") from None
 
 
+def header_of(names: Sequence[str], kinds: int) -> list[str]:
+    """Return the header of a table: the time, and positions, velocities and accelerations, or the first of them."""
+    return [TIMES[0], *(name + kind for kind in ("", VELOCITY, ACCELERATION)[:kinds] for name in names)]
+
+
 def _csv(rows: Rows) -> str:
     expect_in_table(rows.names)
+    columns = [part for part in (rows.knots, rows.rates, rows.bends) if part is not None]
+    header, table = header_of(rows.names, len(columns)), np.column_stack([rows.times, *columns])
     if rows.rates is None:
-        header, columns = ["time", *rows.names], [rows.times, rows.knots]
-        return _tables.written(header, np.column_stack(columns), rows.start_time)
-    columns = [rows.times, rows.knots, rows.rates, *([] if rows.bends is None else [rows.bends])]
-    header, flags = _header(rows.names, rows.bends is not None), np.append(rows.blended, False).astype(int)
-    return _tables.written(header, np.column_stack(columns), rows.start_time, flags.tolist())
+        return _tables.written(header, table, rows.start_time)
+    flags = np.append(rows.blended, False).astype(int).tolist()
+    return _tables.written([*header, BLEND], table, rows.start_time, flags)
 
 
 def _held(rows: Rows) -> dict[str, Any]:
@@ -98,20 +104,15 @@ def _held(rows: Rows) -> dict[str, Any]:
     return held if rows.bends is None else held | {"accelerations": rows.bends.tolist()}
 
 
-def _header(names: tuple[str, ...], bends: bool) -> list[str]:
-    kinds = ("", " velocity", " acceleration") if bends else ("", " velocity")
-    return ["time", *(name + kind for kind in kinds for name in names), "blend"]
-
-
 def _read_csv(text: str) -> Rows:
     start_time, text = _tables.start_of(text)
     header, *rows = csv.reader(io.StringIO(text), strict=True)
-    if header[:1] == ["time"] and not header[-1].endswith((" velocity", " acceleration", "blend")):
+    if header[:1] == ["time"] and not header[-1].endswith((VELOCITY, ACCELERATION, BLEND)):
         table = _tables.below(header, rows)
         return _straight(tuple(header[1:]), table[:, 0], table[:, 1:], start_time)
-    bends = header[-2:-1] != [] and header[-2].endswith(" acceleration")
+    bends = header[-2:-1] != [] and header[-2].endswith(ACCELERATION)
     names = tuple(header[1 : 1 + (len(header) - 2) // (2 + bends)])
-    if header != _header(names, bends):
+    if header != [*header_of(names, 2 + bends), BLEND]:
         raise ValueError(f"the header {_validate.short(header)}")
     table = _tables.below(header, rows)
     knots, rates, *more = np.split(table[:, 1:-1], 2 + bends, axis=1)
