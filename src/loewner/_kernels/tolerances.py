@@ -5,33 +5,22 @@ SINGLE_ROUNDOFF = 2.0**-24
 
 # Bound on the relative rounding error of a shape matrix that was formed from its factor, rotated, and applied to a
 # vector, in units of trace(Q) |n|²: for squared widths, and for P n in levels.
-SHAPE_ROUNDINGS = 128.0 * UNIT_ROUNDOFF  # derived 27, certified.md B1
-# derived 24, certified.md B2
+SHAPE_ROUNDINGS = 128.0 * UNIT_ROUNDOFF  # certified.md B1, B2
 
-# Bounds on the errors of positions (translation, rotated center, dot product), in units of the lengths that were added:
-# for gaps between ellipsoids, support planes of vertices, boxes of trees, support planes of vertices at two poses,
-# curved pieces, curved pieces at two poses, depths of surfaces, and gaps at eight configurations.
-POSITION_ROUNDINGS = 64.0 * UNIT_ROUNDOFF  # derived 17, certified.md B3
-# derived 33, certified.md B14
-# derived 11, certified.md B19
-# derived 53, certified.md B30
-# derived 54, certified.md B33
-# derived 62, certified.md B34
-# derived 54, certified.md B49
-# derived 63, certified.md B53
-POSITION_ERROR = POSITION_ROUNDINGS / UNIT_ROUNDOFF  # derived 19, certified.md B6
+# Bounds on the errors of positions (translation, rotated center, dot product), in units of the lengths that were added.
+POSITION_ROUNDINGS = 64.0 * UNIT_ROUNDOFF  # certified.md B3, B14, B19, B30, B33, B34, B49, B53
+POSITION_ERROR = POSITION_ROUNDINGS / UNIT_ROUNDOFF  # certified.md B6
 
 # Allowed deviation of RᵀR from the identity (largest entry). It admits poses that passed through float32 (about 1e-7
 # for each product), and is far too small for an intended scale or shear.
 ROTATION_TOLERANCE = 1e-6
 
 # Lengths, bounds and their sums are rounded up by this factor in single precision.
-UP = 1.0 + 2.0**-22  # derived 3, certified.md B8
+UP = 1.0 + 2.0**-22  # certified.md B8
 
 # Bound on the error of centers after rounding to single precision, relative to the lengths from which they are
 # computed.
-OFF = POSITION_ERROR * SINGLE_ROUNDOFF  # derived 3, certified.md B7
-# derived 10, certified.md B48
+OFF = POSITION_ERROR * SINGLE_ROUNDOFF  # certified.md B7, B48
 
 # Faces of hulls: a vertex may lie this far inside its own face, relative to the width of the piece along the normal, or
 # as far as the rounding of the dot product, in units of its error bound.
@@ -42,7 +31,7 @@ FACE_ROUNDING = 64.0
 CHAIN_STRETCH = 1.0 + 8.0 * ROTATION_TOLERANCE
 
 # Stretching of paths by poses accepted as rigid, and the few dozen roundings in the computation of rates and bounds.
-STRETCH = 1e-5  # derived 3.2e-6, certified.md B29
+STRETCH = 1e-5  # certified.md B29
 
 # Squares of lengths below this have lost some or all digits, so dividing by their roots does not give a unit vector.
 LEAST_SQUARE = 1e-290

@@ -25,10 +25,10 @@ Maps = dict[int, tuple[Ints, Floats]]
 SMALLEST, LARGEST = 1e-30, 1e30
 
 # A pose accepted as rigid may still stretch or shrink lengths.
-BEND = 2 * tolerances.ROTATION_TOLERANCE  # derived 1.6e-6, certified.md B22
+BEND = 2 * tolerances.ROTATION_TOLERANCE  # certified.md B22
 
 # Bounds are rounded up by this factor before they go to single precision.
-UP = 1 + 2.0**-22  # derived 1, certified.md B23
+UP = 1 + 2.0**-22  # certified.md B23
 
 # Bound on the error of singular values, relative to the largest; assumed, and compared with LAPACK's in the tests.
 SINGULAR_ROUNDINGS = 32 * 2.0**-53
@@ -476,6 +476,6 @@ def _trees(table: Floats, piece_start: Ints) -> tuple[Floats, Ints, Ints]:
     center = table[:, columns.OUTER_CENTER : columns.OUTER_CENTER + 3]
     # The widths along the axes are the roots of the diagonal; everything is rounded outward.
     half = np.sqrt(table[:, [columns.OUTER_SHAPE, columns.OUTER_SHAPE + 3, columns.OUTER_SHAPE + 5]])
-    half += 2.0**-53 * 64 * table[:, columns.REACH, None]
+    half += tolerances.POSITION_ROUNDINGS * table[:, columns.REACH, None]
     grown: tuple[Floats, Ints, Ints] = entries.piece_trees(piece_start, center - half, center + half)
     return grown

@@ -23,7 +23,7 @@ from loewner.meshes.triangles import FramedTree, cut, framed, halved, longest_ed
 RELATIVE, ABSOLUTE = 0.01, 1e-4
 
 # Rounding errors of distances and heights are below these shares of the diagonal and of the largest coordinate.
-ROUNDING = 1e-12  # derived 9e-15, certified.md B44
+ROUNDING = 1e-12  # certified.md B44
 COORDINATES = 1e-14
 
 # Limits on the number of cells: in all, after which the current bound is returned; in one step; and, if nothing was

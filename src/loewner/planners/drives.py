@@ -38,7 +38,7 @@ MOST_PIECES = 100_000
 REMAINDER = 40320.0 * 256.0
 
 # Bound on the rounding of courses and of positions on arcs, in units of positions, and of lengths times 1 + turns.
-ARC_ROUNDINGS = 64.0 * tolerances.UNIT_ROUNDOFF  # derived 49, certified.md B70
+ARC_ROUNDINGS = 64.0 * tolerances.UNIT_ROUNDOFF  # certified.md B70
 
 # The base's link moves in a plane up to this [m, or a cosine].
 PLANAR = 1e-9

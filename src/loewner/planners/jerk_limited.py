@@ -27,7 +27,7 @@ NOISE = 1024.0 * tolerances.UNIT_ROUNDOFF
 
 # Bound on the error of computed cubic blends, in units of the largest value and of the distance at full speed in the
 # whole time.
-CUBIC_ROUNDINGS = 64.0 * tolerances.UNIT_ROUNDOFF  # derived 40, certified.md B54
+CUBIC_ROUNDINGS = 64.0 * tolerances.UNIT_ROUNDOFF  # certified.md B54
 
 
 def shortest(size: Floats, fastest: Floats, strongest: FloatOrFloats, jerk: FloatOrFloats) -> float:

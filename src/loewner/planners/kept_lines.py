@@ -27,7 +27,7 @@ LEAST_TOLERANCE = 1e-9
 LARGEST_ANGLE = np.pi - 1e-6
 
 # Rounding of a deviation from a line on a curve, for each joint, times the lengths and the largest value.
-ROUNDINGS = 128.0 * tolerances.UNIT_ROUNDOFF  # derived 90, certified.md B68
+ROUNDINGS = 128.0 * tolerances.UNIT_ROUNDOFF  # certified.md B68
 
 # Equal parts into which a course is divided, until its bound is within the tolerance; and configurations at a time.
 PARTS, MOST_CONFIGURATIONS = (4, 16, 64, 256, 1024), 2**14

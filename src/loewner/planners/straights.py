@@ -13,7 +13,7 @@ from loewner.errors import InputError
 
 # Bound on the error of computed blends, in units of the largest value and of the distance at full speed in the whole
 # time.
-BLEND_ROUNDINGS = 32.0 * tolerances.UNIT_ROUNDOFF  # derived 14, certified.md B35
+BLEND_ROUNDINGS = 32.0 * tolerances.UNIT_ROUNDOFF  # certified.md B35
 
 # Changes of speed, and distances at constant speed, below this share are merged into the neighbouring phase, and a
 # blend below it becomes a stop: rounding would affect the acceleration in so short a phase.

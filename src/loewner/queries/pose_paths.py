@@ -42,7 +42,7 @@ MOST_REPEATED = 2.0**40
 MOST_KNOTS = 2**22
 
 # What rounding may take from a bound on how far points are off, as a share of its largest value on a piece of a motion.
-OFF_ROUNDINGS = 16.0 * tolerances.UNIT_ROUNDOFF  # derived 11, certified.md B69
+OFF_ROUNDINGS = 16.0 * tolerances.UNIT_ROUNDOFF  # certified.md B69
 
 # Metres by which a body may be off at most; nothing is free of it then, since kernels refuse bodies so large.
 MOST_OFF = 1e100

@@ -1245,8 +1245,8 @@ def in_world(scene: Scene) -> tuple[Floats, dict[str, PosePath], dict[str, PoseB
     bounds : dict of str to PoseBounds
         The bounds of all bodies that follow motions, in the same order.
     """
-    following, known = scene.following, scene._bounds
-    resting = [name for name, path in following.items() if path.rests and name in known]
+    following, known = scene.following, scene.bounds
+    resting = [name for name, path in following.items() if path.rests and name in scene._bounds]
     poses = [scene.static_poses, *(following.pop(name).poses(0.0)[None] for name in resting)]
     return np.concatenate(poses), following, {name: known[name] for name in (*following, *resting) if name in known}
 

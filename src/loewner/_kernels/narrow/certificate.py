@@ -67,8 +67,7 @@ NEWTON_STEPS = 12
 
 # Errors in units of the roundoff, for both precisions; the derived values are for single precision, in which they are
 # larger. Errors of shape matrices, times trace |n|²: of squared widths, and of P n in levels.
-SHAPE_ERROR = SHAPE_ROUNDINGS / UNIT_ROUNDOFF  # derived 31, certified.md B4
-# derived 28, certified.md B5
+SHAPE_ERROR = SHAPE_ROUNDINGS / UNIT_ROUNDOFF  # certified.md B4, B5
 
 # A pair is given up only if F is at least this far from 1. The band costs little and leaves room for the rounding of F
 # (see `_doubt`), in both precisions. No proof depends on it, since such a pair is left OPEN.

@@ -57,14 +57,14 @@ MOST = 64  # limit on the vertices of a piece: with more, sixteen pairs exceed t
 
 # Errors in units of the roundoff of single precision, each at least twice the derived value. Times the lengths: the
 # error of a width computed by `plane`, and of a product with a support point, both in single precision.
-WIDTH_ERROR = 16.0  # derived 5, certified.md B9
-PRODUCT_ERROR = 72.0  # derived 35, certified.md B10
+WIDTH_ERROR = 16.0  # certified.md B9
+PRODUCT_ERROR = 72.0  # certified.md B10
 # Times the third power of the longest point: the error of a determinant of three points, and of the sum of four
 # determinants.
-VOLUME_ERROR = 98.0  # derived 33, certified.md B11
-SUM_ERROR = 632.0  # derived 177, certified.md B12
+VOLUME_ERROR = 98.0  # certified.md B11
+SUM_ERROR = 632.0  # certified.md B12
 # Times the lengths and the square of the longest point: the error of a determinant that comes from its points.
-POINT_ERROR = 64.0  # derived 30, certified.md B13
+POINT_ERROR = 64.0  # certified.md B13
 
 SHORT = 1e-30  # directions with a smaller square are not trusted, since the square may lack digits
 

@@ -38,8 +38,7 @@ KEPT = 0.7
 
 # Error of a determinant of three points, and of the sum of four determinants, in units of the roundoff times the third
 # power of the largest sum of coordinates.
-VOLUME_ERROR = 64.0  # derived 9, certified.md B16
-# derived 51, certified.md B17
+VOLUME_ERROR = 64.0  # certified.md B16, B17
 
 # Columns of the scratch array: the placed vertices of both pieces, then six coordinates for each round of `measure`.
 PLACED = 2 * LARGE

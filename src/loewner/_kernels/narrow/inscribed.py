@@ -80,7 +80,7 @@ OFF_CENTER = 0.0271, 0.0317, 0.0123
 POINTS = 128
 
 # Rounding in a distance from the center, relative to the metric: see `prove`.
-ROUNDINGS = 512.0 * UNIT_ROUNDOFF  # derived 276, certified.md B71
+ROUNDINGS = 512.0 * UNIT_ROUNDOFF  # certified.md B71
 
 IDENTITY = (1.0, 0.0, 1.0, 0.0, 0.0, 1.0)
 

@@ -17,7 +17,7 @@ from loewner._kernels.tolerances import LEAST_SQUARE, UNIT_ROUNDOFF
 
 # Error of either volume that `_beyond` compares, in units of the roundoff times the third power of the largest sum of
 # coordinates.
-FACE_ERROR = 64.0  # derived 24, certified.md B15
+FACE_ERROR = 64.0  # certified.md B15
 
 
 @inline

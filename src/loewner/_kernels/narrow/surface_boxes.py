@@ -25,8 +25,8 @@ from loewner._kernels.trees.triangle_tree import CORNERS, DIAGONALS, ROWS, WIDE,
 
 # Allowed error along each of the fifteen axes: a multiple of the departures of both rotations from orthonormality, and
 # a multiple of the roundoff of single precision, both times the lengths involved.
-BENDS = 8.0  # derived 4, certified.md B39
-ROUNDINGS = 64.0 * SINGLE_ROUNDOFF  # derived 33, certified.md B40
+BENDS = 8.0  # certified.md B39
+ROUNDINGS = 64.0 * SINGLE_ROUNDOFF  # certified.md B40
 
 
 class Tree(NamedTuple):

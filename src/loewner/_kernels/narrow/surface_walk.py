@@ -21,11 +21,10 @@ from loewner._kernels.tolerances import UNIT_ROUNDOFF
 from loewner._kernels.trees.triangle_tree import BLOCK, LEAF, LEVELS, WIDE, size_of
 
 # Error of a coordinate of a placed corner, in roundoffs of the lengths involved.
-CORNER_ERROR = 16.0 * UNIT_ROUNDOFF  # derived 5, certified.md B36
-# derived 16, certified.md B42
+CORNER_ERROR = 16.0 * UNIT_ROUNDOFF  # certified.md B36, B42
 
 # Poses may stretch lengths by 1e-6, and bounds are squared and rounded; this share of a squared lower bound is valid.
-BELIEVED = 1.0 - 1e-5  # derived 4e-6, certified.md B41
+BELIEVED = 1.0 - 1e-5  # certified.md B41
 
 # Boxes are searched in the order of their squared lower bounds plus MIDDLES times the squared distance between
 # their centers.

@@ -29,7 +29,7 @@ MOST_COPIES = 8
 # Amount by which another vertex must be farther, relative to the largest coordinate. Each of two products with a
 # direction whose entries are at most 1 has an error of 9u; rounding that moves a direction (by 4u in two entries) into
 # a neighbouring cell changes them by 16u.
-CLEARANCE = 64.0 * UNIT_ROUNDOFF  # derived 34, certified.md B18
+CLEARANCE = 64.0 * UNIT_ROUNDOFF  # certified.md B18
 
 
 @inline

@@ -70,7 +70,7 @@ _is_surely_rigid = _rigid(ROTATION_TOLERANCE * (1 - HAIR), np.finfo(np.float64).
 
 # Allowance for rounding the entries to single precision and for multiplying them. A pose that passes is thus rigid,
 # except perhaps for a last row that rounds to (0, 0, 0, 1), which no certificate reads.
-SINGLE_ROOM = 0.4 * ROTATION_TOLERANCE  # derived 3e-7, certified.md B20
+SINGLE_ROOM = 0.4 * ROTATION_TOLERANCE  # certified.md B20
 is_rigid_single = _rigid(ROTATION_TOLERANCE - SINGLE_ROOM, 1e30)
 
 

@@ -43,11 +43,11 @@ from loewner._kernels.trees import piece_tree
 
 # Error of a placed point: from the rotation of its body, times its distance from the body's origin; and from the origin
 # itself, times the coordinates of its two ends.
-TURN_ROUNDINGS = 256.0 * UNIT_ROUNDOFF  # derived 140, certified.md B58
-PLACE_ROUNDINGS = 16.0 * UNIT_ROUNDOFF  # derived 7, certified.md B59
+TURN_ROUNDINGS = 256.0 * UNIT_ROUNDOFF  # certified.md B58
+PLACE_ROUNDINGS = 16.0 * UNIT_ROUNDOFF  # certified.md B59
 
 # Stretching of paths by poses that are accepted as rigid, and the few dozen roundings in the computation of rates.
-STRETCH = 1e-5  # derived 1.7e-6, certified.md B60
+STRETCH = 1e-5  # certified.md B60
 UPWARD = 1.0 + STRETCH
 
 # A turn is rejected if the cosine of half its angle is below this: poses that may have passed through float32 do not

@@ -52,7 +52,7 @@ from loewner._kernels.simd.vectors import (
 from loewner._kernels.tolerances import UNIT_ROUNDOFF
 
 # Rounding error of a computed deviation, for each joint, times the lengths and times one plus the squares of the turns.
-LINE_ROUNDINGS = 256.0 * UNIT_ROUNDOFF  # derived 190, certified.md B55
+LINE_ROUNDINGS = 256.0 * UNIT_ROUNDOFF  # certified.md B55
 
 SPARE = 1e-9  # relative; covers the rounding of third derivatives and of lengths, docs/certified.md
 

@@ -23,20 +23,20 @@ from loewner._kernels.pieces.pack import motion_tables_of, problem_of
 from loewner._kernels.tolerances import STRETCH, UNIT_ROUNDOFF
 
 # Rounding error of a position from forward kinematics, for each joint of the chain, in units of the chain's length.
-JOINT_ROUNDINGS = 128.0 * UNIT_ROUNDOFF  # derived 64, certified.md B24
+JOINT_ROUNDINGS = 128.0 * UNIT_ROUNDOFF  # certified.md B24
 
 # Error of a computed joint value, in units of the course's degree times its largest control point.
-VALUE_ROUNDINGS = 16.0 * UNIT_ROUNDOFF  # derived 7, certified.md B25
+VALUE_ROUNDINGS = 16.0 * UNIT_ROUNDOFF  # certified.md B25
 
 # Error of the control points of a part of a course, in the same units.
-PART_ROUNDINGS = 8.0 * UNIT_ROUNDOFF  # derived 3, certified.md B50
+PART_ROUNDINGS = 8.0 * UNIT_ROUNDOFF  # certified.md B50
 
 # Effect of an angle on the entries of a rotation, in the Frobenius norm.
-TURN = 1.5  # derived 1.42, certified.md B26
+TURN = 1.5  # certified.md B26
 
 # Angle error [rad] of an interpolated quaternion: from rounding, and in units of the ends' deviation from norm 1.
-SLERP_ROUNDINGS = 256.0 * UNIT_ROUNDOFF  # derived 64, certified.md B27
-NORM_SHARE = 16.0  # derived 6.2, certified.md B28
+SLERP_ROUNDINGS = 256.0 * UNIT_ROUNDOFF  # certified.md B27
+NORM_SHARE = 16.0  # certified.md B28
 
 UPWARD = 1.0 + STRETCH
 

@@ -96,7 +96,7 @@ MOST_BLOCKS = MOST_INTERVALS // 7
 
 # Slightly more than the distance at which `collide` may report contact, so no configuration of a free motion is
 # reported.
-CLEAR_ROUNDINGS = TOUCH_ROUNDINGS + 64.0  # derived 130, certified.md B32
+CLEAR_ROUNDINGS = TOUCH_ROUNDINGS + 64.0  # certified.md B32
 
 # An interval that fails is AMBIGUOUS once its points move by less than this share of the tolerance; the rest is left
 # for the convergence of the search.

@@ -56,7 +56,7 @@ from loewner._kernels.trees import piece_tree
 S = SINGLE_LANES  # configurations of a block
 
 # Loss of a lower bound in single precision to its roundings.
-DOWN = 1.0 - 16.0 * SINGLE_ROUNDOFF  # derived 6, certified.md B43
+DOWN = 1.0 - 16.0 * SINGLE_ROUNDOFF  # certified.md B43
 
 MEMORY = Arena(
     distances=distances.MEMORY,

@@ -63,7 +63,7 @@ _SHAPE = 3 * STRIDE
 PIECE = 9 * STRIDE
 
 # Radii and half-widths are widened by this share, for stretching by poses that are accepted as rigid, and for rounding.
-STRETCH = 1e-5  # derived 1.7e-6, certified.md B31
+STRETCH = 1e-5  # certified.md B31
 WIDER = 1.0 + STRETCH
 
 TINY = 1e-300

@@ -83,13 +83,13 @@ from loewner._kernels.tolerances import LEAST, OFF, SINGLE_ROUNDOFF, UP
 ASTRAY = 7
 
 # Error of a pose in the frame of another link, in roundings, times the lengths.
-COMPOSED = 24.0  # derived 17, certified.md B63
+COMPOSED = 24.0  # certified.md B63
 
 # Errors that a joint adds to a rotation (spectral norm) and that its value adds, both in roundings; and error that a
 # joint adds to a translation, in roundings, times the lengths from which it is computed.
-JOINT_TURN = 40.0  # derived 28, certified.md B45
-VALUE_TURN = 8.0  # derived 6, certified.md B46
-JOINT_SHIFT = 20.0  # derived 14, certified.md B47
+JOINT_TURN = 40.0  # certified.md B45
+VALUE_TURN = 8.0  # certified.md B46
+JOINT_SHIFT = 20.0  # certified.md B47
 
 # State of a configuration: a number that never decreases.
 SO_FAR_FREE, LEFT_OPEN, HIT = 0, 1, 2

@@ -79,15 +79,15 @@ from loewner._kernels.tolerances import OFF, SINGLE_ROUNDOFF, UP
 FIRST_BEND, MOST_HALVINGS, DEEPEST = 0.05, 6, 10
 
 # Error of a value between the ends of a motion, in units of `configurations.VALUE_TURN` times the largest magnitude.
-SPAN = 2.0  # derived 1.1, certified.md B64
+SPAN = 2.0  # certified.md B64
 
 # Allowance for the roundings of a bound on curvature, for up to a thousand joints; and error of a difference of sums of
 # rates, in roundings of the sum for each joint.
-STRETCH = 1e-3  # derived 2e-4, certified.md B65
-REST_ERROR = 4.0  # derived 2, certified.md B66
+STRETCH = 1e-3  # certified.md B65
+REST_ERROR = 4.0  # certified.md B66
 
 # Error of the middle and of half the length of a chord, in roundings of the sum of both.
-CHORD_ERROR = 8.0  # derived 4, certified.md B67
+CHORD_ERROR = 8.0  # certified.md B67
 
 
 @inline

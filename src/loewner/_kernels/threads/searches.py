@@ -51,8 +51,8 @@ from loewner._kernels.tolerances import SINGLE_ROUNDOFF
 ROUNDS = 12  # nine in ten pairs need six rounds, and 99 in 100 need ten
 
 # Errors of the height of a support plane and of a point of the difference, in roundings, times the lengths.
-PLANE_ERROR = 128.0  # derived 79, certified.md B61
-POINT_ERROR = 32.0  # derived 30, certified.md B62
+PLANE_ERROR = 128.0  # certified.md B61
+POINT_ERROR = 32.0  # certified.md B62
 
 
 class Core(NamedTuple):

@@ -22,7 +22,7 @@ from loewner._kernels.trees.boxes import LEVELS, ROWS, box_tree, curve_order, lo
 # |RᵀR - 1| <= 1e-6 in every entry (`rigid.ROTATION_TOLERANCE`) moves each coordinate of a point by this share of the
 # point's distance from the body's origin, and stretches a length by less; the rest is far above the rounding of
 # distances.
-BEND = 4e-6  # derived 1.8e-6, certified.md B21
+BEND = 4e-6  # certified.md B21
 
 # Numbers of a walk: the integers ...
 PIECE, A_NEXT, A_END, B_NEXT, B_END, A_HEIGHT, B_HEIGHT = 0, 1, 2, 3, 4, 5, 6

@@ -12,7 +12,7 @@ from loewner._kernels import tolerances
 from loewner.robots.description.robot import Robot, interpolated, on_the_way
 
 # Bound on the error of control points that are converted from another form, in units of their largest numbers.
-CURVE_ROUNDINGS = 128.0 * tolerances.UNIT_ROUNDOFF  # derived 84, certified.md B51
+CURVE_ROUNDINGS = 128.0 * tolerances.UNIT_ROUNDOFF  # certified.md B51
 
 
 def straight(robot: Robot, a: Floats, b: Floats) -> Floats:

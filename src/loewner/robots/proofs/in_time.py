@@ -29,8 +29,8 @@ from loewner.robots.proofs.proofs import apply_rules, deviations, refuse_starts
 WIDTH = 7
 
 # Bounds on the rounding of positions and quaternions, in units of their largest numbers, and of times.
-VALUE_ROUNDINGS = 128.0 * tolerances.UNIT_ROUNDOFF  # derived 100, certified.md B56
-TIME_ROUNDINGS = 16.0 * tolerances.UNIT_ROUNDOFF  # derived 14, certified.md B57
+VALUE_ROUNDINGS = 128.0 * tolerances.UNIT_ROUNDOFF  # certified.md B56
+TIME_ROUNDINGS = 16.0 * tolerances.UNIT_ROUNDOFF  # certified.md B57
 
 # A cubic curve through an arc of a unit circle, with its tangents at both ends, misses it by φ⁴ / 384 at most.
 ARC_ERROR = 1.0 / 384.0
