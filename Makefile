@@ -46,8 +46,9 @@ export PYTHONDONTWRITEBYTECODE :=
 NOT_BUILT := echo "native library: not built; Numba compiles the kernels instead, which takes minutes" >&2
 BUILD := $(BIN)/python native/build.py || $(NOT_BUILT)
 COMPILE := $(BIN)/python -m loewner compile
+BUILDING := $(BIN)/python -c 'from loewner._native import library; exit(not library.is_being_built())'
 
-.PHONY: help demo test test-docs test-torch test-gpu test-models verify fuzz fuzz-bytes bounds other-machines sanitize newest bench check docs wheel sdist dist-c test-wheel clean
+.PHONY: help demo begin-build test test-docs test-torch test-gpu test-models verify fuzz fuzz-bytes bounds other-machines sanitize newest bench check docs wheel sdist dist-c test-wheel clean
 help:
 	@sed -n '/^#/!q; s/^# \{0,1\}//p' Makefile
 
@@ -55,12 +56,16 @@ help:
 built_with = @{ $(BUILD); } & building=$$!; \
   { $(MAKE) --no-print-directory $(1)$(if $(2), && $(2)); }; done=$$?; wait $$building; exit $$done
 
-# The demo begins when what it needs is there; the rest of the library is built meanwhile, and after it.
-demo: $(VENV)/.compiler
-	@$(BIN)/python native/build.py --log build/native.log || $(NOT_BUILT)
-	@$(MAKE) --no-print-directory $(VENV)/.demo
+# The build begins when Numba is there, and the demo when the kernels are that it needs first. Kernels that it does not
+# need are built last, and after it; `make test` waits for them.
+demo: $(BIN)/python
+	@$(MAKE) --no-print-directory -j 2 begin-build $(VENV)/.demo
 	$(COMPILE) --only verdicts robots fits surfaces distances paper
 	$(BIN)/python examples/demo.py
+	@! $(BUILDING) || echo "kernels that the demo does not need are still being built; build/native.log has the progress"
+
+begin-build: $(VENV)/.compiler
+	@$(BIN)/python native/build.py --log build/native.log || $(NOT_BUILT)
 
 # Tests run in as many processes as there are cores; linear algebra on several threads in each of them takes turns, and
 # several times as long.
@@ -199,13 +204,16 @@ $(VENV)/.compiler: requirements/core.txt | $(BIN)/python
 	@touch $@
 
 $(VENV)/.core: requirements/core.txt pyproject.toml $(VENV)/.compiler
-	$(PIP) -r requirements/core.txt
+	$(PIP) --no-deps -r requirements/core.txt
 	LOEWNER_BUILD=pure $(PIP) --no-deps --editable .
 	@touch $@
 
-$(VENV)/.demo: requirements/demo.txt requirements/data.txt $(VENV)/.core
-	$(PIP) -r requirements/demo.txt
-	$(PIP) --no-deps -r requirements/data.txt
+# What packages depend on is listed with them, so these can be installed at the same time as Numba.
+$(VENV)/.beside: requirements/demo.txt requirements/data.txt | $(BIN)/python
+	$(PIP) --no-deps -r requirements/demo.txt -r requirements/data.txt
+	@touch $@
+
+$(VENV)/.demo: $(VENV)/.core $(VENV)/.beside
 	@touch $@
 
 $(VENV)/.dev: requirements/dev.txt $(VENV)/.demo

@@ -54,19 +54,24 @@ CPU_OF = {"arm64": "generic"}
 
 # Entries by module: each group becomes an object file of its own for this machine's level, so that an edit rebuilds few
 # of them, and programs can begin when theirs is there. Functions that several groups call are in each of them, so
-# groups that share much are one. For other machines there is one object file for each level, which is smallest.
+# groups that share much are one. The demo needs none of the last group, for which a build in the background has a lower
+# priority. For other machines there is one object file for each level, which is smallest.
 GROUPS = {
-    "bodies": ("fits.", "pieces.", "trees.cuts", "trees.piece_tree", "trees.triangle"),
-    "verdicts": ("pipeline.verdicts", "pipeline.fallback", "pipeline.workspace", "pipeline.bounds", "elementary"),
-    "distances": ("pipeline.", "robots.nearest", "narrow.", "ellipsoids.", "trees.", "paper."),
+    "bodies": ("fits.hulls", "fits.pieces", "fits.mv", "pieces.", "trees.piece_tree", "trees.triangle_tree",
+               "narrow.mesh_points", "elementary"),
+    "verdicts": ("pipeline.verdicts", "pipeline.fallback", "pipeline.workspace", "pipeline.bounds"),
+    "distances": ("pipeline.distances", "robots.nearest", "ellipsoids.", "paper."),
     "robots": ("robots.configurations", "robots.motions", "robots.planning", "robots.shortening", "robots.standing",
                "robots.pair_lists", "robots.kinematics", "low_discrepancy"),
-    "paths": ("robots.",),
+    "others": ("",),
 }  # fmt: skip
 
+# By how much the priority is lower: a program on a second core is not slowed, and a busy machine still ends the build.
+IN_BACKGROUND = 5
+
 # For estimates of the time that is left: the number of functions, and the seconds of one core for a function and for
-# all objects of a level, where the check of Numba takes `CHECK`.
-FUNCTIONS, FUNCTION, LEVEL, CHECK = 1100, 0.24, 80.0, 2.3
+# all objects of a level, where the extension takes `EXTENSION_TAKES` to compile.
+FUNCTIONS, FUNCTION, LEVEL, EXTENSION_TAKES = 1200, 0.24, 80.0, 1.5
 
 
 # Options of the C compiler for files that users receive. The linker of macOS has no -s; Windows is untried.
@@ -159,10 +164,13 @@ def machine_level() -> str:
     return found[0]
 
 
-def build(levels: list[str], home: Path = HOME, gpu: bool = False, in_groups: bool = False) -> list[Path]:
+def build(
+    levels: list[str], home: Path = HOME, gpu: bool = False, in_groups: bool = False, nice: int = 0
+) -> list[Path]:
     """Build for these levels, and for GPUs if requested; older files are replaced only when everything is done.
 
-    With ``in_groups``, for one level, there is an object file for each group, and each is handed out when it is done.
+    With ``in_groups``, for one level, there is an object file for each group, and each is handed out when it is done;
+    for the last group, the priority is lowered by `nice`.
 
     Returns
     -------
@@ -178,18 +186,17 @@ def build(levels: list[str], home: Path = HOME, gpu: bool = False, in_groups: bo
     before = source_hash()
     with tempfile.TemporaryDirectory(dir=home, prefix=".build-") as folder, ThreadPoolExecutor() as pool:
         work = Path(folder)
+        start = time.perf_counter()
         compile_extension(work / CALL)  # first: it fails at once where there is no compiler
+        slowness = (time.perf_counter() - start) / EXTENSION_TAKES
         what = f"{len(ENTRIES)} kernels for {' and '.join(levels)}, which takes one to five minutes on two cores"
         print(f"native library: {what} ...", file=sys.stderr, flush=True)
         for_c = [pool.submit(compile_api, work / name) for name in FOR_C]
-        start = time.perf_counter()
-        check_numba()
-        slowness = (time.perf_counter() - start) / CHECK
         groups = grouped(list(GROUPS) if in_groups else ["all"])
         (work / "groups.json").write_text(json.dumps(groups), encoding="utf-8")
         (work / "sources").write_text(before, encoding="utf-8")
         count = max(processors(), len(levels))
-        workers = [emission(work, levels[number % len(levels)], number) for number in range(count)]
+        workers = [emission(work, levels[number % len(levels)], number, nice) for number in range(count)]
         objects = [work / f"{level}-{group}.o" for level in levels for group in groups]
 
         def hand_out(made: list[Path]) -> None:
@@ -201,7 +208,10 @@ def build(levels: list[str], home: Path = HOME, gpu: bool = False, in_groups: bo
                 done = [name for path in made for name in groups[path.stem.removeprefix(f"{level}-")]]
                 publish([early, work / CALL], home, entries=done)
 
-        functions = build_all([*workers, *([ptx(work / _ptx.NAME)] if gpu else [])], objects, hand_out, slowness)
+        # The check first: while it runs, one process less makes byte code of what all import.
+        check = Command("check of Numba", [str(HERE / "emit.py")], {}, work / "check")
+        commands = [check, *workers, *([ptx(work / _ptx.NAME)] if gpu else [])]
+        functions = build_all(commands, objects, hand_out, slowness)
         for library in for_c:
             library.result()
         for level in levels:
@@ -240,9 +250,9 @@ def grouped(names: list[str]) -> dict[str, list[str]]:
     return groups
 
 
-def emission(folder: Path, level: str, number: int) -> Command:
+def emission(folder: Path, level: str, number: int, nice: int) -> Command:
     """Emit codes and objects of a level, as one of the processes that share the work in a folder."""
-    arguments = [str(HERE / "emit.py"), str(folder), level, str(number)]
+    arguments = [str(HERE / "emit.py"), str(folder), level, str(number), str(nice)]
     return Command(f"kernels for {level}", arguments, told(level), folder / f"worker-{number}")
 
 
@@ -310,15 +320,6 @@ def build_all(
         for process, _ in running:
             process.kill()
             process.wait()
-
-
-def check_numba() -> None:
-    """Let `emit.py` check Numba in a process of its own, and stop with its error output."""
-    command, quiet = [sys.executable, str(HERE / "emit.py")], os.environ | {"LOEWNER_QUIET": "1"}
-    done = subprocess.run(command, env=quiet, capture_output=True, text=True, check=False)
-    if done.returncode:
-        failed = "expected a Numba with which the kernels can be built, found another or none"
-        raise BuildError(f"{failed}:\n{done.stderr.strip()[-4000:]}")
 
 
 def compile_extension(to: Path, flags: tuple[str, ...] = RELEASE) -> None:
@@ -438,7 +439,8 @@ def main() -> int:
                 go_on_in_background(lock, options.log)
                 return 0
             start = time.perf_counter()
-            made = build(levels, options.to, options.gpu, in_groups=asked == "machine")
+            nice = 0 if options.lock is None else IN_BACKGROUND
+            made = build(levels, options.to, options.gpu, in_groups=asked == "machine", nice=nice)
             size = sum(path.stat().st_size for path in made)
             count = json.loads(made[-1].read_text(encoding="utf-8"))["functions"]
             took = f"{time.perf_counter() - start:.0f} s, {time_of_processes():.0f} s of processor time"

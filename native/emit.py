@@ -4,6 +4,7 @@ Run by `build.py`, in processes of its own:
 
     emit.py                        check Numba itself, for this machine
     emit.py FOLDER LEVEL NUMBER    work for one level, as one of several processes that share the work in a folder
+    emit.py ... NICE               lower the priority by NICE for the last group
 
 The folder holds `groups.json`, which lists the entries of each group, and `sources`, the hash of the kernels' sources.
 The processes write the code of each entry (`ENTRY.code`), which is the same for all levels, and an object file of each
@@ -39,7 +40,7 @@ from numba.extending import intrinsic
 sys.path.insert(0, str(Path(__file__).parents[1] / "src"))
 
 from loewner._kernels import _fused, _jit, _parts, _sealed, _sources, _store
-from loewner._kernels._numba import BaseContext, BaseFunction, CPUCodeLibrary, cpu_target, default_manager, rtsys
+from loewner._kernels._numba import BaseContext, BaseFunction, CPUCodeLibrary, cpu_target, default_manager, event
 from loewner._kernels.simd import vectors
 from loewner._native.entries import ENTRIES, Entry, types_of
 
@@ -85,6 +86,19 @@ def remember_sizes() -> None:
         return known[id(kind)][1]
 
     BaseContext.get_abi_sizeof = get_abi_sizeof
+
+
+def look_once() -> None:
+    """Let Numba import its own declarations once; it does so for every array, which is a twentieth of the time.
+
+    Later declarations are added to the first of its lists. Nor does it send events, since nothing here listens to them.
+    """
+    code, kinds = cpu_target.target_context, cpu_target.typing_context
+    code.refresh()
+    first = next(iter(code._registries))
+    code.load_additional_registries = lambda: code.install_registry(first)
+    kinds.load_additional_registries = lambda: None
+    event.start_event = event.end_event = lambda *_, **__: None
 
 
 def compiled(entry: Entry):
@@ -317,14 +331,15 @@ def expect_sources(folder: Path) -> None:
         raise SystemExit("the kernels' sources changed while they were compiled; build again")
 
 
-def work(folder: Path, level: str, number: int) -> None:
+def work(folder: Path, level: str, number: int, nice: int = 0) -> None:
     """Write files that no other process has taken, until all are taken: objects with all their codes, or else codes."""
     groups = json.loads((folder / "groups.json").read_text(encoding="utf-8"))
     objects = {folder / f"{level}-{group}.o": [folder / f"{name}.code" for name in groups[group]] for group in groups}
     order = list(groups)
-    order.insert(0, order.pop(number % len(order)))
+    order.insert(0, order.pop(number % max(len(order) - 1, 1)))  # the last group remains last
     step = -1 if number % 2 else 1
     codes = {folder / f"{name}.code": name for group in order for name in groups[group][::step]}
+    *_, last = groups.values()
     parent = os.getppid()
     while (objects or codes) and os.getppid() == parent:  # which ends its processes, unless it is killed
         ready = [to for to, needed in objects.items() if all(map(Path.exists, needed))]
@@ -338,6 +353,9 @@ def work(folder: Path, level: str, number: int) -> None:
             name = codes.pop(to)
             if is_mine(to):
                 print(name, flush=True)
+                if nice and name in last:
+                    os.nice(nice)
+                    nice = 0
                 write_code(ENTRIES[name], to)
         else:
             time.sleep(0.05)
@@ -353,16 +371,16 @@ def is_mine(to: Path) -> bool:
     return True
 
 
-def main(folder: Path, level: str, number: int) -> None:
+def main(folder: Path, level: str, *numbers: int) -> None:
     """Do a share of the work, and print the keys of the functions that are done."""
     _parts.PartLibrary.listener = lambda key: print(key, flush=True)
-    rtsys.initialize(cpu_target.target_context)
+    look_once()
     remember_operators()
     remember_sizes()
     gc.disable()  # a seventh of the time, for half a gigabyte: Numba makes millions of small objects that stay
     expect_sources(folder)
-    work(folder, level, number)
+    work(folder, level, *numbers)
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), sys.argv[2], int(sys.argv[3])) if sys.argv[1:] else check_numba()
+    main(Path(sys.argv[1]), sys.argv[2], *map(int, sys.argv[3:])) if sys.argv[1:] else check_numba()

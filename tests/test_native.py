@@ -167,8 +167,8 @@ def test_every_kernel_is_in_one_group():
 
 @pytest.mark.parametrize("number", [0, 1, 2])
 def test_processes_share_the_work(emit, tmp_path, monkeypatch, number):
-    """Each file is made once, objects after the code of their entries, whichever process comes when."""
-    groups = {"first": ["one", "two"], "second": ["three"]}
+    """Each file is made once, objects after the code of their entries; the last group is last, for all processes."""
+    groups = {"first": ["one", "two"], "second": ["three"], "last": ["four", "five"]}
     (tmp_path / "groups.json").write_text(json.dumps(groups))
     made = []
 
@@ -182,11 +182,15 @@ def test_processes_share_the_work(emit, tmp_path, monkeypatch, number):
     monkeypatch.setattr(emit, "write_object", lambda codes, to: write(to, *codes))
     assert emit.is_mine(tmp_path / "one.code")  # by another process, which writes it now
     (tmp_path / "one.code").touch()
-    emit.work(tmp_path, "x86-64-v3", number)
-    assert sorted(made) == ["three.code", "two.code", "x86-64-v3-first.o", "x86-64-v3-second.o"]
+    lowered = []
+    monkeypatch.setattr(os, "nice", lambda by: lowered.append((by, len(made))))
+    emit.work(tmp_path, "x86-64-v3", number, 19)
+    codes = [f"{name}.code" for name in ("two", "three", "four", "five")]
+    assert sorted(made) == sorted([*codes, *(f"x86-64-v3-{name}.o" for name in groups)])
     assert made[0] == ("three.code" if number == 1 else "two.code")
+    assert lowered == [(19, 4)], "before the last group, once"
     emit.work(tmp_path, "x86-64-v3", number)
-    assert len(made) == 4
+    assert len(made) == 7
 
 
 def test_a_process_that_comes_after_an_edit_does_not_share_the_work(emit, tmp_path):

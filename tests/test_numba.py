@@ -70,6 +70,11 @@ FUNCTIONS = {
     "the native library": [
         (_numba.BaseFunction.get_call_type, "self context args kws", "replaced: operators are remembered"),
         (_numba.BaseContext.get_abi_sizeof, "self ty", "replaced: sizes are remembered"),
+        (context.load_additional_registries, "self", "replaced: what is declared is imported once"),
+        (type(_numba.cpu_target.typing_context).load_additional_registries, "self", "likewise"),
+        (context.install_registry, "self registry", "finds what is declared later"),
+        (_numba.event.start_event, "kind data", "replaced: nothing listens"),
+        (_numba.event.end_event, "kind data exc_details", "likewise"),
         (_numba.CPUCodeLibrary._optimize_final_module, "self", "passes over everything"),
         (codegen._get_host_cpu_name, "self", "the processor of machine code"),
         (context.declare_function, "self module fndesc", "what a shim calls"),
@@ -110,6 +115,7 @@ def test_attributes_are_there():
     assert isinstance(type(_numba.rtsys).library, property)
     assert all(inspect.isclass(one) for one in _parts.NOT_NEEDED)
     assert hasattr(_numba.default_manager, "lookup")
+    assert hasattr(_numba.cpu_target.target_context, "_registries")
     assert hasattr(_numba.global_compiler_lock, "__enter__")
     assert issubclass(_numba.errors.LoweringError, Exception)
 
