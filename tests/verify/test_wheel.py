@@ -175,6 +175,7 @@ def test_two_bodies_from_files_are_answered_by_the_library(installed, saved):
     assert run(installed, code + "; assert 'scipy' not in sys.modules", *saved) == "True"
 
 
+@pytest.mark.xfail(reason="a goal that is not reached, see docs/design/native.md", strict=True)
 def test_it_is_small(wheel, installed):
     """The wheel as it is downloaded; the package as it is installed, with byte code."""
     assert wheel.stat().st_size < LARGEST_WHEEL

@@ -37,9 +37,10 @@ class Ellipsoids(KeepsReadOnly):
 
     Notes
     -----
-    The `inner` ellipsoids of bodies include points: a surface without a radius has no inside, so its factor is zero.
-    The semi-axes and the volume of a point are 0. It contains only its center, which is its support point in every
-    direction, and it remains a point when it is moved. Functions of two ellipsoids refuse points.
+    Some `inner` ellipsoids of bodies are single points: a surface without a radius has no interior, so the factor of
+    its inner ellipsoid is zero. The semi-axes and the volume of a point are 0. A point contains only its center, which
+    is its support point in every direction, and it remains a point when it is moved. Functions of two ellipsoids refuse
+    points.
 
     Examples
     --------

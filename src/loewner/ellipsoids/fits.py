@@ -95,7 +95,7 @@ def mvce(
     Parameters
     ----------
     points : array_like, shape (m, n)
-        m > n >= 1, in metres.
+        In metres; m > n >= 1.
     tol : float
         Largest certified gap in log-volume, in [1e-12, 1].
     center : array_like, shape (n,), or a number

@@ -42,7 +42,7 @@ class Brakes(NamedTuple):
     times : ndarray, shape (n, most)
         Seconds since each brake began.
     states : ndarray, shape (n, most, 3, dof)
-        Positions at these times, and velocities and accelerations from these times on.
+        The position at each time, and the velocity and acceleration just after it.
     counts : ndarray of int64, shape (n,)
         Number of times of each brake; 0 for a brake that does not end on the path.
     needed : ndarray of int64, shape (n,)

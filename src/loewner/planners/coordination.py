@@ -77,8 +77,8 @@ def coordinate(
     Returns
     -------
     ndarray, shape (k, dof)
-        Configurations of all robots together, with straight motions between them, all proven free. It takes the least
-        time of all such paths with these steps, at the joints' maximum velocities; a value without a limit moves at 1
+        Configurations of all robots together, with straight motions between them, all proven free. This path is the
+        fastest of all paths with these steps, at the joints' maximum velocities; a value without a limit moves at 1
         rad/s or 1 m/s. `planners.trajectory` times it.
 
     Raises

@@ -61,7 +61,7 @@ class Polar(NamedTuple):
 
     @classmethod
     def of(cls, x: Floats, y: Floats) -> Polar:
-        """Compute distance and angle of vectors."""
+        """Compute the lengths and angles of vectors."""
         return cls(x, y, np.sqrt(x * x + y * y), arctan2(y, x))
 
 

@@ -511,8 +511,8 @@ class Scene:
         -----
         An error is added to the margins of the body, so a checker prepares its pairs again when an error changes; a new
         pose with the same error is as fast as one without. `collide` is True if the body may collide. COLLIDING means a
-        collision at the given pose; everything else that is not free is AMBIGUOUS. Exact distances belong to the given
-        poses; the bounds on distances, and clearances, hold for all poses.
+        collision at the given pose; everything else that is not free is AMBIGUOUS. Exact distances apply to the given
+        pose; bounds on distances, and clearances, hold for all poses within the error.
 
         Examples
         --------

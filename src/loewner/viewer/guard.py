@@ -2,8 +2,8 @@
 
 viser serves any client that can reach its port. Such clients are not only users of this machine: a page of any site,
 opened in a browser here, can reach 127.0.0.1 as well, by a websocket to this address or by a name that resolves to it.
-Requests of such a page name its site as their Origin or Host, which no script in a browser can change, so they can be
-refused.
+A request from such a page names the page's site as its Origin or Host, which no script in a browser can change, so it
+can be refused.
 """
 
 from __future__ import annotations

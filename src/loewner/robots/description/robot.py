@@ -826,7 +826,7 @@ class Robot(KeepsReadOnly):
         roots or is placed. Links fixed to it can be adjacent through it, so do not pass ``skip_adjacent=True`` in this
         case. Visual geometry, masses and efforts are not written. Limits that are narrower than `hard_lower` and
         `hard_upper` become soft limits. Pass the SRDF to `from_urdf`, too: without it, pairs that this robot checks may
-        be exempt. Solids are written as their triangles, which some other programs replace by their convex hulls.
+        be exempt. A solid is written as its triangles, which some other programs replace with the solid's convex hull.
         Existing files are replaced.
 
         Parameters

@@ -225,7 +225,7 @@ def read_urdf(path: str | os.PathLike[str], text: str | None = None) -> Descript
     Raises
     ------
     FileError
-        If the file does not exist, or is not XML or not a URDF.
+        If the file does not exist, is not XML, or is not a URDF.
     InputError
         If `path` is not a path, if the links and joints do not form a tree, or a joint is not well defined.
     GeometryError

@@ -437,7 +437,7 @@ class _Touched(NamedTuple):
 
 
 def contact_normals(ready: Problem, pair: int, Q: Floats, tolerance: float) -> Floats:
-    """Find normals of the pieces that touch at the first of some configurations; the others follow on the motion.
+    """Find normals of the pieces that touch at `Q[0]`; the other rows of `Q` are later configurations of the motion.
 
     Returns
     -------

@@ -116,7 +116,7 @@ def apply_rules(
 
 
 def deviations(courses: Floats, joint_error: Floats | None) -> Floats | None:
-    """Enlarge a joint error by the rounding of the configurations that users compute on courses; None for no error.
+    """Add the rounding of configurations that users compute from a course to a joint error, None if there is no error.
 
     Returns
     -------

@@ -115,7 +115,7 @@ class Proof:
         return found
 
     def verify(self) -> Report:
-        """Verify the proof by `loewner.verify.verify`, which shares no code with the rest of the library.
+        """Verify the proof with `loewner.verify.verify`, which shares no code with the rest of the library.
 
         Returns
         -------
