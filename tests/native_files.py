@@ -1,10 +1,18 @@
-"""Files of `native/`, which is no package, as modules."""
+"""Files of `native/`, which is no package, as modules; and the mark of tests that need the native library."""
 
 import importlib.util
+import os
 from pathlib import Path
 from types import ModuleType
 
+import pytest
+
+from loewner._native import library
+
 NATIVE = Path(__file__).parent.parent / "native"
+
+OFFERED = library.level() is not None or os.environ.get("LOEWNER_NATIVE") == "required"
+needs_library = pytest.mark.skipif(not OFFERED, reason=f"no native library here: {library.why_not()}")
 
 
 def module(name: str) -> ModuleType:

@@ -17,6 +17,7 @@ from families import translation
 from loewner import Body, CollisionChecker, InputError, Scene, Verdict
 from loewner._kernels.tolerances import ROTATION_TOLERANCE
 from loewner._native import library
+from native_files import needs_library
 from sampling import quick
 from test_piece_trees import without_trees
 
@@ -373,6 +374,7 @@ def test_contact_that_ends_keeps_the_limit():
         held(whole, checker.certify_edges(a, b, steps=most), most, more, checker.certify_edges(a, b, steps=most).steps)
 
 
+@needs_library
 @pytest.mark.parametrize("name", ["balls_near_a_box", "dense_surfaces", "thousands_of_pieces"])
 def test_limits_in_c_are_those_of_python(tmp_path, name):
     """The same verdicts and the same steps, for motions, for curves and for validators of motions."""
@@ -393,19 +395,26 @@ def test_limits_in_c_are_those_of_python(tmp_path, name):
         assert (taken == wanted.steps).all()
 
 
-def test_bad_limits(tmp_path):
-    """A limit is an integer from 1 on; in C 0 is none."""
+def test_bad_limits():
+    """A limit is a positive integer."""
     checker, (a, b) = many_links()
     for bad in (0, -1, 2.5, True, 2**63, "many"):
         with pytest.raises(InputError, match="steps: expected an integer"):
             checker.certify_edges(a, b, steps=bad)
         with pytest.raises(InputError, match="steps: expected an integer"):
             checker.certify_trajectory(PPoly(np.stack([[b - a], [a]]), [0.0, 1.0]), steps=bad)
+
+
+@needs_library
+def test_bad_limits_in_c(tmp_path):
+    """In C, 0 stands for no limit."""
+    checker, (a, b) = many_links()
     checker.save(tmp_path / "cell.lwn")
     with pytest.raises(capi.Error, match="steps: expected a number >= 0, found -1"):
         capi.Checker(tmp_path / "cell.lwn").certify(a[None], b[None], steps=-1)
 
 
+@needs_library
 @pytest.mark.skipif(shutil.which("cc") is None or sys.platform != "linux", reason="it takes a C compiler and glibc")
 @pytest.mark.parametrize(
     ("name", "count"),

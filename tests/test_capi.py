@@ -22,10 +22,9 @@ from loewner._native import library
 from loewner.bodies import native_files
 from loewner.errors import PlanningError
 from motion_oracle import AFLOAT, example, ring, steps, written
-from native_files import NATIVE
+from native_files import NATIVE, needs_library
 
-OFFERED = library.level() is not None or os.environ.get("LOEWNER_NATIVE") == "required"
-pytestmark = pytest.mark.skipif(not OFFERED, reason=f"no native library here: {library.why_not()}")
+pytestmark = needs_library
 
 capi = pytest.importorskip("capi")
 INCLUDE = Path(loewner.__file__).parent / "include"

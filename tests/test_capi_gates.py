@@ -1,7 +1,6 @@
 """Gates of the library for C hold their answers against Python's, tick by tick."""
 
 import ctypes
-import os
 from pathlib import Path
 
 import numpy as np
@@ -9,13 +8,12 @@ import pytest
 import trimesh
 
 from loewner import Body, CollisionChecker, Robot, Scene
-from loewner._native import library
 from loewner.planners import Gate, GateState
+from native_files import needs_library
 from sampling import quick
 from test_gates import DT, JERK, LATER, Q0, SEEN, V0, along_the_rail, arm, at, person_behind, wall
 
-OFFERED = library.level() is not None or os.environ.get("LOEWNER_NATIVE") == "required"
-pytestmark = pytest.mark.skipif(not OFFERED, reason=f"no native library here: {library.why_not()}")
+pytestmark = needs_library
 
 capi = pytest.importorskip("capi")
 REASONS = ("", "contact", "brake", "may be hit", "limits", "budget")

@@ -1,6 +1,5 @@
 """The examples in C++ that need other libraries: the skeletons against stubs, and OMPL where it is installed."""
 
-import os
 import re
 import shutil
 import subprocess
@@ -13,11 +12,11 @@ import loewner
 from loewner import CollisionChecker, Verdict
 from loewner._native import library
 from motion_oracle import example, ring
+from native_files import needs_library
 from test_gates import DT, Q0, along_the_rail, arm, wall
 
-OFFERED = library.level() is not None or os.environ.get("LOEWNER_NATIVE") == "required"
 pytestmark = [
-    pytest.mark.skipif(not OFFERED, reason=f"no native library here: {library.why_not()}"),
+    needs_library,
     pytest.mark.skipif(shutil.which("g++") is None, reason="g++ is not installed"),
 ]
 

@@ -1,7 +1,6 @@
 """Gates of real robots among boxes, clouds and people: nothing is met before standstill, and wrong gates are found."""
 
 import dataclasses
-import os
 import sys
 from pathlib import Path
 
@@ -10,15 +9,14 @@ import pytest
 
 sys.path.append(str(Path(__file__).parents[1] / "benchmarks"))
 
-from loewner._native import library
 from loewner.planners import Gate, gates
 from loewner.planners.brakes import Brakes
 from loewner.queries.pose_paths import PackedPaths
+from native_files import needs_library
 from sampling import quick, quick_of
 from test_gates import OffAsOn, WithoutBrakes, WithoutJerk
 
-OFFERED = library.level() is not None or os.environ.get("LOEWNER_NATIVE") == "required"
-pytestmark = pytest.mark.skipif(not OFFERED, reason=f"no native library here: {library.why_not()}")
+pytestmark = needs_library
 pytest.importorskip("capi")
 gate_chunks = pytest.importorskip("gate_chunks")
 

@@ -21,10 +21,7 @@ from loewner._kernels import _parts, _store, columns, records
 from loewner._kernels._sources import source_hash
 from loewner._native import entries, library
 from loewner.errors import InputError, MissingExtraError
-from native_files import NATIVE, module
-
-OFFERED = library.level() is not None or os.environ.get("LOEWNER_NATIVE") == "required"
-needs_library = pytest.mark.skipif(not OFFERED, reason=f"no native library here: {library.why_not()}")
+from native_files import NATIVE, module, needs_library
 
 
 @pytest.fixture(scope="module")
