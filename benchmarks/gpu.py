@@ -166,8 +166,8 @@ def measure_configurations(device: Device, count: int) -> bool:
     Q = checker.robot.random_configurations(count, SEED).astype(np.float32)
     there, on_gpu = OnGpu(device, Q), gpu.Checker(checker, device=device.number)
     ready, address = prepared_of(checker), there._memory.address
-    seconds = in_kernels(device, lambda: on_gpu._asked(device, ready, address, count))
-    left = len(on_gpu._asked(device, ready, address, count)[1])
+    seconds = in_kernels(device, lambda: on_gpu._asked(ready, device, count, address))
+    left = len(on_gpu._asked(ready, device, count, address)[1])
     whole, answers = timed(lambda: np.asarray(on_gpu.collide(there)))
     alone, expected = timed(lambda: checker.collide(Q.astype(np.float64)))
     agree = bool((answers == expected).all())

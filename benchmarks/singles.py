@@ -104,7 +104,7 @@ def of_motions(course: Course, rival: Pinocchio, count: int, rounds: int) -> Row
     robot, checker = course.checker.robot, course.checker
     ends = list(zip(course.Q[:count], course.Q[count : 2 * count], strict=True))
     ways = [
-        list(rival.configurations(robot.between(a, b, coarse_first(steps(robot.distances(a, b), RESOLUTION)))))
+        list(rival.configurations(robot.between(a, b, coarse_first(int(steps(robot.distances(a, b), RESOLUTION))))))
         for a, b in ends
     ]
 

@@ -490,8 +490,8 @@ def costs(
     sizes : array_like, shape (k,)
         Positive numbers, in the order in which lines join the points.
     seconds : mapping of str to array_like, shape (k,) or ()
-        Times per item in seconds, keyed by their name in the legend; NaN if a time was not measured. A single number is
-        a time independent of size and is drawn as a dashed horizontal line.
+        Times per item in seconds, keyed by their label in the legend; NaN where a time was not measured. A single
+        number is a time independent of size and is drawn as a dashed horizontal line.
     size, item : str
         Labels of the axes.
     ax : matplotlib axes, optional

@@ -106,7 +106,7 @@ class GateAnswer(_validate.Brief):
         Whether this brake is proven free. It is proven unless nothing was proven before, the robot has left the proven
         tube, or the world has left its bounds.
     work : int
-        Steps of the proofs, see `CollisionChecker.certify_edges`.
+        Number of steps that the proofs took; see `CollisionChecker.certify_edges`.
 
     Examples
     --------

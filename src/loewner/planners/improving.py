@@ -71,9 +71,9 @@ class Improve:
         the weighted changes. They make metres and radians comparable; a joint with a large weight moves little.
         Default: one for each value.
     clearance : float, optional
-        Distance [m] that the path should keep from the bodies of the scene where it can, without being forced to:
-        nearer to them a motion costs up to ten times its length, and half of the rounds move the path away from them.
-        For a distance that must be kept everywhere, use `Scene.margin`.
+        Distance [m] that the path should keep from the bodies of the scene where possible. This is a preference, not a
+        constraint: nearer to them, a motion costs up to ten times its length, and half of the rounds move the path away
+        from them. For a distance that must be kept everywhere, use `Scene.margin`.
 
     Raises
     ------

@@ -141,7 +141,7 @@ def plan(
     keep : (link, axis, direction, angle), optional
         An axis of the link ("x", "y", "z" or a vector) must stay within an angle [rad] of a direction of the world, as
         of a cup that must not be spilt. This is proven for every motion of the path itself, without joint errors. Only
-        the compiled planner can do it.
+        the compiled planner supports this.
     joint_error : float or array_like, shape (dof,)
         Radians or metres by which each value may deviate from the path: every motion is proven for all such deviations,
         also of the joints that do not move. With a joint error, contact at the ends is not allowed.

@@ -646,7 +646,7 @@ def push(T_world_body: Poses, wrench: ArrayLike, *, radius: float) -> Floats:
     PoseError
         If a pose is not a rigid motion.
     InputError
-        If a wrench is not finite, the shapes do not broadcast, or a step leads out of the range of numbers.
+        If a wrench is not finite, the shapes do not broadcast, or a step overflows.
 
     Examples
     --------

@@ -387,7 +387,8 @@ class CollisionChecker:
             FREE or COLLIDING.
         joint_error : float or array_like, shape (dof,)
             Radians or metres by which each value may deviate from the motion; FREE covers all such deviations. A motion
-            that collides only for deviating values is AMBIGUOUS. With an error, contact at the ends is not allowed.
+            that collides only for deviating values is AMBIGUOUS. With a joint error, contact at the ends is not
+            allowed.
         t0, t1 : float or array_like, shape (...), optional
             Seconds at which the motions begin and end, broadcast with them; required if bodies of the scene follow
             motions (`Scene.follow`). The fraction f of a motion is then at the time t0 + f (t1 - t0).

@@ -148,9 +148,9 @@ class RobotViewer(Viewer):
         The exact answer for this configuration; True if there is none.
     path_verdict : Verdict or None
         The verdict for the whole path or trajectory, which the page shows in place of the certified one: FREE only if
-        it is proven at every moment, COLLIDING if a sample or the proof found a collision, and AMBIGUOUS otherwise and
-        until it is proven. Contact that `Scene.leave` or `Scene.reach` allows is no collision. None without a path, or
-        while the robot is not on it.
+        it is proven at every moment, COLLIDING if a sample or the proof found a collision, and AMBIGUOUS otherwise,
+        also while the proof is running. Contact that `Scene.leave` or `Scene.reach` allows is no collision. None
+        without a path, or while the robot is not on it.
     contacts : tuple of Contact
         The pairs that touch or come within their margin.
     bounds : StateDistance

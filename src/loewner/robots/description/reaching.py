@@ -59,8 +59,8 @@ class Reached(_validate.Brief):
     reached : bool or ndarray, shape (...)
         Whether it is a solution; with a checker, only a free configuration counts.
     residual : ndarray, shape (..., 2)
-        Distance [m] and angle [rad] by which it misses the tolerance. If it is at most 1e-9 although `reached` is
-        False, the pose can be reached, but the solutions found collide.
+        Distance [m] and angle [rad] by which the configuration exceeds the tolerance. If it is at most 1e-9 although
+        `reached` is False, the pose can be reached, but the solutions found collide.
     solutions : ndarray, shape (k, dof), or tuple of such arrays, or None
         With ``all=True``: all distinct solutions found, free ones first, then those near the start first. For many
         poses, a tuple with one array for each pose in C order.
