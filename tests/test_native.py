@@ -604,10 +604,9 @@ def test_results_leave_no_memory_behind(native):
         assert not left.traces, (name, *left.traces)
 
 
+@needs_library
 def test_the_build_string_is_what_the_loader_asks_for():
     """Sources and level, as a text in the library."""
-    if library.level() is None:
-        pytest.skip(f"no native library here: {library.why_not()}")
     loaded = ctypes.CDLL(str(library.HOME / f"kernels-{library.level()}.so"))
     text = ctypes.c_char_p(ctypes.addressof(ctypes.c_char.in_dll(loaded, "loewner_build"))).value.decode()
     assert text == f"{library.source_hash()} {library.level()}"

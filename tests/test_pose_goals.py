@@ -101,6 +101,15 @@ def test_command(tmp_path, capsys, monkeypatch):
         assert message in capsys.readouterr().err
 
 
+def test_names_of_joints_may_come_from_an_iterator(checker):
+    """Names are asked for once, although the poses and the space both need them."""
+    names, goal = checker.robot.joint_names, PoseGoal("rod", rod(checker, BEHIND))
+    found = goal.configurations(checker, LEFT, joints=list(names))
+    np.testing.assert_array_equal(goal.configurations(checker, LEFT, joints=iter(names)), found)
+    path = planners.plan(checker, LEFT, goal, joints=list(names))
+    np.testing.assert_array_equal(planners.plan(checker, LEFT, goal, joints=iter(names)), path)
+
+
 def test_only_joints_that_move_the_link_move(checker):
     """Other joints, such as fingers that hold something, keep their values on the way, unless joints are named."""
     ball = checker.robot.forward_kinematics(BEHIND)[checker.robot.link_names.index("ball")]

@@ -22,9 +22,10 @@ from families import random_poses
 from loewner import Body, CollisionChecker, LoewnerError, Scene
 from loewner._native import entries, library
 from loewner.robots.checking.edges import coarse_first
+from native_files import needs_library
 
 pytestmark = [
-    pytest.mark.skipif(library.level() is None, reason=f"no native library: {library.why_not()}"),
+    needs_library,
     pytest.mark.filterwarnings("ignore:.*is it in .*:UserWarning"),
 ]
 

@@ -286,6 +286,11 @@ def listed(x: Any, name: str, *, wanted: str = "a list") -> list[Any]:
         raise InputError(f"{name}: expected {wanted}, found {short(x)}") from None
 
 
+def group_or_names(x: Any, name: str) -> Any:
+    """Return the name of a group, or None, as it is, and other names as a list, since an iterable may end."""
+    return x if x is None or isinstance(x, str) else listed(x, name)
+
+
 def callback(x: Any, name: str) -> Any:
     """Check a callable, or None."""
     if x is not None and not callable(x):

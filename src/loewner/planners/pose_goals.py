@@ -124,7 +124,7 @@ class PoseGoal:
             As for `Robot.reach`.
         """
         begin = checked_checker(checker).robot.checked_one(start, "start")
-        Q, _, approaches = self._found(Judge.of(checker, 0.0), begin, joints)
+        Q, _, approaches = self._found(Judge.of(checker, 0.0), begin, _validate.group_or_names(joints, "joints"))
         return Q if approaches is None else np.array([rows[-1] for rows in approaches.rows])
 
     @guarded

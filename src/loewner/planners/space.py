@@ -241,14 +241,14 @@ class Task:
     checker : CollisionChecker
     start : ndarray, shape (dof,)
     goal : ndarray, shape (goals, dof), or PoseGoal
-    joints : str or iterable of str, optional
+    joints : str or list of str, optional
         The joints that move; for a pose, the joints of its link, unless others are given.
     """
 
     checker: CollisionChecker
     start: Floats
     goal: Floats | PoseGoal
-    joints: str | Iterable[str] | None
+    joints: str | list[str] | None
 
     @classmethod
     def of(
@@ -257,10 +257,10 @@ class Task:
     ) -> Task:  # fmt: skip
         """Check the arguments of a function that plans."""
         robot = checked_checker(checker).robot
-        q = robot.checked_one(start, "start")
+        q, named = robot.checked_one(start, "start"), _validate.group_or_names(joints, "joints")
         if isinstance(goal, PoseGoal):
-            return cls(checker, q, goal, goal._joints(robot) if joints is None else joints)
-        return cls(checker, q, _checked_goals(robot, goal), joints)
+            return cls(checker, q, goal, goal._joints(robot) if named is None else named)
+        return cls(checker, q, _checked_goals(robot, goal), named)
 
     def goals(self, judge: Judge) -> tuple[Floats, list[str], Approaches | None]:
         """Return the goals, shape (goals, dof), their names, and the approaches to them.

@@ -38,7 +38,9 @@ MODELS: tuple[MeshModel, ...] = get_args(MeshModel)
 USUAL_MODEL: Final = "auto"
 
 # Folders and modules that make a body from a mesh file, apart from the kernels.
-_MAKERS = "meshes", "ellipsoids", "bodies", "robots/description/link_bodies.py", "robots/description/link_meshes.py"
+_MAKERS = (
+    "_base", "meshes", "ellipsoids", "bodies", "robots/description/link_bodies.py", "robots/description/link_meshes.py",
+)  # fmt: skip
 
 PRIMITIVES: dict[str, Callable[..., Body]] = {
     "box": lambda *size: Body.box(size),
