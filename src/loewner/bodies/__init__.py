@@ -1,12 +1,12 @@
 """Bodies: unions of convex pieces, each with its inner and outer ellipsoid.
 
-A `Body` is one such union; `Bodies` packs a sequence of bodies for batched queries. Both are read-only. `body` defines
-these two classes, and `pack` and `layout` define the arrays behind them. `primitives` and `kinds` are curved pieces,
-and `surfaces` and `surface_trees` are triangles as pieces. `flat_faces` finds coplanar triangles, `boxes` orients
-bounding boxes, and `parts` cuts surfaces into parts, which proofs replace by their hulls. `triangulated` makes
-triangles for pictures, `sensed` makes clouds, voxels and terrain, and `depth_images` makes points from depth images.
-`files`, `native_files`, `octrees` and `exports` are formats, and `checks` checks arrays from files. `cover_fits`,
-`cover_proofs` and `elements` cover a body by few elements.
+A `Body` is one union; `Bodies` packs a sequence of bodies for batched queries. Both are read-only. `body` defines these
+two classes, and `pack` and `layout` define the arrays behind them. `primitives` and `kinds` handle curved pieces;
+`surfaces` and `surface_trees` handle pieces made of triangles. `flat_faces` finds coplanar triangles, `boxes` orients
+bounding boxes, and `parts` cuts surfaces into parts, which proofs replace with hulls. `triangulated` makes triangles
+for pictures, `sensed` makes clouds, voxels and terrain, and `depth_images` makes points from depth images. `files`,
+`native_files`, `octrees` and `exports` handle file formats, and `checks` checks arrays from files. `cover_fits`,
+`cover_proofs` and `elements` cover a body with few elements.
 """
 
 from loewner.bodies.body import (

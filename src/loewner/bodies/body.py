@@ -32,7 +32,7 @@ from loewner.errors import BodyIndexError, FileError, GeometryError, InputError
 from loewner.meshes import decomposition as meshes
 from loewner.meshes.coverage import Covering, CoverReport
 
-# Edge of the largest half-space [m]: contact is accurate to about 1e-12 of it.
+# Longest edge of a half-space's cube [m]; contact is accurate to about 1e-12 of the edge.
 LARGEST_EXTENT = 1e9
 
 
@@ -43,8 +43,8 @@ class Piece(_validate.Brief, KeepsReadOnly):
     Attributes
     ----------
     kind : str
-        "polytope", "ellipsoid", "cylinder", "cone", "capsule" or "sphere"; from `Body.from_surface`, "surface" for
-        triangles alone or "solid" for triangles and the space that they enclose.
+        "polytope", "ellipsoid", "cylinder", "cone", "capsule" or "sphere". `Body.from_surface` makes pieces of kind
+        "surface" (triangles alone) or "solid" (triangles and the space that they enclose).
     vertices : ndarray, shape (v, 3), or None
         Extreme points, or the vertices of a surface; None for curved pieces.
     normals, offsets : ndarray, shapes (f, 3) and (f,), or None
@@ -53,8 +53,8 @@ class Piece(_validate.Brief, KeepsReadOnly):
         Indices into `vertices`. The triangles of a polytope's surface are counter-clockwise when seen from outside; the
         triangles of a surface are oriented as in the mesh.
     inner, outer : Ellipsoids
-        The largest ellipsoid inside the piece and the smallest one around it. For a surface, `inner` lies inside but is
-        not the largest; without a radius it is a point, with semi-axes of zero.
+        The largest ellipsoid inside the piece and the smallest one around it. The inner ellipsoid of a surface is not
+        the largest possible; for an open surface without a radius it is a point, with semi-axes of zero.
     inner_gap, outer_gap : float
         Certified bounds on how far the log-volume of each ellipsoid is from the optimum. The inner ellipsoid of a
         surface has no such bound; its `inner_gap` is 0.
@@ -97,7 +97,7 @@ class _Bodies:
 
     @property
     def inner(self) -> Ellipsoids:
-        """Inner ellipsoids, one row per piece; a point if the piece is an open surface without a radius."""
+        """Inner ellipsoids, one row per piece; the ellipsoid of an open surface without a radius is a point."""
         return trusted(self._packed.inner_center, self._packed.inner_factor)
 
     @property
@@ -126,13 +126,13 @@ class _Bodies:
         Parameters
         ----------
         path : path
-            Must end in ``.npz``; or in ``.lwn``, for programs in C and C++ (``loewner.h``), with prepared data that
-            only the same version of loewner reads. An existing file is replaced.
+            Must end in ``.npz``, or in ``.lwn`` for programs in C and C++ (``loewner.h``); only the same version of
+            loewner can read the prepared data of a ``.lwn`` file. An existing file is replaced.
 
         Raises
         ------
         InputError
-            If the name ends otherwise.
+            If the name has another extension.
         FileError
             If the file cannot be written.
 
@@ -142,7 +142,7 @@ class _Bodies:
         >>> Body.load("ball.npz")
         Body(sphere, 0 vertices)
         """
-        # Imported late: with archives and checksums it takes a fifth of the time of `import loewner`.
+        # Imported late: with archives and checksums, the import would be a fifth of the time of `import loewner`.
         from loewner.bodies import files, native_files
 
         if native_files.is_meant(path):
@@ -218,7 +218,7 @@ class Body(_Bodies):
         Raises
         ------
         GeometryError
-            If there are too few points, or they are flat, collinear or all equal.
+            If there are too few points, or if all points are coplanar, collinear or equal.
 
         Examples
         --------
@@ -241,7 +241,8 @@ class Body(_Bodies):
         Raises
         ------
         GeometryError
-            If there is no point set, or if one is flat; the message gives the number of the flat set.
+            If there are no point sets, or if the points of a set are coplanar; the message gives the number of that
+            set.
 
         Examples
         --------
@@ -274,7 +275,7 @@ class Body(_Bodies):
         Parameters
         ----------
         source : path, trimesh.Trimesh or trimesh.Scene
-            STL, OBJ, PLY, OFF, GLB, glTF or DAE, in metres.
+            The mesh, or its file in STL, OBJ, PLY, OFF, GLB, glTF or DAE format, in metres.
         decompose : bool
             True: split a non-convex mesh into convex pieces, with CoACD or by cutting along planes; the pieces
             approximate the mesh, and `body.covering` states how well. False: use the convex hull, which contains the
@@ -282,7 +283,7 @@ class Body(_Bodies):
         tol : float
             Certified log-volume gap of all fits.
         scale : float, or array_like of shape (3,)
-            Factor for all lengths, or one for each axis of the mesh; a negative one mirrors.
+            Factor for all lengths, or one factor for each axis of the mesh; a negative factor mirrors the mesh.
         cover : bool
             Grow the pieces of a decomposition until they contain the mesh's whole surface.
         tolerance : float, optional
@@ -300,7 +301,7 @@ class Body(_Bodies):
             Seed of CoACD's search.
         progress : callable, optional
             Called as ``progress(done, total)`` after each step; the ratio done / total never decreases. If the mesh is
-            cut along planes, each step is a hundredth of its surface. The last step is all the fits together.
+            cut along planes, each step is a hundredth of its surface. The last step comprises all fits.
 
         Raises
         ------
@@ -311,7 +312,7 @@ class Body(_Bodies):
 
         See Also
         --------
-        loewner.meshes.convex_pieces : The pieces alone, and how they are made.
+        loewner.meshes.convex_pieces : Make the pieces alone, with details of the method.
 
         Examples
         --------
@@ -356,31 +357,32 @@ class Body(_Bodies):
     ) -> Body:
         """Make a body from the triangles of a mesh, without decomposition or approximation.
 
-        Every triangle is treated as convex: a flat core with a radius. The mesh may have holes and duplicate, flipped,
-        degenerate or self-intersecting triangles. docs/surfaces.md explains when to use this method and when to use
-        `from_mesh`.
+        Every triangle is treated as a convex piece: a flat core with a radius. The mesh may have holes, and its
+        triangles may be duplicated, flipped, degenerate or intersecting. docs/surfaces.md explains when to use this
+        method and when to use `from_mesh`.
 
         Parameters
         ----------
         source : path, trimesh.Trimesh, trimesh.Scene, or a pair of arrays
-            STL, OBJ, PLY, OFF, GLB, glTF or DAE, in metres; or vertices and triangles, shapes (v, 3) and (t, 3).
+            The mesh, or its file in STL, OBJ, PLY, OFF, GLB, glTF or DAE format, in metres. A pair holds the vertices,
+            shape (v, 3), and the triangles, shape (t, 3).
         radius : float
             Radius of the ball around each point of the triangles, in metres.
         solid : bool, optional
-            Whether the enclosed space, that is, all points around which the mesh winds, belongs to the body. A body
-            inside a solid collides with it; a body in a cavity does not. By default a mesh is solid if it is closed,
-            that is, if its triangles traverse each edge equally often in both directions. A mesh that is only nearly
-            closed causes a warning and counts as open.
+            Whether the body includes the enclosed space, that is, all points around which the mesh winds. A body inside
+            a solid collides with it; a body in a cavity does not. By default a mesh is solid if it is closed, that is,
+            if its triangles traverse each edge equally often in both directions. A mesh that is only nearly closed
+            causes a warning and counts as open.
         scale : float, or array_like of shape (3,)
-            Factor for all lengths, or one for each axis of the mesh; a negative one mirrors.
+            Factor for all lengths, or one factor for each axis of the mesh; a negative factor mirrors the mesh.
 
         Raises
         ------
         FileError
             If the file is missing, empty, truncated or not a mesh.
         GeometryError
-            If a vertex is not finite, an index is out of range, there is no triangle, or a size is outside 1e-12 to
-            1e12 m; with ``solid=True`` also if the mesh is open, in which case the message locates an open edge.
+            If a vertex is not finite, an index is out of range, there are no triangles, or a size is not between 1e-12
+            and 1e12 m. With ``solid=True``, also if the mesh is open; the message then locates an open edge.
         InputError
             If the radius is negative or not finite.
 
@@ -419,8 +421,8 @@ class Body(_Bodies):
         InputError
             If a length is not positive and finite.
         GeometryError
-            If a length is so small relative to another length (about 1e-12) that rounding loses it, or is outside 1e-30
-            to 1e30 m.
+            If a length is lost in rounding because it is too small relative to another one (about 1e-12), or if it is
+            not between 1e-30 and 1e30 m.
 
         Examples
         --------
@@ -437,12 +439,12 @@ class Body(_Bodies):
 
     @classmethod
     def sphere(cls, radius: float) -> Body:
-        """Make a ball about the origin, with a radius in metres; it is its own inner and outer ellipsoid.
+        """Make a ball centered at the origin; the ball is its own inner and outer ellipsoid.
 
         Parameters
         ----------
         radius : float
-            In metres.
+            Radius in metres.
 
         Raises
         ------
@@ -459,12 +461,12 @@ class Body(_Bodies):
 
     @classmethod
     def ellipsoid(cls, semi_axes: ArrayLike) -> Body:
-        """Make an axis-aligned ellipsoid about the origin, with semi-axes of shape (3,), in metres.
+        """Make an axis-aligned ellipsoid centered at the origin.
 
         Parameters
         ----------
         semi_axes : array_like, shape (3,)
-            Along x, y, z, in metres.
+            Semi-axes along x, y and z, in metres.
 
         Raises
         ------
@@ -481,7 +483,7 @@ class Body(_Bodies):
 
     @classmethod
     def spheres(cls, centers: ArrayLike, radii: ArrayLike) -> Body:
-        """Make a union of balls, one piece per ball; for many balls of the same radius see `from_cloud`.
+        """Make a union of balls, one piece per ball; for many balls of one radius, see `from_cloud`.
 
         Parameters
         ----------
@@ -551,14 +553,14 @@ class Body(_Bodies):
         Returns
         -------
         Body
-            With a radius, one piece with a tree over the points; with voxels, boxes as in `from_voxels`. FREE is proven
-            for the exact union.
+            With `radius`, one piece with a tree over the points; with `voxel`, boxes as in `from_voxels`. FREE is
+            proven for the exact union.
 
         Raises
         ------
         InputError
-            If the shape is wrong, entries are not finite (remove such entries of depth images first), or not exactly
-            one of `radius` and `voxel` is given.
+            If the shape is wrong, if entries are not finite (remove the invalid points of a depth image first), or if
+            both or neither of `radius` and `voxel` are given.
         GeometryError
             If there are no points.
 
@@ -600,13 +602,13 @@ class Body(_Bodies):
         radius, voxel : float
             As for `from_cloud`; give one of the two.
         checker : CollisionChecker, optional
-            Leave out the points on its robot and on attached bodies, by `CollisionChecker.off_the_robot`.
+            If given, `CollisionChecker.off_the_robot` removes the points on the robot and on attached bodies.
         q : array_like, shape (dof,), optional
             The robot's configuration when the image was taken.
         clear : float
-            Points within this distance of the robot are left out, in metres; unused without a checker. It has to exceed
-            the noise of the camera and the error of the robot's pose, and also the radius, or half a voxel's diagonal,
-            and the margin, so that the robot is free of the body.
+            Points within this distance of the robot, in metres, are left out; unused without a checker. The distance
+            must exceed the camera's noise plus the error of the robot's pose, so that no point on the robot is kept. It
+            must also exceed the radius, or a voxel's diagonal, plus the margin, so that the robot is free of the body.
 
         Raises
         ------
@@ -638,7 +640,7 @@ class Body(_Bodies):
 
     @classmethod
     def from_voxels(cls, grid: ArrayLike, size: float, *, origin: ArrayLike = (0.0, 0.0, 0.0)) -> Body:
-        """Make a body from an occupancy grid: the union of the occupied cells, with each row of cells as one box.
+        """Make a body from an occupancy grid: the union of the occupied cells, with each unbroken row as one box.
 
         Parameters
         ----------
@@ -704,18 +706,18 @@ class Body(_Bodies):
 
     @classmethod
     def height_field(cls, heights: ArrayLike, spacing: ArrayLike, *, base: float | None = None) -> Body:
-        """Make terrain: the solid below a surface of triangles that joins heights over a grid.
+        """Make terrain: the solid below a triangulated surface through heights on a grid.
 
         Parameters
         ----------
         heights : array_like, shape (p, q)
-            In metres, at least two along each axis; the height at (i, j) belongs to the point x = i spacing, y = j
+            Heights in metres, at least two along each axis; ``heights[i, j]`` is the height at x = i spacing, y = j
             spacing.
         spacing : float, or array_like of shape (2,)
             Distance between neighbours along x and y, in metres.
         base : float, optional
             Height of the flat underside, in metres, below all heights. The default is the lowest height minus the
-            longer side of the grid, so that nothing passes through from above undetected.
+            longer side of the grid, so that no body passes through from above undetected.
 
         Raises
         ------
@@ -746,19 +748,18 @@ class Body(_Bodies):
         Parameters
         ----------
         normal : array_like, shape (3,)
-            Points out of the body and may have any nonzero length; the body is {x : n · x <= offset} with n scaled to
-            length 1.
+            The outward normal, of any nonzero length; the body is {x : n · x <= offset} with n scaled to length 1.
         offset : float
             Signed distance of the plane from the origin along the normal, in metres.
         extent : float
-            Edge length of the cube, in metres, at most 1e9. One side of the cube lies in the plane, centered at the
+            Edge length of the cube, in metres, at most 1e9. One face of the cube lies in the plane, centered at the
             plane's point nearest to the origin. Everything outside the cube is free, so choose a cube larger than the
             range of the moving bodies. Contact is accurate to about 1e-12 times this length.
 
         Raises
         ------
         InputError
-            If a number is not finite, the normal has no length, or the extent is not positive or more than 1e9.
+            If a number is not finite, the normal is zero, or the extent is not positive or exceeds 1e9.
 
         Examples
         --------
@@ -878,7 +879,7 @@ class Body(_Bodies):
         return cls(as_one([_validate.instance(b, "bodies", Body)._packed for b in listed]))
 
     def transformed(self, T: ArrayLike) -> Body:
-        """Return a copy of the body and its ellipsoids, moved by a rigid motion of shape (4, 4).
+        """Return a copy of the body and its ellipsoids, moved by the rigid motion `T`.
 
         The moved vertices are rounded to float64, so the outer ellipsoids grow and the inner ones shrink by the largest
         effect of that rounding on containment.
@@ -886,7 +887,7 @@ class Body(_Bodies):
         Parameters
         ----------
         T : array_like, shape (4, 4)
-            Translation in metres.
+            The motion, with its translation in metres.
 
         Returns
         -------
@@ -897,7 +898,7 @@ class Body(_Bodies):
         PoseError
             If T is not a rigid motion.
         GeometryError
-            If the translation is so large that rounding would leave a thin piece no digits.
+            If the translation is so large that rounding would destroy a thin piece.
 
         Examples
         --------
@@ -911,24 +912,23 @@ class Body(_Bodies):
     def covered_by(
         self, model: Body, *, tolerance: float | None = None, progress: Progress | None = None
     ) -> CoverReport:
-        """Prove that a model of convex elements contains the whole body, inside included, or find a point that it
-        leaves out.
+        """Prove that convex elements contain the whole body, including its interior, or find an uncovered point.
 
         Parameters
         ----------
         model : Body
             Balls, capsules, boxes, ellipsoids or other convex pieces, in the same frame as the body.
         tolerance : float, optional
-            Cells of the body that are in no single element are halved down to this size, in metres; by default 1e-4 of
-            the body's diagonal. Holes of any size are noticed: below the tolerance, the outcome is "undecided" or
-            "uncovered", never "covered".
+            Size, in metres, down to which a cell of the body is halved unless a single element contains it; the default
+            is 1e-4 of the body's diagonal. Holes of any size are noticed: for a hole smaller than the tolerance, the
+            outcome is "undecided" or "uncovered", never "covered".
         progress : callable, optional
             Called as ``progress(done, total)`` after each step.
 
         Returns
         -------
         CoverReport
-            The outcome, with bounds on the uncovered share and its depth, and on how far the model sticks out.
+            The outcome, with bounds on the uncovered share, on its depth and on how far the model sticks out.
 
         Raises
         ------
@@ -937,8 +937,8 @@ class Body(_Bodies):
 
         Notes
         -----
-        A surface without an inside counts as its triangles, with their radius; the inside of solids and of convex
-        pieces counts too. docs/containment.md states the proof.
+        An open surface consists only of its triangles, with their radius; solids and convex pieces include their
+        interior. docs/containment.md gives the proof.
 
         Examples
         --------
@@ -964,16 +964,16 @@ class Body(_Bodies):
         protrusion: float | None = None,
         progress: Progress | None = None,
     ) -> Body:
-        """Make a body of a few simple elements that provably contains this body, inside included.
+        """Make a body of a few simple elements that provably contains this body, including its interior.
 
         Parameters
         ----------
         kind : {"spheres", "capsules", "boxes", "ellipsoids"}
         n : int, optional
-            The largest number of elements; the search makes them stick out as little as it can.
+            The largest number of elements; the search makes the elements stick out as little as it can.
         protrusion : float, optional
             The largest distance by which an element may stick out of the body, in metres; the search uses as few
-            elements as it can. Give either `n` or ```protrusion```.
+            elements as it can. Give either `n` or ``protrusion``.
         progress : callable, optional
             Called as ``progress(done, total)`` after each step.
 
@@ -981,16 +981,16 @@ class Body(_Bodies):
         -------
         Body
             One piece per element. Its `covering` is proven: `max_uncovered` is 0, and `max_protrusion` is at most
-            ```protrusion``` if that was given. Centers and radii of spheres are multiples of a power of two, so float32
-            and the decimals in files represent the same numbers.
+            ``protrusion`` if given. Centers and radii of spheres are multiples of a power of two, so float32 and the
+            decimals in files represent the same numbers.
 
         Raises
         ------
         InputError
-            If not exactly one of `n` and ```protrusion``` is given, or it is out of range: at least one element, and at
-            least 1e-4 of the body's diagonal.
+            If both or neither of `n` and ``protrusion`` are given, if `n` is not at least 1, or if ``protrusion`` is
+            not at least 1e-4 of the body's diagonal.
         GeometryError
-            If no such elements are found.
+            If no elements within this limit are found.
 
         Examples
         --------
@@ -1039,8 +1039,8 @@ class Body(_Bodies):
         Raises
         ------
         InputError
-            If no ellipsoids are requested and a piece is a surface, a height field or a cloud, since MuJoCo would use
-            its convex hull; or if the name is invalid.
+            If the name is invalid, or if no ellipsoids are requested and a piece is a surface, a height field or a
+            cloud, which MuJoCo would replace with its convex hull.
         FileError
             If the file cannot be written.
 
@@ -1070,18 +1070,18 @@ class Body(_Bodies):
         ellipsoids: Literal["inner", "outer"] | None = None,
         mesh_prefix: str = "",
     ) -> None:
-        """Write the body as a URDF of one link that has only collision shapes.
+        """Write the body as a URDF with a single link that has only collision shapes.
 
         Boxes, spheres and cylinders are kept, and a capsule becomes a cylinder and two spheres. Any other piece becomes
-        a mesh in a file next to the URDF, ``STEM-DIGEST.obj``, with a digest of the content. Ellipsoids
-        and cones are replaced by circumscribed polytopes, inner ellipsoids by inscribed ones.
+        a mesh in a file next to the URDF, ``STEM-DIGEST.obj``, named after a digest of its content. Inner ellipsoids
+        are replaced with inscribed polytopes; other ellipsoids and cones are replaced with circumscribed ones.
 
         Parameters
         ----------
         path : path
-            It may have any extension; its stem names both the robot and its link. The mesh files are written first;
-            then the URDF is written under a temporary name and renamed. A file with different content is never
-            replaced, so an older URDF, or a copy of it, keeps its meshes.
+            Any extension is allowed; the stem names both the robot and its link. The mesh files are written first; then
+            the URDF is written under a temporary name and renamed. A file with different content is never replaced, so
+            an older URDF, or a copy of it, keeps its meshes.
         ellipsoids : {"inner", "outer"}, optional
             Write these ellipsoids instead of the pieces.
         mesh_prefix : str
@@ -1108,24 +1108,24 @@ class Body(_Bodies):
         exports.save_urdf(self._packed, file, ellipsoids, exports.prefix(mesh_prefix))
 
     def to_stl(self, path: str | os.PathLike[str]) -> None:
-        """Write the pieces as one STL file, binary, in metres: a closed mesh for each convex piece; they may overlap.
+        """Write the pieces to a binary STL file in metres, as one closed mesh per convex piece; meshes may overlap.
 
         Parameters
         ----------
         path : path
-            Must end in ``.stl``; it is written under a temporary name and then renamed.
+            Must end in ``.stl``; the file is written under a temporary name and then renamed.
 
         Raises
         ------
         InputError
-            If the name ends otherwise, or a piece is a surface or a cloud with a radius.
+            If the name has another extension, or a piece is a surface or a cloud with a radius.
         FileError
             If the file cannot be written.
 
         Notes
         -----
-        Coordinates are rounded to single precision, and the triangles of curved pieces lie inside the pieces. A body of
-        `Robot.swept` is written without any change.
+        Coordinates are rounded to single precision, and the triangles of curved pieces lie inside the pieces. A body
+        made by `Robot.swept` is written without any change.
 
         Examples
         --------
@@ -1146,8 +1146,8 @@ class Body(_Bodies):
         Parameters
         ----------
         what : {"pieces", "inner", "outer"}
-            The triangles of a curved piece have their corners on its surface and therefore lie inside it. A circle has
-            48 corners, an ellipsoid at most 1280 triangles.
+            The triangles of a curved piece have their corners on its surface and therefore lie inside it. A circle
+            becomes a polygon of 48 corners; an ellipsoid has at most 1280 triangles.
 
         Returns
         -------
@@ -1198,7 +1198,7 @@ class Body(_Bodies):
 
 @guarded
 class Bodies(_Bodies):
-    """A packed sequence of n bodies, broadcast with the last batch axis of the poses.
+    """A packed sequence of n bodies, which is broadcast along the last batch axis of the poses.
 
     Parameters
     ----------
@@ -1251,7 +1251,7 @@ class Bodies(_Bodies):
 
     @classmethod
     def spheres(cls, radii: ArrayLike) -> Bodies:
-        """Make one ball about the origin for each radius; see `Body.sphere`.
+        """Make one ball centered at the origin for each radius; see `Body.sphere`.
 
         Parameters
         ----------
@@ -1269,12 +1269,12 @@ class Bodies(_Bodies):
 
     @classmethod
     def ellipsoids(cls, semi_axes: ArrayLike) -> Bodies:
-        """Make one ellipsoid about the origin for each row of semi-axes; see `Body.ellipsoid`.
+        """Make one ellipsoid centered at the origin for each row of semi-axes; see `Body.ellipsoid`.
 
         Parameters
         ----------
         semi_axes : array_like, shape (n, 3)
-            Along x, y, z, in metres.
+            Semi-axes along x, y and z, in metres.
 
         Examples
         --------
@@ -1317,7 +1317,7 @@ class Bodies(_Bodies):
 
     @property
     def piece_start(self) -> Ints:
-        """Starts of the bodies' ranges of pieces, shape (n + 1,); body i has piece_start[i] : piece_start[i+1]."""
+        """Start of each body's range of pieces, shape (n + 1,); body i has pieces piece_start[i] : piece_start[i+1]."""
         return self._packed.piece_start
 
     @classmethod
@@ -1379,7 +1379,7 @@ def packed_of(bodies: Body | Bodies) -> Packed:
 
 
 def reach_of(body: Body) -> float:
-    """Bound the distance of a body's points from its origin [m], at any pose that is accepted as rigid."""
+    """Bound the distance from a body's origin to its points [m], at any pose that is accepted as rigid."""
     packed = packed_of(body)
     if (packed.layout[:, columns.KIND] <= columns.POLYTOPE).all():
         far = float(lengths(packed.points).max(initial=0.0)) * (1.0 + 1e-12)
@@ -1416,7 +1416,7 @@ def checksum_of(body: Body) -> str:
 
 
 def _primitive(kind: int, rounding: float, frame: ArrayLike) -> Body:
-    """Make a body of one curved piece: the image of a unit shape, with a ball of some radius added."""
+    """Make a body of one curved piece: the image of a unit shape, plus a ball of radius `rounding`."""
     return Body(primitives(kind, np.array([rounding]), np.array([frame], dtype=float)))
 
 

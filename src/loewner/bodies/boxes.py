@@ -12,7 +12,7 @@ from loewner._base._validate import Floats
 # Largest number of triangles that suggest orientations.
 MOST_ASKED = 512
 
-# Number of edges of a hull, the longest, along which a box is tried.
+# Number of longest edges of a hull along which a box is tried.
 MOST_EDGES = 8
 
 # Thickness assumed for a flat box, relative to its longest side, so that the shorter of two equal areas is chosen.

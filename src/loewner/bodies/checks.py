@@ -26,8 +26,8 @@ from loewner.bodies.pack import Packed
 from loewner.bodies.primitives import ellipsoids_in_frame
 from loewner.errors import InputError
 
-# Relative allowances of the tests: one that rounding never exceeds, and one in roundings times the aspect of the piece,
-# for the digits that coordinates of a thin piece lack. However thin the piece, it is at most MOST_DOUBT.
+# Relative allowances of the tests: DOUBT, which rounding never exceeds, and ROUNDINGS times the aspect of the piece,
+# for the digits that coordinates of a thin piece lack. The latter is at most MOST_DOUBT, however thin the piece.
 DOUBT, ROUNDINGS, MOST_DOUBT = 1e-9, 64 * 2.0**-53, 0.05
 
 # Flatter ellipsoids than this cannot be inverted in float64; polytopes as flat as this are refused when they are made.
@@ -36,10 +36,10 @@ MOST_ASPECT = 1e15
 # Vectors below this length, in units of an inner ellipsoid, have no reliable direction: their squares may underflow.
 SHORTEST = 1e-100
 
-# The poses of capsules and spheres may stretch by this; their radius is kept, and their ellipsoids are stretched.
+# Share by which poses may stretch capsules and spheres: the radius is kept, and the ellipsoids are stretched.
 BEND = 4 * tolerances.ROTATION_TOLERANCE
 
-# Approximate number of points and planes in a block of polytopes, and number of products formed at a time.
+# Approximate number of points and planes in a block of polytopes, and of products formed at a time.
 BLOCK, AT_ONCE = 1 << 14, 1 << 16
 
 # Axes of curved pieces are orthogonal to this accuracy: after a hundred moves by poses barely accepted as rigid.
@@ -69,7 +69,7 @@ assert tuple(EXPECTED) == ARRAYS
 
 
 def check_shapes(found: Mapping[str, tuple[int, ...]]) -> None:
-    """Refuse arrays whose shapes do not match; this is possible before their numbers are read."""
+    """Refuse arrays whose shapes do not match, before their numbers are read."""
     P = found["layout"][0] if found["layout"] else -1
     counts = {"P": P, "P + 1": P + 1}
     for name, shape in EXPECTED.items():
@@ -182,7 +182,7 @@ def _doubt(aspect: Floats) -> Floats:
 
 
 def _check_polytopes(arrays: dict[str, Any]) -> Maps:
-    """Check that hulls contain their inner and lie in their outer ellipsoids, and match their triangles and planes."""
+    """Check that hulls lie between their inner and outer ellipsoids, and match their triangles and planes."""
     layout, points = arrays["layout"], arrays["points"]
     rows = np.flatnonzero(layout[:, columns.KIND] == columns.POLYTOPE)
     _refuse(arrays["frames"][rows].any(axis=1), "frames: expected zeros for a polytope", rows=rows)
@@ -317,7 +317,7 @@ def _least_distance(a: Floats, b: Floats, c: Floats) -> Floats:
 
 
 def _check_planes(arrays: dict[str, Any], rows: Ints, doubt: Floats) -> None:
-    """Check that normals have unit length, and that each offset belongs to the farthest vertex."""
+    """Check that normals have unit length, and that each plane touches the farthest vertex."""
     layout, points, planes = arrays["layout"][rows], arrays["points"], arrays["planes"]
     normals = planes[:, :3]
     squared = _dot(normals.T, normals.T)

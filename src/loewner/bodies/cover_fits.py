@@ -1,4 +1,4 @@
-"""Fit a few convex elements that hold a whole body and stick out of it only a little (docs/design/covers.md)."""
+"""Fit a few convex elements that contain a whole body and stick out only a little (docs/design/covers.md)."""
 
 from __future__ import annotations
 
@@ -21,47 +21,48 @@ from loewner.ellipsoids.fits import mvce
 from loewner.errors import GeometryError, InputError
 from loewner.meshes.triangles import halved, longest_edges, unit_normals
 
-# Numbers of points of the surface, corners, and points of the inside that balls have to hold at first.
+# Numbers of surface points, corners and interior points that balls must hold at first.
 SURFACE, CORNERS, INSIDE = 6000, 1500, 500
 
-# Number of surface points per square with the protrusion as its edge; and the least share of points and candidates.
+# DENSITY is the number of surface points per square whose edge is the protrusion, and LEAST_SHARE the least share of
+# points and candidates.
 DENSITY, LEAST_SHARE = 8.0, 0.2
 
 # Candidates for the centers of balls.
 CANDIDATES = 2500
 
-# Steps of the local search for the fewest balls; its rounds, which add the points that the proof misses; further rounds
-# until there is a proof; and the steps of each round that add balls for such points.
+# STEPS of the local search for the fewest balls, and its ROUNDS, which add the points that the proof misses.
+# MORE_ROUNDS follow until a proof is found, and REPAIRS are the steps per round that add balls for missed points.
 STEPS, ROUNDS, MORE_ROUNDS, REPAIRS = 1000, 5, 8, 5
 
-# Number of pairs of centers that are tried as axes of capsules; the least depth of an axis, relative to its ends; and
-# the number of its points at which the depth is measured.
+# PAIRS of centers are tried as axes of capsules. FALL is the least depth of an axis, relative to the depth of its ends,
+# measured at AXIS_POINTS points.
 PAIRS, FALL, AXIS_POINTS = 16_384, 0.7, 24
 
 # Points and candidates are counted in words of this number of bits.
 WORD = 64
 
-# Halvings of the interval of protrusions for a number of balls, steps of the search in each, and steps of 3 % by which
-# the protrusion grows until the number is proven to suffice.
+# For a given number of balls, the interval of protrusions is halved HALVINGS times, with FEW_STEPS of search each. The
+# protrusion then grows by 3 %, at most GROWTHS times, until the number is proven to suffice.
 HALVINGS, FEW_STEPS, GROWTHS = 12, 100, 40
 
-# Largest edge of the cells of clusters, relative to the size of the body; and about their largest number.
+# Largest edge of a cluster's cells, relative to the size of the body, and approximate limit on the number of cells.
 CELL, MOST_CELLS = 0.04, 20_000
 
-# After this number of divisions, an element that sticks out by k times the protrusion is expected to take k elements; a
-# fit ends if that makes this many times more elements than there may be.
+# After JUDGED divisions, an element that sticks out by k times the protrusion is expected to need k elements. The fit
+# ends if that makes more than HOPELESS times as many elements as allowed.
 JUDGED, HOPELESS = 512, 4
 
-# Half the edge of the cubes that are added where the proof fails, relative to the same size.
+# Half the edge of the cubes that are added where the proof fails, relative to the size of the body.
 AROUND = 0.005
 
-# Boxes and ellipsoids grow by this share of the size, so that decimals of their axes are precise enough.
+# Boxes and ellipsoids grow by this share of the body's size, so that decimals of their axes are precise enough.
 WRITTEN = 1e-6
 
-# Share of the protrusion that is kept for the gaps between the points.
+# Share of the protrusion that is reserved for the gaps between the points.
 RESERVE = 0.04
 
-# Numbers are multiples of the largest coordinate's power of two times this, so that they are the same in float32.
+# Numbers are multiples of GRID times the largest coordinate's power of two, so that float32 represents them exactly.
 GRID = 2.0**-22
 
 # The least and the largest protrusion, relative to the size of the body, and the most elements.
@@ -74,11 +75,11 @@ def grid_of(target: Target) -> float:
 
 
 class Candidates:
-    """Candidates for balls or capsules that hold a body, and the points that they have to hold.
+    """Candidates for the balls or capsules that hold a body, and the points that must be held.
 
-    A ball around a point at the depth d in the body, with the radius d + e, sticks out by no more than e. If the point
-    moves away from the nearest point of the surface, the new ball contains the old one. Only points of the medial axis
-    therefore count: they have several nearest points. A capsule is a union of balls: d is the least depth of its axis.
+    A ball of radius d + e around a point at depth d in the body sticks out by no more than e. If the point moves away
+    from the nearest point of the surface, the new ball contains the old one. Only points of the medial axis therefore
+    count: they have several nearest points. A capsule is a union of balls: d is the least depth of its axis.
     """
 
     def __init__(self, target: Target, capsules: bool, protrusion: float | None = None) -> None:
@@ -102,7 +103,7 @@ class Candidates:
         corners = corners[:: -(-len(corners) // CORNERS)]
         inside = target.low + even_points(4 * INSIDE, 3) * (target.high - target.low)
         inside = inside[target.holds(inside)][:INSIDE]
-        # Points, and radii of balls about them that have to be held as well, for surfaces with a radius.
+        # Points and, for surfaces with a radius, radii of the balls about them, which must be held as well.
         self.points = np.empty((0, 4))
         self.add_points(surface, radius[at])
         self.add_points(corners[:, :3], corners[:, 3])
@@ -122,10 +123,10 @@ class Candidates:
             self._add_segments()
 
     def _add_segments(self) -> None:
-        """Join pairs of centers by segments, and keep those along which the depth falls little."""
+        """Join pairs of centers by segments, and keep the segments along which the depth falls little."""
         pairs = (even_points(PAIRS, 2) * len(self.centers)).astype(np.int64)
         p, q = self.centers[pairs[:, 0]], self.centers[pairs[:, 1]]
-        # Half of the segments are shorter.
+        # Half of the segments are shortened.
         q = np.where((np.arange(PAIRS) % 2 == 0)[:, None], p + (q - p) / 4, q)
         shares = np.linspace(0.0, 1.0, 9)
         depth = np.min([-self.target.far(p + share * (q - p)) for share in shares], axis=0)
@@ -161,7 +162,7 @@ class Candidates:
         )
 
     def _hold(self, radii: Floats) -> Bools:
-        """Find which candidates with some radii hold which points, and return the points that none holds."""
+        """Find which candidates of the given radii hold which points, and return the points that none holds."""
         n, m = -(-len(self.points) // WORD), -(-len(radii) // WORD)
         known = self.known if np.array_equal(radii, self.radii) else 0
         if m > self.by_point.shape[1] or n > self.by_candidate.shape[1]:
@@ -179,7 +180,7 @@ class Candidates:
         return np.asarray(~self.by_point[: len(self.points)].any(axis=1))
 
     def add_candidates(self, centers: Floats, axes: Floats) -> None:
-        """Add balls, or capsules whose axes have the given halves."""
+        """Add balls, or capsules with the given half axes."""
         centers = np.rint(centers / self.grid) * self.grid
         axes = np.broadcast_to(np.rint(axes / self.grid) * self.grid, centers.shape)
         depth, parts = np.full(len(centers), np.inf), 1 if not axes.any() else AXIS_POINTS
@@ -189,7 +190,7 @@ class Candidates:
         self.depth = np.concatenate([self.depth, depth - lengths(axes) / parts])
 
     def add_points(self, points: Floats, around: Floats) -> None:
-        """Add points that have to be held, with balls of some radii about them."""
+        """Add points that must be held, with balls of the radii `around` about them."""
         self.points = np.concatenate([self.points, np.column_stack([points, around])])
 
     def made(self, chosen: Ints, protrusion: float) -> Packed:
@@ -257,7 +258,7 @@ def _round(target: Target, kind: str, n: int | None, protrusion: float | None, r
 
 
 class _Clusters:
-    """Cells of a body in clusters, each with an element around it; the one that sticks out most is divided."""
+    """Clusters of a body's cells, each with an element around it; the one that sticks out most is divided."""
 
     def __init__(self, target: Target, kind: str, protrusion: float | None) -> None:
         self.target, self.kind = target, kind
@@ -287,7 +288,7 @@ class _Clusters:
         self.excess = [self.sticks(self.elements[0])]
 
     def element(self, cluster: Ints, more: float = 0.0) -> Packed:
-        """Fit an element around cells, larger by a length."""
+        """Fit an element around cells, enlarged by the length `more`."""
         used = np.zeros(len(self.points), dtype=bool)
         used[self.cells[cluster]] = True
         points = self.points[used]
@@ -332,7 +333,7 @@ class _Clusters:
         self.excess[k : k + 1] = [self.sticks(element) for element in best[2]]
 
     def grow(self, limit: float) -> list[Packed]:
-        """Grow elements until they stick out as far as they may, by at most the size of a cell: this closes gaps."""
+        """Grow elements by at most the size of a cell, until they stick out as far as allowed; this closes gaps."""
         grown = []
         for cluster, element, excess in zip(self.clusters, self.elements, self.excess, strict=True):
             # The corners of a box move by more than its faces.
@@ -357,7 +358,7 @@ class _Clusters:
 
 
 def _box(points: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return the axes, half edges and center of a box around points that has little area."""
+    """Return the axes, half edges and center of a box around points, with little area."""
     turn = least_box_axes(np.ascontiguousarray(points.T[:, None, :]))
     if np.linalg.det(turn) < 0:
         turn = turn * [1.0, 1.0, -1.0]

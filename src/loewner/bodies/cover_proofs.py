@@ -1,4 +1,4 @@
-"""Prove that a model of convex elements holds a whole body, inside included, or find a point that it leaves out.
+"""Prove that convex elements contain a whole body, including its interior, or find an uncovered point.
 
 docs/containment.md states the three outcomes and derives the margins.
 """
@@ -26,15 +26,15 @@ from loewner.meshes.triangles import halved
 # Cells of the body are halved down to this share of its diagonal.
 RESOLUTION = 1e-4
 
-# Roundings of the corners of cells, relative to the largest coordinate: 2 for each halving; there are few.
+# Roundings of the corners of cells, relative to the largest coordinate: 2 for each halving, and halvings are few.
 CELL_ROUNDINGS = 256 * 2.0**-53
 
-# Limits on the number of cells that are halved at a time, on pairs of cells and elements formed at a time, so that they
-# stay in the processor's cache, and on cells at which a hole smaller than the tolerance is looked for, over this number
-# of halvings.
+# Limits: WORK on the cells halved at a time, and AT_ONCE on the pairs of cells and elements formed at a time, so that
+# they stay in the processor's cache. LOOKED_INTO cells are searched for a hole smaller than the tolerance, over LOOKS
+# halvings.
 WORK, AT_ONCE, LOOKED_INTO, LOOKS = 200_000, 100_000, 128, 60
 
-# The search for the largest distance ends when the bound is this near to a distance that was found, as a ratio.
+# The search for the largest distance ends when the bound exceeds a distance that was found by at most this share.
 RELATIVE = 0.01
 
 # Halvings of triangles that are partly inside other pieces.
@@ -43,7 +43,7 @@ TRIMS = 8
 # Circumscribed polytopes are larger by this factor than their computed corners.
 OUTWARD = 1 + 1e-12
 
-# Divisions of the ball in whose corners points of curved elements are tried.
+# Divisions of the triangulated ball whose corners give trial points of curved elements.
 DIVISIONS = 2
 
 # Triangles of elements for one search for the largest protrusion.
@@ -136,7 +136,7 @@ class Target:
         return np.asarray(distances + self.whole.rounding - self.radius.min() + self.gap.max())
 
     def _boundary(self) -> Solid:
-        """Leave out parts of triangles that are in the interior of a convex piece: they are not in the boundary."""
+        """Drop the parts of triangles in the interior of a convex piece, since they are not in the boundary."""
         convex = [k for k, part in enumerate(self.parts) if part.convex]
         if len(convex) < 2 or not self.whole.closed:
             return self.whole
@@ -210,7 +210,7 @@ def _around(packed: Packed, i: int) -> tuple[Polytope, Floats, float]:
 
 @dataclass
 class _Cells:
-    """Triangles or cubes with the pairs of a cell and an element that it may meet, in the order of the cells."""
+    """Triangles or cubes, and the pairs of a cell and an element that it may meet, in the order of the cells."""
 
     shape: Floats  # (k, 3, 3) corners of triangles, or (k, 4) centers and half edges of cubes
     owner: Ints
@@ -281,7 +281,7 @@ class _Proof:
         return np.asarray(model.heights(points, element) <= -(margin + radius))
 
     def wholes(self) -> Bools:
-        """Return the parts whose corners are all in one element, or that are equal to one."""
+        """Return the parts that equal an element or whose corners are all in one element."""
         target, model = self.target, self.model
         packed, found = target.packed, np.zeros(len(target.parts), dtype=bool)
         kinds, frames = packed.layout[:, columns.KIND], packed.frames
@@ -311,14 +311,14 @@ class _Proof:
         Returns
         -------
         cells : _Cells
-            The cells that are in no single element, with the elements that they may meet; inside, with all elements
-            whose height may be the least one at a point of the cell.
+            The cells that are in no single element, with the elements that they may meet. With `inside`, also with all
+            elements whose height may be the least at a point of the cell.
         height : ndarray
             The least height of each remaining cell's center.
         outside : ndarray of bool
             Which remaining cells are outside of every element.
         flush : ndarray of bool
-            Which remaining cells are in the boundary of an element except for rounding, as their parts are, too.
+            Which remaining cells, and therefore their parts, are in the boundary of an element except for rounding.
         settled : ndarray of bool
             Which of the given cells are in one element.
         """
@@ -348,7 +348,7 @@ class _Proof:
             left, most = left[near], most[near]
         settled, flush = np.zeros(len(middle), dtype=bool), np.zeros(len(middle), dtype=bool)
         settled[c[left[most <= -needed[left]]]] = True
-        # The center of a cell that lies in the boundary of an element is there, too.
+        # If a cell lies in the boundary of an element, so does its center.
         flush[c[left[height[left] >= -radius[c[left]] - 4 * blur[left]]]] = True
         rest = ~settled
         # In a hole, an element may have the least height at a point of a cell that it does not meet.
@@ -356,7 +356,7 @@ class _Proof:
         return cells.take(rest, kept), least[rest], outside[rest], flush[rest], settled
 
     def note(self, points: Floats, depth: Floats) -> None:
-        """Keep the point of the body that is deepest outside by some measure, if it is deeper than the known one."""
+        """Keep the point of the body that is deepest outside by a measure, if it is deeper than the known point."""
         if len(depth) == 0 or not depth.max() > self.deepest:
             return
         point, n = points[depth.argmax()], len(self.model)
@@ -384,7 +384,8 @@ class _Proof:
         report : callable
             Receives the settled percentage of the area.
         own : bool
-            Whether the points of the triangles belong to the body, so that one outside proves that it is not covered.
+            Whether the points of the triangles belong to the body, so that a point outside proves that the body is not
+            covered.
 
         Returns
         -------
@@ -431,10 +432,11 @@ class _Proof:
             self.note(points, least_of(heights, cells.cell, len(points)))
 
     def inside(self) -> _Cells | None:
-        """Look for holes in the inside, given that the surface is covered; return cells that are not settled.
+        """Search the interior for holes, given that the surface is covered; return cells that are not settled.
 
-        In a hole, the least height has a local maximum. A cell without one is settled if it is in one element, if it is
-        outside of the body, or if one direction leads away from all elements that may be nearest to a point of it.
+        In a hole, the least height has a local maximum. A cell cannot contain such a maximum, and is settled, if it is
+        in one element, if it is outside the body, or if one direction leads away from all elements that may be nearest
+        to a point of the cell.
         """
         target, model = self.target, self.model
         if not target.solids:
@@ -485,9 +487,9 @@ class _Proof:
             cells = cells.take(keep, np.ones(len(cells.cell), dtype=bool))
 
     def depth(self, whole: Bools, holes: _Cells | None) -> float:
-        """Bound the largest distance of a point of the body from the model, from above.
+        """Bound from above the largest distance from a point of the body to the model.
 
-        If no hole was found in the inside, the distance is greatest on the surface or in a cell that is not settled.
+        If no hole was found in the interior, the distance is greatest on the surface or in a cell that is not settled.
         """
         target, (triangles, owner) = self.target, self.target.own
         left = ~whole[owner]
@@ -499,14 +501,15 @@ class _Proof:
                 far = least_of(distances, holes.cell, len(middle))
                 bound = max(bound, float((far + reach).max()))
         elif target.solids:
-            # The inside takes more cells of one size: it is known to a third of a percent of the body's size.
+            # The interior takes more cells of one size; its distance is known to a third of a percent of the body's
+            # size.
             least = max(self.tolerance, target.size / 300)
             cube = np.array([target.cube()])
             bound = max(bound, self._deepest(cube, np.zeros(1, dtype=np.int64), least, inside=True))
         return bound + float(target.gap.max())
 
     def _deepest(self, shape: Floats, owner: Ints, least: float, inside: bool) -> float:
-        """Bound the largest distance of a point of cells from the model, to 1 % or to `least`."""
+        """Bound the largest distance from a point of the cells to the model, to 1 % or to `least`."""
         target, model, bound, work = self.target, self.model, 0.0, 0
         waiting: Iterable[_Cells] = self.paired(shape, owner, np.zeros(len(shape)))
         plain = inside and model.plain
@@ -551,8 +554,8 @@ def excess_of(target: Target, packed: Packed, model: Elements, tolerance: float)
     """Bound how far the elements of a model stick out of a body.
 
     A ball around a point at a certain depth in the body sticks out by no more than its radius minus this depth; a
-    capsule is a union of balls. Other elements are replaced by polytopes around them, which `protrusion` bounds. So are
-    balls and capsules whose bound is not close to the distance of a known point.
+    capsule is a union of balls. Other elements are replaced with circumscribed polytopes, which `protrusion` bounds, as
+    are balls and capsules whose bound is not close to the distance of a known point.
     """
     n, ways = len(model), ball(DIVISIONS)[0]
     upper, points = np.full(n, np.inf), []
@@ -576,7 +579,8 @@ def excess_of(target: Target, packed: Packed, model: Elements, tolerance: float)
         around = {i: hulls[i] if i in hulls else _around(packed, i)[0] for i in open_}
         faces = np.cumsum([len(around[i].simplices) for i in open_])
         groups = np.split(np.array(open_), np.searchsorted(faces, np.arange(FACES, int(faces[-1]), FACES)))
-        # Each search has a limit on its work. In several ones, elements that stick out less than another do not matter.
+        # Each search has a limit on its work. If there are several, elements that stick out less than another do not
+        # matter.
         floor = max(0.0, near + float(target.radius.min() - target.gap.max())) if len(groups) > 1 else 0.0
         for group in groups:
             if len(group) == 0:

@@ -11,17 +11,17 @@ from loewner._base._plausible import warn
 from loewner._base._validate import Floats
 from loewner.errors import InputError
 
-# Focal lengths in pixels, and offsets: beyond them, the matrix is none of a camera.
+# Bounds on focal lengths and offsets in pixels: a matrix outside them does not describe a camera.
 SMALLEST, LARGEST = 1e-3, 1e9
 
-# A camera that sees this far, in metres, is probably one that counts millimetres.
+# Depths beyond this distance, in metres, are probably in millimetres.
 FARTHEST = 100.0
 
-# An image this many times as wide or as high as the focal length, 170 degrees, probably has another matrix.
+# If an image is wider or higher than this many focal lengths, 170 degrees, its matrix is probably another one.
 WIDEST = 23.0
 
-# How far principal points are from the middle, as a share of the image: cameras are nearer than the first; the matrix
-# of a turned image is farther, and nearer than the second to the middle with width and height exchanged.
+# Distances of principal points from the middle, as shares of the image: cameras are nearer than OFF. The matrix of a
+# turned image is farther than OFF, but nearer than CENTRAL once width and height are exchanged.
 OFF, CENTRAL = 0.1, 0.05
 
 
@@ -91,7 +91,7 @@ def camera_of(image: ArrayLike, K: ArrayLike, T_world_camera: ArrayLike | None) 
 
 
 def _doubt_about_middle(cx: float, cy: float, width: int, height: int) -> str:
-    """Why a principal point may be for another image; empty if plausible."""
+    """Explain why a principal point may belong to another image; empty if the point is plausible."""
 
     def off(width: int, height: int) -> float:
         return max(abs((cx + 0.5) / width - 0.5), abs((cy + 0.5) / height - 0.5))

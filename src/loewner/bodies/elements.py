@@ -31,8 +31,8 @@ class Elements:
 
     A height is at most zero inside the piece and positive outside, and two points' heights differ by no more than the
     points' distance. Outside, the height is therefore a lower bound on the distance. For a ball or a capsule, it is the
-    signed distance; for a polytope, the largest signed distance from a face's plane; for another curved piece, the
-    gauge of the unit shape, minus 1 and times the smallest semi-axis.
+    signed distance; for a polytope, the largest signed distance from a face's plane; for any other curved piece, the
+    unit shape's gauge minus 1, times the smallest semi-axis.
 
     Parameters
     ----------
@@ -92,7 +92,7 @@ class Elements:
         self.rounding[these] = HEIGHT_ROUNDINGS * self.sigma[these] * turned
 
     def _take_planes(self, packed: Packed) -> None:
-        """Prepare polytopes: each simplex of the surface counts with the plane that is least far inside its corners.
+        """Prepare polytopes: choose, for each simplex of the surface, the plane that cuts its corners off by the least.
 
         By the lemma of docs/containment.md, the points below all chosen planes lie in the hull of the vertices.
         """
@@ -181,7 +181,7 @@ class Elements:
             found[these] = np.where(found[these] > 0, np.maximum(found[these], far), found[these])
         these = np.flatnonzero((self.sigma[element] > 0) & (found > 0))
         if len(these):
-            # The plane across the way to a near point touches the element at its support.
+            # The plane perpendicular to the direction of a near point touches the element at its support.
             e = element[these]
             arm = points[these] - self.center[e]
             way = arm - self._near(arm, e)

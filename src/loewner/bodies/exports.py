@@ -1,8 +1,8 @@
 """Write bodies for other programs, as MJCF, URDF and STL.
 
 Spheres, cylinders, capsules, ellipsoids and boxes become shapes of that type if the format has it. Any other polytope
-becomes a mesh that has the polytope as its convex hull. Curved pieces without a matching type are replaced by
-circumscribed polytopes, inner ellipsoids by inscribed ones.
+becomes a mesh that has the polytope as its convex hull. Curved pieces without a matching type are replaced with
+circumscribed polytopes, but inner ellipsoids with inscribed polytopes.
 """
 
 from __future__ import annotations
@@ -33,20 +33,20 @@ from loewner.meshes.files.stl import FACETS
 
 ELLIPSOIDS = ("inner", "outer")
 
-# Names of curved pieces that are shapes of MJCF; others become meshes.
+# Names of curved pieces that MJCF has as shapes; others become meshes.
 MJCF = ("sphere", "cylinder", "capsule", "ellipsoid")
 
-# Divisions of the icosahedron that an ellipsoid becomes where a format has none: 320 triangles, which are within 4 % of
-# its semi-axes.
+# Divisions of the icosahedron that replaces an ellipsoid in a format without ellipsoids: 320 triangles, within 4 % of
+# the semi-axes.
 DIVISIONS = 2
 
 # Relative distance allowed between the corners of a polytope and of the box it is written as: a rounding or two.
 BOX_ROUNDING = 1e-13
 
-# Surfaces [m²] and volumes [m³] of meshes that MuJoCo may call too small: its limit is 1e-15.
+# Areas [m²] and volumes [m³] of meshes that MuJoCo may reject as too small: its limit is 1e-15.
 SMALLEST = 1e-14
 
-# Polytopes around curved shapes are enlarged by this for the rounding of their corners.
+# Polytopes around curved shapes are enlarged by this factor, for the rounding of their corners.
 OUTWARD = 1 + 1e-12
 
 
@@ -81,7 +81,7 @@ class Shape:
     mesh: Mesh | None = None
 
     def wider(self, by: float) -> Shape:
-        """Return the shape enlarged on each side, except for a solid or a sphere, whose numbers no pose rounds.
+        """Return the shape enlarged on each side, unless it is a solid or a sphere, whose numbers no pose rounds.
 
         The corners of a convex mesh move outward by an additional amount that covers MuJoCo's single precision.
         """
@@ -150,7 +150,7 @@ def _is_small(vertices: Floats, triangles: Any, number: int) -> bool:
     Raises
     ------
     InputError
-        If MuJoCo would refuse it as a surface, too.
+        If MuJoCo would also refuse the mesh as a surface.
     """
     corners = (vertices - vertices[0])[triangles]
     normals = normals_of(corners)
@@ -234,7 +234,7 @@ def add_collisions(
 
 
 def add_origin(element: ElementTree.Element, rotation: Floats, center: Floats) -> None:
-    """Add a pose in the form of URDF."""
+    """Add a pose in URDF's form."""
     ElementTree.SubElement(element, "origin", xyz=numbers(center), rpy=numbers(to_rpy(rotation)))
 
 
@@ -245,8 +245,7 @@ def save_texts(texts: dict[Path, str]) -> None:
 
 
 def enlarged(packed: Packed) -> str | None:
-    """Return the name of the piece's kind if URDF has no shape for it, so that a larger polytope is written; otherwise
-    None."""
+    """Return the kind of the first piece for which URDF has no shape, so that a larger polytope is written, or None."""
     for row, frame in zip(packed.layout[:, columns.KIND].tolist(), packed.frames, strict=True):
         if row > columns.POLYTOPE:
             kind, semi_axes = CURVED[row], np.linalg.norm(frame[4:].reshape(3, 3), axis=0)

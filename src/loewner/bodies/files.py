@@ -1,4 +1,4 @@
-"""Save bodies to ``.npz`` files and load them, by means of `loewner._base._archives`."""
+"""Save bodies to ``.npz`` files and load them, with `loewner._base._archives`."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def checksum(packed: Packed, covering: Covering | None) -> str:
 
 
 def load(path: str | os.PathLike[str], wanted: str | None = None) -> tuple[Packed, Covering | None]:
-    """Read a file written by `save`; a file with another checksum than `wanted` is refused."""
+    """Read a file written by `save`; refuse it if its checksum differs from `wanted`."""
     return _archives.read(path, BODIES, _bodies, wanted)
 
 

@@ -46,12 +46,12 @@ class Kind(NamedTuple):
     kinds that are their own ellipsoids.
 
     `mesh` triangulates the unit shape, with all corners on its surface. Divided by `inradii`, this mesh contains the
-    unit shape; None if it is `ball`. `inner` and `outer` are the optimal ellipsoids. `gauge` is a convex function of
-    points, with gradients no longer than 1: at most 1 in the unit shape and nowhere else, and less at the origin.
-    `support` is the support function. Covers refuse kinds without these two functions.
+    unit shape; `inradii` is None if the mesh is `ball`. `inner` and `outer` are the optimal ellipsoids. `gauge` is a
+    convex function of points, with gradients no longer than 1: at most 1 in the unit shape and nowhere else, and less
+    at the origin. `support` is the support function. Covers refuse kinds without these two functions.
 
-    If a ball is added, neither is needed, `core` is half the length of the unit segment to which it is added (0 for a
-    point), and `mesh` triangulates the unit ball.
+    If a ball is added, neither function is needed, `core` is half the length of the unit segment to which the ball is
+    added (0 for a point), and `mesh` triangulates the unit ball.
     """
 
     name: str
@@ -67,7 +67,7 @@ class Kind(NamedTuple):
     is_ball: bool = False
 
     def share(self, points: Floats) -> Floats:
-        """Compute a share of the way from the origin to each point up to which the way stays in the unit shape.
+        """Compute, for each point, a share of the path from the origin to the point that stays in the unit shape.
 
         A convex function that is below zero at the origin is at most zero at this share of the way.
         """

@@ -56,11 +56,11 @@ class PieceArrays(KeepsReadOnly):
     Attributes
     ----------
     layout : ndarray of int64, shape (P, 5)
-        Kind of the piece, first and one past the last row of its points, first and one past the last row of its planes.
+        Kind of the piece, then the first and one past the last row of its points, and of its planes.
     points, planes : ndarray, shapes (V, 3) and (F, 4)
-        Vertices; and faces as rows of a unit outward normal n and an offset, with n·x <= offset inside.
+        Vertices, and faces as rows of a unit outward normal n and an offset; inside, n·x <= offset.
     piece_start : ndarray of int64, shape (n + 1,)
-        Starts of the bodies' ranges of pieces: body i has the range piece_start[i] : piece_start[i+1].
+        Start of each body's range of pieces: body i has pieces piece_start[i] : piece_start[i+1].
     frames : ndarray, shape (P, 13)
         Rounding radius, center and factor of the unit shape's image (zero for polytopes).
     triangles, triangle_start
@@ -120,7 +120,7 @@ def laid_out(
     radius: float = 0.0,
     **others: Any,
 ) -> PieceArrays:
-    """Lay out pieces of a kind, or of one kind each: one body, without points, planes or triangles unless given.
+    """Lay out one body of pieces of the given kinds, without points, planes or triangles unless given.
 
     Parameters
     ----------
@@ -175,7 +175,7 @@ def kernel_arrays(p: PieceArrays, maps: Maps, trees: Trees) -> records.Pieces:
 
 
 def joined_kernel(packs: Sequence[Any]) -> records.Pieces:
-    """Join the kernels' arrays of several packs, in order: what `kernel_arrays` makes of all of their pieces.
+    """Join the kernels' arrays of several packs, in order, as `kernel_arrays` would make them from all pieces.
 
     Making them again would take a hundred times as long for a cloud.
     """
@@ -189,7 +189,7 @@ def joined_kernel(packs: Sequence[Any]) -> records.Pieces:
 
 
 def array_in(memory: NDArray[Any], row: Sequence[int], word: str) -> Any:
-    """The array that a row of a table describes, in the memory that holds it, of the type of a word, see `entries`."""
+    """Return the array that a row of a table describes, in `memory`; `word` names its type, see `entries`."""
     address, *shape = row
     within = address - memory.ctypes.data if 0 not in shape else 0  # nothing has any address
     kind = {"F": np.float64, "S": np.float32, "I": np.int64}[word[0]]
@@ -394,7 +394,7 @@ def _box_corners(points: Floats, triangles: Ints) -> Floats:
     single = (triangles == triangles[:, :1]).all()
     turn = least_box_axes(points[triangles[:, :1] if single else triangles].transpose(2, 1, 0))
     turned = image(turn.T, points).T
-    # Bound on the rounding of a rotation there and back, by a matrix that is itself orthonormal up to some roundings.
+    # Bound on the rounding of a rotation there and back, by a matrix that is itself orthonormal up to a few roundings.
     slack = 0.0 if np.array_equal(turn, np.eye(3)) else TURN_ROUNDINGS * np.abs(points).max()
     ends = np.stack([turned.min(axis=1) - slack, turned.max(axis=1) + slack])
     return np.asarray(image(turn, ends[_CORNERS, np.arange(3)]))
@@ -442,7 +442,7 @@ def _ellipsoid_columns(
 
 
 def _singular_values(factor: Floats) -> Floats:
-    """Compute singular values, largest first; diagonal matrices, as for balls and boxes, have them at once."""
+    """Compute singular values, largest first; diagonal matrices, as for balls and boxes, need no decomposition."""
     diagonal = np.diagonal(factor, axis1=1, axis2=2)
     if np.count_nonzero(factor) == np.count_nonzero(diagonal):
         a, b, c = np.abs(diagonal).T

@@ -1,7 +1,7 @@
 """Flat files of arrays for programs without Python: `native/capi/files.c` maps them, and checks their whole contents.
 
 A file is a header, a directory of arrays, and the arrays, each at the start of a cache line. Kernels use these arrays
-without change, except for addresses, which the reader fills in. The layout of the arrays belongs to one version of the
+unchanged, except for addresses, which the reader fills in. The layout of the arrays is specific to one version of the
 kernels. The header therefore names the version, and no other version can read the file.
 
 The header is the text ``lwn file``, the format, the size of the file in bytes, a checksum of everything after it, the
@@ -49,7 +49,7 @@ _NO_NUMBERS = np.zeros(0)
 
 
 def is_meant(path: str | os.PathLike[str]) -> bool:
-    """Return whether a path names such a file; False for anything that is not a path."""
+    """Return whether a path names a ``.lwn`` file; False for anything that is not a path."""
     try:
         return os.fsdecode(path).endswith(SUFFIX)
     except Exception:  # the caller's path-like object may raise any error
@@ -57,7 +57,7 @@ def is_meant(path: str | os.PathLike[str]) -> bool:
 
 
 def save(path: str | os.PathLike[str], packed: Packed) -> None:
-    """Write only bodies, see `write`; their names are their numbers."""
+    """Write bodies alone, named by their numbers; see `write`."""
     count = len(packed.piece_start) - 1
     packs = [packed]
     if packed.trees:
@@ -84,8 +84,8 @@ def write(
     arrays : dict
         Arrays by their names in `BEFORE`; missing ones are empty.
     packs : sequence of Packed
-        The bodies. If there are surfaces that can be cut, the bodies again with all surfaces in parts, and once more
-        with only static bodies without solids in small parts.
+        The bodies. If surfaces can be cut, the bodies again with all surfaces in parts, and a third time with only the
+        static bodies without solids in small parts.
     counts : tuple of int
         Values of a configuration, links, and moving bodies.
 

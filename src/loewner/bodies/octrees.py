@@ -22,7 +22,7 @@ from loewner.errors import FileError, GeometryError
 # Largest file in bytes: ten times the file of a building at a resolution of one centimetre.
 MOST_BYTES = 2**30
 
-# The data begins behind the first line feed after "data"; its bytes may look like white space.
+# The data begins after the first line feed that follows "data"; its bytes may look like white space.
 HEADER = re.compile(
     rb"# Octomap OcTree binary file\s*\n(?:#[^\n]*\n)*id OcTree\s*\nsize (\d+)\s*\nres ([-+.\deE]+)\s*\ndata[ \t\r]*\n"
 )

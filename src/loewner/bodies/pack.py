@@ -115,7 +115,7 @@ class Packed(Prepared):
 
 
 def _with_inner_of_solids(pieces: PieceArrays, trees: Trees) -> PieceArrays:
-    """Replace the inner ellipsoid of each solid by the largest ellipsoid proven to lie inside."""
+    """Replace the inner ellipsoid of each solid with the largest ellipsoid proven to lie inside."""
     solids = [i for i in trees if pieces.layout[i, columns.KIND] == columns.SOLID]
     if not solids:
         return pieces
@@ -129,7 +129,7 @@ def _with_inner_of_solids(pieces: PieceArrays, trees: Trees) -> PieceArrays:
         else:
             corner = pieces.points_of(i)[pieces.triangles_of(i)[0, 0]]
             arrays["inner_center"][i], arrays["inner_factor"][i] = corner, around_point(pieces.frames[i, 0])
-        # The largest ellipsoid inside is no larger than the one around.
+        # The largest ellipsoid inside is no larger than the outer ellipsoid.
         volumes = np.linalg.slogdet(np.stack([pieces.outer_factor[i], arrays["inner_factor"][i]]))[1]
         arrays["gaps"][i, 0] = volumes[0] - volumes[1] if np.isfinite(volumes).all() else 0.0
     return PieceArrays(**arrays)
@@ -185,7 +185,7 @@ def ranges(starts: Ints, stops: Ints) -> Ints:
 
 
 def take(p: Packed, bodies: Ints) -> Packed:
-    """Pack the selected bodies; one may be selected several times."""
+    """Pack the selected bodies; a body may be selected several times."""
     _validate.fits_memory(len(bodies) * p.nbytes // max(1, len(p.piece_start) - 1), f"{len(bodies)} bodies")
     first, last = p.piece_start[bodies], p.piece_start[bodies + 1]
     return some(p, ranges(first, last), starts(last - first)).packed()
@@ -213,7 +213,7 @@ def some(p: Prepared, pieces: Ints, piece_start: Ints) -> Prepared:
 
 
 def moved(p: Packed, T: Floats) -> Packed:
-    """Move all pieces by one rigid motion, so that containment holds in spite of rounding."""
+    """Move all pieces by one rigid motion, so that containment holds despite rounding."""
     R, t = T[:3, :3], T[:3, 3]
     points = image(R, p.points) + t + 0.0  # without negative zeros
     normals = image(R, p.planes[:, :3])
@@ -231,8 +231,8 @@ def moved(p: Packed, T: Floats) -> Packed:
     curved = p.layout[:, columns.KIND] > columns.POLYTOPE
     frames[curved, 1:4] = image(R, p.frames[curved, 1:4]) + t
     frames[:, 4:] = product(R, p.frames[:, 4:].reshape(-1, 3, 3)).reshape(-1, 9)
-    # A point moves off its exact image by at most 8 roundings of the lengths involved, an ellipsoid's
-    # center and factor likewise, and R stretches by its departure from orthonormality.
+    # A point, and likewise an ellipsoid's center and factor, moves off its exact image by at most 8 roundings of the
+    # lengths involved, and R stretches by its departure from orthonormality.
     table = p.kernel.table
     shift = 2.0**-53 * 32 * (table[:, columns.REACH] + np.abs(t).sum())
     inside = p.inner_factor.any(axis=(1, 2))  # a surface without one has a point of its own instead

@@ -1,4 +1,4 @@
-"""Cut surfaces into parts, which proofs of motions replace by their convex hulls."""
+"""Cut surfaces into parts, which proofs of motions replace with their convex hulls."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from loewner.bodies.surface_trees import SurfaceTree, around_point, around_sums
 from loewner.ellipsoids.polytopes import Polytope
 from loewner.errors import GeometryError
 
-# Parts of a surface. Where their hulls meet, proofs of motions go on with triangles.
+# Number of parts of a surface. Where hulls of parts meet, proofs of motions continue with triangles.
 PARTS = 6
 
 # Limits on the parts of a surface, and of all surfaces of a problem together, where only the parts count.
 MOST_PARTS, ALL_PARTS = 128, 1024
 
-# Directions in which corners of large parts are farthest, since more corners take longer to search: 74 short vectors of
-# whole numbers, which are the same on all processors.
+# Large parts keep only their farthest corners in these directions, since more corners take longer to search: 74 short
+# integer vectors, which are the same on all processors.
 _SHORT = np.indices((5, 5, 5)).reshape(3, -1).T - 2
 WAYS = _SHORT[np.isin((_SHORT**2).sum(axis=1), (1, 2, 3, 5, 6))].astype(float)
 
@@ -35,7 +35,7 @@ ROUNDED = 1e-12
 # Number of products formed at a time.
 AT_ONCE = 1_000_000
 
-# Parts of surfaces by tree and limit on their number; None for a surface that cannot be cut.
+# Parts of surfaces, keyed by tree and limit on the number of parts; None for a surface that cannot be cut.
 _known: WeakKeyDictionary[SurfaceTree, dict[int, Packed | None]] = WeakKeyDictionary()
 
 

@@ -16,7 +16,8 @@ from loewner.errors import GeometryError, InputError
 # Approximate bytes of a piece in all arrays.
 PIECE_BYTES, BOX_BYTES = 1100, 2200
 
-# Cells of a cloud are at most this many from the origin along each axis: three such numbers fit into one.
+# Limit on the distance of a cloud's cells from the origin, counted in cells along each axis: three counts fit into one
+# integer.
 CELL_BITS = 21
 MOST_CELLS = 2 ** (CELL_BITS - 1)
 
@@ -50,7 +51,7 @@ def box_pieces(lower: Floats, upper: Floats) -> PieceArrays:
     Raises
     ------
     GeometryError
-        If a box is so thin and so far from the origin that rounding leaves it no digits.
+        If a box is so thin and so far from the origin that its thickness is lost in rounding.
     """
     n = len(lower)
     _memory.expect_left(n * BOX_BYTES, f"{n} boxes")
@@ -100,7 +101,7 @@ def cells_of(points: Floats, edge: float) -> Ints:
             f"voxel: expected cells within {MOST_CELLS} of the origin along each axis, found one at {farthest:.3g}"
         )
     numbers = _numbered(cells.astype(np.int64), (0, 1, 2))
-    # Neighbours in an image are often in one cell, and numbers that are gone need not be sorted.
+    # Neighbours in an image are often in one cell; dropping repeats first leaves fewer numbers to sort.
     return _cells(_without_repeats(np.sort(_without_repeats(numbers))), (0, 1, 2))
 
 
@@ -110,7 +111,7 @@ def _without_repeats(numbers: Ints) -> Ints:
 
 
 def voxel_pieces(cells: Ints, edge: float) -> PieceArrays:
-    """Make one body from cells of a grid aligned with the origin, with each row of cells as one box.
+    """Make one body from cells of a grid aligned with the origin, with each unbroken row of cells as one box.
 
     Parameters
     ----------
@@ -151,7 +152,7 @@ def _cells(numbers: Ints, order: tuple[int, ...]) -> Ints:
 
 
 def grid_pieces(occupied: Bools, edge: float, origin: Floats) -> PieceArrays:
-    """Make one body of boxes, the union of the occupied cells, with each row of cells as one box.
+    """Make one body of boxes, the union of the occupied cells, with each unbroken row of cells as one box.
 
     Parameters
     ----------
@@ -187,12 +188,12 @@ def _begins(occupied: Bools) -> Bools:
 
 
 def terrain_pieces(heights: Floats, spacing: Floats, base: float, tol: float) -> PieceArrays:
-    """Make a body of one solid piece: the space between a flat base and triangles that join heights over a grid.
+    """Make a body of one solid piece: the space between a flat base and triangles through heights on a grid.
 
     Parameters
     ----------
     heights : ndarray, shape (p, q)
-        The height at (i, j) belongs to the point x = i spacing[0], y = j spacing[1].
+        ``heights[i, j]`` is the height at x = i spacing[0], y = j spacing[1].
     spacing : ndarray, shape (2,)
     base : float
         Below all heights.
@@ -206,7 +207,7 @@ def terrain_pieces(heights: Floats, spacing: Floats, base: float, tol: float) ->
     number = np.arange(p * q).reshape(p, q)
     a, b, c, d = (part.ravel() for part in (number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]))
     surface = np.concatenate([np.column_stack([a, b, c]), np.column_stack([a, c, d])])
-    # The rim, counter-clockwise from above, and the base below it, a fan around its middle.
+    # The rim, counter-clockwise from above, and the base below, a fan around the center.
     rim = np.concatenate([number[:-1, 0], number[-1, :-1], number[:0:-1, -1], number[0, :0:-1]])
     low, middle = p * q + np.arange(len(rim)), p * q + len(rim)
     ahead, low_ahead = np.roll(rim, -1), np.roll(low, -1)

@@ -37,7 +37,7 @@ class SurfaceTree:
     parts : ndarray, shape (3 parts,)
         One vertex of each connected part.
     diagonals, ellipsoids : ndarray of float32
-        Also described there.
+        Described in the same place.
     inner_center, inner_factor : ndarray, shapes (k, 3) and (k, 3, 3)
         Ellipsoids inside a solid, largest first; empty for other surfaces.
     table : ndarray of int64
@@ -87,7 +87,7 @@ class SurfaceTree:
     def outer_ellipsoids(self, radius: float) -> tuple[Floats, Floats]:
         """Compute the centers and factors of ellipsoids around the parts below the root, thickened by a radius.
 
-        They are stored in single precision, and its rounding is added to the radius.
+        The ellipsoids are stored in single precision, whose rounding is added to the radius.
         """
         top = max(int(self.children[0]), 0)
         wide = self.ellipsoids.size // 9

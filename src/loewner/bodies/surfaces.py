@@ -15,7 +15,7 @@ from loewner.bodies.surface_trees import around_point, around_sums
 from loewner.ellipsoids.polytopes import FLATNESS
 from loewner.errors import GeometryError
 
-# Sizes of surfaces, for boxes in single precision square lengths.
+# Limits on the sizes of surfaces, because lengths are squared in single precision for boxes.
 SMALLEST, LARGEST = 1e-12, 1e12
 
 # Limits for a mesh that is nearly closed: the share of open edges, and the share of area that does not cancel.
