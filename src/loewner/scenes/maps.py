@@ -18,7 +18,7 @@ from loewner._base._validate import Bools, Floats, Ints
 from loewner.bodies import Body
 from loewner.errors import FileError, MissingExtraError, installing
 
-# Largest files, and an image's largest number of pixels.
+# Largest size of a file, and largest number of pixels of an image.
 LARGEST_YAML, LARGEST_IMAGE, MOST_PIXELS = 1_000_000, 500_000_000, 400_000_000
 
 # The grey of unknown cells in the files that ROS writes.
@@ -27,7 +27,7 @@ UNKNOWN_GREY = 205
 KEYS = ("image", "resolution", "origin", "negate", "occupied_thresh", "free_thresh", "mode")
 REQUIRED = ("image", "resolution", "origin", "negate", "occupied_thresh", "free_thresh")
 
-# The header of a grey PGM: its kind, and three numbers, between them spaces and comments.
+# The header of a grey PGM: its kind and three numbers, separated by spaces and comments.
 PGM = re.compile(rb"(P[25])" + 3 * rb"(?:\s|#[^\n]*\n)+(\d{1,9})" + rb"\s")
 
 
@@ -57,7 +57,7 @@ def read_map(path: str | os.PathLike[str]) -> Map:
     Raises
     ------
     FileError
-        If a file is missing, damaged or not grey, a key is missing or unknown, or a threshold is not a share.
+        If a file is missing, damaged or not grey, a key is missing or unknown, or a threshold is not between 0 and 1.
     MissingExtraError
         If PyYAML is missing, or Pillow for images other than PGM.
     """
@@ -88,7 +88,7 @@ def read_map(path: str | os.PathLike[str]) -> Map:
         )
     # The first row of an image is the farthest along y.
     filled, empty = ((test[::-1].T).copy() for test in (share >= occupied, share < free))
-    if mode == "scale":  # between the thresholds are costs, not unknown cells
+    if mode == "scale":  # values between the thresholds are costs, not unknown cells
         filled = ~empty
     return Map(filled, ~filled & ~empty, resolution, origin)
 
@@ -123,7 +123,7 @@ def body_of(grid: Map, height: float, *, unknown: bool) -> Body | None:
 
 
 def around(grid: Map, height: float, width: float) -> Body:
-    """Make four boxes of a width [m] around a map, in the frame of its lowest corner."""
+    """Make four boxes of the given width [m] around a map, in the frame of its lowest corner."""
     a, b = grid.resolution * np.array(grid.occupied.shape)
     low = np.array([[-width, -width], [a, -width], [0.0, -width], [0.0, b]])
     high = np.array([[0.0, b + width], [a + width, b + width], [a, 0.0], [a, b + width]])
@@ -152,7 +152,7 @@ def _share(node: YamlNode) -> float:
 
 
 def _grey(file: Path) -> tuple[Ints, int]:
-    """Read a grey image, and the value of its white."""
+    """Read a grey image and its value for white."""
     data = _files.read_regular(file, "the image of a map", LARGEST_IMAGE)
     head = PGM.match(data)
     if head is None:
@@ -173,7 +173,7 @@ def _grey(file: Path) -> tuple[Ints, int]:
 
 
 def _grey_by_pillow(data: bytes, file: Path) -> tuple[Ints, int]:
-    """Read PNG, BMP and the like."""
+    """Read PNG, BMP and similar formats."""
     try:
         from PIL import Image, UnidentifiedImageError
     except ImportError as error:

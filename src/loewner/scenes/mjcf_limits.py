@@ -1,4 +1,4 @@
-"""Limits on an MJCF file, checked before MuJoCo compiles it, which no signal can interrupt."""
+"""Limits on an MJCF file, checked before MuJoCo compiles the file, since no signal can interrupt the compiler."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from loewner._base._xml import Element, XmlError, parse
 from loewner.errors import FileError
 
 # Limits on a model: bytes, elements and their nesting in each file, included files, and copies made by replicas. The
-# time to compile grows with the square of the copies: this many take a few seconds, and have more pairs than a checker
-# accepts.
+# time to compile grows with the square of the copies: MOST_COPIES take a few seconds, and have more pairs than a
+# checker accepts.
 MOST_BYTES = 2**26
 MOST_ELEMENTS = 2_000_000
 DEEPEST = 1000
 MOST_INCLUDES = 100
 MOST_COPIES = 4096
 
-# Limit on the samples of a height field, and bytes that MuJoCo uses for each while it compiles.
+# Bytes that MuJoCo uses for each sample of a height field while it compiles.
 BYTES_A_SAMPLE = 64
 
 # Elements that name files, and the attributes in which <compiler> names folders for them.
@@ -73,7 +73,7 @@ def check_limits(file: Path) -> str:
 
 
 def _look(file: Path, model: _Model, copies: int) -> str:
-    """Read one file, which is included at a place that is copied the given number of times; return its root's tag."""
+    """Read a file that is included at a place copied the given number of times; return the tag of its root."""
     data = read_regular(file, "an MJCF file", MOST_BYTES)
     try:
         root = parse(data, "an MJCF file", Element, deepest=DEEPEST, most=MOST_ELEMENTS)
@@ -104,7 +104,7 @@ def _look(file: Path, model: _Model, copies: int) -> str:
             model.included += 1
             if model.included > MOST_INCLUDES:
                 raise FileError(f"{where} {MOST_INCLUDES} included files, found more")
-            for folder in dict.fromkeys((model.folder, file.parent)):  # MuJoCo searches beside the main file
+            for folder in dict.fromkeys((model.folder, file.parent)):  # MuJoCo searches the main file's folder
                 if os.path.lexists(folder / name):
                     _look(folder / name, model, within)
                     break
@@ -112,7 +112,7 @@ def _look(file: Path, model: _Model, copies: int) -> str:
 
 
 def _product(text: str) -> int:
-    """Product of whole numbers; 1 if there is none."""
+    """Multiply the integers in a text; 1 if there are none."""
     try:
         return math.prod(max(int(float(word)), 1) for word in text.split())
     except (ValueError, OverflowError):

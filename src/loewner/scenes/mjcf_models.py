@@ -22,8 +22,8 @@ from loewner.bodies import Body
 from loewner.errors import ConvergenceError, FileError, InputError, MissingExtraError, installing
 from loewner.scenes.mjcf_limits import check_limits
 
-# A plane of MuJoCo is a half-space. It becomes a cube with this edge [m] below the plane, about the plane's center: the
-# largest that causes no warning about units.
+# A plane of MuJoCo is a half-space. It becomes a cube below the plane, about the plane's center, with the longest edge
+# [m] that causes no warning about units.
 PLANE_EDGE = 1000.0
 
 # Limit on the pairs of parts of a model: far more than any model has.
@@ -46,7 +46,8 @@ class MjcfJoint:
     reference : float
         The value at which the body is at its pose: `ref` in the file.
     mimic : tuple, optional
-        The joint that this one follows, a multiplier and an offset, if an equality couples them and it is read.
+        The joint that this joint follows, a multiplier and an offset, if an equality couples the two joints and is
+        read.
     """
 
     name: str
@@ -161,7 +162,7 @@ def compiled_model(model: Any, data: Any, file: Path, tol: float, *, couplings: 
         For messages and names.
     tol : float
     couplings : bool
-        Whether joints follow the joints to which equalities couple them.
+        Whether a joint follows the joint to which an equality couples it.
     """
     mujoco = _mujoco()
     names = _Names(mujoco, model)
@@ -269,7 +270,7 @@ def _narrower(mujoco: Any, model: Any) -> int:
 
 
 class _Names:
-    """Names of bodies, joints, geoms and keyframes, unique within their kind; the unnamed have their kind and index."""
+    """Names of bodies, joints, geoms and keyframes, unique within their kind; kind and index name the unnamed."""
 
     def __init__(self, mujoco: Any, model: Any) -> None:
         self.bodies = _named([model.body(i).name for i in range(model.nbody)], "body")
@@ -279,7 +280,7 @@ class _Names:
         self._parts = set(self.bodies)
 
     def of_part(self, body: int, number: int, geoms: tuple[int, ...]) -> str:
-        """Return a part's name: the body's for its first part; for further parts and in the world, its first geom's."""
+        """Return a part's name: the body's for its first part; the first geom's for other parts and in the world."""
         if body and not number:
             return self.bodies[body]
         name = self.geoms[geoms[0]] if not body else f"{self.bodies[body]}/{self.geoms[geoms[0]]}"
@@ -310,7 +311,7 @@ def _placed(mujoco: Any, model: Any, data: Any) -> list[Floats]:
 
 
 def _in_parent(model: Any, data: Any, body: int) -> Floats:
-    """Return the pose of a body in its parent; for a mocap body it is in the data."""
+    """Return the pose of a body in its parent; the data holds the pose of a mocap body."""
     mocap = int(model.body_mocapid[body])
     if data is None or mocap < 0:
         return _pose(model.body_pos[body], model.body_quat[body])
@@ -322,7 +323,7 @@ def _pose(position: Floats, wxyz: Floats) -> Floats:
 
 
 def _couplings(mujoco: Any, model: Any, names: _Names, active: Bools) -> dict[int, tuple[str, float, float]]:
-    """Return, by their numbers, the joints that an active equality lets follow another one linearly.
+    """Return, keyed by number, the joints that follow another joint linearly because of an active equality.
 
     MuJoCo has y - y0 = c0 + c1 (x - x0) + ..., where y0 and x0 are the values at the references.
     """
@@ -361,7 +362,7 @@ def _joint(model: Any, names: _Names, joint: int, mimics: dict[int, tuple[str, f
 
 
 def _classes(model: Any) -> dict[int, tuple[int, ...]]:
-    """Return the class of each geom that can collide, which determines the geoms with which it can.
+    """Return the class of each geom that can collide; the class determines the geoms with which the geom can collide.
 
     Geoms of the same body and class form one part. A geom of the world, or a geom that a <pair> names, forms a part
     alone.
@@ -426,7 +427,7 @@ def _shape(kinds: Any, model: Any, geom: int, tol: float) -> Body:
 
 
 def _terrain(model: Any, field: int) -> Body:
-    """Make a height field about the middle of its grid: rows run along y, columns along x, heights from 0 to 1."""
+    """Make a height field about its grid's middle; rows run along y, columns along x, and heights from 0 to 1."""
     rows, columns, first = (int(a[field]) for a in (model.hfield_nrow, model.hfield_ncol, model.hfield_adr))
     half_x, half_y, highest, below = model.hfield_size[field].tolist()
     shares = np.array(model.hfield_data[first : first + rows * columns], dtype=np.float64).reshape(rows, columns)
@@ -436,7 +437,7 @@ def _terrain(model: Any, field: int) -> Body:
 
 
 def _hull_points(model: Any, mesh: int) -> Floats:
-    """Return the vertices that MuJoCo uses for a mesh: of its convex hull, or those left by `maxhullvert`."""
+    """Return the vertices that MuJoCo uses for a mesh: its convex hull, or the vertices left by `maxhullvert`."""
     first, count, graph = (int(a[mesh]) for a in (model.mesh_vertadr, model.mesh_vertnum, model.mesh_graphadr))
     vertices = np.array(model.mesh_vert[first : first + count], dtype=np.float64)
     if graph < 0:

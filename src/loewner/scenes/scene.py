@@ -1,8 +1,8 @@
 """Scenes: named bodies in the world or attached to a robot's links, allowed contacts, and margins.
 
-A `Scene` changes between two queries: bodies are added, moved, grasped and put down by name. The bodies themselves
-never change, so a change of the scene costs a few dictionary entries and no new fit. A scene has no robot;
-`CollisionChecker` pairs a scene with a robot, and checks names of links.
+A `Scene` changes between queries: bodies are added, moved, grasped and put down by name. The bodies themselves never
+change, so a change to the scene costs a few dictionary entries and no new fit. A scene has no robot; `CollisionChecker`
+pairs a scene with a robot, and checks the names of links.
 """
 
 from __future__ import annotations
@@ -51,8 +51,9 @@ class Contact:
     name_a, name_b : str
         Names of bodies of a scene, or of links of a robot.
     distance : float
-        In metres; a negative value is the depth of the deepest two pieces. It is positive only for two bodies within
-        their margin, or for touching bodies that rounding moves apart, since touching counts as colliding.
+        In metres; a negative distance is the depth of the two pieces that overlap most. A distance is positive only for
+        bodies within their margin, or for touching bodies that rounding moves apart, since touching counts as
+        colliding.
     witness_a, witness_b : ndarray, shape (3,)
         Points of a and of b in world coordinates, with witness_b - witness_a = distance * normal.
     normal : ndarray, shape (3,)
@@ -110,7 +111,7 @@ class Attachment(KeepsReadOnly):
     Attributes
     ----------
     link : str
-        The link that carries it.
+        The link that carries the body.
     T_link_body : ndarray, shape (4, 4)
         Pose of the body in the frame of the link; translation in metres.
     touch_links : tuple of str
@@ -146,7 +147,7 @@ class Scene:
     body depends on a robot's configuration, and the pose of a body that follows a motion (`follow`) on the time.
 
     Any thread may change a scene while others query it: each change is atomic, and each query uses one consistent
-    state. Adding a body that is probably not in metres causes a warning, once per scene.
+    state. Adding a body that is probably not given in metres causes a warning, once per scene.
 
     Examples
     --------
@@ -214,13 +215,13 @@ class Scene:
 
     @property
     def static_names(self) -> tuple[str, ...]:
-        """Names of the static bodies, neither attached nor following a motion, in the order of `names`."""
+        """Names of the static bodies, which are neither attached nor follow a motion, in the order of `names`."""
         with _CHANGING:
             return tuple(name for name in self._bodies if name in self._poses)
 
     @property
     def static_bodies(self) -> Bodies:
-        """The bodies in `static_names`, packed; the same object until `structure_version` increases."""
+        """The bodies in `static_names`, packed; the same object is returned until `structure_version` increases."""
         with _CHANGING:
             packed, version = self._packed, self._structure_version
             standing = [self._bodies[name] for name in self.static_names]
@@ -233,7 +234,7 @@ class Scene:
         """World poses of the bodies in `static_names`, shape (n, 4, 4), as a new array."""
         with _CHANGING:
             poses = self._poses  # a body that moves has none
-            # Their bytes one after the other: NumPy takes twice as long for a list of arrays.
+            # The bytes of the poses are joined: NumPy takes twice as long for a list of arrays.
             joined = bytearray().join([poses[name] for name in self._bodies if name in poses])
         return np.frombuffer(joined).reshape(-1, 4, 4)
 
@@ -249,7 +250,7 @@ class Scene:
 
     @property
     def bounds(self) -> dict[str, PoseBounds]:
-        """How far bodies may be from their poses or motions, keyed by name; other bodies are exactly there."""
+        """Bounds on how far bodies may be from their poses or motions, keyed by name; other bodies have exact poses."""
         return self._in_order(self._bounds)
 
     def _in_order(self, held: dict[str, Entry]) -> dict[str, Entry]:
@@ -321,30 +322,31 @@ class Scene:
     def from_map(
         cls, path: str | os.PathLike[str], *, height: float, unknown: bool = True, margin: float = 0.0
     ) -> Scene:
-        """Make a scene from a map of ROS's map server: its occupied cells, as boxes on the plane z = 0.
+        """Make a scene from a map of ROS's map server; its occupied cells become boxes on the plane z = 0.
 
         Parameters
         ----------
         path : path
-            The YAML file, which names the image. PGM is read as it is; PNG and BMP need Pillow (the extra ``plots``).
-            Modes are trinary and scale; in the latter, all cells that are not free are occupied.
+            The YAML file, which names the image. PNG and BMP images need Pillow (the extra ``plots``); PGM images do
+            not. The mode is trinary or scale; in mode scale, all cells that are not free are occupied.
         height : float
             Height of the boxes, in metres.
         unknown : bool
-            Count unknown cells as occupied. Everything outside the map is free.
+            Whether unknown cells count as occupied. Everything outside the map is free.
         margin : float
             As for `Scene`.
 
         Returns
         -------
         Scene
-            With the body "map" if any cell is occupied. Cells that form a rectangle become one box. The pose of the
-            body is the origin of the map.
+            A scene with the body "map", if any cell is occupied. Cells that form a rectangle become one box. The pose
+            of the body is the origin of the map.
 
         Raises
         ------
         FileError
-            If a file is missing, damaged or not grey, a key is missing or unknown, or a threshold is not a share.
+            If a file is missing, damaged or not grey, a key is missing or unknown, or a threshold is not between 0 and
+            1.
         InputError
             If the height is not positive.
         MissingExtraError
@@ -373,10 +375,10 @@ class Scene:
         Parameters
         ----------
         name : str
-            A name that no other body has yet.
+            A name that no body of the scene has yet.
         body : Body
         T_world_body : array_like, shape (4, 4), or None
-            Translation in metres. None is the identity.
+            Pose of the body, with its translation in metres; None is the identity.
         margin : float, optional
             Distance in metres that this body has to keep if no larger margin applies (see `margin_of`).
         error : array_like, shape (2,), optional
@@ -393,8 +395,8 @@ class Scene:
         Warns
         -----
         UserWarning
-            If the body is probably not in metres: kilometres large or far away, or much smaller than a millimetre.
-            Given once per scene.
+            Once per scene, if a body is probably not given in metres: it is kilometres large or far away, or much
+            smaller than a millimetre.
         """
         _check_name(name, "name")
         _validate.instance(body, f"body of {name!r}", Body)
@@ -445,7 +447,7 @@ class Scene:
             self._changed()
 
     def replace(self, name: str, body: Body) -> None:
-        """Replace a body by a new one, for instance from the next image of a camera; everything else stays the same.
+        """Replace a body with a new one, for instance from the next image of a camera; everything else stays the same.
 
         Parameters
         ----------
@@ -494,12 +496,12 @@ class Scene:
             The body, or a mapping from several bodies to their poses. If any name or pose of a mapping is wrong, no
             body is moved.
         T_world_body : array_like, shape (4, 4), or None
-            The new pose; translation in metres. None is the identity.
+            The new pose, with its translation in metres; None is the identity.
         error : array_like, shape (2,), optional
             How far the pose may be wrong, in metres and radians: the body's origin deviates by at most the first
-            number, and its orientation by at most the second. A point at the distance ρ from the body's origin then
-            deviates by at most metres + ρ · radians; `bounds` contains the largest ρ. Answers hold for all such poses:
-            FREE means free at each. By default the pose is exact, even if an earlier one was not.
+            number, and its orientation by at most the second. A point at distance ρ from the body's origin then
+            deviates by at most metres + ρ · radians; `bounds` contains the largest ρ. Answers hold for all poses within
+            the error: FREE means free at each of them. By default the pose is exact, even if an earlier one was not.
 
         Raises
         ------
@@ -509,10 +511,10 @@ class Scene:
 
         Notes
         -----
-        An error is added to the margins of the body, so a checker prepares its pairs again when an error changes; a new
-        pose with the same error is as fast as one without. `collide` is True if the body may collide. COLLIDING means a
-        collision at the given pose; everything else that is not free is AMBIGUOUS. Exact distances apply to the given
-        pose; bounds on distances, and clearances, hold for all poses within the error.
+        An error is added to the margins of the body, so a checker prepares its pairs again when the error changes;
+        moving with an unchanged error is as fast as moving without an error. `collide` is True if the body may collide.
+        COLLIDING means a collision at the given pose; everything else that is not free is AMBIGUOUS. Exact distances
+        apply to the given pose; bounds on distances, and clearances, hold for all poses within the error.
 
         Examples
         --------
@@ -548,14 +550,14 @@ class Scene:
             self._bounds[name] = bounds
 
     def move_all(self, names: Iterable[str], Ts: ArrayLike, *, error: ArrayLike | None = None) -> None:
-        """Move many bodies at once, as a tracker of objects reports them: faster than `move` with a mapping.
+        """Move many bodies at once, such as objects that a tracker reports; faster than `move` with a mapping.
 
         Parameters
         ----------
         names : iterable of str
             The bodies, each once.
         Ts : array_like, shape (n, 4, 4)
-            The new pose of each; translation in metres. If any name or pose is wrong, no body is moved.
+            The new pose of each body, with its translation in metres. If any name or pose is wrong, no body is moved.
         error : array_like, shape (2,), optional
             How far each pose may be wrong, as for `move`.
 
@@ -605,7 +607,7 @@ class Scene:
         since: float | None = None,
         error: ArrayLike | None = None,
     ) -> None:
-        """Let a body move: a part on a conveyor, a door, the forecast of a tracker.
+        """Let a body follow a motion: a part on a conveyor, a door, or an object whose path a tracker predicts.
 
         From now on, a `CollisionChecker` needs times for its answers; it proves motions of the robot against the motion
         of the body. Bodies of the scene are not checked against each other.
@@ -615,32 +617,33 @@ class Scene:
         name : str
             A body of the scene. If it already follows a motion, the new motion replaces it.
         times : array_like, shape (n,)
-            Seconds, increasing; two or more. A body at rest needs only one time, if there are bounds.
+            At least two increasing times, in seconds. One time suffices for a body at rest with bounds.
         poses : array_like, shape (n, 4, 4)
-            T_world_body at these times; translation in metres. In between, the position changes linearly, and the body
-            turns at a constant rate by the shorter way.
+            T_world_body at these times; translation in metres. Between two times, the position changes linearly, and
+            the body turns at a constant rate through the smaller angle.
         repeat : bool
-            Whether the motion starts again when it ends; the last pose must then be the first one. By default the body
-            waits at the first pose before the motion, and at the last pose after it.
+            Whether the motion starts again when it ends; the last pose must then equal the first one. By default the
+            body waits at the first pose before the motion, and at the last pose after it.
         twist : array_like, shape (6,), optional
             Velocity of the body's origin [m/s] and angular velocity [rad/s], both in the world's frame and constant
             between two `times`; `poses` is then the first pose, shape (4, 4). The origin moves along a straight line
             while the body turns about it; this is not a screw motion about another axis.
         speed, turn : float
-            Bounds on how far the body departs from this motion [m/s, rad/s], such as 1.6 m/s for a person. At a time t,
-            its origin deviates by at most speed · \\|t - since\\|, and its orientation by at most turn · \\|t -
-            since\\|. A point at the distance ρ from the origin then deviates by at most (speed + ρ · turn) · \\|t -
+            Bounds on how fast the body departs from this motion [m/s, rad/s], such as 1.6 m/s for a person. At a time
+            t, its origin deviates by at most speed · \\|t - since\\|, and its orientation by at most turn · \\|t -
+            since\\|. A point at distance ρ from the origin then deviates by at most (speed + ρ · turn) · \\|t -
             since\\|. `bounds` contains the largest ρ, so a frame in the middle of the body is the best choice.
         since : float, optional
             Time in seconds at which the body was seen. Default: the first of `times`.
         error : array_like, shape (2,), optional
-            Additional bounds on the error at that time, in metres and radians; see `move`.
+            Additional bounds on the error at the time `since`, in metres and radians; see `move`.
 
         Notes
         -----
         With bounds, answers hold for all motions within them: FREE means free for each motion, and `collide` is True if
         the body may collide. COLLIDING means a collision with the body on its given motion; everything else that is not
-        free is AMBIGUOUS. Distances belong to the given motion. Following a motion again without bounds removes them.
+        free is AMBIGUOUS. Distances apply to the given motion. Calling `follow` again without bounds removes the
+        bounds.
 
         Raises
         ------
@@ -654,7 +657,7 @@ class Scene:
 
         See Also
         --------
-        detach : Stops the body. attach : Stops it as well, and attaches it to a link.
+        detach : Stop the body. attach : Stop the body and attach it to a link.
 
         Examples
         --------
@@ -714,14 +717,14 @@ class Scene:
         Parameters
         ----------
         name : str
-            A body of the scene. A body that is already attached to a link is handed over to the new one; a body that
-            follows a motion no longer follows it, and bounds on its pose are dropped.
+            A body of the scene. A body that is already attached to a link is handed over to the new link; a body that
+            follows a motion stops following it, and bounds on the body's pose are dropped.
         link : str
             Name of a link. It is checked when the scene is paired with a robot.
         T_link_body : array_like, shape (4, 4), or None
-            Pose of the body in the frame of the link; translation in metres. None is the identity.
+            Pose of the body in the frame of the link, with its translation in metres; None is the identity.
         touch_links : iterable of str
-            Links that the body may touch as long as it is attached, in addition to `link` itself.
+            Links that the body may touch while it is attached, in addition to `link` itself.
         leave : iterable of str
             Bodies or links that the body touches now and must leave, such as the table below it: see `leave`.
         reach : iterable of str
@@ -735,7 +738,7 @@ class Scene:
 
         Notes
         -----
-        Earlier rules of `leave` and `reach` that name the body end when it is attached, and the new ones when it is
+        Earlier rules of `leave` and `reach` that name the body end when it is attached; the new rules end when it is
         detached.
 
         Examples
@@ -776,8 +779,8 @@ class Scene:
         ----------
         name : str
         T_world_body : array_like, shape (4, 4), or None
-            The new pose in the world, with translation in metres; None is the identity. If the body was released in
-            place, it is the link's pose times `T_link_body`.
+            The new pose in the world, with translation in metres; None is the identity. For a body released in place,
+            this is the link's pose times `T_link_body`.
 
         Raises
         ------
@@ -821,7 +824,7 @@ class Scene:
         Raises
         ------
         UnknownNameError
-            If the pair was not allowed. Otherwise a misspelt name would silently leave another pair allowed.
+            If the pair was not allowed; without this error, a misspelt name would silently leave a pair allowed.
         """
         pair = _pair(a, b)
         with _CHANGING:
@@ -855,7 +858,7 @@ class Scene:
 
         See Also
         --------
-        reach : The corresponding rule for the end of a motion. allow : Allows contact at any time, however deep.
+        reach : The corresponding rule for the end of a motion. allow : Allow contact at any time, however deep.
 
         Notes
         -----
@@ -865,9 +868,9 @@ class Scene:
         than at the start or, while within their margin, come nearer, by more than the tolerance of the proof. On the
         rest, the two keep their margin. Once the two have parted, that is, once their distance exceeds their margin by
         a ten-thousandth of the robot's reach, the stretch ends before they come near again. For this purpose, their
-        distance is measured at several places, which depend on how far the two move in between. This part is therefore
-        not a proof: contact might end and begin again between two places, but no deeper than at the start. The rule
-        takes precedence over `allow`. At a single configuration, contact is a collision, as for all pairs.
+        distance is measured at several places, chosen according to how far the two move in between. This part is
+        therefore not a proof: contact might end and begin again between two places, but no deeper than at the start.
+        The rule takes precedence over `allow`. At a single configuration, contact is a collision, as for all pairs.
 
         The rule ends when one of the two is attached, detached or removed.
 
@@ -911,7 +914,7 @@ class Scene:
             self._changed()
 
     def _let_go(self, name: str) -> None:
-        """Drop where a body is, and the rules of `leave` and `reach` for it, since its contacts change."""
+        """Drop the pose or motion of a body, and its rules of `leave` and `reach`, since its contacts change."""
         places: tuple[dict[str, Any], ...] = (self._poses, self._attachments, self._following, self._bounds)
         for held in places:
             held.pop(name, None)
@@ -1000,12 +1003,12 @@ class Scene:
             self._changed()
 
     def widen(self, least: float) -> None:
-        """Raise margins of pairs with a body of this scene to at least `least`; margins between links do not change.
+        """Raise the margins of all pairs with a body of this scene to at least `least`, but no margin between links.
 
         Parameters
         ----------
         least : float
-            In metres. Larger margins do not change. The scene's own margin is raised, too.
+            Least margin in metres, also for the scene's own margin. Larger margins do not change.
 
         Raises
         ------
@@ -1024,18 +1027,18 @@ class Scene:
         least = _validate.positive_scalar(least, "least", zero=True)
         with _CHANGING:
             self._margin = max(least, self._margin)
-            # All pairs with bodies now keep this margin, except for lowered margins.
+            # All pairs with bodies now keep this margin, except pairs with lowered margins.
             for key in [key for key in self._lowered if self._margins[key] < least]:
                 if any(name in self._bodies for name in key):
                     self._margins[key] = least
-                elif len(key) == 1:  # of a link: it applies against other links as well
+                elif len(key) == 1:  # of a link: the margin applies against other links as well
                     for body in self._bodies:
                         pair = _pair(body, key[0])
                         self._margins[pair] = max(least, self._margins.get(pair, 0.0))
             self._changed()
 
     def margin_of(self, a: str, b: str) -> float:
-        """Return the margin of two bodies or links, in metres, which is the largest that applies to them.
+        """Return the margin of two bodies or links, in metres: the largest margin that applies to them.
 
         The scene's margin applies to every pair with a body of the scene, and the links' margin (``against="links"``)
         to two links. In addition, the margin of each body or link and the margin of the pair apply. Only a margin set
@@ -1092,9 +1095,9 @@ class Scene:
         Raises
         ------
         InputError
-            If bodies follow motions and there is no time, or it is not a finite number.
+            If bodies follow motions and no time is given, or if the time is not a finite number.
         ConvergenceError
-            If the exact search could not settle a pair. It never returns "free" instead.
+            If the exact search could not settle a pair. Such a pair is never reported as free instead.
         """
         now = self._standing_at(time)
         first, second = now._meeting().T
@@ -1103,17 +1106,17 @@ class Scene:
         return Contact.from_distances(((names[i], names[j]) for i, j in zip(first, second, strict=True)), found)
 
     def collide(self, time: float | None = None) -> bool:
-        """Decide whether any pair of bodies in the world collides, except allowed pairs; `pairs` gives the details.
+        """Decide whether any pair of bodies in the world collides, except allowed pairs; `pairs` lists the pairs.
 
         Parameters
         ----------
         time : float, optional
-            Seconds; required if bodies follow motions, as for `pairs`. Attached bodies are left out.
+            Time in seconds; required if bodies follow motions, as for `pairs`.
 
         Returns
         -------
         bool
-            Touching, or coming within the margin, counts as colliding.
+            True also for bodies that touch or come within their margin. Attached bodies are left out.
 
         Raises
         ------
@@ -1140,7 +1143,7 @@ class Scene:
     @overload
     def distance(self, a: str, b: str, *, exact: bool) -> Distance: ...
     def distance(self, a: str, b: str, *, exact: bool = False) -> Distance:
-        """Compute the signed distance of two named bodies in the world; margins and allowed pairs are ignored.
+        """Compute the signed distance between two named bodies in the world; margins and allowed pairs are ignored.
 
         See `loewner.distance`.
 
@@ -1149,7 +1152,7 @@ class Scene:
         a, b : str
             Names of static bodies in the world.
         exact : bool
-            Also compute the distance or depth, witnesses and normal.
+            Whether to compute the distance or depth, the witnesses and the normal in addition to bounds.
 
         Returns
         -------
@@ -1186,7 +1189,8 @@ class Scene:
     def _meeting(self) -> Ints:
         """Find the colliding pairs of bodies in the world, as indices into `static_names`, shape (m, 2)."""
         bodies, poses, names = self.static_bodies, self.static_poses, self.static_names
-        # The broad phase has one margin for all pairs: the largest misses none, and surplus pairs are dropped below.
+        # The broad phase has one margin for all pairs: with the largest margin, it misses no pair. Surplus pairs are
+        # dropped below.
         off = self._off
         widest = max([self._margin, *self._margins.values()]) + sum(sorted(off.values())[-2:])
         found = crowds.overlapping_pairs(bodies, poses, margin=widest)
@@ -1280,7 +1284,7 @@ def drawn(scene: Scene, held: Mapping[str, Floats]) -> tuple[list[Shape], list[t
 
 
 def _error(given: Any, name: str) -> tuple[float, float]:
-    """Check the error of a pose, in metres and radians; none is (0, 0)."""
+    """Check the error of a pose, in metres and radians; None stands for (0, 0)."""
     if given is None:
         return 0.0, 0.0
     metres, radians = _validate.finite_array(given, name, (2,)).tolist()
@@ -1334,7 +1338,7 @@ def _pair(a: Any, b: Any) -> Pair:
 
 
 def _margin_key(a: Any, b: Any, against: Any) -> MarginKey:
-    """Make the key of a margin; the key () belongs to the margin of the whole scene."""
+    """Make the key of a margin; the margin of the whole scene has the key ()."""
     if a is None and b is not None:
         raise InputError(f"a: expected a name with b = {b!r}, found None")
     if against is not None:

@@ -6,7 +6,7 @@ from loewner.ellipsoids.fits import DEFAULT_TOLERANCE
 from loewner.scenes.mjcf_models import read_mjcf
 from loewner.scenes.scene import Scene
 
-# Endings of the names of model files, as opposed to YAML.
+# Extensions of model files; other scene files are YAML.
 MJCF_SUFFIXES = (".xml", ".mjcf")
 
 

@@ -20,10 +20,11 @@ from loewner._base._validate import Floats
 from loewner.bodies import Body
 from loewner.scenes.scene import Scene
 
-# The largest file that is read [bytes].
+# Largest size of a file that is read [bytes].
 MOST_BYTES = 2**28
 
-# How far the rotations of a quaternion and of angles may differ, in each entry of the matrix; files have few digits.
+# Largest difference in any entry of the matrix between the rotations of a quaternion and of angles; files have few
+# digits.
 SAME_ROTATION = 1e-2
 
 TOP_KEYS = ("robot", "joints", "problems")
@@ -51,12 +52,12 @@ class Problem:
     start : ndarray, shape (dof,)
         Start configuration, in radians or metres.
     goals : ndarray, shape (k, dof)
-        Goal configurations; reaching any one is enough.
+        Goal configurations; reaching any of them is enough.
     scene : Scene
         Obstacles, in the frame of the robot's base.
     valid : bool or None
-        Whether the problem is valid according to the file, which is not checked here; None if the file has no such
-        entry.
+        Whether the problem is valid according to the file; None if the file has no such entry. The entry is not
+        checked.
 
     Examples
     --------
@@ -77,7 +78,7 @@ class Problem:
 
 @guarded
 def read_motion_bench_maker(path: str | PathLike[str]) -> tuple[Problem, ...]:
-    """Read planning problems in the JSON form of MotionBenchMaker's data (docs/scenes.md).
+    """Read planning problems from MotionBenchMaker's data in JSON (docs/scenes.md).
 
     Parameters
     ----------
@@ -158,7 +159,7 @@ def _obstacle(kind: str, *sizes: float) -> Body:
 
 
 def _pose(keys: dict[str, JsonNode]) -> Floats:
-    """Read the pose of an obstacle; where a quaternion and angles are given, the quaternion counts."""
+    """Read the pose of an obstacle; if both a quaternion and angles are given, the quaternion counts."""
     T = np.eye(4)
     T[:3, 3] = keys["position"].numbers(3)
     angles = keys.get("orientation_euler_xyz")

@@ -1,4 +1,4 @@
-"""The JSON Schema of scene files: editors use it, and the reader takes its keys from it."""
+"""The JSON Schema of scene files, which editors use and from which the reader takes its keys."""
 
 from __future__ import annotations
 

@@ -18,7 +18,7 @@ from loewner.bodies import Body
 from loewner.errors import FileError
 from loewner.scenes.files.schema import keys_of
 
-# Largest file of numbers in bytes: a cloud of ten million points in text.
+# Largest size of a file of numbers in bytes: a cloud of ten million points as text.
 MOST_BYTES = 2**29
 
 Recipe = tuple[Any, Callable[[], Body]]
@@ -91,7 +91,7 @@ def read_array(path: Path) -> Any:
     Parameters
     ----------
     path : Path
-        In `.csv` files commas separate the numbers; in other text files spaces or commas do.
+        In `.csv` files, commas separate the numbers; in other text files, spaces or commas separate them.
 
     Raises
     ------
@@ -111,7 +111,7 @@ def read_array(path: Path) -> Any:
 
 
 def _doubts(comments: str) -> Iterator[str]:
-    """Yield why numbers may be in another unit or order, by the comments of their file, which are not read."""
+    """Yield reasons why numbers may be in another unit or order, judged by comments that are not read otherwise."""
     if doubt := doubt_about_unit(comments):
         yield doubt
     for line in comments.splitlines():

@@ -28,17 +28,17 @@ from loewner.scenes.scene import MarginKey, Scene
 
 Maker = Callable[..., Body]
 
-# The largest file [bytes].
+# Largest size of a file [bytes].
 MOST_BYTES = 2**24
 
-# Letters of a body's name in the name of its file.
+# Number of letters of a body's name in the name of its file.
 LONGEST_NAME = 100
 
 POSE_KEYS = ("position", "rpy", "quaternion_wxyz", "pose")
 POSE_HINT = "a pose is a 4x4 matrix, in four rows of four; position with rpy or quaternion_wxyz may replace it"
 SURFACE_KEYS = ("radius", "solid")
 
-# Keys that need the shape mesh or saved beside them.
+# Keys that are allowed only next to the shape mesh or saved.
 KEYS_OF_SHAPES = {"mesh": ("scale", "decompose", "model", *SURFACE_KEYS), "saved": ("sha256",)}
 MODELS = tuple(BODY["properties"]["model"]["enum"])
 SHAPES = tuple(rule["required"][0] for rule in BODY["oneOf"])
@@ -60,9 +60,8 @@ def load_scene(path: str | PathLike[str]) -> Scene:
     Parameters
     ----------
     path : path
-        Paths in the file are relative to its folder. A file with the extension ``.xml`` or ``.mjcf`` is read as a
-        MuJoCo model: all its colliding geoms, with joints at their references. Use `Robot.from_mjcf` for parts that
-        move.
+        Paths in the file are relative to its folder. From a file with the extension ``.xml`` or ``.mjcf``, a MuJoCo
+        model, all colliding geoms are read, with joints at their references. Use `Robot.from_mjcf` for parts that move.
 
     Returns
     -------
@@ -136,9 +135,9 @@ def _set_margin(scene: Scene, entry: YamlNode) -> None:
 def save_scene(scene: Scene, path: str | PathLike[str]) -> None:
     """Write a scene to YAML, so that `load_scene` returns a scene with the same verdicts.
 
-    Boxes, spheres, cylinders, capsules, cones and ellipsoids are written by their sizes. Any other body is saved next
+    For boxes, spheres, cylinders, capsules, cones and ellipsoids, the sizes are written. Any other body is saved next
     to the file, as ``STEM-NAME-DIGEST.npz``; a body that several names share is saved once. The scene file contains the
-    SHA-256 of each saved body, whose first digits are the digest; reading refuses any other body.
+    SHA-256 of each saved body, whose first digits are the digest; the reader refuses any other body.
 
     Parameters
     ----------
@@ -146,7 +145,7 @@ def save_scene(scene: Scene, path: str | PathLike[str]) -> None:
         The scene as it is at one instant, even if other threads change it at the same time.
     path : path
         The files of the bodies are written first; then this file is written under a temporary name and renamed. Files
-        of an older scene are neither changed nor removed, except a file with this name.
+        of an older scene are neither changed nor removed, except for a file with the same path.
 
     Raises
     ------
@@ -182,7 +181,7 @@ def save_scene(scene: Scene, path: str | PathLike[str]) -> None:
 
 
 def _document(scene: Scene, file: Path) -> tuple[dict[str, Any], dict[str, Body]]:
-    """Make the contents of the file for a scene, and the bodies that YAML cannot express, by the names of their files.
+    """Make the contents of the file for a scene, and the bodies that YAML cannot express, keyed by file name.
 
     No other thread may change the scene.
     """
@@ -394,7 +393,7 @@ def _primitive_of(body: Body) -> dict[str, Any] | None:
         return None
     if number == columns.POLYTOPE:
         shape, sizes = "box", (2 * packed_of(body).points.max(axis=0)).tolist()
-    else:  # by the radius of a ball and the axes of the unit shape's image, unrounded
+    else:  # given by the radius of a ball and the axes of the unit shape's image, unrounded
         kind, frame = CURVED[number], packed_of(body).frames[0]
         shape, sizes = kind.name, list(kind.sizes(float(frame[0]), frame[4::4].tolist()))
     if not min(sizes) > 0:
@@ -411,7 +410,7 @@ def _same(a: Body, b: Body) -> bool:
 
 
 def _place_of(scene: Scene, name: str) -> dict[str, Any]:
-    """Express pose and attachment without rounding, a pure translation as a position, any other pose as a matrix.
+    """Express pose and attachment without rounding: a pure translation as a position, any other pose as a matrix.
 
     Quaternions of a motion are written to the last digit; they are normalised when they are read.
     """
