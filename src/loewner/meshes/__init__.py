@@ -1,8 +1,8 @@
-"""From mesh files to convex pieces, and how closely they approximate it.
+"""Turn mesh files into convex pieces, and measure how closely the pieces approximate the mesh.
 
 `files` reads the formats. `decomposition` divides a mesh into convex pieces, `plane_cuts` does so within a tolerance,
-and `closed_parts` finds the closed parts of a mesh. `coverage` and `protrusion` measure the parts that pieces miss and
-how far pieces stick out, `inscribed` fits ellipsoids inside a mesh, and `triangles` prepares arrays.
+and `closed_parts` finds the closed parts of a mesh. `coverage` measures the parts of a mesh that pieces miss, and
+`protrusion` how far pieces stick out. `inscribed` fits ellipsoids inside a mesh, and `triangles` prepares arrays.
 """
 
 from loewner.meshes.decomposition import convex_pieces, load

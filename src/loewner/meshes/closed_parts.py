@@ -24,7 +24,7 @@ class ClosedPart:
     Attributes
     ----------
     triangles : ndarray of int, shape (t, 3)
-        Counter-clockwise when seen from outside the solid; for a cavity, that is from within the cavity.
+        Counter-clockwise when seen from outside the solid, which for a cavity means from within the cavity.
     volume : float
         Enclosed volume without the cavities, in cubic metres.
     """
@@ -36,7 +36,7 @@ class ClosedPart:
 def closed_parts(vertices: Floats, triangles: Ints) -> list[ClosedPart] | None:
     """Split a mesh into closed parts; None if its surface has a border or is inconsistently oriented.
 
-    Parts may overlap, and share edges and corners. A part of negative volume is a cavity of the smallest part that
+    Parts may overlap, and may share edges and corners. A part of negative volume is a cavity of the smallest part that
     contains it; if no part contains it, it was inside out and is reversed.
     """
     neighbours = _neighbours(vertices, triangles)
@@ -75,7 +75,7 @@ def closed_parts(vertices: Floats, triangles: Ints) -> list[ClosedPart] | None:
 
 
 def volume(vertices: Floats, triangles: Ints) -> float:
-    """Compute a closed mesh's signed volume, by the divergence theorem about its centre to reduce cancellation."""
+    """Compute a closed mesh's signed volume, by the divergence theorem about its center to reduce cancellation."""
     corners = vertices[triangles]
     a, b, c = (corners - corners.mean(axis=(0, 1))).transpose(1, 0, 2)
     return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6)
@@ -121,12 +121,12 @@ def _paired(vertices: Floats, triangles: Ints, of: Ints, corner: Ints, forth: np
     rank = np.lexsort((~forth, place))
     depth = np.cumsum(np.where(forth[rank], -1, 1))
     rank = np.roll(rank, -(int(depth.argmin()) + 1))
-    # First begun, first ended: with overlapping parts, either way of pairing leaves closed surfaces.
+    # The part that begins first ends first: with overlapping parts, either way of pairing leaves closed surfaces.
     return of[rank[~forth[rank]]], of[rank[forth[rank]]]
 
 
 def _lies_in(vertices: Floats, inner: Ints, outer: Ints) -> bool:
-    """Decide, from some of its corners, whether a closed surface lies inside a second one."""
+    """Decide, from some of its corners, whether a closed surface lies inside another closed surface."""
     corners, around = np.unique(inner), vertices[outer]
     points = vertices[corners[:: max(1, len(corners) // WITNESSES)]]
     lower, upper = around.min(axis=(0, 1)), around.max(axis=(0, 1))

@@ -1,7 +1,7 @@
-"""Find the parts of a mesh's surface that convex pieces leave uncovered, bound their distance, and cover them.
+"""Find the parts of a mesh's surface outside its convex pieces, bound their distance, and cover them.
 
-A decomposition cuts off corners of the mesh, and the missing corners would be free. Its pieces are therefore grown
-until they contain the whole surface.
+A decomposition cuts corners off the mesh, and the missing corners would be free. Its pieces are therefore grown until
+they contain the whole surface.
 """
 
 from __future__ import annotations
@@ -35,21 +35,22 @@ class Covering:
     ----------
     kind : str
         ``"cover"``: the pieces were fitted by `Body.cover`, to any body, and the attributes refer to that body.
-        ``"convex"``: the mesh is a union of closed convex parts and the pieces are their hulls.
-        ``"hull"``: one piece, the convex hull. ``"decomposition"``: pieces that approximate the mesh. ``"solid"``: the
-        mesh is not closed, and triangles that close its holes were added. ``"swept"``: the pieces contain links of a
-        robot wherever they are on a curve (`Robot.swept`), and all numbers refer to their swept volume.
+        ``"convex"``: the mesh is a union of closed convex parts, and the pieces are the hulls of the parts. ``"hull"``:
+        the only piece is the convex hull of the mesh. ``"decomposition"``: the pieces approximate the mesh.
+        ``"solid"``: the mesh is not closed, and triangles that close its holes were added. ``"swept"``: the pieces
+        contain links of a robot at every point of a curve (`Robot.swept`), and all numbers refer to the swept volume of
+        the links.
     exact : bool
-        Whether the union of the pieces contains the whole surface of the mesh, up to rounding, which `max_uncovered`
-        then bounds. If so, FREE also applies to the mesh.
+        Whether the union of the pieces contains the whole surface of the mesh, up to rounding errors, which
+        `max_uncovered` then bounds. If true, FREE also applies to the mesh.
     max_uncovered : float
         Proven upper bound on the distance from any point of the mesh's surface to the union of the pieces, in metres.
         If ``margin`` is at least the sum of both bodies' bounds, FREE applies to both surfaces, even if `exact` is
         false.
     excess_volume : float
-        Sum of the pieces' volumes divided by the mesh's volume, minus 1. It measures how much the pieces stick out;
-        overlaps count twice, including overlaps of the mesh's closed parts. NaN if the mesh is not closed and therefore
-        has no volume.
+        Sum of the pieces' volumes divided by the mesh's volume, minus 1. The value measures how much the pieces stick
+        out; overlaps count twice, including overlaps of the mesh's closed parts. NaN if the mesh is not closed and
+        therefore has no volume.
     samples : int
         Number of surface points that were tested, including all vertices of the mesh.
     max_protrusion : float
@@ -57,7 +58,7 @@ class Covering:
         closed mesh this is the distance to the enclosed solid (all points with a nonzero winding number), for any other
         mesh the distance to the surface. The bound is within 1 % of the true value, or within 1e-4 of the diagonal of
         the mesh's bounding box, unless the mesh is so large that the search was stopped. NaN if the body was loaded
-        from a file written before this value existed, or made for a link from a mesh without an inside.
+        from a file written before this value existed, or was made for a link from a mesh without an inside.
 
     Examples
     --------
@@ -77,24 +78,24 @@ class Covering:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class CoverReport(_validate.Brief):
-    """Whether the elements of a model hold a body, and how far they stick out of it; see `Body.covered_by`.
+    """Whether the elements of a model contain a body, and how far the elements stick out of it; see `Body.covered_by`.
 
     Attributes
     ----------
     outcome : {"covered", "uncovered", "undecided"}
-        "covered": each point of the body, inside included, is proven to be in the model. "uncovered": `witness` is not.
-        "undecided": neither is proven; some cells as small as the tolerance are in no single element.
+        "covered": each point of the body, including its interior, is proven to be in the model. "uncovered": `witness`
+        is proven to be outside the model. "undecided": neither is proven; some cells as small as the tolerance are in
+        no single element.
     uncovered_share : tuple of float
-        Bounds on the share of the area of the body's surface that is outside the model. The surfaces of all pieces
-        count, even where they are inside other pieces. For a curved piece, the area of an inscribed polytope is
-        measured, with corners on the surface. Points without triangles, as in a cloud, have no area: the bounds are
-        then (0, 1).
+        Bounds on the share of the body's surface area that is outside the model. The surfaces of all pieces count, even
+        where they are inside other pieces. For a curved piece, the area of an inscribed polytope with corners on the
+        surface is measured. A cloud, which has points without triangles, has no area, so that the bounds are (0, 1).
     depth : tuple of float
-        Bounds on the largest distance of a point of the body from the model, in metres.
+        Bounds on the largest distance from a point of the body to the model, in metres.
     witness : ndarray, shape (3,), or None
         The point of the body that is deepest outside every element, among the points tried.
     excess : tuple of float
-        Bounds on the largest distance of a point of the model from the body, in metres.
+        Bounds on the largest distance from a point of the model to the body, in metres.
 
     Examples
     --------
@@ -111,7 +112,7 @@ class CoverReport(_validate.Brief):
 
 
 def covered(triangles: Floats, hulls: list[Polytope], size: float, *, grow: bool) -> tuple[list[Polytope], Covering]:
-    """Grow the convex pieces on request, and measure the uncovered part of a surface.
+    """Measure the uncovered part of a surface, and grow the convex pieces on request.
 
     Parameters
     ----------
@@ -121,7 +122,7 @@ def covered(triangles: Floats, hulls: list[Polytope], size: float, *, grow: bool
     size : float
         Diagonal of the mesh's bounding box.
     grow : bool
-        Add each part of the surface that lies in no piece to the piece closest to it.
+        Whether to add each part of the surface that lies in no piece to the closest piece.
 
     Returns
     -------
@@ -193,7 +194,7 @@ def _excess(points: Floats, hull: Polytope) -> Floats:
 
 
 def _largest_gap(cells: Floats, hulls: list[Polytope], slack: float) -> float:
-    """Bound the distance of the cells from the pieces: each cell by its farthest corner from its nearest piece."""
+    """Bound the distance of the cells from the pieces: for each cell, by the farthest corner from the nearest piece."""
     points, index = np.unique(cells.reshape(-1, 3), axis=0, return_inverse=True)
     corner = index.reshape(-1, 3)
     corner = corner[_coverage(points, corner, hulls)[0] > 0]

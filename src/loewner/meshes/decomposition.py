@@ -56,7 +56,7 @@ class Surfaces(Protocol):
 
 
 class Loaded(Protocol):
-    """The declared result type of `trimesh.load`; whether it is a surface shows only when the file is read."""
+    """The declared result type of `trimesh.load`; only reading the file shows whether it is a surface."""
 
     @property
     def bounds(self) -> ArrayLike | None:
@@ -71,7 +71,7 @@ SUFFIXES = mesh_files.SUFFIXES
 # hulls stored in float32 are off by up to 1e-3.
 CONVEX_VOLUME_TOLERANCE = 1e-3
 
-# A mesh smaller or larger than this across [m] causes a warning: hardly any body is, unless it is in another unit.
+# A mesh smaller or larger across than these sizes [m] causes a warning, since it is probably in another unit.
 # Landscapes are an exception, for which the warning can be filtered; a part of 0.5 m read as 500 m is not noticed.
 USUAL_SIZES = (1e-4, 1e3)
 
@@ -88,15 +88,16 @@ def load(source: Source) -> tuple[Floats, Triangles]:
     Parameters
     ----------
     source : path, trimesh.Trimesh or trimesh.Scene, or a pair of arrays
-        A file in STL, OBJ, PLY, OFF, GLB, glTF or Collada (DAE) format. The meshes of a scene are placed by their
-        transforms and joined. A file that states its unit of length is converted to metres; all other files are assumed
-        to be in metres. Or a pair of arrays: vertices, shape (v, 3), and triangles, shape (t, 3).
+        A file in STL, OBJ, PLY, OFF, GLB, glTF or Collada (DAE) format, a mesh or scene in memory, or a pair of arrays:
+        vertices, shape (v, 3), and triangles, shape (t, 3). The meshes of a scene are placed by their transforms and
+        joined. A file that states its unit of length is converted to metres; all other files are assumed to be in
+        metres.
 
     Returns
     -------
     vertices : ndarray, shape (v, 3)
-        In metres, as stored; equal vertices are not merged. Vertices that are not finite and belong to no triangle are
-        left out.
+        Vertices in metres, as stored; equal vertices are not merged. Vertices that are not finite and belong to no
+        triangle are left out.
     triangles : ndarray of int, shape (t, 3)
 
     Raises
@@ -104,9 +105,9 @@ def load(source: Source) -> tuple[Floats, Triangles]:
     FileError
         If the file is missing, empty, cut short, larger than 2 GiB, not a regular file or not a mesh, or if its
         contents do not match its declarations; the message names the line or element. (An OBJ file does not declare its
-        length, so a file that was cut off between two lines cannot be distinguished from a whole file.)
+        length, so a file that was cut off between two lines cannot be distinguished from a complete file.)
     GeometryError
-        If a vertex of a triangle is not finite, or there is no triangle.
+        If a vertex of a triangle is not finite, or there are no triangles.
 
     Examples
     --------
@@ -137,7 +138,7 @@ def load(source: Source) -> tuple[Floats, Triangles]:
 
 
 def _used_and_finite(vertices: Floats, triangles: Triangles, name: str) -> tuple[Floats, Triangles]:
-    """Leave out vertices without triangles that are not finite, as scanners write them where they saw nothing."""
+    """Drop vertices that are not finite and have no triangle; scanners write such vertices where they saw nothing."""
     if np.isfinite(vertices).all():
         return vertices, triangles
     finite = np.logical_and.reduce(np.isfinite(vertices), axis=1)
@@ -188,7 +189,7 @@ def _expect_one_unit(scene: Any) -> None:
 
 
 def _ask_about_units(vertices: Floats, name: str) -> None:
-    """Warn of a size that suggests a unit of length other than metres; `vertices` are already scaled."""
+    """Warn about a size that suggests a unit of length other than metres; `vertices` are already scaled."""
     size = float(np.ptp(vertices, axis=0).max())
     if not USUAL_SIZES[0] <= size <= USUAL_SIZES[1] and size > 0:
         unit, factor = ("in millimetres", 0.001) if size > 1 else ("scaled to metres twice", 1000)
@@ -217,9 +218,9 @@ def convex_pieces(
     source : path, trimesh.Trimesh or trimesh.Scene
         See `load`.
     scale : float, or array_like of shape (3,)
-        Factor for all lengths, or one for each axis of the mesh; a negative one mirrors.
+        Factor for all lengths, or one factor for each axis of the mesh; a negative factor mirrors the mesh.
     decompose : bool
-        False: make the convex hull of the whole mesh, which contains it, the only piece.
+        Whether to split the mesh. If false, the only piece is the mesh's convex hull, which contains the mesh.
     cover : bool
         Grow the pieces of a decomposition until they contain the mesh's whole surface.
     tolerance : float, optional
@@ -253,13 +254,14 @@ def convex_pieces(
     -----
     UserWarning
         If a mesh to be decomposed has holes, since its inside is then not solid; if the scaled mesh is more than 1000 m
-        or less than 0.1 mm across, since it may not be in metres; or if the pieces stick out by more than `tolerance`.
+        or less than 0.1 mm across, since its unit may not be the metre; or if the pieces stick out by more than
+        `tolerance`.
 
     Notes
     -----
-    The closed parts of a mesh are decomposed one by one, even where they overlap, or share edges or corners. A part
-    counts as convex if its volume equals the volume of its hull to within 1e-3; its only piece is then its hull. A part
-    of negative volume is a cavity of the part in which it lies.
+    The closed parts of a mesh are decomposed one by one, even if they overlap or share edges or corners. A part counts
+    as convex if its volume equals the volume of its hull to within 1e-3; its hull is then its only piece. A part of
+    negative volume is a cavity of the part in which it lies.
 
     Covering is proven, not sampled. A triangle lies in a convex piece if its corners do; a triangle that lies in no
     piece is halved until its parts lie in a piece, nearly lie in one, or are smaller than 0.25 % of the mesh's
@@ -295,7 +297,7 @@ def convex_pieces(
 
 
 def scaled_mesh(source: Source, scale: ArrayLike) -> tuple[Floats, Triangles]:
-    """Read a mesh as `load` does, and scale it by a factor to metres; warn about doubtful sizes."""
+    """Read a mesh as `load` does, scale it to metres, and warn about doubtful sizes."""
     factors = _validate.float_array(scale, "scale")
     factors = _validate.finite_array(factors, "scale", (3,) if factors.ndim else ())
     if not factors.all():
@@ -383,7 +385,7 @@ def convex_polytopes(
             "them, take its triangles as they are, exact and in milliseconds (Body.from_surface, --model surface), or "
             "take its convex hull (decompose=False, --hull)"
         )
-        if within is None:  # CoACD would first make it solid: slow, and farther off
+        if within is None:  # CoACD would first make the mesh solid, which is slow and less accurate
             within = OPEN_TOLERANCE * _size(vertices)
     if within is None:
         with logged("%s: decomposing %d triangles", name, len(triangles)):
@@ -395,7 +397,7 @@ def convex_polytopes(
         with logged("%s: cutting %d triangles", name, len(triangles)):
             cells = pieces_within(surfaces, solid, within, most, progress, np.inf if solid.closed else WORK)
         pieces = [cell.hull for cell in cells]
-        # Each cell already lies in its hull; nothing has to grow.
+        # Each cell already lies in its hull, so no hull has to grow.
         surface = np.concatenate([cell.triangles for cell in cells])
         _, covering = covered(surface, pieces, _size(vertices), grow=False)
         reached = min(_protrusion(pieces, solid), max(cell.bound for cell in cells))
@@ -424,7 +426,7 @@ def _protrusion(pieces: list[Polytope], solid: Solid) -> float:
 
 
 def _excess_volume(hulls: list[Polytope], whole: float) -> float:
-    """Compute the excess of the pieces' volume as a share of the mesh's volume; NaN if the mesh has no volume."""
+    """Compute by what share the pieces' volume exceeds the mesh's volume; NaN if the mesh has no volume."""
     return float(sum(_hull_volume(h) for h in hulls) / whole - 1) if whole > 0 else float("nan")
 
 
@@ -497,7 +499,7 @@ def _is_hull_of(part: ClosedPart, hull: Polytope) -> bool:
 
 
 def _hulls_of_parts(vertices: Floats, parts: list[ClosedPart], hull: Polytope) -> list[Polytope]:
-    """Compute the hull of each closed part (`hull` if there is only one part); return none if a part is flat."""
+    """Compute the hull of each closed part (`hull` if there is only one part); return no hulls if a part is flat."""
     if len(parts) == 1:
         return [hull]
     try:
@@ -547,7 +549,7 @@ def _coacd_by_parts(
     pieces = [hull for hull, left in zip(hulls, curved, strict=True) if not left]
     size = _size(vertices)
     for k, part in enumerate(part for part, left in zip(parts, curved, strict=True) if left):
-        # An even share of the remaining pieces; a threshold is relative to the whole mesh.
+        # Each part gets an even share of the remaining pieces; the threshold is relative to the whole mesh.
         share = None if most is None else (most - len(pieces)) // (sum(curved) - k)
         corners, own = np.unique(part.triangles, return_inverse=True)
         relative = min(1.0, threshold * size / _size(vertices[corners]))
@@ -558,7 +560,7 @@ def _coacd_by_parts(
 
 
 def _at_most(most: int | None, pieces: list[Polytope]) -> list[Polytope]:
-    """Join pairs of pieces, beginning with the smallest common box, until the number of pieces is within a limit.
+    """Join pairs of pieces, in order of the size of their common box, until the number of pieces is within a limit.
 
     CoACD keeps unconnected parts separate regardless of the limit.
     """

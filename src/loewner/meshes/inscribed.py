@@ -21,7 +21,7 @@ from loewner.meshes.triangles import FramedTree
 FEWEST_TRIANGLES = 4
 
 # A tree in the mesh's own coordinates is used if the mesh is not farther from the origin than this many times its size,
-# since its boxes are stored in single precision, and if squares and cubes of lengths do not leave its range.
+# and if squares and cubes of lengths stay in range, since the tree's boxes are stored in single precision.
 FAR = 1e3
 SMALL, LARGE = 1e-10, 1e10
 
@@ -35,15 +35,15 @@ def inscribed_ellipsoids(
     Parameters
     ----------
     vertices : array_like, shape (v, 3)
-        In metres.
+        Vertices in metres.
     triangles : array_like of int, shape (t, 3)
-        Vertices of each of at least four triangles. The mesh is assumed to be closed, with triangles consistently
-        oriented at common edges; this is not checked. It may intersect itself, have several parts, cavities and
-        triangles without area, and be inside out as a whole.
+        Vertex indices of at least four triangles. The mesh is assumed to be closed, with triangles consistently
+        oriented at common edges; this is not checked. The mesh may intersect itself, may have several parts, cavities
+        and triangles without area, and may be inside out as a whole.
     count : int
         The largest number of ellipsoids.
     tree : tuple of ndarray, optional
-        Boxes of a tree over these triangles, and the table of its arrays; a tree is built if it is missing.
+        Boxes of a tree over these triangles, and the table of its arrays; by default a tree is built.
 
     Returns
     -------
@@ -55,13 +55,13 @@ def inscribed_ellipsoids(
     Raises
     ------
     InputError
-        If shapes are wrong, entries are not finite, indices do not belong to a vertex, or the count is wrong.
+        If shapes are wrong, entries are not finite, indices are out of range, or the count is wrong.
 
     Notes
     -----
-    A point is inside if the surface winds around it, in either direction. In spite of rounding, no triangle meets a
-    stored ellipsoid, and one point of the ellipsoid is inside the solid, so the whole ellipsoid is inside. The
-    ellipsoids are not proven to be the largest possible; in a convex solid the first is close to the largest.
+    A point is inside if the surface winds around it, in either direction. Despite rounding, no triangle meets a stored
+    ellipsoid, and one point of the ellipsoid is inside the solid, so the whole ellipsoid is inside. The ellipsoids are
+    not proven to be the largest possible; in a convex solid, the first ellipsoid is close to the largest.
 
     References
     ----------

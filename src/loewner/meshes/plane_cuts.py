@@ -1,4 +1,4 @@
-"""Cut a mesh along planes into convex pieces that stick out of it by no more than a tolerance.
+"""Cut a mesh along planes into convex pieces that stick out of the mesh by no more than a tolerance.
 
 The hull of the surface on one side of a plane contains the solid on that side, since the extreme points of a solid's
 section lie on its surface. The pieces therefore contain the mesh without being grown.
@@ -19,24 +19,24 @@ from loewner.errors import GeometryError
 from loewner.meshes.protrusion import Solid, protrusions
 from loewner.meshes.triangles import cut, squared_distances, unit_normals
 
-# How near the bound on a piece's protrusion comes to its value before the piece is cut.
+# How close the bound on a piece's protrusion must be to the true value before the piece is cut.
 ACCURACY = 0.25
 
-# Numbers of planes tried for a cut: of faces near the deepest point, around the shortest segment from there to the
-# mesh, and perpendicular to the axes.
+# Numbers of planes tried for a cut: planes of faces near the deepest point, planes around the shortest segment from
+# that point to the mesh, and planes perpendicular to the axes.
 FACES, TURNS = 6, 4
 
-# A cell with more triangles than this is represented by this many random ones while planes are compared.
+# Number of random triangles that represent a larger cell while planes are compared.
 MANY = 1024
 
 # Number of random points that represent a hull's surface while planes and merges are compared.
 SAMPLES = 48
 
-# A part with less than this share of a piece's volume is no progress.
+# A cut makes no progress if a part has less than this share of the piece's volume.
 LEAST_SHARE = 1e-4
 
-# A flat part of a surface becomes a plate, whose sides are at this share of the tolerance from it. A closed surface has
-# such parts where planes cut off everything behind a face.
+# A flat part of a surface becomes a plate, whose sides are at a distance of this share of the tolerance. A closed
+# surface has such parts where planes cut off everything behind a face.
 PLATE = 0.25
 
 # Default limit on the number of pieces: a tolerance that needs more is below the mesh's own accuracy.
@@ -50,7 +50,7 @@ OVERHEAD, WORK = 1000, 8_000_000
 # Cells that stick out by less than this share of the largest bound wait until the others are cut.
 FARTHEST = 0.5
 
-# Cells are cut, joined and cut again at most this often, if a limit on the number of pieces leaves room for it.
+# Largest number of rounds of cutting and joining cells, if a limit on the number of pieces leaves room for more cuts.
 PASSES = 20
 
 
@@ -67,7 +67,7 @@ class Cell:
     deepest : ndarray, shape (3,)
         The point of the hull that sticks out most, among the points examined.
     whole : bool
-        Whether no point was found that sticks out, or no plane makes progress.
+        Whether no point was found to stick out, or no plane makes progress.
     """
 
     triangles: Floats
@@ -127,7 +127,7 @@ class _Progress:
     told: int = 0
 
     def look(self, cells: list[Cell], tolerance: float) -> None:
-        """Report the share of the surface in cells that need no more cuts."""
+        """Report the share of the surface in cells that need no further cuts."""
         if self.tell is None:
             return
         areas = [float(lengths(normals_of(cell.triangles)).sum()) for cell in cells]
@@ -145,7 +145,7 @@ def _cut_up(
     cells: list[Cell], solid: Solid, tolerance: float, limit: int, plate: float, progress: _Progress,
     rng: np.random.Generator, work: float,
 ) -> tuple[list[Cell], float]:  # fmt: skip
-    """Cut cells until none sticks out too far, or a limit is reached; also return the remaining work."""
+    """Cut cells until no cell sticks out too far or a limit is reached; also return the remaining work."""
     while True:
         cells = _measured(cells, solid, tolerance)
         progress.look(cells, tolerance)
@@ -186,7 +186,7 @@ def _measured(cells: list[Cell], solid: Solid, tolerance: float) -> list[Cell]:
 
 
 def _cut(cell: Cell, solid: Solid, plate: float, rng: np.random.Generator) -> list[Cell] | None:
-    """Cut a cell in two, by the plane after which the parts stick out least; None if no plane makes progress."""
+    """Cut a cell in two along the plane that leaves the parts sticking out least; None if no plane makes progress."""
     some = cell
     if len(cell.triangles) > MANY:
         with suppress(GeometryError):
@@ -214,7 +214,7 @@ def _cut(cell: Cell, solid: Solid, plate: float, rng: np.random.Generator) -> li
 
 
 def _halves(triangles: Floats, plane: tuple[Floats, float], solid: Solid, plate: float) -> list[Cell] | None:
-    """Return the parts on the two sides of a plane; None if one is empty or a line."""
+    """Return the parts on the two sides of a plane; None if a part is empty or a line."""
     ones = np.ones(len(triangles))
     below, _, above, _ = cut(triangles, ones[:, None] * plane[0], ones * plane[1], solid.rounding)
     try:
@@ -291,7 +291,7 @@ def _foot(point: Floats, triangle: Floats) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class Joined:
-    """The common hull of two cells, and the excess of its volume over the volumes of their own hulls."""
+    """The common hull of two cells, and the excess of its volume over the volumes of the cells' own hulls."""
 
     hull: Polytope
     gain: float

@@ -18,19 +18,19 @@ from loewner._native import entries
 from loewner.ellipsoids.polytopes import Polytope
 from loewner.meshes.triangles import FramedTree, cut, framed, halved, longest_edges, squared_distances, unit_normals
 
-# The search ends when the bound is this near to a value that was found: a share of the value, or of the diagonal of the
-# mesh's box.
+# The search ends when the bound is this close to a value that was found, as a share of the value or of the diagonal of
+# the mesh's box.
 RELATIVE, ABSOLUTE = 0.01, 1e-4
 
 # Rounding errors of distances and heights are below these shares of the diagonal and of the largest coordinate.
 ROUNDING = 1e-12  # certified.md B44
 COORDINATES = 1e-14
 
-# Limits on the number of cells: in all, after which the current bound is returned; in one step; and, if nothing was
-# found to stick out, until this is known down to rounding.
+# Limits on the number of cells: in total, after which the current bound is returned; in one step; and in the search
+# down to rounding errors, if no point was found to stick out.
 WORK, AT_ONCE, WORK_ON_NOTHING = 400_000, 8192, 100_000
 
-# A cell is cut along the edges of the triangle in which it lies, unless its own edges are this many times as long.
+# A cell is cut along the edges of the triangle in which it lies, unless the cell's edges are this many times as long.
 COARSE = 4.0
 
 # `heights_above` takes a multiple of this many planes.
@@ -39,8 +39,8 @@ PLANES = 8
 # The triangles within reach of a cube are tested if the cube is no larger than this share of the diagonal.
 LARGEST_LOOKED_INTO = 0.1
 
-# Triangles face one half-space if the products of their normals with some direction are at least this; the search for
-# this direction takes this many steps.
+# Triangles face one half-space if the products of their normals with one direction are at least the first number; the
+# second is the number of steps in the search for this direction.
 FACING, FACING_STEPS = 1e-6, 6
 
 # Points at which triangles are tested from both sides, and the distance of the tests as a share of the diagonal.
@@ -52,8 +52,7 @@ CHUNK = 16_384
 
 
 class Solid:
-    """A triangle mesh from which distances of points are measured: from the solid if the mesh is closed, and otherwise
-    from the surface.
+    """A triangle mesh, for distances of points from the solid if the mesh is closed, and otherwise from the surface.
 
     Parameters
     ----------
@@ -62,7 +61,7 @@ class Solid:
     closed : bool
         Whether the mesh has an inside, which consists of all points with a nonzero winding number.
     size : float, optional
-        Reference length in metres; by default the diagonal of the mesh's bounding box.
+        Reference length in metres; the default is the diagonal of the mesh's bounding box.
 
     Notes
     -----
@@ -88,7 +87,7 @@ class Solid:
         return self._tree.table.ctypes.data, 3.0 * (1.0 + float(np.abs(framed).max(initial=0.0)))
 
     def signed_distances(self, points: Floats) -> tuple[Floats, Ints]:
-        """Compute the distances of points to the surface, negative inside, and the triangle nearest to each point."""
+        """Compute the distances from points to the surface, negative inside, and the triangle nearest to each point."""
         distances, places = np.empty(len(points)), np.empty(len(points), dtype=np.int64)
         memory = workspace(entries.points_memory())
         for k in range(0, len(points), CHUNK):
@@ -105,7 +104,7 @@ class Solid:
         """Return whether all triangles within reach of a point face one half-space.
 
         A surface that is not closed has two outer sides. If the point and its surroundings are known to be `outside`,
-        only the side of the point counts.
+        only the side that faces the point counts.
         """
         answers = np.zeros(len(points), dtype=bool)
         if len(points) == 0 or self.closed and not self._turned_alike:
@@ -189,26 +188,26 @@ def protrusions(
     floor : float
         A piece is not examined further once its bound is below this length.
     relative : float
-        How close the bound has to be to the distance found, as a ratio.
+        How close the bound must come to the distance found, as a share of that distance.
     together : bool
-        Whether only the piece that sticks out most matters, so that the search may end earlier.
+        Whether only the piece that sticks out most matters, which lets the search end earlier.
 
     Notes
     -----
     The distances of two points to the solid differ by at most the distance between the points. One bound for a triangle
-    of a piece's boundary is therefore the distance of its center, negative inside, plus its radius about the center.
-    The distance to a single triangle of the mesh is a convex function, so its value at the farthest corner is a second
-    bound; the smaller bound counts. A triangle whose bound is above the required one is halved, or cut along the edges
-    of the mesh's triangle in which it nearly lies; this settles that part.
+    of a piece's boundary is therefore the distance of the triangle's center, negative inside, plus the triangle's
+    radius about the center. The distance to a single triangle of the mesh is a convex function, so its value at the
+    farthest corner is a second bound; the smaller bound counts. A triangle whose bound is above the required bound is
+    halved, or cut along the edges of the mesh triangle in which it nearly lies; the part in the mesh triangle is then
+    settled.
 
-    Inside a piece, in a cavity or a groove that it fills, the distance may have a greater local maximum. At such a
-    maximum, the directions from the nearest points of the surface surround the point, and each direction is a
+    Inside a piece, in a cavity or a groove that the piece fills, the distance may have a greater local maximum. At such
+    a maximum, the directions from the nearest points of the surface surround the point, and each direction is a
     combination of outward normals of triangles at its nearest point.
 
     The inside is searched in cubes. A cube has no such maximum if all triangles within reach face one half-space. For
-    any other cube, the first bound above is used, or the cube is divided. This applies to all
-    cubes if the solid is on the outer side of some triangles of the mesh, for instance where a cavity extends beyond
-    its part.
+    any other cube, the first bound above is used, or the cube is divided. All cubes are treated in this second way if
+    the solid is on the outer side of some triangles of the mesh, for instance where a cavity extends beyond its part.
     """
     cells = np.concatenate([hull.vertices[hull.simplices] for hull in hulls])
     owner = np.repeat(np.arange(len(hulls)), [len(hull.simplices) for hull in hulls])
@@ -222,7 +221,8 @@ def protrusions(
         accuracy = 2 * rounding if nothing else ABSOLUTE * solid.size
         if floor > 0:
             accuracy = max(2 * rounding, min(accuracy, RELATIVE * floor))
-        # It must be decided whether a piece is below the floor, however near it comes, but not by how much it is above.
+        # The search must decide whether a piece is below the floor, however close to it, but not by how much it is
+        # above.
         near = np.where(best > floor, best * (1 + relative), best)
         return np.maximum(floor, np.maximum(near, best + accuracy))
 
@@ -253,7 +253,7 @@ def protrusion_of_hulls(parts: list[Floats], hulls: list[Polytope]) -> float:
 
 @dataclass
 class _Search:
-    """Branch and bound over the pieces' cells, of two kinds, with the values found and the bounds proven."""
+    """Branch and bound over two kinds of cells of the pieces, with the values found and the bounds proven."""
 
     hulls: list[Polytope]
     solid: Solid
@@ -287,7 +287,7 @@ class _Search:
         np.maximum.at(self.bounds, owner, limit)
 
     def _planes(self, k: int) -> Floats:
-        """Return a piece's planes for `heights_above`, some of them twice, so that there is a multiple of eight."""
+        """Return a piece's planes for `heights_above`, repeating some to make their number a multiple of eight."""
         if k not in self.planes:
             hull = self.hulls[k]
             rows = np.column_stack([hull.normals, hull.offsets])
@@ -364,7 +364,8 @@ def _smaller(cells: Floats, nearest: Ints, target: Floats, solid: Solid) -> tupl
         parts.append(outside)
         origins.append(of[beyond])
         of = of[within]
-    # A cell perpendicular to an edge of the triangle may lie in the plane that cuts along it: nothing is inside then.
+    # A cell perpendicular to an edge of the triangle may lie in the plane that cuts along the edge: then no part is
+    # inside.
     cut_up = np.zeros(len(cells), dtype=bool)
     cut_up[of] = True
     keep = [cut_up[origin] for origin in origins]

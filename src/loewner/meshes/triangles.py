@@ -1,4 +1,4 @@
-"""Halve many triangles in space, cut them by planes, and compute their distances from points."""
+"""Halve many triangles in space, cut them along planes, and compute their distances from points."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from loewner._base._validate import Floats, Ints
 from loewner._kernels import records
 from loewner._native import entries
 
-# A triangle whose height is less than this share of its longest edge has no reliable normal: it is replaced by its
-# edges, which contain all of it up to that height.
+# A triangle whose height is less than this share of its longest edge has no reliable normal. It is replaced with its
+# edges, which contain the whole triangle up to that height.
 SLIVER = 1e-12
 
 
@@ -40,7 +40,7 @@ def unit_normals(triangles: Floats) -> Floats:
 
 
 def cut(triangles: Floats, normals: Floats, offsets: Floats, rounding: float) -> tuple[Floats, Ints, Floats, Ints]:
-    """Cut each triangle by a plane.
+    """Cut each triangle along a plane.
 
     Parameters
     ----------
@@ -55,7 +55,8 @@ def cut(triangles: Floats, normals: Floats, offsets: Floats, rounding: float) ->
     Returns
     -------
     below, above : ndarray, shapes (k, 3, 3)
-        The parts below and above the planes, each followed by the indices of the triangles from which they come.
+        The parts below and above the planes; each array is followed by the indices of the triangles from which the
+        parts come.
     """
     height = dot(triangles, normals[:, None]) - offsets[:, None]
     height[np.abs(height) <= rounding] = 0.0

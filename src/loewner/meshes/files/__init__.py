@@ -1,9 +1,9 @@
 """Read mesh files as triangles, completely or not at all, and check a file's declarations against its content.
 
 The readers are loewner's own. General readers are designed to show as much of a file as possible: they drop unknown
-elements, replace undecodable values by zeros and let negative indices wrap around. That is the wrong compromise here,
+elements, replace undecodable values with zeros and let negative indices wrap around. That is the wrong compromise here,
 since half a mesh is free where the whole mesh collides. Checking the results of such a reader would require reading the
-file again. `stl`, `obj`, `ply`, `off`, `gltf` and `dae` are the formats, and share `parts`.
+file again. `stl`, `obj`, `ply`, `off`, `gltf` and `dae` read the formats, and share `parts`.
 """
 
 from collections.abc import Callable
@@ -28,8 +28,8 @@ def read(path: Path) -> tuple[Floats, Triangles]:
     """Read the vertices in metres, shape (v, 3), and the triangles, shape (t, 3), of a file.
 
     A file that states its unit of length is converted to metres; all other files are assumed to be in metres. Vertices
-    may be infinite or NaN if the file contains such values; all indices belong to existing vertices. Each kind of doubt
-    about the content causes one warning, which names its first place.
+    may be infinite or NaN if the file contains such values; all indices belong to existing vertices. Each kind of
+    doubtful content causes one warning, which names the first place.
 
     Raises
     ------

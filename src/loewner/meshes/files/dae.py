@@ -33,7 +33,7 @@ MOST_DEPTH, MOST_ELEMENTS, MOST_PLACED, MOST_INPUTS = 200, 2_000_000, 200_000, 1
 
 _NO_SURFACE = frozenset(["source", "vertices", "extra", "lines", "linestrips", "points", "asset"])
 
-# Children and attributes ("@") by the standard: another one may be a misspelt unit, transform or count.
+# Children and attributes ("@") in the standard: any other may be a misspelt unit, transform or count.
 _PARTS = {
     tag: frozenset(names.split())
     for tag, names in {
@@ -59,7 +59,7 @@ _PARTS = {
         **dict.fromkeys(("p", "vcount"), ""),
     }.items()
 }
-# Likewise for a source of points; other sources, such as normals, are not read.
+# The same applies to a source of points; other sources, such as normals, are not read.
 _PARTS_OF_POINTS = {
     tag: frozenset(names.split())
     for tag, names in {
@@ -74,10 +74,10 @@ _PARTS_OF_POINTS = {
 _NAMES = frozenset(["@id", "@name"])
 _OF_NUMBERS = ("matrix", "translate", "rotate", "scale", "p", "vcount", "float_array")
 
-# Metres of units whose names exporters write.
+# Metres per unit, for the names of units that exporters write.
 _USUAL = {"meter": 1.0, "decimeter": 0.1, "centimeter": 0.01, "millimeter": 0.001, "inch": 0.0254, "foot": 0.3048}
 
-# Cuts polygons, given as for `fans`.
+# A function that cuts polygons, given as for `fans`.
 _Cut = Callable[[Ints, Ints], Triangles]
 
 
@@ -149,7 +149,7 @@ def read(data: bytes, tell: Tell) -> tuple[Floats, Triangles]:
 
 
 def _parsed(data: bytes) -> _Element:
-    """Parse the tree of elements; entities and other declarations are refused."""
+    """Parse the tree of elements; refuse entities and other declarations."""
     try:
         return parse(
             data, "a Collada file", _Element, deepest=MOST_DEPTH, most=MOST_ELEMENTS, texts=True, doctype=False,
@@ -218,7 +218,7 @@ class _Scene:
                 if child.tag in _TRANSFORMS:
                     T = product(T, _TRANSFORMS[child.tag](child))
                 elif child.tag in ("lookat", "skew"):
-                    # Usually for cameras; a mesh placed by it becomes NaN, and is refused.
+                    # Usually for cameras; a mesh placed by this transform becomes NaN, and is refused.
                     T = T * np.nan
                 elif child.tag == "node":
                     inside.append(child)
@@ -319,7 +319,7 @@ def _check_parts(element: _Element, known: frozenset[str]) -> None:
 
 
 def _check_attributes(element: _Element, known: frozenset[str]) -> None:
-    """Refuse attributes that Collada does not have; one in a namespace of its own is another program's."""
+    """Refuse attributes that Collada does not have; an attribute in its own namespace belongs to another program."""
     for name in element.attributes:
         if "@" + name not in known and "}" not in name:
             listed = ", ".join(sorted(one[1:] for one in known if one[0] == "@")) or "none"
@@ -328,7 +328,7 @@ def _check_attributes(element: _Element, known: frozenset[str]) -> None:
 
 
 def _axes(params: list[_Element]) -> list[int]:
-    """Return the columns of x, y and z, which parameters without names have in this order."""
+    """Return the columns of x, y and z; parameters without names are in this order."""
     names = [(param.get("name") or "").upper() for param in params]
     if not any(names):
         return [0, 1, 2]

@@ -36,8 +36,8 @@ _INDICES = (5121, 5123, 5125)
 _SHAPES = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
 
-# Beginnings of the names of extensions that do not affect the shape; a file that has another one on the way from the
-# scene to a buffer, or requires one, is refused.
+# Beginnings of the names of extensions that do not affect the shape. A file that requires any other extension, or uses
+# one between the scene and a buffer, is refused.
 _HARMLESS = (
     "KHR_materials_",
     "KHR_texture_",
@@ -55,7 +55,7 @@ _HARMLESS = (
     "CESIUM_primitive_outline",  # edges that a program draws
 )
 
-# Keys of each kind of object on the way: first the keys that are read, then the harmless ones.
+# Keys of each kind of object between the scene and a buffer: first the keys that are read, then the harmless keys.
 _EVERYWHERE = frozenset(["extensions", "extras", "name"])
 _KEYS = {
     kind: _EVERYWHERE.union(read.split(), harmless.split())
@@ -178,7 +178,7 @@ class _Reader:
     def check(self, holder: dict[str, Any], where: str, kind: str) -> None:
         """Refuse extensions of an object that may change the shape, and note keys that objects of this kind lack.
 
-        A minor version of glTF may add keys, so they are no error.
+        A minor version of glTF may add keys, so unknown keys are not an error.
         """
         for key in holder.keys() - _KEYS[kind]:
             self.unknown.setdefault(key, where)

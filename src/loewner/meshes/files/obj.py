@@ -21,16 +21,16 @@ from loewner.meshes.files.parts import (
     tell_unit,
 )
 
-# Bytes whose words are split at a time; they take about twenty times as much memory.
+# Bytes whose words are split at a time; the words take about twenty times as much memory.
 BLOCK = 1 << 23
 
-# Lines that do not affect the surface. Other unknown lines are refused: one may be a damaged `v`, and omitting it would
-# renumber all later vertices.
+# Lines that do not affect the surface. Other unknown lines are refused: a line may be a damaged `v`, and omitting it
+# would renumber all later vertices.
 _PASSED_OVER = frozenset(
     b"vt vn vp g o s mg l p usemtl mtllib usemap maplib bevel c_interp d_interp lod shadow_obj trace_obj".split()
 )
-# Kinds of lines that may continue in the next line. If others did, the next line would be passed over with them: a
-# comment or a name that ends in a backslash, as names of folders do, would swallow a face.
+# Kinds of lines that may continue on the next line. If others did, a comment or a name that ends in a backslash, as
+# names of folders do, would swallow a face on the next line.
 _CONTINUED = (b"v", b"f")
 _CORNER = re.compile(rb"[+-]?[0-9]+(?:/[+-]?[0-9]*){0,2}")
 
@@ -130,7 +130,7 @@ def _coordinates(vertex_lines: list[bytes], numbers: list[int], width: int) -> F
     """Read the numbers of `v` lines, one row per line, with `width` columns if that is not 0."""
     width = width or len(vertex_lines[0].split()) - 1
     flat = b" ".join(vertex_lines).split()
-    # Each line begins with "v", which is not a number: if the lines differ in length, it ends up in a column of
+    # Each line begins with "v", which is not a number: if the lines differ in length, a "v" ends up in a column of
     # numbers.
     if width in _WIDTHS and len(flat) == len(vertex_lines) * (width + 1):
         try:
@@ -159,7 +159,7 @@ def _words(face_lines: list[bytes], numbers: list[int]) -> tuple[list[bytes], In
 
 
 def _corners(flat: list[bytes], numbers: Ints, seen: Ints) -> Ints:
-    """Return zero-based indices of the faces' vertices; negative ones in the file count back from the latest vertex."""
+    """Return zero-based indices of the faces' vertices; negative indices in a file count back from the last vertex."""
     if b"/" in b"".join(flat):
         for k, word in enumerate(flat):
             if not _CORNER.fullmatch(word):

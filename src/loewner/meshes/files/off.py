@@ -23,7 +23,7 @@ from loewner.meshes.files.parts import (
 # Numbers in the line of a vertex: x y z, a normal, a colour of three or four numbers.
 _WIDTHS = {b"OFF": (3,), b"NOFF": (6,), b"COFF": (6, 7), b"CNOFF": (9, 10)}
 
-# Numbers of a face's colour: none, an index into a table, red green blue, and alpha.
+# Possible numbers of values in a face's colour: none, an index into a table, red green blue, and alpha as well.
 _COLOURS = (0, 1, 3, 4)
 
 

@@ -15,24 +15,24 @@ from loewner._base._validate import Floats, Ints
 Triangles = Ints
 T = TypeVar("T", np.float64, np.int64)
 
-# Limit on the vertices, and on the triangles, of a mesh: a file of 2 GiB holds about this many. A short file can use
-# the same ones a million times.
+# Limit on the vertices, and on the triangles, of a mesh: a file of 2 GiB holds about this number. A short file can use
+# the same vertices a million times.
 MOST = 50_000_000
 
 
-# Limit on the corners of a polygon that has to be cut by ears, which takes the square of their number.
+# Limit on the corners of a polygon that has to be cut by ears, since the time grows with the square of their number.
 MOST_CORNERS = 10_000
 
-# Corners of the polygons that are examined at a time; more take more memory and no less time.
+# Number of polygon corners examined at a time; a larger number takes more memory and no less time.
 _TOGETHER = 1 << 17
 
-# Fans about this many corners are tried before ears.
+# Number of corners about which fans are tried before ears.
 _TRIES = 8
 
 # Twice the area of a triangle that rounding may turn over, in a polygon of extent 1.
 _ROUNDING = 1e-12
 
-# Distance of a corner from a line that it may lie on, relative to its coordinates: files have seven digits, or fewer.
+# Distance within which a corner may lie on a line, relative to its coordinates: files have at most seven digits.
 _NOISE = 1e-6
 
 # Readers report doubtful content by such calls, with a text and the place.
@@ -79,7 +79,7 @@ def is_integer(token: bytes) -> bool:
 
 
 def floats(tokens: Sequence[bytes]) -> Floats:
-    """Convert tokens to numbers, where 1e400 becomes infinity; the first token that is not a number is refused."""
+    """Convert tokens to numbers, where 1e400 becomes infinity; refuse the first token that is not a number."""
     try:
         numbers = np.fromiter(map(float, tokens), dtype=np.float64, count=len(tokens))
         if b"_" not in b"".join(tokens):
@@ -91,7 +91,7 @@ def floats(tokens: Sequence[bytes]) -> Floats:
 
 
 def integers(tokens: Sequence[bytes]) -> Ints:
-    """Convert tokens to whole numbers; the first token that is not a whole number, or is absurdly large, is refused."""
+    """Convert tokens to integers; refuse the first token that is not an integer or is absurdly large."""
     try:
         numbers = np.fromiter(map(int, tokens), dtype=np.int64, count=len(tokens))
         if b"_" not in b"".join(tokens):
@@ -123,7 +123,7 @@ def table_of(lines: list[list[bytes]], numbers: list[int], width: int, wanted: s
 
 
 def refuse_line(lines: list[list[bytes]], numbers: list[int]) -> None:
-    """Refuse the first line that has a word that is not a number, if there is one."""
+    """Refuse the first line, if any, that has a word that is not a number."""
     for line, number in zip(lines, numbers, strict=True):
         in_line(number, floats, line)
 
@@ -153,9 +153,9 @@ def fans(corners: Ints, sizes: Ints) -> Triangles:
 def cut(vertices: Floats, corners: Ints, sizes: Ints, tell: Tell, place: Callable[[int], str]) -> Triangles:
     """Cut polygons into triangles, in their order: a fan about the first corner, unless the fan leaves the polygon.
 
-    The triangles of a polygon have its boundary, and all face to the same side. They therefore form the polygon and
-    cover each point once, however they were found. A polygon for which no such triangles are found keeps its fan, whose
-    triangles contain it.
+    The triangles of a polygon have the polygon's boundary and all face the same side. They therefore form the polygon
+    and cover each point once, however they were found. A polygon for which no such triangles are found keeps its fan,
+    whose triangles contain the polygon.
 
     Parameters
     ----------
@@ -177,7 +177,7 @@ def cut(vertices: Floats, corners: Ints, sizes: Ints, tell: Tell, place: Callabl
             rings = corners[starts[some] + np.arange(n)[:, None]]
             doubtful = np.flatnonzero(_may_leave(x[rings], y[rings], z[rings]))
             found, uncut = _cut_rings(vertices[rings[:, doubtful].T])
-            which = some[doubtful]  # a polygon of n corners has two triangles fewer
+            which = some[doubtful]  # a polygon of n corners has n - 2 triangles
             triangles[(starts - 2 * np.arange(len(sizes)))[which, None] + np.arange(n - 2)] = rings[
                 found, doubtful[:, None, None]
             ]
@@ -203,7 +203,7 @@ def _cut_rings(P: Floats) -> tuple[Ints, list[int]]:
     found : ndarray of int, shape (polygons, n - 2, 3)
         Triangles, as numbers of corners.
     uncut : list of int
-        The polygons for which none were found but the fan about the first corner.
+        The polygons for which no triangles were found except the fan about the first corner.
     """
     n = P.shape[1]
     fan = fans(np.arange(n), np.array([n]))
@@ -231,7 +231,7 @@ def _cut_rings(P: Floats) -> tuple[Ints, list[int]]:
 
 
 def _in_plane(P: Floats) -> Floats:
-    """Drop a coordinate of polygons that begin at the origin; the result, shape (polygons, n, 2), turns to the left.
+    """Drop a coordinate of polygons that begin at the origin; in the result, shape (polygons, n, 2), they turn left.
 
     Straight edges stay exactly straight, unlike in a projection along the normal.
     """
@@ -247,9 +247,9 @@ def _in_plane(P: Floats) -> Floats:
 
 
 def _ears(x: Floats, y: Floats, noise: float) -> Ints | None:
-    """Cut ears off a polygon that turns to the left until none is left; None if at some time it has no ear.
+    """Cut ears off a polygon that turns left until it is used up; None if it has no ear at some point.
 
-    A corner that lies on a line with its neighbours, to within the noise, is cut off if nothing else can be.
+    A corner that lies on a line with its neighbours, to within the noise, is cut off only if there is no other ear.
     """
     X, Y, n = x.tolist(), y.tolist(), len(x)
     after, before = [*range(1, n), 0], [n - 1, *range(n - 1)]
@@ -267,9 +267,9 @@ def _ears(x: Floats, y: Floats, noise: float) -> Ints | None:
         return area(a, b, c) / longest if longest else 0.0
 
     def obstacle(a: int, b: int, c: int) -> int | None:
-        """Return a corner in a triangle; one in the place of a, b or c counts if an edge leads inside from there."""
+        """Return a corner in a triangle; one in the place of a, b or c counts if an edge leads inside from it."""
         near = inward
-        if len(near) > 50:  # a test of each takes less time if they are fewer
+        if len(near) > 50:  # testing each corner takes less time if there are fewer
             px, py, xs, ys = x[inward], y[inward], (X[a], X[b], X[c]), (Y[a], Y[b], Y[c])
             near = inward[(min(xs) <= px) & (px <= max(xs)) & (min(ys) <= py) & (py <= max(ys))]
         for v in near.tolist():
@@ -318,8 +318,7 @@ def strip(corners: Ints) -> Triangles:
 
 
 def joined(parts: Iterable[tuple[Floats, Triangles]]) -> tuple[Floats, Triangles]:
-    """Join meshes into one, in which meshes with the same array of vertices share it; refuse a result that is too
-    large."""
+    """Join meshes into one; meshes with the same array of vertices share it. A result that is too large is refused."""
     vertices: list[Floats] = []
     triangles: list[Triangles] = []
     starts: dict[int, int] = {}  # of the arrays in `vertices`

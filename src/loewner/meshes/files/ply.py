@@ -33,7 +33,7 @@ _FORMATS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 _COMMENTS = (b"comment", b"obj_info")
 _CORNERS = ("vertex_indices", "vertex_index")
 
-# Elements other than vertex and face whose lists are no polygons; the lists of all others, such as tristrips, may be.
+# Elements other than vertex and face whose lists are not polygons; lists of other elements, such as tristrips, may be.
 _HARMLESS = ("multi_texture_face",)  # corners in a texture
 
 # Limits on the length of a header's line [bytes] and on the properties of an element. Scanners write about twenty.
@@ -239,7 +239,7 @@ def _binary(data: bytes, start: int, elements: list[_Element], order: str) -> li
 
 
 def _binary_element(element: _Element, data: bytes, start: int, order: str) -> tuple[_Content, int]:
-    """Read an element in binary, and its end; lists are assumed to be as long as in the first row until one is not."""
+    """Read a binary element and its end; lists are assumed to be as long as in the first row until one is not."""
     row = _layout(element, data, start, order) if element.count else []
     if row is None:
         raise Refusal(

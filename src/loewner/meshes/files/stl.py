@@ -42,9 +42,9 @@ def read(data: bytes, tell: Tell) -> tuple[Floats, Triangles]:
         tell_unit(data[:80], tell)
         corners = np.frombuffer(data, FACETS, offset=HEADER)["corners"].astype(np.float64)
     elif data[:512].lstrip()[:5].lower() == b"solid" and b"\0" not in data:
-        tell_unit(data.lstrip()[:512].splitlines()[0], tell)  # behind the name of the first solid
+        tell_unit(data.lstrip()[:512].splitlines()[0], tell)  # after the name of the first solid
         corners = _text(data)
-    else:  # a binary file's header may begin with "solid" too
+    else:  # a binary file's header may also begin with "solid"
         found = f"{len(data)} bytes where its header asks for {HEADER + FACET * count}"
         raise Refusal(f"expected an STL mesh, found {found if len(data) >= HEADER else 'no header'}")
     return corners.reshape(-1, 3), np.arange(3 * len(corners), dtype=np.int64).reshape(-1, 3)
@@ -65,7 +65,7 @@ def _text(data: bytes) -> Floats:
     for k, (words, count) in enumerate(_LINES):
         mine = inside[k :: len(_LINES)]
         flat, size = b" ".join(mine).split(), len(words) + count
-        # The keywords are not numbers: if the lines differ in length, they end up in columns of numbers.
+        # The keywords are not numbers: if the lines differ in length, keywords end up in columns of numbers.
         if len(flat) != size * len(mine) or any(set(flat[j::size]) - {word} for j, word in enumerate(words)):
             _refuse_first(data, begins, ends)
         if words == _VERTEX:
