@@ -1,4 +1,4 @@
-"""Compute overlap, contact function and near points of two ellipsoids.
+"""Compute the overlap, the contact function and near points of two ellipsoids.
 
 Every function takes two `Ellipsoids`, single or batches, and broadcasts their batch shapes. Only the difference of the
 centers is used, so a distant world origin costs no digits, and all quantities are scaled to the size of the ellipsoids.
@@ -29,8 +29,8 @@ class NearPoints(_validate.Brief):
     Attributes
     ----------
     point_1, point_2 : ndarray, shape (..., 3)
-        Points on the first and on the second ellipsoid, in metres. If an overlap was found, the two are the same point,
-        which lies in both ellipsoids.
+        Points on the first and second ellipsoids, in metres. If an overlap was found, both are one point that lies in
+        both ellipsoids.
     distance : ndarray, shape (...)
         ``|point_2 - point_1|``, in metres; 0 if an overlap was found.
     iterations : ndarray of int, shape (...)
@@ -63,7 +63,7 @@ def overlap(E1: Ellipsoids, E2: Ellipsoids) -> NDArray[np.bool_]:
     Returns
     -------
     ndarray of bool, shape (...)
-        The answers, computed in plain float64 arithmetic; for proven answers see `loewner.classify`.
+        The answers, computed in plain float64 arithmetic; for proven answers, see `loewner.classify`.
 
     Raises
     ------
@@ -72,8 +72,8 @@ def overlap(E1: Ellipsoids, E2: Ellipsoids) -> NDArray[np.bool_]:
 
     Notes
     -----
-    The contact function is compared with 1. The paper's method, an eigenproblem, is `paper.overlap_by_eigenvalue`,
-    after ``from loewner import paper``.
+    The contact function is compared with 1. The paper's method solves an eigenproblem; it is
+    `paper.overlap_by_eigenvalue`, after ``from loewner import paper``.
 
     References
     ----------
@@ -104,7 +104,7 @@ def contact_function(E1: Ellipsoids, E2: Ellipsoids) -> Floats:
     Returns
     -------
     ndarray, shape (...)
-        Dimensionless, >= 0.
+        Values of F, dimensionless and >= 0.
 
     Raises
     ------
@@ -127,7 +127,7 @@ def contact_function(E1: Ellipsoids, E2: Ellipsoids) -> Floats:
 
 @guarded
 def near_points(E1: Ellipsoids, E2: Ellipsoids, method: str = "lin-han", angle: float = 0.01) -> NearPoints:
-    """Find near points of ellipsoids.
+    """Find near points of two ellipsoids, or of pairs of ellipsoids.
 
     Parameters
     ----------
@@ -136,13 +136,13 @@ def near_points(E1: Ellipsoids, E2: Ellipsoids, method: str = "lin-han", angle: 
     method : {"lin-han", "rimon-boyd", "center-line"}
         "lin-han": the true nearest points, to within `angle`. "rimon-boyd": the point on each ellipsoid that growing
         level surfaces of the other ellipsoid touch first. "center-line": the points where the segment between the
-        centers crosses the surfaces. The last two are closed forms, and their distance is never below the true one;
-        "center-line" detects an overlap only on this segment.
+        centers crosses the surfaces. The last two methods are closed forms, whose distance is never below the true
+        distance; "center-line" detects an overlap only on the segment.
     angle : float
         For "lin-han", in radians: at both points, the outward normal and the direction to the other point differ by at
-        most this angle. The paper uses 0.01; with 1e-8 the distance is accurate to about 1e-16 of its size, or to the
-        rounding of float64 if that is larger. If an overlap is so shallow that the angle is reached first, a small
-        distance is returned.
+        most this angle. The paper uses 0.01; with 1e-8, the relative error of the distance is about 1e-16, or the
+        rounding error of float64 if that is larger. If an overlap is so shallow that the angle is reached first, a
+        small distance is returned.
 
     Returns
     -------
@@ -153,9 +153,9 @@ def near_points(E1: Ellipsoids, E2: Ellipsoids, method: str = "lin-han", angle: 
     InputError
         If an argument is not 3-D, batch shapes do not broadcast, or `angle` is not a number > 0.
     UnknownNameError
-        If the method is not one of the three.
+        If the method is not one of the three listed.
     ConvergenceError
-        If a pair did not reach `angle`; no results are then returned, not even for the remaining pairs.
+        If a pair did not reach `angle`; no results are then returned, not even for the other pairs.
 
     References
     ----------
@@ -196,11 +196,11 @@ class PairArrays:
     Attributes
     ----------
     batch : tuple of int
-        Broadcast batch shape; in the arrays below it is flattened to n.
+        Broadcast batch shape, which is flattened to n in the arrays below.
     c1 : ndarray, shape (n, dim)
         First centers, in metres.
     scale : ndarray, shape (n,)
-        In metres.
+        The powers of two, in metres.
     offset : ndarray, shape (n, dim)
         (c2 - c1) / scale.
     F1, F2 : ndarray, shape (n, dim, dim)
@@ -236,7 +236,7 @@ class PairArrays:
 
 
 def _expect_numbers(x: Floats, caller: str) -> None:
-    """Raise an error if results left the range of float64."""
+    """Raise an error if results are outside the range of float64."""
     if not np.isfinite(x).all():
         raise ConvergenceError(
             f"{caller}: expected sizes and distances whose ratios float64 can square, found a pair beyond that "

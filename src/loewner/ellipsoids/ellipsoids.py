@@ -37,10 +37,10 @@ class Ellipsoids(KeepsReadOnly):
 
     Notes
     -----
-    Some `inner` ellipsoids of bodies are single points: a surface without a radius has no interior, so the factor of
-    its inner ellipsoid is zero. The semi-axes and the volume of a point are 0. A point contains only its center, which
-    is its support point in every direction, and it remains a point when it is moved. Functions of two ellipsoids refuse
-    points.
+    Some `inner` ellipsoids of bodies are single points: an open surface without a radius has no interior, so the factor
+    of its inner ellipsoid is zero. The semi-axes and the volume of a point are 0. A point contains only its center,
+    which is its support point in every direction, and remains a point when it is moved. Functions of two ellipsoids
+    refuse points.
 
     Examples
     --------
@@ -95,7 +95,7 @@ class Ellipsoids(KeepsReadOnly):
         Q = _validate.finite_array(shape_matrix, "shape_matrix", ("...", None, None))
         if Q.shape[-1] != Q.shape[-2]:
             raise InputError(f"shape_matrix: expected square matrices, found shape {_validate.shape_text(Q.shape)}")
-        half, other = Q / 2, np.swapaxes(Q, -1, -2) / 2  # halves, since the sum of whole numbers may overflow
+        half, other = Q / 2, np.swapaxes(Q, -1, -2) / 2  # halves, since the sum of integers may overflow
         if Q.size and np.abs(half - other).max() > 1e-9 * np.abs(half).max():
             raise GeometryError("shape_matrix: expected a symmetric matrix, found Q != Qᵀ")
         try:
@@ -113,7 +113,7 @@ class Ellipsoids(KeepsReadOnly):
         semi_axes : array_like, shape (..., n)
             Lengths > 0, in metres.
         rotation : array_like, shape (..., n, n), optional
-            Orthogonal; the identity by default.
+            Orthogonal matrices; the default is the identity.
 
         Raises
         ------
@@ -223,7 +223,7 @@ class Ellipsoids(KeepsReadOnly):
         Parameters
         ----------
         direction : array_like, shape (..., n)
-            Non-zero; broadcasts with the batch.
+            Nonzero vectors, which broadcast with the batch.
 
         Returns
         -------
@@ -266,7 +266,7 @@ class Ellipsoids(KeepsReadOnly):
         F = np.broadcast_to(self.factor, (*batch, self.dim, self.dim))
         with np.errstate(over="ignore", invalid="ignore"):  # points whose coordinates overflow are outside
             x = np.broadcast_to(p - self.center, (*batch, self.dim))
-            # A point, as the inner ellipsoid of a surface, contains only its center.
+            # A point, such as the inner ellipsoid of an open surface, contains only its center.
             point = np.asarray(~F.any(axis=(-2, -1)))
             F = np.asarray(np.where(point[..., None, None], np.eye(self.dim), F), dtype=np.float64)
             u = np.linalg.solve(F, x[..., None])[..., 0]
@@ -297,8 +297,8 @@ class Ellipsoids(KeepsReadOnly):
         Parameters
         ----------
         T : array_like, shape (..., 4, 4), or None
-            Broadcasts with the batch; translation in the ellipsoid's unit, which is metres for a body's ellipsoids.
-            ``None`` is the identity.
+            The motions, which broadcast with the batch; translation in the ellipsoid's unit, which is metres for a
+            body's ellipsoids. ``None`` is the identity.
 
         Returns
         -------
@@ -341,7 +341,7 @@ class Ellipsoids(KeepsReadOnly):
         Raises
         ------
         GeometryError
-            If A is singular, or the image is too large or too thin for floats.
+            If A is singular, or the image is too large or too thin for float64.
         InputError
             If shapes are wrong, entries are not finite, or batch shapes do not broadcast.
 
@@ -376,6 +376,6 @@ def trusted(center: Floats, factor: Floats) -> Ellipsoids:
 
 
 def _near_one(x: Floats, axes: tuple[int, ...]) -> tuple[Floats, np.ndarray[tuple[int, ...], np.dtype[np.int_]]]:
-    """Divide x exactly by a power of two near its largest entry along `axes`; return also the exponent."""
+    """Divide x exactly by a power of two near its largest entry along `axes`; also return the exponent."""
     exponent = np.frexp(np.abs(x).max(axis=axes, keepdims=True, initial=0.0))[1]
     return np.ldexp(x, -exponent), exponent

@@ -1,7 +1,7 @@
 """Compute Löwner–John ellipsoids: the largest inside a polytope (`mvie`) and the smallest around points (`mvce`).
 
 Every fit has a `gap`, a computed bound on log(volume / optimal volume). The bound holds for the ellipsoid as returned,
-which has been scaled so that containment holds in spite of rounding. A fit that misses its tolerance raises an error.
+which has been scaled so that containment holds despite rounding. A fit that misses its tolerance raises an error.
 """
 
 from __future__ import annotations
@@ -38,16 +38,17 @@ from loewner.ellipsoids.polytopes import (
 )
 from loewner.errors import ConvergenceError, GeometryError, InputError
 
-# The paper's tolerance: volumes within a factor e^0.0001.
+# The paper's tolerance: volumes within a factor of e^0.0001.
 DEFAULT_TOLERANCE = 1e-4
 # If `_large_fits` did not converge, the kernel for half-spaces is tried, provided it takes a few seconds at most.
 MANY_FOR_KERNEL = 1e10
-# Below this the certificate itself is rounding noise.
+# Below this tolerance, the certificate itself is rounding noise.
 SMALLEST_TOLERANCE = 1e-12
 
-# `_large_fits` is faster for the outer ellipsoid from HIGH_DIMENSION on, and from MIDDLE_DIMENSION on if the points
-# times the fourth power of the dimension reach MANY_POINTS. For the inner ellipsoid it is faster if the half-spaces
-# times the third power of the dimension reach MANY_HALFSPACES. Measured: docs/design/fits.md.
+# For the outer ellipsoid, `_large_fits` is faster in HIGH_DIMENSION and above, and in MIDDLE_DIMENSION and above if the
+# number of points times the fourth power of the dimension reaches MANY_POINTS. For the inner ellipsoid, it is faster if
+# the number of half-spaces times the third power of the dimension reaches MANY_HALFSPACES. See the measurements in
+# docs/design/fits.md.
 HIGH_DIMENSION, MIDDLE_DIMENSION, MANY_POINTS, MANY_HALFSPACES = 15, 5, 1.5e8, 4e5
 
 
@@ -66,7 +67,7 @@ class Fit(_validate.Brief, KeepsReadOnly):
     weights : ndarray, shape (m,), or None
         With ``mvce(points, weights=True)``: the weight of each point in the proof that no ellipsoid is smaller. The
         weights are nonnegative and sum to 1. The weighted mean of the points nearly equals the ellipsoid's center, and
-        their weighted covariance nearly equals the ellipsoid's shape matrix divided by the dimension.
+        the weighted covariance of the points nearly equals the ellipsoid's shape matrix divided by the dimension.
 
     Examples
     --------
@@ -95,41 +96,43 @@ def mvce(
     Parameters
     ----------
     points : array_like, shape (m, n)
-        In metres; m > n >= 1.
+        Points in metres, with m > n >= 1.
     tol : float
         Largest certified gap in log-volume, in [1e-12, 1].
     center : array_like, shape (n,), or a number
-        A prescribed center, such as ``center=0`` for the origin; n points then suffice if they span the space together
-        with the center. By default, the center that makes the ellipsoid smallest is found.
+        A prescribed center, such as ``center=0`` for the origin; n points then suffice if they and the center do not
+        lie in a hyperplane. By default, the center that makes the ellipsoid smallest is found.
     weights : bool
-        Also return the weights of the points, which form an optimal design for experiments at these points.
+        Whether to return the weights of the points as well, which form an optimal design for experiments at these
+        points.
     progress : callable, optional
         Called as ``progress(done, 100)`` from time to time, with the share of the requested digits reached, in percent.
 
     Returns
     -------
     Fit
-        The fit; its ellipsoid as stored contains every point exactly, in spite of rounding.
+        The fit; the stored ellipsoid contains every point exactly, despite rounding.
 
     Raises
     ------
     InputError
         If the shape is wrong, entries are not finite, or the tolerance is out of range.
     GeometryError
-        If there are fewer than n + 1 points, or all lie in a hyperplane; a given center counts as an additional point.
+        If there are fewer than n + 1 points, or all points lie in a hyperplane; a given center counts as an additional
+        point.
     ConvergenceError
         If the requested gap was not reached.
 
     Notes
     -----
     The dual is solved by an interior-point method, with an active set when there are many points. In high dimension, or
-    with very many points, coordinate ascent comes first, and points that cannot touch the ellipsoid are dropped. This
-    needs memory for a few numbers per eight points, and up to 0.8 GB for the interior-point method. The paper's
+    with very many points, coordinate ascent comes first, and points that cannot touch the ellipsoid are dropped. The
+    memory needed is a few numbers per eight points, and up to 0.8 GB for the interior-point method. The paper's
     reduction to an inscribed ellipsoid is `paper.mvce_by_lifted_mvie`, after ``from loewner import paper``.
 
     The weights form a D-optimal design of experiments at the points, for a linear model with a constant term
-    (Titterington). That is, they maximise the determinant of the information matrix, to within twice the gap in its
-    logarithm. With ``center=0`` the model has no constant term.
+    (Titterington). That is, the weights maximise the determinant of the information matrix, to within twice the gap in
+    its logarithm. With ``center=0``, the model has no constant term.
 
     References
     ----------
@@ -190,21 +193,22 @@ def mvie(
     Parameters
     ----------
     A : array_like, shape (m, n)
-        With `b`, the rows of the half-spaces {x : A x <= b}; without `b`, points whose convex hull is the polytope.
+        With `b`, the normals of the half-spaces {x : A x <= b}, one per row; without `b`, points whose convex hull is
+        the polytope.
     b : array_like, shape (m,), optional
     tol : float
         Largest certified gap in log-volume, in [1e-12, 1].
     center : array_like, shape (n,), or a number, optional
         A prescribed center, such as ``center=0`` for the origin; only with half-spaces. The intersection of the
-        half-spaces need not be bounded, as long as it contains no line through the center.
+        half-spaces need not be bounded, provided it contains no line through the center.
     progress : callable, optional
         Called as ``progress(done, 100)`` from time to time, with the share of the requested digits reached, in percent.
 
     Returns
     -------
     Fit
-        The fit; its ellipsoid as stored lies exactly inside every given half-space, or inside the hull of the points,
-        in spite of rounding.
+        The fit; the stored ellipsoid lies exactly inside every given half-space, or inside the hull of the points,
+        despite rounding.
 
     Raises
     ------
@@ -218,8 +222,8 @@ def mvie(
     Notes
     -----
     The method is due to Zhang and Gao. In high dimension, or with very many half-spaces, it works on a subset:
-    half-spaces that turn out to cut the ellipsoid are added, and distant ones are removed. With a given center, the
-    ellipsoid is the polar of the smallest ellipsoid around the polar points, which `mvce` finds.
+    half-spaces that turn out to cut the ellipsoid are added, and distant half-spaces are removed. With a given center,
+    the ellipsoid is the polar of the smallest ellipsoid around the polar points, which `mvce` finds.
 
     References
     ----------
@@ -276,7 +280,7 @@ def _mvie_of_many_halfspaces(A: Floats, b: Floats, x: Floats, tol: float, report
     center, factor, lam, iterations = large_inner.largest_inside(A, b, x, frame, tol, reporter)
     factor, gap = large_inner.proven(A, b, center, factor, lam)
     if gap > tol and m * n**4 <= MANY_FOR_KERNEL:
-        # Nearly equal half-spaces exhaust the precision of the working set; the kernel has more.
+        # Nearly equal half-spaces exhaust the precision of the working set; the kernel has more precision.
         around, low = np.empty(n), np.empty((n, n))
         code, reached, more = entries.fit_halfspaces(A, b, x, tol, FLATNESS, around, low, direction)
         if code == 0:
@@ -285,12 +289,12 @@ def _mvie_of_many_halfspaces(A: Floats, b: Floats, x: Floats, tol: float, report
 
 
 def _mvie_about(center: Floats, A: Floats, b: Floats, tol: float, reporter: Reporter) -> Fit:
-    """Find the largest ellipsoid about `center`, the polar of the smallest origin-centered one around polar points."""
+    """Find the largest ellipsoid about `center`, as the polar of the smallest one around the polar points."""
     slack = b - A @ center
     if not (slack > 0).all():
         i = int(slack.argmin())
         raise GeometryError(f"center: expected a point inside every half-space, found row {i} at slack {slack[i]:.3g}")
-    with np.errstate(over="ignore"):  # infinite numbers are reported as too large
+    with np.errstate(over="ignore"):  # infinite values are reported as too large
         polar, origin = A / slack[:, None], np.zeros(A.shape[1])
     check_size(float(np.abs(polar).max()), "A, b about the center, rows by slacks")
     try:
@@ -317,7 +321,7 @@ def fit_pieces(
     Parameters
     ----------
     vert_start, face_start : ndarray of int, shape (P + 1,)
-        Piece i has the vertices ``vert_start[i]:vert_start[i+1]``; its faces are given likewise by `face_start`.
+        Piece i has the vertices ``vert_start[i]:vert_start[i+1]``; `face_start` gives its faces likewise.
     vertices : ndarray, shape (total vertices, 3)
         In metres.
     normals : ndarray, shape (total faces, 3)
@@ -364,7 +368,7 @@ def _fit_all(
     tol: float,
     progress: Progress | None,
 ) -> tuple[tuple[Floats, Floats], tuple[Floats, Floats], Floats]:
-    """Run the kernel over blocks of pieces, on the number of threads that is set."""
+    """Run the kernel over blocks of pieces, on the configured number of threads."""
     total, n = len(vert_start) - 1, vertices.shape[1]
     vertices, normals = writeable(vertices), writeable(normals)
     inner = np.empty((total, n)), np.empty((total, n, n))

@@ -20,25 +20,26 @@ from loewner._kernels import codes
 from loewner._native import entries
 from loewner.errors import GeometryError, InputError
 
-# SciPy's hulls and linear programs are imported where they are used: together they take longer than all of `loewner`.
+# SciPy's hulls and linear programs are imported where they are used: together they take longer to import than the rest
+# of `loewner`.
 
 
-# Smallest and largest number of hulls or pieces that a thread takes at a time: a progress report every 10 to 50 ms.
+# Smallest and largest number of hulls or pieces that a thread takes at a time, for a progress report every 10 to 50 ms.
 LEAST_SHARE, BLOCK = 16, 512
 
-# A set of points is flat if its width in some direction is at most this times its length. Below it float64 coordinates
-# of a rotated body no longer resolve its shape: four digits remain at this aspect, none at 1e-16.
+# A set of points is flat if its width in some direction is at most FLATNESS times its length. Float64 coordinates of a
+# flatter body that is rotated do not resolve its shape: four digits remain at this aspect, none at 1e-16.
 FLATNESS = 1e-12
 EPS = float(np.finfo(float).eps)
-# From this many points in 3-D on, points inside the hull of a sample are left out. The sample has a fiftieth of the
-# points, within these limits. The step is not worthwhile if more than this share of the sample are vertices of its
-# hull. Nor is it done if the hull has a face this near to its middle, relative to the size of all points. The hull is
-# shrunk by this share.
+# With MANY_POINTS or more in 3-D, points inside the hull of a sample are left out. The sample has a fiftieth of the
+# points, from LEAST_SAMPLE to MOST_SAMPLE. The step is skipped if more than the share WORTHWHILE of the sample are
+# vertices of its hull, or if the hull has a face nearer to its middle than SHALLOW, relative to the size of all points.
+# The hull is shrunk by the share SHRINK.
 MANY_POINTS, LEAST_SAMPLE, MOST_SAMPLE = 20_000, 1_000, 20_000
 WORTHWHILE, SHALLOW, SHRINK = 0.5, 1e-3, 1e-6
-# Points that a kernel examines between two checks for an interrupt: about 10 ms.
+# Number of points that a kernel examines between two checks for an interrupt, about 10 ms.
 POINTS_AT_ONCE = 2**18
-# Lengths are squared in between, and flatness is judged twelve orders of magnitude below them.
+# Limits on lengths, which are squared; flatness is judged twelve orders of magnitude below them.
 SMALLEST, LARGEST = 1e-140, 1e140
 
 
@@ -47,8 +48,8 @@ SMALLEST, LARGEST = 1e-140, 1e140
 class Polytope(KeepsReadOnly):
     """A bounded convex polytope with an interior.
 
-    Build it with `from_points` or `from_halfspaces`. Its shape is exactly the convex hull of the stored `vertices`; the
-    faces are derived from them and rounded.
+    Make a polytope with `from_points` or `from_halfspaces`. The shape is exactly the convex hull of the stored
+    `vertices`; the faces are derived from the vertices and rounded.
 
     Attributes
     ----------
@@ -57,7 +58,7 @@ class Polytope(KeepsReadOnly):
     normals : ndarray, shape (f, n)
         Unit outward normals of the faces; coplanar facets are merged.
     offsets : ndarray, shape (f,)
-        Each offset is the largest normal·vertex, so up to rounding the polytope is {x : normals x <= offsets}.
+        The largest normal·vertex for each face, so that up to rounding the polytope is {x : normals x <= offsets}.
     simplices : ndarray of int, shape (s, n)
         The boundary, cut into simplices, as indices of vertices. For n = 3 these are triangles, counter-clockwise when
         seen from outside.
@@ -95,7 +96,7 @@ class Polytope(KeepsReadOnly):
         Parameters
         ----------
         points : array_like, shape (m, n)
-            m > n >= 2, in metres.
+            Points in metres, with m > n >= 2.
 
         Raises
         ------
@@ -104,7 +105,7 @@ class Polytope(KeepsReadOnly):
         MemoryLimitError
             If the coordinates do not fit into memory.
         GeometryError
-            If there are fewer than n + 1 points, or they lie in a flat of lower dimension (`FLATNESS`).
+            If there are fewer than n + 1 points, or the points lie in a space of lower dimension, to within `FLATNESS`.
 
         References
         ----------
@@ -124,7 +125,7 @@ class Polytope(KeepsReadOnly):
         Parameters
         ----------
         A : array_like, shape (m, n)
-            n >= 2. Rows may have any length, and redundant rows are allowed.
+            Normals of the half-spaces, with n >= 2. Rows may have any length, and redundant rows are allowed.
         b : array_like, shape (m,)
 
         Raises
@@ -151,7 +152,8 @@ class Polytope(KeepsReadOnly):
         _memory.expect_place(_memory.KERNELS, _memory.SCIPY)
         from scipy.spatial import ConvexHull, QhullError
 
-        # About its analytic center, in coordinates that whiten the faces, the vertices are the facets of the dual.
+        # About the polytope's analytic center, in coordinates that whiten the faces, the vertices are the facets of the
+        # dual.
         try:
             dual = ConvexHull((rows @ frame) / (bounds - rows @ x)[:, None])
         except QhullError as error:
@@ -188,8 +190,8 @@ def writeable(array: NDArray[Any]) -> NDArray[Any]:
 def flat_error(name: str, points: Floats) -> GeometryError:
     """Describe how flat the points are, and in how many directions they extend.
 
-    The kernels stop at the first direction without a width, although there may be wider directions after it: a sheet
-    that is perpendicular to the first direction tried has no width there. The directions are therefore found again
+    The kernels stop at the first direction without a width, although wider directions may follow: a sheet that is
+    perpendicular to the first direction tried has no width in that direction. The directions are therefore found again
     here, widest first.
     """
     n = points.shape[1]
@@ -234,11 +236,11 @@ def check_halfspaces(A: ArrayLike, b: ArrayLike) -> tuple[Floats, Floats]:
 
 
 def interior_point(A: Floats, b: Floats) -> Floats:
-    """Find a point that provably satisfies A x < b: the origin, or the point with the largest minimum slack.
+    """Find a point that provably satisfies A x < b: the origin, or the point whose least slack is largest.
 
-    The point with the largest minimum slack is found by a linear program. A solver's tolerance is about 1e-7 of the
-    whole data, not of each row. The program is therefore magnified about its solution and solved again, until the slack
-    clearly exceeds rounding (Gleixner, Steffy and Wolter 2016).
+    A linear program finds the point whose least slack is largest. A solver's tolerance is about 1e-7 of the whole data,
+    not of each row. The program is therefore magnified about its solution and solved again, until the slack clearly
+    exceeds rounding (Gleixner, Steffy and Wolter 2016).
 
     Raises
     ------
@@ -252,7 +254,7 @@ def interior_point(A: Floats, b: Floats) -> Floats:
     _memory.expect_place(_memory.KERNELS, _memory.SCIPY)
     from scipy.optimize import linprog
 
-    magnify = 1.0 / (float(np.abs(b).max()) or 1.0)  # a cone, or a single point, has no scale of its own
+    magnify = 1.0 / (float(np.abs(b).max()) or 1.0)  # a cone or a single point has no scale of its own
     least, noise = -np.inf, 0.0
     for _ in range(4):
         slack = b - A @ x
@@ -287,7 +289,7 @@ def interior_point(A: Floats, b: Floats) -> Floats:
 
 
 def center_error(code: int, A: Floats, direction: Floats) -> GeometryError:
-    """Make the error for an unbounded polytope, which names a direction in which it is unbounded."""
+    """Make the error for an unbounded polytope; it names a direction in which the polytope is unbounded."""
     if code != codes.UNBOUNDED:
         return GeometryError("A, b: no center found; the half-spaces are too close to flat or unbounded for float64")
     if not direction.any():  # the normals do not span the space: any vector that is orthogonal to all of them
@@ -337,15 +339,15 @@ def _qhull(coordinates: Floats) -> tuple[Ints, Ints, Floats]:
 
 
 def _not_inside(frame: Floats, coordinates: Floats) -> Ints | slice:
-    """Select points in 3-D that may be vertices of the hull of all; the hull of these certainly contains the rest.
+    """Select 3-D points that may be vertices of the hull of all; the hull of the selection certainly contains the rest.
 
     The points that are left out lie inside the hull of a sample, {y : a·(y - c) <= 1 for all faces}: a point is left
     out if a·(y - c) is less than 1 - `shrink` for each face. The smallest a·(v - c) over a face's own vertices v is 1,
     so no vertex is left out, and by the lemma of docs/containment.md the hull of the vertices contains the point in
     these coordinates. The coordinates are off by at most 5 u B |y| (u, B: `_kernels.fits.many`), which moves a·(y - c)
     by at most 5 u B |y| / s, where s is the least distance of a face from c. Both the point and the vertices move: this
-    takes 10 of the 128 in `shrink`. Its first term is far above the rounding of the products, which is less than 20 u
-    |y| / s.
+    takes 10 of the 128 in `shrink`. The first term of `shrink` is far above the rounding of the products, which is less
+    than 20 u |y| / s.
     """
     found = _hull_of_sample(coordinates)
     if found is None:
@@ -368,7 +370,7 @@ def _not_inside(frame: Floats, coordinates: Floats) -> Ints | slice:
 
 
 def _hull_of_sample(coordinates: Floats) -> tuple[Floats, Floats, Floats] | None:
-    """Return the mean of the vertices of a sample's hull, and its face normals and distances; None if it is useless.
+    """Return the mean of a sample hull's vertices, and the hull's face normals and distances; None if useless.
 
     The sample includes the extreme points along the axes, so that its hull is not much smaller than the hull of all
     points. A point is as likely to lie outside the hull of a random sample as a point of the sample is to be a vertex
@@ -384,7 +386,7 @@ def _hull_of_sample(coordinates: Floats) -> tuple[Floats, Floats, Floats] | None
     sample, unit = coordinates[chosen], np.eye(3)
     try:
         simplices, neighbors, equations = _qhull(sample)
-    except QhullError:  # the sample is flat to rounding; the points need not be
+    except QhullError:  # the sample is flat to rounding; the points may not be
         return None
     code, _, used, face_of, normals, _ = entries.finish_hull(sample, unit, sample, simplices, neighbors, equations)
     if code != 0 or used.sum() > WORTHWHILE * len(sample):
@@ -403,7 +405,7 @@ _HULL_FAULTS = {
 
 @dataclass(frozen=True, eq=False)
 class Hulls:
-    """Many packed 3-D hulls: with each `start` array, hull i has the rows start[i]:start[i+1] of its data arrays.
+    """Many packed 3-D hulls: with each `start` array, hull i has the rows start[i]:start[i+1] of the data arrays.
 
     Attributes
     ----------
@@ -412,7 +414,7 @@ class Hulls:
     normals : ndarray, shape (total faces, 3)
     offsets : ndarray, shape (total faces,)
     triangles : ndarray of int, shape (total triangles, 3)
-        Indices within the hull's own vertices, counter-clockwise when seen from outside.
+        Indices into the hull's own vertices, counter-clockwise when seen from outside.
     """
 
     vert_start: Ints
@@ -465,7 +467,7 @@ def hulls(point_sets: Sequence[Any], progress: Progress | None = None, *, names:
     progress : callable, optional
         Called as ``progress(done, total)`` from time to time.
     names : sequence of str, optional
-        The caller's name for each set, for messages. Default: ``point_sets[i]``.
+        The caller's name for each set, for messages; the default is ``point_sets[i]``.
 
     Raises
     ------
@@ -484,7 +486,7 @@ def hulls(point_sets: Sequence[Any], progress: Progress | None = None, *, names:
     return Hulls._packed(list(chain.from_iterable(shares)))
 
 
-# Corners of the box with half edge lengths 1, and its faces and triangles as Qhull finds them, in its order.
+# Corners of the box with half edge lengths 1, and its faces and triangles as Qhull finds them, in Qhull's order.
 _CORNERS = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
 _BOX_NORMALS = np.array([[0, 0, -1], [0, -1, 0], [1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, 0, 1]], dtype=float)
 _BOX_TRIANGLES = np.array(
@@ -513,7 +515,7 @@ def box_hull(half: Floats, name: str) -> Hulls:
     check_size(float(half.max()), name)
     corners = _CORNERS * half
     edges = 2 * half
-    # As the kernel tests the corners: the axes in turn, each against the longest edge so far.
+    # The test is the kernel's test of the corners: the axes in turn, each against the longest edge so far.
     if not (edges > np.maximum(FLATNESS * np.maximum.accumulate(edges), 6 * EPS * half.max())).all():
         raise flat_error(name, corners)
     return Hulls._packed([(corners, _BOX_NORMALS, np.abs(_BOX_NORMALS) @ half, _BOX_TRIANGLES)])

@@ -1,5 +1,5 @@
 """Fit ellipsoids in high dimension, or to very many points or half-spaces, in NumPy.
 
-`outer` fits ellipsoids around points and `inner` fits them inside half-spaces; `dense` contains their triangular
-matrices and step lengths.
+`outer` fits ellipsoids around points, and `inner` fits ellipsoids inside half-spaces; `dense` contains the triangular
+matrices and step lengths of both.
 """

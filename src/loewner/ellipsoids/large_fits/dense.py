@@ -11,9 +11,9 @@ import numpy as np
 from loewner._base._validate import Floats, Progress
 
 ROUNDING = 2.0**-53  # unit roundoff of float64
-# Numbers in a block of rows: few enough for the cache, and enough to make the overhead of NumPy negligible.
+# Count of numbers in a block of rows: few enough for the cache, and enough to make the overhead of NumPy negligible.
 BLOCK = 2**16
-# Largest number of unknowns of an interior point whose matrix has a row for each: the matrix then takes 390 MB.
+# Largest number of unknowns in an interior-point method whose matrix has a row for each unknown: 390 MB.
 LARGEST_SYSTEM = 7000
 STEP_CAP, CENTRING_FLOOR = 0.9999, 1e-15  # as in `_kernels.fits.mvce`
 
@@ -26,20 +26,20 @@ def blocks(rows: Floats) -> Iterator[tuple[int, Floats]]:
 
 
 def lower_root(rows: Floats) -> Floats:
-    """Lower triangular L, diagonal positive, with L Lᵀ = rowsᵀ rows."""
+    """Compute the lower triangular L with a positive diagonal and L Lᵀ = rowsᵀ rows."""
     triangle = np.asarray(np.linalg.qr(rows, mode="r"))
     return np.ascontiguousarray((triangle * np.where(np.diagonal(triangle) < 0, -1.0, 1.0)[:, None]).T)
 
 
 def inverse_of(lower: Any) -> Floats:
-    """Inverse of a lower triangular matrix."""
+    """Invert a lower triangular matrix."""
     from scipy.linalg.lapack import dtrtri
 
     return np.ascontiguousarray(np.tril(dtrtri(lower, lower=1)[0]))
 
 
 def root_of_inverse(matrix: Floats) -> Floats | None:
-    """Lower triangular H with Hᵀ H the inverse of `matrix`; None if that is singular to rounding."""
+    """Compute the lower triangular H with Hᵀ H the inverse of `matrix`; None if that is singular to rounding."""
     try:
         return inverse_of(np.linalg.cholesky(matrix))
     except np.linalg.LinAlgError:
@@ -47,7 +47,7 @@ def root_of_inverse(matrix: Floats) -> Floats | None:
 
 
 def solver_of(matrix: Floats, diagonal: Floats | float) -> Callable[[Floats], Floats] | None:
-    """Solver of (matrix + diag(diagonal)) X = B, in the memory of the matrix; None if that is singular to rounding."""
+    """Make a solver of (matrix + diag(diagonal)) X = B in the matrix's memory; None if that is singular to rounding."""
     from scipy.linalg.lapack import dpotrf, dpotrs
 
     matrix.ravel()[:: len(matrix) + 1] += diagonal
@@ -56,16 +56,16 @@ def solver_of(matrix: Floats, diagonal: Floats | float) -> Callable[[Floats], Fl
 
 
 def room(x: Floats, dx: Floats) -> float:
-    """Largest step of x along dx that keeps x positive."""
+    """Compute the largest step of x along dx that keeps x positive."""
     down = dx < 0
     return float((x[down] / -dx[down]).min(initial=np.inf))
 
 
 @dataclass
 class Reporter:
-    """Reports the share of the requested digits that is reached, in percent, never decreasing.
+    """Reports the share of the requested digits that have been reached, in percent, never decreasing.
 
-    Within a round the number does not change, and is reported again so that the callback may interrupt.
+    Within a round, the share does not change, and is reported again so that the callback may interrupt.
     """
 
     progress: Progress | None
@@ -83,7 +83,7 @@ class Reporter:
         self.working()
 
     def working(self) -> None:
-        """Report that another step is done."""
+        """Report that another step has been made."""
         if self.progress is not None:
             self.progress(self.told, 100)
 

@@ -10,9 +10,9 @@ which has a row for each half-space and, apart from its diagonal, the low rank n
 or by Woodbury's identity in that rank if this costs less.
 
 Few half-spaces touch the ellipsoid. The interior-point method works on a subset, from which half-spaces far from the
-ellipsoid are dropped by a heuristic. A pass over all half-spaces then finds those cutting the ellipsoid, which are
-added. A solution for the subset that also lies inside all other half-spaces is the answer, and its multipliers prove
-it.
+ellipsoid are dropped by a heuristic. A pass over all half-spaces then finds the half-spaces that cut the ellipsoid, and
+adds them. A solution for the subset that also lies inside all other half-spaces is the answer, and its multipliers
+prove it.
 """
 
 from __future__ import annotations
@@ -42,17 +42,17 @@ from loewner.ellipsoids.large_fits.dense import (
 )
 from loewner.ellipsoids.polytopes import FLATNESS
 
-# Size of the first working set, and largest number of half-spaces added per round, times n. The set may always double:
-# if all half-spaces touch, all are needed.
+# Size of the first working set and largest number of half-spaces added per round, both divided by n. The set may always
+# double: if all half-spaces touch, all are needed.
 FIRST, MORE = 10, 10
 # Largest numbers of rounds, of rounds in which half-spaces may be dropped by a guess, and of steps of the interior
 # point.
 MAX_ROUNDS, BOLD_ROUNDS, MAX_STEPS = 100, 20, 60
-# The guess drops half-spaces whose slack exceeds their reach by this many times the gap divided by n.
+# The guess drops half-spaces whose slack exceeds their reach by FAR times the gap divided by n.
 FAR = 4.0
-# Largest share of the multipliers that dropped half-spaces may have, and limit on the gap, times n.
+# Largest share of the multipliers that dropped half-spaces may have, and limit on the gap divided by n.
 LOSS, CLOSE = 0.1, 0.2
-# Multipliers below this, times the largest, prove nothing.
+# Multipliers below this share of the largest multiplier prove nothing.
 NOTHING = 1e-30
 # The next round starts from a point moved towards the first center, at this share of the distance to the nearest
 # half-space.
@@ -65,7 +65,7 @@ class _WorkingSet:
 
     index: Ints
     y: Floats
-    bold: bool = True  # half-spaces are dropped by a guess, until the volume grows in spite of added ones
+    bold: bool = True  # half-spaces are dropped by a guess, until the volume grows although half-spaces were added
 
     def keep(self, rows: Bools) -> None:
         self.index, self.y = self.index[rows], self.y[rows]
@@ -92,9 +92,9 @@ class _Inside:
 def largest_inside(
     A: Floats, b: Floats, center: Floats, frame: Floats, tol: float, reporter: Reporter
 ) -> tuple[Floats, Floats, Floats, int]:
-    """Center, lower triangular factor, multipliers and steps of the largest ellipsoid in {x : A x <= b}.
+    """Find the center, lower triangular factor, multipliers and steps of the largest ellipsoid in {x : A x <= b}.
 
-    `center` and `frame` are the analytic center and the whitening there, from `entries.center_in`. The result holds up
+    `center` and `frame` are the analytic center and the whitening at it, from `entries.center_in`. The result holds up
     to rounding; `proven` computes its quality. If no ellipsoid was found, the factor is zero.
     """
     _memory.expect_room_for_blas(4 * A.nbytes)  # for R, and as much again in each step and in its linear system
@@ -122,7 +122,8 @@ def largest_inside(
         reporter.reached(gap)
         if gap <= 0.5 * tol or turn == MAX_ROUNDS - 1:
             break
-        # Fewer half-spaces contain larger ellipsoids: if it grew in spite of added half-spaces, dropped ones mattered.
+        # Fewer half-spaces contain larger ellipsoids: if the ellipsoid grew although half-spaces were added, dropped
+        # ones mattered.
         if found.volume - found.gap > volume or turn > BOLD_ROUNDS:
             active.bold = False
         volume = found.volume
@@ -137,7 +138,7 @@ def largest_inside(
         else:
             target = max(0.25 * tol, min(target, 0.1 * min(gap, n)))
         active.add(cut if finish or len(cut) <= most else cut[np.argpartition(ratio[cut], most)[:most]])
-        # Back towards the first center, which is inside all half-spaces.
+        # The start moves back towards the first center, which is inside all half-spaces.
         x = found.x * min(1.0, INSIDE / max(float((R[active.index] @ found.x).max()), 1e-300))
     else:
         return center, np.zeros((n, n)), lam, steps
@@ -149,7 +150,7 @@ def largest_inside(
 
 
 def _distinct(A: Floats, b: Floats) -> Ints:
-    """Rows without repeats: rows whose products with one vector are equal are compared."""
+    """Find the rows without repeats: rows are compared if their products with one vector are equal."""
     n = A.shape[1]
     key = A @ np.random.default_rng(0).normal(size=n) + b
     order = np.argsort(key, kind="stable")
@@ -160,7 +161,7 @@ def _distinct(A: Floats, b: Floats) -> Ints:
 
 
 def _first(R: Floats) -> _WorkingSet:
-    """The nearest half-spaces, the nearest in both directions of each axis, and more until they are bounded."""
+    """Select the nearest half-spaces, the nearest in both directions of each axis, and more until all are bounded."""
     m, n = R.shape
     if m <= 2 * FIRST * n:
         return _WorkingSet(np.arange(m), np.ones(m))
@@ -175,7 +176,7 @@ def _first(R: Floats) -> _WorkingSet:
 
 
 def _way_out(R: Floats) -> Floats | None:
-    """A direction in which {x : R x <= 1} is unbounded, or None."""
+    """Find a direction in which {x : R x <= 1} is unbounded, or None."""
     n = R.shape[1]
     x, frame, direction = np.zeros(n), np.empty((n, n)), np.empty(n)
     if entries.center_in(R, np.ones(len(R)), x, frame, direction, FLATNESS) == 0:  # proven; otherwise there may be one
@@ -184,7 +185,7 @@ def _way_out(R: Floats) -> Floats | None:
 
 
 def _ratios(R: Floats, found: _Inside) -> Floats:
-    """Factors by which the ellipsoid may grow before each half-space cuts it."""
+    """Compute the factors by which the ellipsoid may grow before each half-space cuts it."""
     ratio = np.empty(len(R))
     for first, block in blocks(R):
         reach = np.linalg.norm(block @ found.root, axis=1)
@@ -196,7 +197,7 @@ def _ratios(R: Floats, found: _Inside) -> Floats:
 
 
 def _solve(A: Floats, x: Floats, active: _WorkingSet, target: float, reporter: Reporter) -> _Inside:
-    """Largest ellipsoid in {x : A x <= 1}, with the rows A of `active`, from a point inside and its multipliers.
+    """Find the largest ellipsoid in {x : A x <= 1}, A from `active`, given a point inside and its multipliers.
 
     Half-spaces are dropped from `active`, whose multipliers in the end belong to the result.
     """
@@ -240,7 +241,7 @@ def _solve(A: Floats, x: Floats, active: _WorkingSet, target: float, reporter: R
 
 
 def _step(A: Floats, T: Floats, d: Floats, h: Floats, y: Floats, z: Floats) -> tuple[Floats, Floats, Floats] | None:
-    """Step of x, and y and z after Mehrotra's predictor and corrector; None if singular to rounding."""
+    """Compute the step of x, and y and z after Mehrotra's predictor and corrector; None if singular to rounding."""
     solve = _factorised(T, 2.0 * h * z / y)
     if solve is None:
         return None
@@ -275,7 +276,7 @@ def _step(A: Floats, T: Floats, d: Floats, h: Floats, y: Floats, z: Floats) -> t
 
 
 def _factorised(T: Floats, diagonal: Floats) -> Callable[[Floats], Floats] | None:
-    """Solver of (diag(diagonal) + (T Tᵀ)∘(T Tᵀ)) X = B; None if that is singular to rounding."""
+    """Make a solver of (diag(diagonal) + (T Tᵀ)∘(T Tᵀ)) X = B; None if the matrix is singular to rounding."""
     k, n = T.shape
     rank = n * (n + 1) // 2
     if k * (k / 3 + n) <= rank * (k + rank / (3 * k)) and k <= LARGEST_SYSTEM:
@@ -296,7 +297,7 @@ def _factorised(T: Floats, diagonal: Floats) -> Callable[[Floats], Floats] | Non
 
 
 def _balanced_gap(T: Floats, d: Floats, lam: Floats) -> float:
-    """Gap of the unit ball for rows T with slacks d, to rounding; see `proven`."""
+    """Compute the gap of the unit ball for rows T with slacks d, to rounding; see `proven`."""
     n = T.shape[1]
     balanced = _balanced(T, lam, T.T @ lam)
     if balanced is None:
@@ -310,7 +311,7 @@ def _balanced_gap(T: Floats, d: Floats, lam: Floats) -> float:
 
 
 def _balanced(T: Floats, lam: Floats, rest: Floats) -> Floats | None:
-    """λ (1 - T w) with (Σ λ t tᵀ) w = Σ λ t = `rest`, so that the sum becomes 0; None if a λ turns negative."""
+    """Compute λ (1 - T w) with (Σ λ t tᵀ) w = Σ λ t = `rest`, so that the sum becomes 0; None if a λ turns negative."""
     try:
         w = np.linalg.solve((T * lam[:, None]).T @ T, rest)
     except np.linalg.LinAlgError:
@@ -330,7 +331,7 @@ def proven(
     <= 2 t / (μ - |r|), as μ |x| <= Σ λ |T x| <= 2 t + |r| |x|. Any ellipsoid F inside, about c, therefore has tr(F M)
     <= t + |r| |c|, and its log-volume exceeds the ball's by at most n log((t + |r| |c|) / n) - log det M. Rounding
     changes M by at most τ times the sum of 2.1 `hidden` and √n (k + n + 10) u in the nuclear norm. For r, which is
-    multiplied by n², this would be too much, so its sum is computed exactly.
+    multiplied by n², that error would be too large, so the sum in r is computed exactly.
 
     If the center is given (not `balanced`), c = 0 and λ is used unchanged.
     """
@@ -369,7 +370,7 @@ def proven(
 
 
 def _scale(A: Floats, low: Floats, factor: Floats) -> tuple[float, float]:
-    """Factor by which the ellipsoid may certainly grow, and the largest relative uncertainty of a row's length."""
+    """Compute the factor by which the ellipsoid may certainly grow, and the largest relative error of a length."""
     n = A.shape[1]
     scale, hidden = np.inf, 0.0
     size = np.abs(factor)
@@ -383,7 +384,7 @@ def _scale(A: Floats, low: Floats, factor: Floats) -> tuple[float, float]:
 
 
 def _certified(T: Floats, d: Floats, lam: Floats, hidden: float, rest: float) -> float:
-    """The gap that `proven` derives."""
+    """Compute the gap that `proven` derives."""
     k, n = T.shape
     lengths = np.linalg.norm(T, axis=1)
     weighted = T * (lam / lengths)[:, None]
@@ -403,7 +404,7 @@ def _certified(T: Floats, d: Floats, lam: Floats, hidden: float, rest: float) ->
 
 
 def _exact_sum(A: Floats, lam: Floats) -> Floats:
-    """Σ λ a, with each number rounded once: products of 26-bit halves are exact, and `fsum` sums exactly."""
+    """Compute Σ λ a, with each number rounded once: products of 26-bit halves are exact, and `fsum` sums exactly."""
     products = [p[:, None] * q for p in _halves(lam) for q in _halves(A)]
     return np.array([fsum(chain.from_iterable(p[:, j].tolist() for p in products)) for j in range(A.shape[1])])
 

@@ -5,15 +5,15 @@ if the center is given, q = x - center and N = n. With w_i = q_iᵀ M⁻¹ q_i t
 wherever u > 0.
 
 - Coordinate ascent with away steps (Atwood 1973; Todd and Yıldırım 2007, doi:10.1016/j.dam.2007.02.013) moves weight to
-  the point with the largest w, or from the one with the smallest, whichever is farther from N, with rank-one updates of
-  M⁻¹ and w.
+  the point with the largest w or from the point with the smallest w, depending on which w is farther from N, with
+  rank-one updates of M⁻¹ and w.
 - A point with w below N times a bound that depends on max w alone has no weight at the optimum (Harman and Pronzato
-  2007, doi:10.1016/j.spl.2006.05.014): such points are dropped. A less cautious bound is tried first, and all points
-  are tested later.
+  2007, doi:10.1016/j.spl.2006.05.014), and is dropped. A less cautious bound is tried first, and all points are tested
+  later.
 - On the remaining points, Newton's method solves u s = 0, s = N - w. Its matrix diag(s/u) + (W Wᵀ)∘(W Wᵀ) has a row for
   each point, not for each of the N (N + 1) / 2 entries of M as in `_kernels.fits.mvce`.
 
-All three use only a working set. One pass over all points per round finds the points outside the ellipsoid.
+All three steps use only a working set. One pass over all points per round finds the points outside the ellipsoid.
 """
 
 from __future__ import annotations
@@ -39,25 +39,26 @@ from loewner.ellipsoids.large_fits.dense import (
 )
 from loewner.ellipsoids.polytopes import FLATNESS, flat_error
 
-# Size of the first working set, and largest number of points added per round, times N.
+# Size of the first working set and largest number of points added per round, both divided by N.
 FIRST, MORE = 10, 4
-# Once the points that may touch the ellipsoid are at most this many times the working set, it takes all of them.
+# Once at most this many times as many points as in the working set may touch the ellipsoid, the set takes all of them.
 ENOUGH = 2
 # Largest numbers of rounds, of rounds in which points may be dropped by a guess, and of steps of the interior point.
 MAX_ROUNDS, BOLD_ROUNDS, MAX_STEPS = 100, 30, 60
 # Largest number of ascents, for sets in which too many points matter.
 MAX_ASCENTS = 400
-# Measured seconds on one core of a step of the ascent and of the interior point: constant, and per number or
-# multiplication. They, not clocks, decide when to change from one to the other, so that results are reproducible.
+# Measured seconds on one core for a step of the ascent and of the interior-point method: constant, and per number or
+# multiplication. These constants, not clocks, decide when to change methods, so that results are reproducible.
 ASCENT_STEP, ASCENT_NUMBER = 1.5e-5, 4.0e-10
 NEWTON_STEP, NEWTON_FLOP, NEWTON_STEPS = 2.0e-4, 3.0e-11, 10
-# The ascent may cost this share of the work that it saves the interior point.
+# The ascent may cost this share of the work that it saves the interior-point method.
 SHARE = 0.35
-# The interior point starts with the ascent's weights, plus this share spread evenly, which saves one step in eight.
+# The interior-point method starts with the ascent's weights, plus this share spread evenly, which saves one step in
+# eight.
 EVEN = 0.2
-# Weights that the interior point leaves below this share of the mean are set to 0.
+# Weights that the interior-point method leaves below this share of the mean are set to 0.
 NOTHING = 1e-9
-# The interior point drops points once they contribute less than this to M, so that M stays regular.
+# The interior-point method drops points only if together they contribute less than this to M, so that M stays regular.
 LOSS = 0.5
 
 
@@ -69,14 +70,14 @@ class _WorkingSet:
     Q: Floats  # shape (k, N); the first column is ones, unless the center is given
     u: Floats
     lifted: int  # N - n, so 1, or 0 if the center is given
-    bold: bool = True  # points are dropped by a guess, until a dropped one turns out to matter
+    bold: bool = True  # points are dropped by a guess, until a dropped point turns out to matter
 
     @property
     def dim(self) -> int:
         return int(self.Q.shape[1]) - self.lifted
 
     def gap(self, largest: float) -> float:
-        """Gap of the ellipsoid around the set, if `largest` is the largest w."""
+        """Compute the gap of the ellipsoid around the set, given the largest w."""
         return float(0.5 * self.dim * np.log((largest - self.lifted) / self.dim))
 
     def keep(self, rows: Bools) -> None:
@@ -91,7 +92,7 @@ class _WorkingSet:
 def smallest_around(
     points: Floats, tol: float, given: Floats | None, reporter: Reporter
 ) -> tuple[Floats, Floats, float, int, Floats]:
-    """Center, lower triangular factor, certified gap, steps and weights of the smallest ellipsoid around `points`.
+    """Find the smallest ellipsoid around `points`: center, lower triangular factor, certified gap, steps, weights.
 
     The center is free, or `given`. The gap may be above `tol`, or infinite.
 
@@ -126,7 +127,7 @@ def smallest_around(
             return origin, frame, np.inf, steps, np.zeros(m)
         center, factor = _ellipsoid(active, origin, frame)
         inverse = inverse_of(factor)
-        # More points need larger ellipsoids: if the volume did not grow, dropped ones mattered.
+        # More points need larger ellipsoids: if the volume did not grow, dropped points mattered.
         volume, before = float(np.log(np.diagonal(factor)).sum()), volume
         if volume + reached < before or turn > BOLD_ROUNDS:
             active.bold = False
@@ -136,7 +137,7 @@ def smallest_around(
         if gap <= 0.5 * tol:
             if names is None:
                 break
-            pool, names = points, None  # omitted points are tested once more; if they matter, no more guesses
+            pool, names = points, None  # omitted points are tested once more; if they matter, guesses end
             active.bold = False
             continue
         bound = _least_of_support(radii.max() * n + lifted, n + lifted, active.bold)
@@ -167,14 +168,14 @@ def smallest_around(
 
 
 def _spaced(m: int, count: int) -> Ints:
-    """At most `count` of m points, evenly spaced."""
+    """Select at most `count` of m points, evenly spaced."""
     return np.arange(m) if m <= count else np.linspace(0, m - 1, count).astype(np.int64)
 
 
 def _spread(points: Floats, sample: Ints, given: Floats | None) -> tuple[Floats, Floats, Ints]:
-    """Origin, frame and indices of points far apart, as from `_kernels.fits.mvce.spread_points`.
+    """Find the origin, frame and indices of points far apart, like `_kernels.fits.mvce.spread_points`.
 
-    If the center is given, their reflections in it count as well.
+    If the center is given, the reflections of the points in the center count as well.
 
     A sample suffices if it is far from flat; otherwise all points are used.
     """
@@ -197,9 +198,9 @@ def _spread(points: Floats, sample: Ints, given: Floats | None) -> tuple[Floats,
 
 
 def _extremes(points: Floats, noise: float, flatness: float, given: Floats | None) -> tuple[Ints, Floats, float]:
-    """Kumar and Yıldırım's 2n points, n differences, and the ratio of the least to the largest width; 0 if flat.
+    """Find Kumar and Yıldırım's 2n points, n differences, and the ratio of the least to the largest width; 0 if flat.
 
-    About a given center one point per direction suffices, since its reflection is the other.
+    About a given center, one point per direction suffices, since its reflection is the other point.
     """
     about = points[0] if given is None else given
     n = points.shape[1]
@@ -273,10 +274,10 @@ def _solve(active: _WorkingSet, target: float, reporter: Reporter) -> tuple[int,
 
 
 def _least_of_support(largest: float, N: int, bold: bool) -> float:
-    """Where w is below this, u is zero at the optimum (Harman and Pronzato 2007), with an allowance; or a guess of it.
+    """Bound the w below which u is zero at the optimum (Harman and Pronzato 2007), with an allowance, or guess it.
 
     The theorem assumes the worst case, that the excess of the largest w over N is due to one direction; the bold guess
-    assumes an Nth of it. In high dimension the guess keeps far fewer points, and is nearly always right.
+    assumes an Nth of that excess. In high dimension, the guess keeps far fewer points, and is nearly always right.
     """
     excess = max(largest - N, 0.0) / (N if bold else 1)
     bound = 1.0 + 0.5 * excess - 0.5 * np.sqrt(excess * (4.0 + excess - 4.0 / N))
@@ -318,7 +319,7 @@ def _ascend(active: _WorkingSet, inverse: Floats, w: Floats, count: int, target:
 
 
 def _interior_point(active: _WorkingSet, target: float, reporter: Reporter) -> tuple[int, float]:
-    """As `_kernels.fits.mvce.solve_dual`, with a row of the matrix for each point; returns steps and gap.
+    """Solve as `_kernels.fits.mvce.solve_dual` does, with a row of the matrix for each point; return steps and gap.
 
     Points that cannot have weight are dropped. The working set ends with the best weights seen.
     """
@@ -355,7 +356,7 @@ def _interior_point(active: _WorkingSet, target: float, reporter: Reporter) -> t
 
 
 def _newton_step(W: Floats, w: Floats, u: Floats, s: Floats) -> tuple[Floats, Floats] | None:
-    """Weights and slacks after Mehrotra's predictor and corrector; None if the matrix is singular to rounding."""
+    """Compute weights and slacks after Mehrotra's predictor and corrector; None if singular to rounding."""
     k, N = W.shape
     matrix = W @ W.T
     matrix *= matrix
@@ -380,7 +381,7 @@ def _newton_step(W: Floats, w: Floats, u: Floats, s: Floats) -> tuple[Floats, Fl
 
 
 def _ellipsoid(active: _WorkingSet, origin: Floats, frame: Floats) -> tuple[Floats, Floats]:
-    """Center and factor of the ellipsoid with the boundary w = N."""
+    """Compute the center and factor of the ellipsoid with the boundary w = N."""
     X, u = active.Q[:, active.lifted :], active.u
     mean = u @ X if active.lifted else np.zeros(active.dim)
     offsets = X - mean
@@ -389,7 +390,7 @@ def _ellipsoid(active: _WorkingSet, origin: Floats, frame: Floats) -> tuple[Floa
 
 
 def _squared_radii(points: Floats, center: Floats, inverse: Floats) -> Floats:
-    """|inverse (x - center)|² of all points, block by block."""
+    """Compute |inverse (x - center)|² for all points, block by block."""
     radii = np.empty(len(points))
     for first, block in blocks(points):
         y = (block - center) @ inverse.T
@@ -398,7 +399,7 @@ def _squared_radii(points: Floats, center: Floats, inverse: Floats) -> Floats:
 
 
 def _farthest(points: Floats, radii: Floats, center: Floats, inverse: Floats, threshold: float) -> Ints:
-    """Points above `threshold` in different directions: the farthest in each sector.
+    """Select points above `threshold` in different directions: the farthest in each sector.
 
     The sector of a point is the signed axis of the ellipsoid nearest to it.
     """
@@ -445,14 +446,14 @@ def _enclosing(factor: Floats, inverse: Floats, reach: float) -> tuple[Floats, f
 
 
 def _certified(points: Floats, weights: Floats, center: Floats, inverse: Floats, error: float, lifted: int) -> float:
-    """Certified log(volume / smallest volume), from weights of the points; see `_kernels.fits.mvce.outer_gap`.
+    """Certify log(volume / smallest volume) from weights of the points; see `_kernels.fits.mvce.outer_gap`.
 
     About a given center, second moments replace covariances.
 
     y is known up to a linear map 1 - R, |R| <= `error` in the Frobenius norm, and a shift of length `error`. The map
     changes ½ log det S by at most 1.1 √n errors. The shift changes S by 3 errors in the nuclear norm, and sums and
     Cholesky's rounding change it by (2 k + 2 n + 16) u √n; these change ½ log det S by half of their quotient by the
-    least eigenvalue of S. That eigenvalue is known to far less than 1e-11, since S has trace 1.
+    least eigenvalue of S. The error of that eigenvalue is far below 1e-11, since S has trace 1.
     """
     if not error < 0.1:
         return np.inf
