@@ -155,7 +155,7 @@ class _Bodies:
 class Body(_Bodies):
     """A union of convex pieces and surfaces, each with its inner and outer ellipsoid.
 
-    Make one with `from_points`, `from_pieces`, `from_mesh`, `from_surface`, `box`, `sphere`, `cylinder`, `capsule`,
+    Make a body with `from_points`, `from_pieces`, `from_mesh`, `from_surface`, `box`, `sphere`, `cylinder`, `capsule`,
     `cone`, `ellipsoid`, `union` or `load`. Lengths are in metres, in the body's own frame.
 
     Examples
@@ -175,7 +175,7 @@ class Body(_Bodies):
 
     @property
     def covering(self) -> Covering | None:
-        """How well the pieces cover the mesh from which they were made; None if they were not made from a mesh."""
+        """How well the pieces cover the mesh or body from which they were made; None for all other bodies."""
         return self._covering
 
     def __repr__(self) -> str:
@@ -213,7 +213,7 @@ class Body(_Bodies):
         points : array_like, shape (m, 3)
             At least four points, in metres, not all in one plane.
         tol : float
-            Certified log-volume gap of both fits.
+            Largest certified log-volume gap of both fits.
 
         Raises
         ------
@@ -234,9 +234,9 @@ class Body(_Bodies):
         Parameters
         ----------
         point_sets : iterable of array_like, each of shape (m_i, 3)
-            In metres.
+            Points in metres.
         tol : float
-            Certified log-volume gap of all fits.
+            Largest certified log-volume gap of all fits.
 
         Raises
         ------
@@ -277,21 +277,21 @@ class Body(_Bodies):
         source : path, trimesh.Trimesh or trimesh.Scene
             The mesh, or its file in STL, OBJ, PLY, OFF, GLB, glTF or DAE format, in metres.
         decompose : bool
-            True: split a non-convex mesh into convex pieces, with CoACD or by cutting along planes; the pieces
-            approximate the mesh, and `body.covering` states how well. False: use the convex hull, which contains the
+            If true, split a non-convex mesh into convex pieces, with CoACD or by cutting along planes; the pieces
+            approximate the mesh, and `body.covering` states how well. If false, use the convex hull, which contains the
             mesh.
         tol : float
-            Certified log-volume gap of all fits.
+            Largest certified log-volume gap of all fits.
         scale : float, or array_like of shape (3,)
             Factor for all lengths, or one factor for each axis of the mesh; a negative factor mirrors the mesh.
         cover : bool
-            Grow the pieces of a decomposition until they contain the mesh's whole surface.
+            Whether to grow the pieces of a decomposition until they contain the mesh's whole surface.
         tolerance : float, optional
             The largest distance by which the pieces may stick out of the mesh, in metres. If it is given, the mesh is
             cut along planes instead of by CoACD, until no piece sticks out farther or `max_pieces` is reached. If a
             piece still sticks out farther, a warning states by how much. A mesh with holes is always cut along planes;
-            its default tolerance is 2 % of the diagonal of its bounding box, or more if reaching that would take too
-            much work.
+            the default tolerance is then 2 % of the diagonal of the bounding box, or more if 2 % would take too much
+            work.
         threshold : float
             CoACD's bound on concavity, from 0.01 to 1. A smaller bound gives more pieces and a closer fit. It applies
             only to meshes without holes.
@@ -301,14 +301,14 @@ class Body(_Bodies):
             Seed of CoACD's search.
         progress : callable, optional
             Called as ``progress(done, total)`` after each step; the ratio done / total never decreases. If the mesh is
-            cut along planes, each step is a hundredth of its surface. The last step comprises all fits.
+            cut along planes, each step stands for a hundredth of its surface. The last step comprises all fits.
 
         Raises
         ------
         FileError
             If the file is missing, empty, truncated or not a mesh.
         MissingExtraError
-            If a package of the extra "meshes" is needed and missing.
+            If a required package of the extra "meshes" is missing.
 
         See Also
         --------
@@ -409,12 +409,12 @@ class Body(_Bodies):
 
     @classmethod
     def box(cls, size: ArrayLike) -> Body:
-        """Make an axis-aligned box centered at the origin, with full edge lengths `size`, shape (3,), in metres.
+        """Make an axis-aligned box centered at the origin.
 
         Parameters
         ----------
         size : array_like, shape (3,)
-            Full edge lengths along x, y, z, in metres.
+            Full edge lengths along x, y and z, in metres.
 
         Raises
         ------
@@ -488,9 +488,9 @@ class Body(_Bodies):
         Parameters
         ----------
         centers : array_like, shape (n, 3)
-            In metres.
+            Centers in metres.
         radii : float, or array_like of shape (n,)
-            In metres.
+            Radii in metres.
 
         Raises
         ------
@@ -515,10 +515,10 @@ class Body(_Bodies):
         Parameters
         ----------
         centers : array_like, shape (n, 3)
-            In metres.
+            Centers in metres.
         edges : float, or array_like of shape (3,) or (n, 3)
-            Full edge lengths along x, y, z, in metres: one number if all boxes are equal cubes, one row if all boxes
-            are equal, or one row per box.
+            Full edge lengths along x, y and z, in metres: one number for equal cubes, one row for equal boxes, or one
+            row per box.
 
         Raises
         ------
@@ -543,7 +543,7 @@ class Body(_Bodies):
         Parameters
         ----------
         points : array_like, shape (n, 3)
-            In metres.
+            Points in metres.
         radius : float, optional
             Radius of the ball around each point, in metres. Making a body from 50,000 points takes about 40 ms.
         voxel : float, optional
@@ -598,9 +598,9 @@ class Body(_Bodies):
         Parameters
         ----------
         image, K, T_world_camera
-            As for `depth.points_of`. Pixels without an echo are left out.
+            As for `depth.points_of`; pixels without an echo are left out.
         radius, voxel : float
-            As for `from_cloud`; give one of the two.
+            As for `from_cloud`; give exactly one of them.
         checker : CollisionChecker, optional
             If given, `CollisionChecker.off_the_robot` removes the points on the robot and on attached bodies.
         q : array_like, shape (dof,), optional
@@ -617,7 +617,7 @@ class Body(_Bodies):
         PoseError
             If the pose is not a rigid motion.
         GeometryError
-            If no point is left.
+            If no points are left.
 
         Examples
         --------
@@ -794,7 +794,7 @@ class Body(_Bodies):
         Parameters
         ----------
         radius, length : float
-            In metres; the axis runs from -length/2 to length/2.
+            Radius and length in metres; the axis runs from -length/2 to length/2.
 
         Raises
         ------
@@ -836,7 +836,7 @@ class Body(_Bodies):
         Parameters
         ----------
         radius, length : float
-            In metres; the total length from tip to tip is length + 2 radius.
+            Radius and length in metres; the total length from tip to tip is length + 2 radius.
 
         Raises
         ------
@@ -981,14 +981,14 @@ class Body(_Bodies):
         -------
         Body
             One piece per element. Its `covering` is proven: `max_uncovered` is 0, and `max_protrusion` is at most
-            ``protrusion`` if given. Centers and radii of spheres are multiples of a power of two, so float32 and the
-            decimals in files represent the same numbers.
+            ``protrusion`` if given. Centers and radii of spheres are multiples of a power of two, so that float32 and
+            the decimals in files represent them exactly.
 
         Raises
         ------
         InputError
-            If both or neither of `n` and ``protrusion`` are given, if `n` is not at least 1, or if ``protrusion`` is
-            not at least 1e-4 of the body's diagonal.
+            If both or neither of `n` and ``protrusion`` are given, if `n` is less than 1, or if ``protrusion`` is less
+            than 1e-4 of the body's diagonal.
         GeometryError
             If no elements within this limit are found.
 
@@ -1019,14 +1019,14 @@ class Body(_Bodies):
         """Write the body as a MuJoCo model: one body without joints, with one geom per piece.
 
         A box, sphere, cylinder, capsule or ellipsoid becomes a geom of that type. Any other piece becomes a mesh whose
-        vertices are written into the model; a cone is replaced by a circumscribed polytope.
+        vertices are written into the model; a cone is replaced with a circumscribed polytope.
 
         Parameters
         ----------
         path : path, optional
             File to write; it is written under a temporary name and then renamed.
         ellipsoids : {"inner", "outer"}, optional
-            Write these ellipsoids instead of the pieces.
+            Which ellipsoids to write instead of the pieces.
         name : str
             Name of the model and of its body: any name except "world", which MuJoCo reserves; geoms are ``NAME_0``,
             ``NAME_1``, ...
@@ -1083,14 +1083,14 @@ class Body(_Bodies):
             the URDF is written under a temporary name and renamed. A file with different content is never replaced, so
             an older URDF, or a copy of it, keeps its meshes.
         ellipsoids : {"inner", "outer"}, optional
-            Write these ellipsoids instead of the pieces.
+            Which ellipsoids to write instead of the pieces.
         mesh_prefix : str
             Prefix for the names of mesh files in the URDF, for instance ``"package://my_robot/meshes/"``.
 
         Raises
         ------
         InputError
-            If no ellipsoids are requested and a piece is a surface; or if the stem is not a valid name.
+            If the stem is not a valid name, or if no ellipsoids are requested and a piece is a surface.
         FileError
             If a file cannot be written.
 
@@ -1146,8 +1146,8 @@ class Body(_Bodies):
         Parameters
         ----------
         what : {"pieces", "inner", "outer"}
-            The triangles of a curved piece have their corners on its surface and therefore lie inside it. A circle
-            becomes a polygon of 48 corners; an ellipsoid has at most 1280 triangles.
+            What to triangulate. The triangles of a curved piece have their corners on its surface and therefore lie
+            inside it. A circle becomes a polygon of 48 corners; an ellipsoid has at most 1280 triangles.
 
         Returns
         -------
@@ -1184,7 +1184,7 @@ class Body(_Bodies):
         Raises
         ------
         FileError
-            If the file is missing, broken, altered, written by a newer version, or holds several bodies.
+            If the file is missing, damaged, altered or written by a newer version, or if it holds several bodies.
 
         Examples
         --------
@@ -1231,7 +1231,7 @@ class Bodies(_Bodies):
         ----------
         point_sets : sequence of array_like, each of shape (m_i, 3)
         tol : float
-            Certified log-volume gap of all fits.
+            Largest certified log-volume gap of all fits.
         progress : callable, optional
             Called as ``progress(done, total)`` from time to time.
 
@@ -1256,7 +1256,7 @@ class Bodies(_Bodies):
         Parameters
         ----------
         radii : array_like, shape (n,)
-            In metres.
+            Radii in metres.
 
         Examples
         --------
@@ -1331,7 +1331,7 @@ class Bodies(_Bodies):
         Raises
         ------
         FileError
-            If the file is missing, broken, altered or written by a newer version.
+            If the file is missing, damaged, altered or written by a newer version.
         """
         from loewner.bodies import files
 
@@ -1399,7 +1399,7 @@ def bodies_of(packed: Packed) -> Bodies:
 
 
 def body_of_file(path: str | os.PathLike[str], wanted: str | None = None) -> Body:
-    """Read a body; if its `checksum_of` is not the wanted one, raise an error."""
+    """Read a body, and raise an error if its `checksum_of` differs from `wanted`."""
     from loewner.bodies import files
 
     packed, covering = files.load(path, wanted)

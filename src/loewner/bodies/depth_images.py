@@ -1,4 +1,4 @@
-"""Depth images: their checks and their points."""
+"""Check depth images, and convert them to points."""
 
 from __future__ import annotations
 

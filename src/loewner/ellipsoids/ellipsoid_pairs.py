@@ -58,7 +58,7 @@ def overlap(E1: Ellipsoids, E2: Ellipsoids) -> NDArray[np.bool_]:
     Parameters
     ----------
     E1, E2 : Ellipsoids
-        In 3-D; batches broadcast.
+        Ellipsoids in 3-D; batches broadcast.
 
     Returns
     -------
@@ -91,7 +91,7 @@ def overlap(E1: Ellipsoids, E2: Ellipsoids) -> NDArray[np.bool_]:
 
 @guarded
 def contact_function(E1: Ellipsoids, E2: Ellipsoids) -> Floats:
-    """Maximise Perram and Wertheim's contact function; two ellipsoids overlap if and only if it is at most 1.
+    """Maximise Perram and Wertheim's contact function; two ellipsoids overlap if and only if the maximum is at most 1.
 
     F = max over s in [0, 1] of s(1-s) rᵀ[(1-s)Q1 + sQ2]⁻¹ r. Scaling both ellipsoids about their
     centers by sqrt(F) makes them touch.
@@ -99,7 +99,7 @@ def contact_function(E1: Ellipsoids, E2: Ellipsoids) -> Floats:
     Parameters
     ----------
     E1, E2 : Ellipsoids
-        In 3-D; batches broadcast.
+        Ellipsoids in 3-D; batches broadcast.
 
     Returns
     -------
@@ -132,7 +132,7 @@ def near_points(E1: Ellipsoids, E2: Ellipsoids, method: str = "lin-han", angle: 
     Parameters
     ----------
     E1, E2 : Ellipsoids
-        In 3-D; batches broadcast.
+        Ellipsoids in 3-D; batches broadcast.
     method : {"lin-han", "rimon-boyd", "center-line"}
         "lin-han": the true nearest points, to within `angle`. "rimon-boyd": the point on each ellipsoid that growing
         level surfaces of the other ellipsoid touch first. "center-line": the points where the segment between the

@@ -80,7 +80,7 @@ class Ellipsoids(KeepsReadOnly):
         ----------
         center : array_like, shape (..., n)
         shape_matrix : array_like, shape (..., n, n)
-            Symmetric positive definite, in square metres.
+            Symmetric positive definite matrices, in square metres.
 
         Raises
         ------
@@ -111,7 +111,7 @@ class Ellipsoids(KeepsReadOnly):
         ----------
         center : array_like, shape (..., n)
         semi_axes : array_like, shape (..., n)
-            Lengths > 0, in metres.
+            Positive lengths, in metres.
         rotation : array_like, shape (..., n, n), optional
             Orthogonal matrices; the default is the identity.
 
@@ -250,7 +250,7 @@ class Ellipsoids(KeepsReadOnly):
         Parameters
         ----------
         points : array_like, shape (..., n)
-            Broadcasts with the batch.
+            Points, which broadcast with the batch.
 
         Returns
         -------
@@ -278,7 +278,7 @@ class Ellipsoids(KeepsReadOnly):
         Returns
         -------
         lower, upper : ndarray, shape (..., n)
-            In metres.
+            The corners, in metres.
 
         Examples
         --------
@@ -330,9 +330,9 @@ class Ellipsoids(KeepsReadOnly):
         Parameters
         ----------
         A : array_like, shape (..., n, n)
-            Invertible.
+            Invertible matrices.
         b : array_like, shape (..., n)
-            In metres.
+            Vectors, in metres.
 
         Returns
         -------

@@ -59,7 +59,7 @@ class Fit(_validate.Brief, KeepsReadOnly):
     Attributes
     ----------
     ellipsoid : Ellipsoids
-        One ellipsoid; its factor is lower triangular.
+        The ellipsoid, whose factor is lower triangular.
     gap : float
         Certified bound on ``|log(volume / optimal volume)|``, at most the requested tolerance.
     iterations : int
@@ -199,7 +199,7 @@ def mvie(
     tol : float
         Largest certified gap in log-volume, in [1e-12, 1].
     center : array_like, shape (n,), or a number, optional
-        A prescribed center, such as ``center=0`` for the origin; only with half-spaces. The intersection of the
+        A prescribed center, such as ``center=0`` for the origin; allowed only with half-spaces. The intersection of the
         half-spaces need not be bounded, provided it contains no line through the center.
     progress : callable, optional
         Called as ``progress(done, 100)`` from time to time, with the share of the requested digits reached, in percent.
@@ -323,7 +323,7 @@ def fit_pieces(
     vert_start, face_start : ndarray of int, shape (P + 1,)
         Piece i has the vertices ``vert_start[i]:vert_start[i+1]``; `face_start` gives its faces likewise.
     vertices : ndarray, shape (total vertices, 3)
-        In metres.
+        Vertices in metres.
     normals : ndarray, shape (total faces, 3)
         Outward normals from `polytopes.hulls`; up to rounding, each face passes through its own vertices. Slacks are
         measured from the vertices, which are exact, so no offsets are needed.

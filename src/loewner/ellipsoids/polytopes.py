@@ -54,7 +54,7 @@ class Polytope(KeepsReadOnly):
     Attributes
     ----------
     vertices : ndarray, shape (v, n)
-        In metres.
+        Vertices in metres.
     normals : ndarray, shape (f, n)
         Unit outward normals of the faces; coplanar facets are merged.
     offsets : ndarray, shape (f,)
@@ -463,7 +463,7 @@ def hulls(point_sets: Sequence[Any], progress: Progress | None = None, *, names:
     Parameters
     ----------
     point_sets : sequence of array_like, each of shape (m_i, 3)
-        In metres.
+        Points in metres.
     progress : callable, optional
         Called as ``progress(done, total)`` from time to time.
     names : sequence of str, optional

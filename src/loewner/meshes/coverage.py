@@ -22,8 +22,8 @@ from loewner.meshes.triangles import halved, longest_edges, squared_distances
 GROWTH = 0.001
 CELL_SIZE = 0.0025
 
-# A sample this far outside a piece, relative to the same diagonal, is inside except for rounding:
-# far above Qhull's errors (about 1e-15), far below the accuracy of any mesh.
+# A sample that is outside a piece by at most this share of the same diagonal counts as inside. The share is far above
+# Qhull's errors (about 1e-15), and far below the accuracy of any mesh.
 COVER_TOLERANCE = 1e-10
 
 
@@ -55,10 +55,10 @@ class Covering:
         Number of surface points that were tested, including all vertices of the mesh.
     max_protrusion : float
         Proven upper bound, up to rounding, on the distance from any point of the pieces to the mesh, in metres. For a
-        closed mesh this is the distance to the enclosed solid (all points with a nonzero winding number), for any other
-        mesh the distance to the surface. The bound is within 1 % of the true value, or within 1e-4 of the diagonal of
-        the mesh's bounding box, unless the mesh is so large that the search was stopped. NaN if the body was loaded
-        from a file written before this value existed, or was made for a link from a mesh without an inside.
+        closed mesh, this is the distance to the enclosed solid (all points with a nonzero winding number); for any
+        other mesh, it is the distance to the surface. The bound is within 1 % of the true value, or within 1e-4 of the
+        diagonal of the mesh's bounding box, unless the mesh is so large that the search was stopped. NaN if the body
+        was loaded from a file written before this value existed, or was made for a link from a mesh without an inside.
 
     Examples
     --------
@@ -212,7 +212,7 @@ def _largest_gap(cells: Floats, hulls: list[Polytope], slack: float) -> float:
 
 
 def distances_from(points: Floats, hull: Polytope, slack: float) -> Floats:
-    """Compute the distance of points to a convex piece, 0 inside.
+    """Compute the distance from points to a convex piece, 0 inside.
 
     The nearest point lies on a face that is visible from the point; `slack` keeps rounding from hiding such a face.
     """

@@ -78,7 +78,7 @@ USUAL_SIZES = (1e-4, 1e3)
 # Default tolerance for a mesh with holes, as a share of the diagonal of its box.
 OPEN_TOLERANCE = 0.02
 
-# CoACD takes numbers of pieces and seeds with 31 bits.
+# CoACD accepts numbers of pieces and seeds of 31 bits.
 LARGEST_NUMBER = 2**31 - 1
 
 
@@ -222,12 +222,12 @@ def convex_pieces(
     decompose : bool
         Whether to split the mesh. If false, the only piece is the mesh's convex hull, which contains the mesh.
     cover : bool
-        Grow the pieces of a decomposition until they contain the mesh's whole surface.
+        Whether to grow the pieces of a decomposition until they contain the mesh's whole surface.
     tolerance : float, optional
         The largest distance by which the pieces may stick out of the mesh, in metres. If it is given, the mesh is cut
         along planes instead of by CoACD, until no piece sticks out farther or `max_pieces` is reached. If a piece still
-        sticks out farther, a warning states by how much. A mesh with holes is always cut along planes; its default
-        tolerance is 2 % of the diagonal of its bounding box, or more if reaching that would take too much work.
+        sticks out farther, a warning states by how much. A mesh with holes is always cut along planes; the default
+        tolerance is then 2 % of the diagonal of the bounding box, or more if 2 % would take too much work.
     threshold : float
         CoACD's bound on concavity, from 0.01 to 1. A smaller bound gives more pieces and a closer fit. It applies only
         to meshes without holes.
@@ -237,7 +237,7 @@ def convex_pieces(
         Seed of CoACD's search.
     progress : callable, optional
         Called as ``progress(done, total)`` after each step; the ratio done / total never decreases. If the mesh is cut
-        along planes, each step is a hundredth of its surface.
+        along planes, each step stands for a hundredth of its surface.
 
     Returns
     -------
@@ -265,9 +265,9 @@ def convex_pieces(
 
     Covering is proven, not sampled. A triangle lies in a convex piece if its corners do; a triangle that lies in no
     piece is halved until its parts lie in a piece, nearly lie in one, or are smaller than 0.25 % of the mesh's
-    diagonal. With `cover`, the remaining parts are added to the nearest piece. Without it, their distance from the
-    pieces is measured at their corners, where it is greatest, since the distance to a convex piece is a convex
-    function.
+    diagonal. With `cover`, the remaining parts are added to the nearest piece. Without `cover`, the distance of the
+    remaining parts from the pieces is measured at the parts' corners, where the distance is greatest, since the
+    distance to a convex piece is a convex function.
 
     References
     ----------
@@ -578,7 +578,7 @@ def _at_most(most: int | None, pieces: list[Polytope]) -> list[Polytope]:
 def _coacd(vertices: Floats, triangles: Triangles, threshold: float, most: int | None, seed: int) -> list[Polytope]:
     coacd = _import("coacd")
     coacd.set_log_level("error")
-    middle, size = vertices.mean(axis=0), _size(vertices)  # its tolerances suit meshes of size 1 at the origin
+    middle, size = vertices.mean(axis=0), _size(vertices)  # CoACD's tolerances suit meshes of size 1 at the origin
     mesh = coacd.Mesh((vertices - middle) / size, triangles)
     found = _interruptible(
         lambda: coacd.run_coacd(mesh, threshold=threshold, max_convex_hull=-1 if most is None else most, seed=seed)

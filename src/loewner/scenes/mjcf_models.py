@@ -105,7 +105,8 @@ class MjcfModel:
     bodies : tuple of MjcfBody
         In MuJoCo's order: parents before children.
     related_pairs : frozenset
-        Sorted pairs of names of parts that MuJoCo skips because they are rigidly joined, or are parent and child.
+        Sorted pairs of names of parts. MuJoCo skips these pairs because the parts are rigidly joined, or parent and
+        child.
     excluded_pairs : frozenset
         Pairs that MuJoCo skips because of <exclude>, contype and conaffinity in the file.
     keyframes : dict
@@ -127,7 +128,7 @@ def read_mjcf(path: str | os.PathLike[str], tol: float) -> MjcfModel:
     ----------
     path : path
     tol : float
-        Certified log-volume gap of the fits of meshes.
+        Largest certified log-volume gap of the fits to meshes.
 
     Raises
     ------
@@ -144,7 +145,7 @@ def read_mjcf(path: str | os.PathLike[str], tol: float) -> MjcfModel:
     -----
     UserWarning
         Once, if the file contains parts that change MuJoCo's motions or contacts but are not read: flexible bodies,
-        constraints, margins of geoms, and limits of anything but joints with one value.
+        constraints, margins of geoms, and limits of anything except joints with one value.
     """
     file = _validate.path(path, "path", wanted="a path to an MJCF file")
     return compiled_model(_compiled(file), None, file, tol, couplings=False)
@@ -157,9 +158,9 @@ def compiled_model(model: Any, data: Any, file: Path, tol: float, *, couplings: 
     ----------
     model : mujoco.MjModel
     data : mujoco.MjData, optional
-        Supplies the poses of mocap bodies and the active constraints. Default: as in the model.
+        Supplies the poses of mocap bodies and the active constraints; by default, the model supplies them.
     file : Path
-        For messages and names.
+        Used for messages and names.
     tol : float
     couplings : bool
         Whether a joint follows the joint to which an equality couples it.

@@ -106,7 +106,7 @@ class Contact:
 
 @dataclass(frozen=True, eq=False)
 class Attachment(KeepsReadOnly):
-    """How a body is attached to a link of a robot.
+    """How a body is attached to a robot's link.
 
     Attributes
     ----------
@@ -254,7 +254,7 @@ class Scene:
         return self._in_order(self._bounds)
 
     def _in_order(self, held: dict[str, Entry]) -> dict[str, Entry]:
-        """Copy entries of some bodies, in the order in which the bodies were added."""
+        """Copy entries of bodies, in the order in which the bodies were added."""
         with _CHANGING:
             return {name: held[name] for name in self._bodies if name in held}
 
@@ -303,7 +303,7 @@ class Scene:
         return other
 
     def snapshot(self) -> Scene:
-        """Copy the scene and its versions consistently, so that a query is unaffected when another thread changes it.
+        """Copy the scene and its versions consistently, so that a query is unaffected by changes in other threads.
 
         Returns
         -------
@@ -609,8 +609,8 @@ class Scene:
     ) -> None:
         """Let a body follow a motion: a part on a conveyor, a door, or an object whose path a tracker predicts.
 
-        From now on, a `CollisionChecker` needs times for its answers; it proves motions of the robot against the motion
-        of the body. Bodies of the scene are not checked against each other.
+        From now on, a `CollisionChecker` needs times for its answers, and proves motions of the robot against the
+        motion of the body. Bodies of the scene are not checked against each other.
 
         Parameters
         ----------
@@ -629,21 +629,21 @@ class Scene:
             between two `times`; `poses` is then the first pose, shape (4, 4). The origin moves along a straight line
             while the body turns about it; this is not a screw motion about another axis.
         speed, turn : float
-            Bounds on how fast the body departs from this motion [m/s, rad/s], such as 1.6 m/s for a person. At a time
-            t, its origin deviates by at most speed · \\|t - since\\|, and its orientation by at most turn · \\|t -
+            Bounds on how fast the body departs from this motion [m/s, rad/s], such as 1.6 m/s for a person. At time t,
+            the body's origin deviates by at most speed · \\|t - since\\|, and its orientation by at most turn · \\|t -
             since\\|. A point at distance ρ from the origin then deviates by at most (speed + ρ · turn) · \\|t -
             since\\|. `bounds` contains the largest ρ, so a frame in the middle of the body is the best choice.
         since : float, optional
-            Time in seconds at which the body was seen. Default: the first of `times`.
+            Time in seconds at which the body was seen; the default is the first of `times`.
         error : array_like, shape (2,), optional
             Additional bounds on the error at the time `since`, in metres and radians; see `move`.
 
         Notes
         -----
-        With bounds, answers hold for all motions within them: FREE means free for each motion, and `collide` is True if
-        the body may collide. COLLIDING means a collision with the body on its given motion; everything else that is not
-        free is AMBIGUOUS. Distances apply to the given motion. Calling `follow` again without bounds removes the
-        bounds.
+        With bounds, answers hold for all motions within the bounds: FREE means free for each motion, and `collide` is
+        True if the body may collide. COLLIDING means a collision with the body on its given motion; everything else
+        that is not free is AMBIGUOUS. Distances apply to the given motion. Calling `follow` again without bounds
+        removes the bounds.
 
         Raises
         ------
@@ -712,7 +712,7 @@ class Scene:
         leave: Iterable[str] = (),
         reach: Iterable[str] = (),
     ) -> None:
-        """Attach a body, such as a grasped object, to a link, so that it moves with the link from now on.
+        """Attach a body, such as a grasped object, to a link, so that the body moves with the link.
 
         Parameters
         ----------
@@ -720,16 +720,16 @@ class Scene:
             A body of the scene. A body that is already attached to a link is handed over to the new link; a body that
             follows a motion stops following it, and bounds on the body's pose are dropped.
         link : str
-            Name of a link. It is checked when the scene is paired with a robot.
+            Name of a link, which is checked when the scene is paired with a robot.
         T_link_body : array_like, shape (4, 4), or None
             Pose of the body in the frame of the link, with its translation in metres; None is the identity.
         touch_links : iterable of str
             Links that the body may touch while it is attached, in addition to `link` itself.
         leave : iterable of str
-            Bodies or links that the body touches now and must leave, such as the table below it: see `leave`.
+            Bodies or links that the body touches now and must leave, such as the table below it (see `leave`).
         reach : iterable of str
-            Bodies or links that the body may touch at the end of a motion, such as the shelf on which it is placed: see
-            `reach`.
+            Bodies or links that the body may touch at the end of a motion, such as the shelf on which it is placed (see
+            `reach`).
 
         Warns
         -----
@@ -804,7 +804,7 @@ class Scene:
             return frozenset(self._allowed)
 
     def allow(self, a: str, b: str) -> None:
-        """Allow two bodies or links to touch; from now on queries ignore contact between them.
+        """Allow two bodies or links to touch; from now on, queries ignore contact between the two.
 
         Parameters
         ----------
@@ -953,13 +953,13 @@ class Scene:
     ) -> None:
         """Set the margin of a pair, of one body or link, of the whole scene, or of all pairs of links.
 
-        The new margin replaces an earlier margin for the same names. It never reduces a larger margin that applies to a
-        pair for other reasons, unless `lower` is set (see `margin_of`).
+        The new margin replaces an earlier margin for the same names, but never reduces a larger margin that applies to
+        a pair for other reasons, unless `lower` is set (see `margin_of`).
 
         Parameters
         ----------
         margin : float or None
-            In metres. None removes the margin of the pair, body or link.
+            Margin in metres; None removes the margin of the pair, body or link.
         a, b : str, optional
             Names of bodies or links. Give both for the margin of a pair, only `a` for one body or link, and neither for
             the scene's margin.
@@ -1053,7 +1053,7 @@ class Scene:
         Returns
         -------
         float
-            In metres.
+            The margin in metres.
 
         Examples
         --------
@@ -1084,7 +1084,7 @@ class Scene:
         Parameters
         ----------
         time : float, optional
-            Time in seconds; required if bodies follow motions, since it determines their poses.
+            Time in seconds; required if bodies follow motions, since the time determines their poses.
 
         Returns
         -------

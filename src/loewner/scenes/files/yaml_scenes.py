@@ -60,8 +60,9 @@ def load_scene(path: str | PathLike[str]) -> Scene:
     Parameters
     ----------
     path : path
-        Paths in the file are relative to its folder. From a file with the extension ``.xml`` or ``.mjcf``, a MuJoCo
-        model, all colliding geoms are read, with joints at their references. Use `Robot.from_mjcf` for parts that move.
+        Paths in the file are relative to its folder. A file with the extension ``.xml`` or ``.mjcf`` is read as a
+        MuJoCo model: the scene has all its colliding geoms, with joints at their references. Use `Robot.from_mjcf` for
+        parts that move.
 
     Returns
     -------
