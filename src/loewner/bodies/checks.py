@@ -6,7 +6,7 @@ with tolerances for the rounding of the test itself (`DOUBT`, `ROUNDINGS`), so t
 loewner passes.
 
 One property cannot be tested without fitting again: whether the inner ellipsoids are the largest and the outer ones the
-smallest. It determines the last digits of `gaps` and how tight the bounds are, but no verdict depends on it.
+smallest. This property determines the last digits of `gaps` and how tight the bounds are, but no verdict depends on it.
 """
 
 from __future__ import annotations
@@ -300,7 +300,7 @@ def _least_height(normal: Floats, a: Floats, b: Floats, c: Floats) -> Floats:
 
 
 def _least_distance(a: Floats, b: Floats, c: Floats) -> Floats:
-    """Bound the distances of triangles from the origin from below, without their normals.
+    """Compute lower bounds on the distances of triangles from the origin, without their normals.
 
     The vectors lead to the nearest points of the edges. If the nearest point of the triangle is on an edge, the bound
     is the distance. Otherwise the bound is too small by about the square of the triangle's width,
@@ -387,8 +387,8 @@ def _check_one_surface(arrays: dict[str, Any], i: int, points: Floats, triangles
     farthest = np.sqrt((away * away).sum(axis=1).max())
     _refuse(np.array([not farthest <= 1 + doubt]), "outer ellipsoid: expected the surface inside", rows=np.array([i]))
     if arrays["layout"][i, columns.KIND] == columns.SOLID:
-        return  # the inner one is computed anew, regardless of the file
-    # The inner one is a ball about a point of the surface, or within one.
+        return  # the inner ellipsoid is computed anew, regardless of the file
+    # The inner ellipsoid is a ball about a point of the surface, or lies within such a ball.
     center, inner = arrays["inner_center"][i], arrays["inner_factor"][i]
     to_vertex = np.sqrt(((points - center) ** 2).sum(axis=1).min())
     size = np.linalg.norm(inner, axis=(0, 1), ord=2)
@@ -423,7 +423,7 @@ def _core(factor: Floats, radius: float, rows: Ints) -> tuple[Floats, float]:
 
 
 def _check_curved(arrays: dict[str, Any]) -> None:
-    """Check that curved pieces match their kind, and their ellipsoids the closed forms, or err on the safe side."""
+    """Check that curved pieces match their kind, and that ellipsoids match the closed forms or err on the safe side."""
     kind = arrays["layout"][:, columns.KIND]
     rows = np.flatnonzero(kind > columns.POLYTOPE)
     if len(rows) == 0:

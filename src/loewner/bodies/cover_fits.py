@@ -28,7 +28,7 @@ SURFACE, CORNERS, INSIDE = 6000, 1500, 500
 # points and candidates.
 DENSITY, LEAST_SHARE = 8.0, 0.2
 
-# Candidates for the centers of balls.
+# Number of candidates for the centers of balls.
 CANDIDATES = 2500
 
 # STEPS of the local search for the fewest balls, and its ROUNDS, which add the points that the proof misses.
@@ -65,7 +65,7 @@ RESERVE = 0.04
 # Numbers are multiples of GRID times the largest coordinate's power of two, so that float32 represents them exactly.
 GRID = 2.0**-22
 
-# The least and the largest protrusion, relative to the size of the body, and the most elements.
+# The least and the largest protrusion, relative to the size of the body, and the largest number of elements.
 LEAST_PROTRUSION, LARGEST_PROTRUSION, MOST = 1e-4, 1e4, 4096
 
 
@@ -358,7 +358,7 @@ class _Clusters:
 
 
 def _box(points: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return the axes, half edges and center of a box around points, with little area."""
+    """Return the axes, half edges and center of a box that encloses points and has little area."""
     turn = least_box_axes(np.ascontiguousarray(points.T[:, None, :]))
     if np.linalg.det(turn) < 0:
         turn = turn * [1.0, 1.0, -1.0]

@@ -46,7 +46,7 @@ OUTWARD = 1 + 1e-12
 # Divisions of the triangulated ball whose corners give trial points of curved elements.
 DIVISIONS = 2
 
-# Triangles of elements for one search for the largest protrusion.
+# Number of triangles of elements in one search for the largest protrusion.
 FACES = 100_000
 
 OCTANTS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=float)
@@ -61,7 +61,7 @@ class _Part:
     convex: bool
     radius: float  # of the ball around each point of the triangles
     slack: float  # the piece sticks out of its triangles by at most this
-    gap: float = 0.0  # and the triangles stick out of the piece
+    gap: float = 0.0  # the triangles stick out of the piece by at most this
     inner: Floats | None = None  # triangles in a curved piece, with corners on its surface
 
 
@@ -127,8 +127,8 @@ class Target:
         return found
 
     def far(self, points: Floats) -> Floats:
-        """Bound the distances of points from the body from above; inside, the bound is negative and comes from balls in
-        the body."""
+        """Compute upper bounds on the distances of points from the body; inside, they are negative and come from
+        balls."""
         distances = self.boundary.signed_distances(points)[0]
         if self.boundary is not self.whole and self.whole.closed:
             clear = np.flatnonzero(distances > self.whole.rounding)
@@ -311,8 +311,8 @@ class _Proof:
         Returns
         -------
         cells : _Cells
-            The cells that are in no single element, with the elements that they may meet. With `inside`, also with all
-            elements whose height may be the least at a point of the cell.
+            The cells that are in no single element, with the elements that they may meet. With `inside`, instead with
+            all elements whose height may be the least at a point of the cell.
         height : ndarray
             The least height of each remaining cell's center.
         outside : ndarray of bool

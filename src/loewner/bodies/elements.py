@@ -92,7 +92,7 @@ class Elements:
         self.rounding[these] = HEIGHT_ROUNDINGS * self.sigma[these] * turned
 
     def _take_planes(self, packed: Packed) -> None:
-        """Prepare polytopes: choose, for each simplex of the surface, the plane that cuts its corners off by the least.
+        """Prepare polytopes: choose, for each simplex of the surface, the plane that its corners are least far below.
 
         By the lemma of docs/containment.md, the points below all chosen planes lie in the hull of the vertices.
         """

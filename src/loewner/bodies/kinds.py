@@ -48,7 +48,7 @@ class Kind(NamedTuple):
     `mesh` triangulates the unit shape, with all corners on its surface. Divided by `inradii`, this mesh contains the
     unit shape; `inradii` is None if the mesh is `ball`. `inner` and `outer` are the optimal ellipsoids. `gauge` is a
     convex function of points, with gradients no longer than 1: at most 1 in the unit shape and nowhere else, and less
-    at the origin. `support` is the support function. Covers refuse kinds without these two functions.
+    at the origin. `support` is the support function. Covers refuse kinds that lack `gauge` or `support`.
 
     If a ball is added, neither function is needed, `core` is half the length of the unit segment to which the ball is
     added (0 for a point), and `mesh` triangulates the unit ball.
@@ -69,7 +69,7 @@ class Kind(NamedTuple):
     def share(self, points: Floats) -> Floats:
         """Compute, for each point, a share of the path from the origin to the point that stays in the unit shape.
 
-        A convex function that is below zero at the origin is at most zero at this share of the way.
+        A convex function that is below zero at the origin is at most zero at this share of the path.
         """
         center = 1.0 - float(self.gauge(np.zeros((1, 3)))[0])
         return np.asarray(center / (center + np.maximum(self.gauge(points) - 1.0, 0.0)))

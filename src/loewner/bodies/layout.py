@@ -131,7 +131,7 @@ def laid_out(
     gaps : ndarray, shape (P, 2)
         Log-volume gaps of the fits.
     point_start, plane_start : ndarray of int64, shape (P + 1,), optional
-        Starts of the pieces' ranges of points and of planes; without them the ranges are empty.
+        Starts of the pieces' ranges of points and of planes; by default the ranges are empty.
     radius : float
         Rounding radius of all pieces, unless `frames` is given.
     **others : ndarray
@@ -177,7 +177,7 @@ def kernel_arrays(p: PieceArrays, maps: Maps, trees: Trees) -> records.Pieces:
 def joined_kernel(packs: Sequence[Any]) -> records.Pieces:
     """Join the kernels' arrays of several packs, in order, as `kernel_arrays` would make them from all pieces.
 
-    Making them again would take a hundred times as long for a cloud.
+    Making the arrays again would take a hundred times as long for a cloud.
     """
     counts = [len(pack.piece_start) - 1 for pack in packs]
     numbers = np.concatenate([np.arange(count) for count in counts])

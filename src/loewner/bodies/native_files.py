@@ -5,9 +5,9 @@ unchanged, except for addresses, which the reader fills in. The layout of the ar
 kernels. The header therefore names the version, and no other version can read the file.
 
 The header is the text ``lwn file``, the format, the size of the file in bytes, a checksum of everything after it, the
-hash of the kernels' sources, and eight counts: arrays, values of a configuration, links, moving bodies, static bodies,
-1 if surfaces are also given in parts, surfaces, 0. A row of the directory is a type (0 int64, 1 float64, 2 float32,
-3 bytes), rows, columns and an offset in bytes.
+hash of the kernels' sources, and eight numbers: the counts of arrays, values of a configuration, links, moving bodies
+and static bodies, 1 if surfaces are also given in parts, the count of surfaces, and 0. A row of the directory is a type
+(0 int64, 1 float64, 2 float32, 3 bytes), rows, columns and an offset in bytes.
 """
 
 from __future__ import annotations
@@ -82,7 +82,7 @@ def write(
     names : sequence of sequences of str
         Names of bodies, of links, and of the values of a configuration.
     arrays : dict
-        Arrays by their names in `BEFORE`; missing ones are empty.
+        Arrays by their names in `BEFORE`; missing arrays are empty.
     packs : sequence of Packed
         The bodies. If surfaces can be cut, the bodies again with all surfaces in parts, and a third time with only the
         static bodies without solids in small parts.

@@ -40,16 +40,16 @@ def surface_pieces(
     vertices, triangles : ndarray
         A mesh as returned by `meshes.load`.
     radius : float
-        In metres, >= 0.
+        Radius in metres, >= 0.
     solid : bool or None
-        Whether the space around which the mesh winds belongs to the piece; None: only if the mesh is closed.
+        Whether the piece includes the space around which the mesh winds; if None, only if the mesh is closed.
     tol : float
-        Certified log-volume gap of the outer ellipsoid.
+        Largest certified log-volume gap of the outer ellipsoid.
 
     Raises
     ------
     GeometryError
-        If the mesh is too small or too large, the radius is too large, or the mesh is to be solid and is open.
+        If the mesh is too small or too large, the radius is too large, or a mesh that is to be solid is open.
     """
     _memory.expect_left(len(triangles) * TRIANGLE_BYTES, f"{name}: {len(triangles)} triangles or balls")
     vertices, triangles = _merged(vertices, triangles)

@@ -84,7 +84,7 @@ _KEYS = {
 }
 _UNKNOWN = "expected keys of glTF 2.0, found others, which are not read"
 
-# Names of keys that a warning lists.
+# Number of keys that a warning names.
 _LISTED = 10
 
 # Allowed deviation of a rotation's quaternion from length 1.
