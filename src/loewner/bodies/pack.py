@@ -235,7 +235,7 @@ def moved(p: Packed, T: Floats) -> Packed:
     # lengths involved, and R stretches by its departure from orthonormality.
     table = p.kernel.table
     shift = 2.0**-53 * 32 * (table[:, columns.REACH] + np.abs(t).sum())
-    inside = p.inner_factor.any(axis=(1, 2))  # a surface without one has a point of its own instead
+    inside = p.inner_factor.any(axis=(1, 2))  # a surface without an inner ellipsoid has one of its points instead
     shrink = np.where(inside, 1 - shift / table[:, columns.INNER_SIGMA], 1.0)
     grow = 1 + shift / table[:, columns.OUTER_SIGMA]
     # A radius is kept while ellipsoids stretch with R. If core and ball had both been stretched, scaling by the stretch

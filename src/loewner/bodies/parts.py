@@ -139,12 +139,13 @@ def _cut(packed: Packed, i: int, most: int) -> Packed | None:
 
 
 def _hull_around(points: Floats, box: Floats) -> Floats:
-    """Make few points whose hull certainly contains the given ones.
+    """Make a few points whose hull certainly contains the given points.
 
-    They are vertices of the hull of all points, or only of the farthest ones in `WAYS` if there are many, moved away
-    from their middle c by a relative amount. A point p lies in the hull of the moved vertices v if n·(p - c) is at most
-    the least n·(v - c) over the vertices of each face with normal n, by the lemma of docs/containment.md. The corners
-    of the box around the points are taken instead if many points are in a plane, which has no faces.
+    The new points are vertices of the hull of all points, or only of the farthest points in `WAYS` if there are many,
+    moved away from their middle c by a relative amount. A point p lies in the hull of the moved vertices v if n·(p - c)
+    is at most the least n·(v - c) over the vertices of each face with normal n, by the lemma of docs/containment.md.
+    The corners of the box around the points are taken instead if many points are in a plane, so that their hull has no
+    faces.
     """
     if len(points) <= len(box):
         return points

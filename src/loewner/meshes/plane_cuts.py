@@ -63,7 +63,7 @@ class Cell:
     triangles : ndarray, shape (t, 3, 3)
     hull : Polytope
     bound : float
-        In metres; infinite before it is measured.
+        Bound in metres; infinite before it is measured.
     deepest : ndarray, shape (3,)
         The point of the hull that sticks out most, among the points examined.
     whole : bool
@@ -94,7 +94,7 @@ def pieces_within(
     solid : Solid
         The whole mesh.
     tolerance : float
-        In metres.
+        Largest distance by which a hull may stick out, in metres.
     most : int, optional
         Limit on the number of cells; the cells that stick out most are cut first.
     progress : callable, optional

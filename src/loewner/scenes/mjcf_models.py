@@ -232,7 +232,7 @@ def _compiled(file: Path) -> Any:
         )
     try:
         return mujoco.MjModel.from_xml_path(os.fspath(file))
-    except Exception as error:  # usually a ValueError, but its own code or a lack of memory may raise any error
+    except Exception as error:  # usually a ValueError, but MuJoCo's own code or a lack of memory may raise any error
         found = " ".join(str(error).split())
         raise FileError(f"{file}: expected an MJCF file, found what MuJoCo refuses ({found})") from None
 
@@ -438,7 +438,7 @@ def _terrain(model: Any, field: int) -> Body:
 
 
 def _hull_points(model: Any, mesh: int) -> Floats:
-    """Return the vertices that MuJoCo uses for a mesh: its convex hull, or the vertices left by `maxhullvert`."""
+    """Return the vertices of a mesh's convex hull that MuJoCo uses, whose number `maxhullvert` may limit."""
     first, count, graph = (int(a[mesh]) for a in (model.mesh_vertadr, model.mesh_vertnum, model.mesh_graphadr))
     vertices = np.array(model.mesh_vert[first : first + count], dtype=np.float64)
     if graph < 0:

@@ -657,7 +657,8 @@ class Scene:
 
         See Also
         --------
-        detach : Stop the body. attach : Stop the body and attach it to a link.
+        detach : Stop the body.
+        attach : Stop the body and attach it to a link.
 
         Examples
         --------
@@ -858,7 +859,8 @@ class Scene:
 
         See Also
         --------
-        reach : The corresponding rule for the end of a motion. allow : Allow contact at any time, however deep.
+        reach : The corresponding rule for the end of a motion.
+        allow : Allow contact at any time, however deep.
 
         Notes
         -----
