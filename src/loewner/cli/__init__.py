@@ -2,8 +2,8 @@
 
 The commands are `fit`, `check`, `clearance`, `robot`, `clash`, `cover`, `judge`, `plan`, `verify`, `audit`, `swept`,
 `view`, `compile`, `info`, `paper` and `report`. They share `inputs`, `configurations`, `trajectories`, `jobs` and
-`output`; `pair_tables`, `cover_tables`, `judge_answers` and `judge_configurations` read and print tables. `drives` are
-plans for mobile bases, `completion` writes completions for shells, and `compilation` compiles kernels ahead of their
+`output`; `pair_tables`, `cover_tables`, `judge_answers` and `judge_configurations` read and print tables. `drives`
+plans for mobile bases, `completion` writes completions for shells, and `compilation` compiles kernels before their
 first use.
 """
 

@@ -1,4 +1,4 @@
-"""``loewner audit``: find the collisions of a trajectory from any program, with times and depths."""
+"""``loewner audit``: find the collisions in a trajectory from any program, with their times and depths."""
 
 from __future__ import annotations
 
@@ -21,20 +21,20 @@ from loewner.planners.controller_points import START_TOLERANCE
 from loewner.robots import ClosestApproach
 from loewner.robots.proofs import approaches, curves
 
-# Width of the picture along time, in characters.
+# Width of the picture in characters, along the axis of time.
 COLUMNS = 60
 
-# Lines of one kind that are printed.
+# Largest number of lines of one kind that are printed.
 SHOWN = 5
 
-# The part of the units of rates that follows the unit of positions.
+# The second part of each rate's unit, which follows the unit of positions.
 UNITS = {"velocity": "/s", "acceleration": "/s²", "jerk": "/s³"}
 
-# Exit status of a trajectory that is free, but exceeds a limit.
+# Exit status for a trajectory that is free but exceeds a limit.
 BEYOND = 4
 MARKS = {Verdict.FREE: ".", Verdict.AMBIGUOUS: "?", Verdict.COLLIDING: "#"}
 
-# How far outside its limits a value is reported: above the rounding of decimals in files.
+# Distance outside its limits from which a value is reported: more than the rounding of decimals in files.
 ROUNDED = 1e-9
 
 WORST_FIRST = ("COLLIDING", "AMBIGUOUS", "FREE")
@@ -112,7 +112,7 @@ def _run(options: argparse.Namespace) -> int:
     parts, carrying = trajectories.read(options.trajectory, options, scene, robot, present)
     answers = []
     for number, given in enumerate(parts):
-        # The bodies that a part carries are still in their places during the way to its first point.
+        # While the robot moves to a part's first point, the bodies that the part carries are still in their places.
         before = _way_to(checker, given, present, options.joint_error) if number == 0 and present is not None else None
         trajectories.carry(scene, robot, given, carrying[number])
         proof, picture = (_numbered(file, number, len(parts)) for file in (options.proof, options.out))
@@ -145,7 +145,7 @@ def _run(options: argparse.Namespace) -> int:
 def _way_to(
     checker: loewner.CollisionChecker, part: trajectories.Part, present: Floats, joint_error: float
 ) -> dict[str, Any]:
-    """Prove the straight way from the present state to the first point of a part, within the time that it has."""
+    """Prove the straight motion from the present state to the first point of a part, within the available time."""
     robot, first = checker.robot, trajectories.end(checker.robot, part, 0)
     timed = isinstance(part, planners.ControllerPoints)
     begin, due = (part.start_time, float(part.times[0])) if isinstance(part, planners.ControllerPoints) else (0.0, 0.0)
@@ -174,7 +174,7 @@ def _way_to(
 
 
 def _numbered(file: Path | None, number: int, count: int) -> Path | None:
-    """Return the file of one part, which has the part's number in its name if there are several."""
+    """Return the file of one part, whose name contains the part's number if there are several parts."""
     return file if file is None or count == 1 else file.with_stem(f"{file.stem}-{number + 1}")
 
 
@@ -240,7 +240,7 @@ def _answer(
 
 
 def _allowed(checker: loewner.CollisionChecker, pair: tuple[str, str], near: ClosestApproach) -> dict[str, Any]:
-    """Return how near two bodies come that may be in contact at an end, and at which."""
+    """Return how near two bodies come that may be in contact at an end of the trajectory, and the end."""
     both = tuple(sorted(pair))
     ends = ("the beginning",) * (both in checker.scene.leaving) + ("the end",) * (both in checker.scene.reaching)
     margin = checker.scene.margin_of(*pair)
@@ -252,7 +252,7 @@ def _for_json(numbers: dict[str, Any]) -> dict[str, Any]:
 
 
 def _nearest(near: ClosestApproach, k: int) -> dict[str, Any]:
-    """Return how near bodies come on a piece: the least distance found, and the bound that is proven."""
+    """Return how near bodies come on a piece: the least distance found, and the proven bound."""
     numbers = {
         "nearest": float(near.distance[k]),
         "nearest_time": float(near.time[k]),
@@ -276,7 +276,7 @@ def _told_by_a_message(given: trajectories.Part) -> dict[str, Any]:
 
 
 def _beyond_limits(robot: loewner.Robot, curve: curves.Curve) -> list[dict[str, Any]]:
-    """Return the values that are outside the limits of the robot, or of its file, at some time."""
+    """Return the values that at some time are outside the limits of the robot, or of its file."""
     ends = [limit_use.extremes(curve.courses[:, :, k], curve.times) for k in range(robot.dof)]
     least, most = np.array([[low[0], high[0]] for low, high in ends]).reshape(-1, 2).T
     hard = (least < robot.hard_lower - ROUNDED) | (most > robot.hard_upper + ROUNDED)
@@ -294,7 +294,7 @@ def _beyond_limits(robot: loewner.Robot, curve: curves.Curve) -> list[dict[str, 
 
 
 def _picture(times: Floats, verdicts: Any) -> str:
-    """Draw, for equal parts of the time, the worst verdict of the pieces in each."""
+    """Draw the worst verdict of the pieces in each of several equal parts of the time."""
     edges = np.linspace(times[0], times[-1], COLUMNS + 1)
     first = np.searchsorted(times, edges[:-1], side="right") - 1
     last = np.maximum(np.searchsorted(times, edges[1:], side="left"), first + 1)
@@ -365,7 +365,7 @@ def _print_answer(answer: dict[str, Any]) -> None:
 
 
 def _print_unproven(answer: dict[str, Any], comma_unit: str) -> None:
-    """Print a row for each piece that is not proven free, and which margins count."""
+    """Print a row for each piece that is not proven free, and the margins that count."""
     table = new_table(
         "piece", f"from{comma_unit}", f"to{comma_unit}", "verdict", "pair of the verdict", "nearest pair",
         f"at{comma_unit}", "nearest, mm", title=f"{answer['robot']}, {answer['checked_pairs']} pairs checked",
@@ -403,7 +403,7 @@ def _print_nearest(answer: dict[str, Any], unit: str) -> None:
 
 
 def _print_limits(answer: dict[str, Any], unit: str) -> None:
-    """Print limits that are exceeded, the largest use of each quantity, and corners."""
+    """Print the limits that are exceeded, the largest use of each quantity, and the corners."""
     for one in answer["beyond_limits"]:
         kind = "limits" if one["hard"] else "limits for planning"
         (least, most), ends = one["range"], ["none" if end is None else f"{end:.6g}" for end in one["limits"]]

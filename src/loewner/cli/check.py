@@ -11,7 +11,7 @@ from loewner import Body, Distance, Verdict
 from loewner.cli import inputs
 from loewner.cli.output import STATUS, covering_text, is_surface, model_text, print_answer
 
-# Share of the mesh's volume by which pieces may exceed it without a note.
+# Fraction of the mesh's volume by which the pieces may exceed the mesh without a note.
 WORTH_TELLING = 0.01
 
 EXAMPLES = """examples:
@@ -98,13 +98,13 @@ def _print_answer(
     for name, body in ((options.a, a), (options.b, b)):
         if is_surface(body):
             print(f"model       {name}: {model_text(body)}")
-        # NaN, for a mesh that is not closed, also gives the note.
+        # An open mesh, for which the excess is NaN, also causes the note.
         if body.covering is not None and not (body.covering.exact and body.covering.excess_volume < WORTH_TELLING):
             print(f"note: {name}: {covering_text(body.covering)}; the answer is about the pieces")
 
 
 def _kind_of_distance(a: Body, b: Body, distance: float) -> str:
-    """Describe an exact distance; for a depth, the description depends on the bodies."""
+    """Describe the accuracy of an exact distance or depth; for a depth, it depends on the bodies."""
     if distance >= 0:
         return "exact"
     if is_surface(a) or is_surface(b):

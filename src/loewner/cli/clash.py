@@ -1,4 +1,4 @@
-"""``loewner clash``: which parts of a mechanism can ever collide, and whether a body collides on a given motion."""
+"""``loewner clash``: find which parts of a mechanism can ever collide, or whether a body collides on a given motion."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from loewner.errors import InputError
 from loewner.queries.pose_paths import path_of
 from loewner.robots.description.pair_verdicts import PairVerdict, ProvenPair, ProvenPairs
 
-# Options of robots only, and of two bodies only, by their names in the parser.
+# Options that apply only to robots, and options that apply only to two bodies, by their names in the parser.
 OF_ROBOTS = (
     "srdf", "package_dir", "decompose", "scene", "between", "exempt", "all", "limits", "boxes", "largest", "at",
     "write_srdf", "narrower", "proof",
@@ -187,9 +187,9 @@ def _motion(options: argparse.Namespace) -> Floats:
 
 
 def _first(verdicts: Any, free_until: Floats, touching: Floats) -> tuple[loewner.Verdict, float | None, float | None]:
-    """Combine the answers of successive motions; the time of each runs from its number to the next one."""
+    """Combine the answers for successive motions; motion k lasts from time k to time k + 1."""
     for first in np.flatnonzero(verdicts != loewner.Verdict.FREE)[:1]:
-        # Contact in a later motion is certain, even if the first one is AMBIGUOUS.
+        # Contact in a later motion is certain, even if an earlier motion is AMBIGUOUS.
         hit = next(iter(np.flatnonzero(verdicts == loewner.Verdict.COLLIDING)), first)
         at = float(hit + touching[hit])
         known = None if np.isinf(at) else at
@@ -224,7 +224,7 @@ def _limits(text: str) -> tuple[str, tuple[float, float]]:
 
 
 def _pairs(robot: loewner.Robot, scene: loewner.Scene | None, options: argparse.Namespace) -> list[Pair]:
-    """Return the pairs in question; at least one."""
+    """Return the pairs in question; there is at least one."""
     if options.between:
         return [tuple(pair) for pair in options.between]
     if options.exempt:
@@ -240,7 +240,7 @@ def _pairs(robot: loewner.Robot, scene: loewner.Scene | None, options: argparse.
 
 
 def _entry(row: ProvenPair, robot: loewner.Robot) -> dict[str, Any]:
-    """A row as JSON has it."""
+    """A row in the form of JSON."""
 
     def named(q: Floats | None) -> dict[str, float] | None:
         return None if q is None else dict(zip(robot.configuration_names, q.tolist(), strict=True))
@@ -269,7 +269,7 @@ def _print_ranges(ranges: dict[str, tuple[float, float]]) -> None:
 
 
 def _draw(found: ProvenPairs, robot: loewner.Robot, scene: loewner.Scene | None, path: Path) -> None:
-    """Draw the two bodies with the least distance, where they have it."""
+    """Draw the two bodies with the least distance, at this distance."""
     row = min(found, key=lambda row: np.nan_to_num(row.distance, nan=np.inf))
     if row.nearest is None:
         print(f"note: {shown(path)} is not written, since no distance is known")

@@ -81,11 +81,11 @@ def _measured(bodies: loewner.Bodies, within: float) -> _Found:
     try:
         colliding = loewner.collide(bodies, None, bodies, None, pairs=pairs)
     except ConvergenceError as error:
-        colliding = error.partial  # which is True for unsettled pairs
+        colliding = error.partial  # True for unsettled pairs
     try:
         distance = loewner.distance(bodies, None, bodies, None, pairs=pairs, exact=True).distance
     except ConvergenceError as error:
-        distance = error.partial.distance  # and NaN
+        distance = error.partial.distance  # NaN for unsettled pairs
     left = ~(distance > within) | colliding
     return _Found(pairs[left], colliding[left], distance[left], lower[left], upper[left])
 
@@ -108,7 +108,7 @@ def _tell(names: list[str], found: _Found, path: Path | None) -> None:
 
 
 def _rows(names: list[str], found: _Found, shown: str) -> list[list[str]]:
-    """Format the cells of the row of each pair."""
+    """Format the rows of the table, one for each pair."""
     columns = (array.tolist() for array in found)
     return [
         [

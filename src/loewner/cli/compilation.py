@@ -1,4 +1,4 @@
-"""Compile kernels in advance, on all cores; otherwise each query compiles its kernels on its first call."""
+"""Compile kernels in advance, on all cores; by default, each query compiles its kernels on its first call."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from loewner._base._threads import processors
 from loewner._native import entries, library
 from loewner.errors import FileError
 
-# Modules below `loewner._kernels`, or prefixes of their names, by the part to which their entries belong.
+# The parts, with the modules below `loewner._kernels`, or prefixes of names of modules, that define their entries.
 _MODULES = {
     "verdicts": (
         "elementary",
@@ -36,7 +36,7 @@ _MODULES = {
 }
 PARTS = tuple(_MODULES)
 
-# Parts that share most of their code and are compiled by one process; the longest groups come first.
+# Groups of parts that share most of their code, each compiled by one process; the slowest groups come first.
 _TOGETHER = (("verdicts", "crowds", "robots"), ("fits", "surfaces"), ("distances", "estimates", "paper"))
 
 POLL = 0.1  # seconds between polls of the processes
@@ -46,12 +46,13 @@ def compile_kernels(parts: Iterable[str] = PARTS, *, progress: Callable[[int, in
     """Compile the kernels for this machine now, in as many processes as are useful.
 
     Kernels that have been compiled before are only looked up, which takes a few seconds. If the native library is in
-    use, there is nothing to compile.
+    use, no kernels need compiling.
 
     Parameters
     ----------
     parts : iterable of str
-        Any of "verdicts", "crowds", "robots", "fits", "surfaces", "distances", "estimates" and "paper"; all by default.
+        Any of "verdicts", "crowds", "robots", "fits", "surfaces", "distances", "estimates" and "paper". The default is
+        every part.
     progress : callable, optional
         Called as ``progress(done, total)`` after each part.
 
@@ -63,7 +64,7 @@ def compile_kernels(parts: Iterable[str] = PARTS, *, progress: Callable[[int, in
     Raises
     ------
     InputError, UnknownNameError
-        If there is no such part.
+        If the name of a part is unknown.
     MissingExtraError
         If neither the native library nor Numba is available.
     FileError
@@ -122,7 +123,7 @@ class _Group:
 
     def __init__(self, names: list[str], folder: Path) -> None:
         self.names = names
-        # Files, not pipes: a pipe that is not read in time fills up and blocks the process.
+        # Use files, not pipes: a pipe that is not read in time fills up and blocks the process.
         self._told, self._said = folder / f"{names[0]}.out", folder / f"{names[0]}.err"
         environment = {**os.environ, "LOEWNER_QUIET": "1"}
         command = [sys.executable, "-c", _code(names)]
@@ -141,8 +142,8 @@ class _Group:
 
 
 def _code(names: list[str]) -> str:
-    # The child imports this copy of the package. Numba makes millions of small permanent objects, and collecting
-    # garbage among them would take a sixth of the time.
+    # The child imports this copy of the package. Numba makes millions of small permanent objects, among which the
+    # search for garbage would take a sixth of the time.
     return f"""
 import gc, sys
 sys.path.insert(0, {str(Path(__file__).parents[2])!r})

@@ -25,7 +25,7 @@ def _run(options: argparse.Namespace) -> int:
     if sys.stderr.isatty():
         with progress_of("compiling") as progress:
             folder = compile_kernels(options.only, progress=progress)
-    else:  # a log if no bar is shown
+    else:  # print a log if no bar is shown
         _log(f"compiling {', '.join(options.only)}; takes a few minutes")
         folder = compile_kernels(options.only, progress=lambda done, total: _log(f"{done} of {total} parts compiled"))
     print(f"compiled into {folder}")

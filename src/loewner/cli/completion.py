@@ -11,8 +11,8 @@ SHELLS = ("bash", "zsh", "fish")
 
 Parsers = list[tuple[str, argparse.ArgumentParser]]
 
-# Words before the cursor choose the command; the word before it may be an option with a choice of values. Without words
-# to offer, bash offers files.
+# The words before the cursor determine the command, and the last of them may be an option with a choice of values. If
+# the script offers no words, bash offers files.
 BASH = """\
 _loewner() {{
   local word command= cur=${{COMP_WORDS[COMP_CWORD]}} prev=${{COMP_WORDS[$((COMP_CWORD - 1))]}} offers=
@@ -50,19 +50,19 @@ class PrintCompletion(argparse.Action):
     """An option that prints the completion script for a shell and ends the program."""
 
     def __call__(self, parser: argparse.ArgumentParser, _: argparse.Namespace, shell: Any, __: Any = None) -> NoReturn:
-        """Print the script for the parser to which the option belongs."""
+        """Print the script for the parser that has this option."""
         print(script(parser, shell), end="")
         parser.exit()
 
 
 def script(parser: argparse.ArgumentParser, shell: str) -> str:
-    """Write a completion script for a parser, its commands and their options, for one of `SHELLS`."""
+    """Write a script for one of `SHELLS` that completes the commands and options of a parser."""
     parsers = list(_parsers(parser))
     return _fish(parsers) if shell == "fish" else (ZSH if shell == "zsh" else "") + _bash(parsers)
 
 
 def _parsers(parser: argparse.ArgumentParser, *names: str) -> Iterator[tuple[str, argparse.ArgumentParser]]:
-    """Yield each command, as its words, and its parser; the program itself has no words."""
+    """Yield the words and the parser of each command; the program itself has no words."""
     yield " ".join(names), parser
     for name, inner in _commands(parser).items():
         yield from _parsers(inner, *names, name)
@@ -81,7 +81,7 @@ def _options(parser: argparse.ArgumentParser) -> list[argparse.Action]:
 
 
 def _patterns(parsers: Parsers, between: str) -> str:
-    """Write what precedes a word, a blank and the word, for each word that is a command."""
+    """Write each word that is a command, after a blank and the words that precede it."""
     found = (f"{above} {name}" for above, parser in parsers for name in _commands(parser))
     return between.join(map(shlex.quote, found))
 
@@ -90,7 +90,7 @@ def _bash(parsers: Parsers) -> str:
     values, words = [], []
     for command, parser in parsers:
         names = [name for option in _options(parser) for name in option.option_strings]
-        # Where there are commands, these come first; elsewhere, a word that does not begin like an option is a file.
+        # If there are commands, they come first; without any, a word that does not begin like an option is a file.
         commands, options = " ".join(_commands(parser)), " ".join(names)
         words.append(f"      {command!r}) case $cur in -*) offers={options!r} ;; *) offers={commands!r} ;; esac ;;")
         for option in _options(parser):
@@ -117,5 +117,5 @@ def _fish(parsers: Parsers) -> str:
 
 
 def _quoted(text: str | None) -> str:
-    """Quote a help text for fish, in which a backslash keeps its meaning between single quotes."""
+    """Quote a help text for fish, where a backslash keeps its meaning between single quotes."""
     return "'" + (text or "").replace("\\", "\\\\").replace("'", "\\'") + "'"

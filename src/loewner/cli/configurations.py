@@ -18,7 +18,7 @@ from loewner._base._files import read_regular, replacing
 from loewner._base._validate import Floats
 from loewner.errors import FileError, InputError, LoewnerError
 
-# Endings of files from which configurations are read, and to which paths are written.
+# Endings of files from which configurations are read, and of files to which paths are written.
 READ = (".npy", ".csv", ".json")
 WRITTEN = (".csv", ".json")
 
@@ -27,9 +27,9 @@ MOST_BYTES = 2**33
 
 
 def read(path: Path, robot: loewner.Robot, *, named: bool = False) -> Floats:
-    """Read the numbers of a file and order them as the robot's columns; the caller checks their shape.
+    """Read the numbers of a file and put them in the order of the robot's columns; the caller checks their shape.
 
-    If `named`, the file must name its columns, as files from `write` do; a .npy file cannot.
+    If `named`, the file must name its columns, as files from `write` do and .npy files cannot.
     """
     suffix = path.suffix.lower()
     if suffix not in READ:
@@ -61,8 +61,7 @@ def path_of(path: Path, robot: loewner.Robot) -> Floats:
 
 
 def is_path(path: Path, times: Sequence[str]) -> bool:
-    """Return whether a file names its columns, as files from `write` do, and its first column is not named like a
-    time."""
+    """Return whether a file names its columns, as files from `write` do, and the first name is none of `times`."""
     if path.suffix.lower() not in WRITTEN:
         return False
     try:
@@ -77,13 +76,13 @@ def is_path(path: Path, times: Sequence[str]) -> bool:
 
 
 def write(path: Path, robot: loewner.Robot, rows: Floats) -> None:
-    """Write a path with the names of its columns, atomically; reading the file gives the same numbers."""
+    """Write a path and the names of its columns atomically; reading the file gives the same numbers."""
     names, numbers = list(robot.configuration_names), rows.tolist()
     with replacing(path) as temporary, open(temporary, "w", encoding="utf-8", newline="") as file:
         if path.suffix.lower() == ".csv":
             csv.writer(file, lineterminator="\n").writerows([names, *numbers])
         else:
-            # One configuration on each line.
+            # Write one configuration on each line.
             listed = ",\n  ".join(map(json.dumps, numbers))
             file.write(f'{{\n "names": {json.dumps(names)},\n "configurations": [\n  {listed}\n ]\n}}\n')
 
@@ -112,7 +111,7 @@ def given(text: str, name: str, options: argparse.Namespace, robot: loewner.Robo
 
 
 def one(text: str | None, name: str, options: argparse.Namespace, robot: loewner.Robot) -> Floats | None:
-    """Read one configuration likewise, if there is a text."""
+    """Read one configuration in the same ways; None if `text` is None."""
     return None if text is None else robot.checked_one(given(text, name, options, robot, None), name)
 
 
@@ -122,7 +121,7 @@ def rows_of(text: str) -> list[list[str]]:
 
 
 def _has_header(rows: list[list[str]], names: Sequence[str] = ()) -> bool:
-    """Return whether the first row of a table names the columns; a joint may have a number as its name."""
+    """Return whether the first row of a table names the columns; the name of a joint may be a number."""
     return bool(rows) and (sorted(rows[0]) == sorted(names) or not any(_are_numbers([cell]) for cell in rows[0]))
 
 

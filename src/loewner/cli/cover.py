@@ -1,4 +1,4 @@
-"""``loewner cover``: shapes that provably contain a robot's links, in the file format of a planner."""
+"""``loewner cover``: write shapes that provably contain a robot's links, in the file format of a planner."""
 
 from __future__ import annotations
 

@@ -20,7 +20,7 @@ STATUS = {"covered": FREE, "undecided": AMBIGUOUS, "uncovered": COLLIDING}
 
 
 def judged(robot: loewner.Robot, model: loewner.Robot, tolerance: float | None = None) -> dict[str, CoverReport]:
-    """Judge a model, and show a progress bar."""
+    """Judge a model while a progress bar is shown."""
     with progress_of("proofs", len(robot.bodies)) as progress:
         return robot.covered_by(model, tolerance=tolerance, progress=progress)
 
@@ -60,7 +60,7 @@ def print_reports(
 
 
 def _area(body: loewner.Body) -> float:
-    """The area of the surfaces of all pieces."""
+    """The total surface area of all pieces."""
     corners = np.concatenate([vertices[triangles] for vertices, triangles in of_pieces(packed_of(body))])
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     return float(np.linalg.norm(normals, axis=1).sum()) / 2
@@ -75,7 +75,7 @@ def _millimetres(length: tuple[float, float]) -> str:
 
 
 def _interval(ends: tuple[float, float], factor: float, unit: str) -> str:
-    """Write bounds with three digits, rounded outwards; as one number if they agree."""
+    """Write bounds with three digits, rounded outwards, or one number if both bounds are written alike."""
     low, high = _number(factor * ends[0], np.floor), _number(factor * ends[1], np.ceil)
     return f"{low} {unit}" if low == high else f"{low} .. {high} {unit}"
 
@@ -107,7 +107,7 @@ def entries(model: loewner.Robot, reports: Mapping[str, CoverReport]) -> dict[st
 
 
 def _shapes(model: loewner.Robot, link: str) -> int:
-    """How many shapes a model has for a link."""
+    """The number of shapes that a model has for a link."""
     return len(model.bodies[link].pieces) if link in model.bodies else 0
 
 
@@ -118,6 +118,6 @@ def draw(robot: loewner.Robot, model: loewner.Robot, picture: Path | None) -> No
 
 
 def status(reports: Mapping[str, CoverReport]) -> int:
-    """Return the exit status: 0 if all links are covered, 1 if one is not, 3 if one is undecided."""
+    """Return the exit status: 0 if all links are covered, 1 if a link is not covered, 3 if a link is undecided."""
     outcomes = {report.outcome for report in reports.values()}
     return next(STATUS[name] for name in ("uncovered", "undecided", "covered") if name in outcomes)

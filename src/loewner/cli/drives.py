@@ -1,4 +1,4 @@
-"""``loewner plan --base``: find a drive of a mobile base, on a map of ROS's map server if one is given."""
+"""``loewner plan --base``: find a drive of a mobile base, with or without a map in the format of ROS's map server."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ from loewner.errors import InputError, PlanningError
 from loewner.planners.drives import base_columns
 from loewner.scenes import maps
 
-# Number of configurations per motion, including its ends, at which the distance of the nearest pair is measured.
+# Number of configurations of each motion, including its ends, for which the distance of the nearest pair is measured.
 MEASURED = 33
 
-# Metres by which the occupied space around a map is wider than the map, so that no robot reaches over it.
+# Width in metres of the occupied space around a map, which is more than any robot's reach.
 BEYOND = 10.0
 
-# Options of other plans, which drives do not use, and options of drives.
+# Options of other plans, which drives do not use, and options that only drives use.
 OF_OTHERS = (
     "goal_pose", "joints", "leave", "reach", "sampled", "planner", "resolution", "improve_for", "weights", "clearance",
     "start_time", "arrive_by", "velocity",
@@ -57,7 +57,7 @@ def refuse_unused(options: argparse.Namespace) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Plan a drive, print and write it."""
+    """Plan a drive, print it and write it to a file."""
     scene = loewner.Scene() if options.scene is None else loewner.load_scene(options.scene)
     remove_older_proof(options.proof)
     robot = _on_a_base(inputs.robot(options), _add_map(scene, options))
@@ -92,7 +92,7 @@ def _add_map(scene: loewner.Scene, options: argparse.Namespace) -> Floats | None
     file, text = options.map
     try:
         height = positive_scalar(_tables.number(text), "--map, height")
-    except ValueError:  # our errors as well
+    except ValueError:  # includes our own errors
         raise InputError(f"--map, height: expected metres above 0, found {text!r}") from None
     grid = maps.read_map(file)
     body = maps.body_of(grid, height, unknown=True)
@@ -105,7 +105,7 @@ def _add_map(scene: loewner.Scene, options: argparse.Namespace) -> Floats | None
 
 
 def _on_a_base(robot: loewner.Robot, bounds: Floats | None) -> loewner.Robot:
-    """Return the robot if it has a planar base, or put it on one that stays within the bounds of the map."""
+    """Return the robot if it has a planar base, or put it on a planar base that stays within the bounds of the map."""
     try:
         base_columns(robot)
     except InputError:
@@ -122,7 +122,7 @@ def _end(text: str, name: str, options: argparse.Namespace, robot: loewner.Robot
     """Read a configuration; three numbers are a pose of the base, with the other joints as given."""
     try:
         pose = finite_array(_tables.row(text), name, (3,))
-    except ValueError:  # of another length, or no numbers
+    except ValueError:  # not three numbers
         return configurations.given(text, name, options, robot, others)
     q = others.copy()
     q[list(base_columns(robot))] = pose
@@ -130,7 +130,7 @@ def _end(text: str, name: str, options: argparse.Namespace, robot: loewner.Robot
 
 
 def _write(path: Path, drive: planners.Drive) -> None:
-    """Write the configurations at which motions begin, with lengths and turns; the last row has no motion."""
+    """Write the configurations at which motions begin, with lengths and turns; the last row is the goal."""
     motions = np.concatenate([drive.motions, np.zeros((1, 2))])
     with replacing(path) as temporary, open(temporary, "w", encoding="utf-8", newline="") as file:
         if path.suffix.lower() == ".csv":

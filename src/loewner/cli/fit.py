@@ -40,7 +40,7 @@ Failed meshes are listed at the end.
 exit status: 0 all meshes are fitted, 2 one or more failed, or another error
 """
 
-# Options that determine the body of a mesh.
+# Options that affect the body of a mesh.
 MAKING = ("model", "hull", "usual_model", "scale", "tol", *inputs.OF_PIECES, *inputs.OF_SURFACES)
 
 
@@ -78,13 +78,13 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def _on_this_machine(options: argparse.Namespace, targets: list[Path]) -> int:
-    """Fit the meshes, each in one of several processes; print tables of the bodies made and of the failures."""
+    """Fit the meshes in one or more processes; print tables of the bodies and of the failures."""
     count = 1 if options.jobs is None else _validate.whole_number(options.jobs, "--jobs", 1, MOST_THREADS)
     with told_to([]), suppress(GeometryError):  # a refused option need not be reported for each mesh
         _body(TETRAHEDRON, options, lambda *_: None)
     made_folder(_validate.path(options.out, "--out"))
     rows, failed = dict[int, list[str]](), dict[int, str]()
-    # A process that is killed while writing leaves part of a file, in a temporary folder.
+    # If a process is killed while it writes a file, the partial file stays in this temporary folder.
     with tempfile.TemporaryDirectory(prefix=".fit-", dir=options.out) as unfinished, progress_bar() as progress:
         made = [Path(unfinished) / target.name for target in targets]
         making = {name: getattr(options, name) for name in MAKING}
@@ -140,7 +140,7 @@ def _body(source: Any, options: argparse.Namespace, progress: Progress) -> loewn
 
 
 def _outcome(mesh: Path, answer: list[Any] | None) -> tuple[Outcome, list[str]]:
-    """Return a process's outcome and its row of the table; if the process died, the outcome states that."""
+    """Return the outcome of a process and its row of the table; the outcome shows if the process died."""
     if answer is None:
         text = f"{shown(mesh)}: the process that fitted it died; it may take more memory than there is"
         return Outcome("failed", text), []

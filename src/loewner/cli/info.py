@@ -1,4 +1,4 @@
-"""``loewner info``: print the version, how its kernels run, and the installed optional packages."""
+"""``loewner info``: print the version, the way in which kernels run, and the installed optional packages."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def _lines() -> list[tuple[str, str]]:
 
 
 def _told(what: Callable[[], str]) -> str:
-    """Return a text, or the fault of a setting on which the text depends."""
+    """Return a text, or the error in a setting on which the text depends."""
     try:
         return what()
     except LoewnerError as error:

@@ -19,7 +19,7 @@ from loewner.ellipsoids.fits import DEFAULT_TOLERANCE
 from loewner.errors import FileError, InputError, PoseError
 from loewner.robots.description import link_bodies
 
-# Largest file with a pose in bytes: a matrix in text takes a few hundred.
+# Largest size in bytes of a file with a pose; a matrix in text takes a few hundred bytes.
 MOST_POSE_BYTES = 2**20
 
 
@@ -28,13 +28,13 @@ DRAWN = (".png", ".svg")
 
 
 def expect_suffix(path: Path | None, option: str, endings: Sequence[str]) -> None:
-    """Refuse a file of another kind, before any work."""
+    """Refuse a file of another kind before any work is done."""
     if path is not None and path.suffix.lower() not in endings:
         raise FileError(f"{option}: expected a {' or '.join(endings)} file, found {path}")
 
 
 def refuse(options: argparse.Namespace, names: Iterable[str], message: str) -> None:
-    """Refuse options that would silently be ignored, by a message with a place for the option."""
+    """Refuse options that would silently be ignored; the message has a placeholder for the option."""
     for name in names:
         if getattr(options, name) != options.default(name):
             raise InputError(message.replace("{}", f"--{name.replace('_', '-')}", 1))
@@ -51,7 +51,7 @@ def command(commands: Any, name: str, what: str, examples: str) -> argparse.Argu
 # Models of a mesh: its triangles, convex pieces, or its convex hull.
 MODELS = ("surface", "pieces", "hull")
 
-# Options of pieces and of surfaces, by their names in the library.
+# Options for pieces and for surfaces, by their names in the library.
 OF_PIECES = ("tolerance", "threshold", "max_pieces", "seed")
 OF_SURFACES = ("radius", "solid")
 
@@ -92,14 +92,14 @@ def add_rule_options(command: argparse.ArgumentParser, start: str, end: str) -> 
 
 
 def apply_rules(scene: loewner.Scene, options: argparse.Namespace) -> None:
-    """Apply these options to a scene."""
+    """Apply the options of `add_rule_options` to a scene."""
     for rule, pairs in ((scene.leave, options.leave), (scene.reach, options.reach)):
         for pair in pairs:
             rule(*pair)
 
 
 def add_robot_options(command: argparse.ArgumentParser, *, required: bool = True) -> None:
-    """Add the options of commands that take a robot; if the robot is not required, it is also an option."""
+    """Add the options of commands that take a robot; a robot that is not required is an option, too."""
     option = command.add_argument
     if required:
         option("urdf", type=Path, metavar="URDF", help="the robot: a URDF file")
@@ -114,7 +114,7 @@ def add_robot_options(command: argparse.ArgumentParser, *, required: bool = True
 
 
 def bodies(paths: Sequence[Path], options: argparse.Namespace) -> Iterator[loewner.Body]:
-    """Load saved bodies, or make the bodies of meshes, one after another; mesh options require a mesh."""
+    """Yield saved bodies and the bodies of meshes, in the given order; mesh options require a mesh."""
     if all(path.suffix.lower() == ".npz" for path in paths):
         found = ", ".join(path.name for path in paths)
         of_meshes = ("model", *OF_SURFACES, *OF_PIECES, "scale", "hull")
@@ -126,7 +126,7 @@ def body(path: Path, options: argparse.Namespace) -> loewner.Body:
     """Load a saved body, or make the body of a mesh."""
     if path.suffix.lower() != ".npz":
         return from_mesh(path, options)
-    model(options)  # which refuses incompatible options
+    model(options)  # refuses incompatible options
     for name in ("model", "radius", "solid", "tolerance"):
         if getattr(options, name, None) is not None:
             raise InputError(f"--{name}: expected a mesh to make a body of, found a saved body, {path.name}")
@@ -136,7 +136,7 @@ def body(path: Path, options: argparse.Namespace) -> loewner.Body:
 def from_mesh(
     path: Path, options: argparse.Namespace, *, tol: float = DEFAULT_TOLERANCE, progress: Progress | None = None
 ) -> loewner.Body:
-    """Make the body of a mesh, with a progress bar of its own unless the caller shows progress."""
+    """Make the body of a mesh, and show a progress bar unless the caller shows progress."""
     chosen = model(options)
     if chosen == "surface":
         return loewner.Body.from_surface(path, scale=options.scale, **given(options, OF_SURFACES))
@@ -184,7 +184,7 @@ def pose(text: str | None, name: str) -> Floats | None:
 
 
 def pose_of(numbers: Sequence[float], name: str) -> Floats:
-    """Return the pose with a position, and with a quaternion if there are seven numbers."""
+    """Make a pose from a position and, if there are seven numbers, a quaternion."""
     T = np.eye(4)
     T[:3, 3] = numbers[:3]
     if len(numbers) == 7:
@@ -193,7 +193,7 @@ def pose_of(numbers: Sequence[float], name: str) -> Floats:
 
 
 def poses(path: Path) -> Floats:
-    """Read the poses of a motion from a file that has a line of numbers for each pose, or matrices."""
+    """Read the poses of a motion from a file with a line of numbers for each pose, or with matrices."""
     data = read_regular(path, "a file of poses", MOST_POSE_BYTES)
     if path.suffix.lower() == ".npy":
         Ts = _archives.numbers(data, str(path), "4x4 matrices of numbers")
@@ -230,7 +230,7 @@ def _pose_file(path: Path) -> Floats:
 
 
 def robot(options: argparse.Namespace) -> loewner.Robot:
-    """Read the robot, and show progress."""
+    """Read the robot while a progress bar is shown."""
     if options.decompose and options.model not in (None, "pieces"):
         raise InputError(f"--decompose: expected no other model with it, found --model {options.model}")
     meshes: Any = "pieces" if options.decompose else options.model or link_bodies.USUAL_MODEL

@@ -1,8 +1,8 @@
 """Distribute files to several processes, one file at a time to each; if a process dies, only its file is lost.
 
-Each process is a new interpreter that reads tasks from its standard input and writes answers to its standard output,
-each as one line of JSON. It ends when its input ends, that is, when there is no more work, or when the parent process
-has ended for any reason.
+Each process is a new interpreter that reads tasks from its standard input and writes answers to its standard output;
+every task and answer is a line of JSON. A process ends when its input ends: when there is no more work, or when the
+parent process has ended for any reason.
 """
 
 from __future__ import annotations
@@ -38,9 +38,9 @@ def answers(entry: str, tasks: Sequence[dict[str, Any]], jobs: int) -> Iterator[
     entry : str
         Module with a function ``serve_task`` that takes a task and a progress callback and returns the answer.
     tasks : sequence of dict
-        Any values that JSON can represent.
+        The tasks; their values are any that JSON can represent.
     jobs : int
-        Largest number of processes at a time; together they use the threads that this process may use.
+        Largest number of processes at a time; together, they use as many threads as this process may use.
     """
     jobs = min(jobs, len(tasks))
     waiting, said = SimpleQueue[int](), SimpleQueue[Event | None]()
@@ -51,7 +51,7 @@ def answers(entry: str, tasks: Sequence[dict[str, Any]], jobs: int) -> Iterator[
     try:
         for thread in threads:
             thread.start()
-        for _ in threads:  # each reports None at its end
+        for _ in threads:  # each thread reports None at its end
             yield from iter(said.get, None)
     finally:
         pool.end()
@@ -62,7 +62,7 @@ class _Pool:
 
     def __init__(self, entry: str, threads: int) -> None:
         home = str(Path(loewner.__file__).parent.parent)
-        # An interrupt reaches all processes of a terminal; the parent decides how its children react.
+        # An interrupt reaches all processes of a terminal; here, only the parent reacts to it.
         self._command = [
             sys.executable, "-P", "-c",
             "import signal; signal.signal(signal.SIGINT, signal.SIG_IGN); import sys; "
@@ -117,7 +117,7 @@ def _tell(said: SimpleQueue[Any], place: int, value: list[int]) -> None:
 
 
 def _answer(process: subprocess.Popen[str], task: dict[str, Any], tell: Callable[[list[int]], None]) -> Any:
-    """Return a process's answer to a task; if the process died, clean it up and return None."""
+    """Return a process's answer to a task; if the process died, clean up and return None."""
     assert process.stdin is not None
     assert process.stdout is not None
     try:
@@ -128,7 +128,7 @@ def _answer(process: subprocess.Popen[str], task: dict[str, Any], tell: Callable
             if "answer" in said:
                 return said["answer"]
             tell(said["progress"])
-    except (OSError, ValueError):  # its input is closed, or it died within a line
+    except (OSError, ValueError):  # the process closed its input, or died within a line
         pass
     process.kill()
     process.wait()

@@ -1,4 +1,4 @@
-"""``loewner judge``: whether a model of a robot contains its links, and which answers of other programs are wrong."""
+"""``loewner judge``: find whether a robot's model contains its links, or which answers of other programs are wrong."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ exit status: 2 error; --answers, --configurations: 0 nothing is proven wrong, 1 
   covered, 1 one is not, 3 one is undecided
 """
 
-# Options of some of the questions only.
+# Options that apply to only some of the questions.
 OPTIONS = {
     "answers": ("scale", "program", "row"),
     "configurations": ("srdf", "package_dir", "scene"),

@@ -1,4 +1,4 @@
-"""``loewner judge --answers``: name the answers of another program that are proven wrong."""
+"""``loewner judge --answers``: list the answers of another program that are proven wrong."""
 
 from __future__ import annotations
 
@@ -29,16 +29,16 @@ from loewner.reproductions import reproduction
 # The largest table that is read [bytes].
 MOST_BYTES = 2**30
 
-# Columns of a table: names of bodies, poses, and parts of answers with how many numbers each has.
+# Columns of a table: names of bodies, poses, and parts of answers with their counts of numbers.
 NAMES, POSES = ("body_a", "body_b"), ("pose_a", "pose_b")
 ANSWERS = {"colliding": 1, "distance": 1, "depth": 1, "witness_a": 3, "witness_b": 3, "normal": 3}
 COLUMNS = (*NAMES, *POSES, *ANSWERS)
 WORDS = {"true": 1.0, "false": 0.0, "yes": 1.0, "no": 0.0}
 
-# Error in metres that is allowed by default.
+# Error that is allowed by default, in metres.
 TOLERANCE = 1e-6
 
-# Wrong answers that are printed.
+# Largest number of wrong answers that are printed.
 SHOWN = 10
 
 TABLE = """--answers: a .csv file with a header, or a .json file with a list of objects.
@@ -86,7 +86,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _judged(named: Sequence[tuple[str, str]], bodies: Any, poses: Any, answers: Any, tolerance: float) -> Judgement:
-    """Judge all rows, those about the same bodies together."""
+    """Judge all rows; rows about the same two bodies are judged together."""
     kinds, excess = np.zeros((len(named), len(PARTS)), dtype=np.int8), np.zeros((len(named), len(PARTS)))
     bounds = np.zeros((len(named), 2))
     tried: list[judging.Convention] = []
@@ -106,7 +106,7 @@ def _judged(named: Sequence[tuple[str, str]], bodies: Any, poses: Any, answers: 
 
 
 def _reordered(said: Judgement, rows: Sequence[dict[str, Any]], poses: Sequence[Floats]) -> list[Floats] | None:
-    """Read the quaternions in the order in which the real part is last, if there are some and many rows are wrong."""
+    """Read quaternions with the real part last, if many rows are wrong; None if few are, or none has quaternions."""
     if said.wrong.sum() < max(1, judging.TRIED * len(rows)):
         return None
     other, some = [T.copy() for T in poses], False
@@ -119,7 +119,7 @@ def _reordered(said: Judgement, rows: Sequence[dict[str, Any]], poses: Sequence[
 
 
 def _bodies(options: argparse.Namespace) -> dict[str, loewner.Body]:
-    """Load the bodies by the names of their files without endings."""
+    """Load the bodies; return them by the names of their files without endings."""
     if not options.files:
         raise InputError("FILE: expected one or more bodies with --answers, found none")
     names = [path.stem for path in options.files]
@@ -141,14 +141,14 @@ def _bodies(options: argparse.Namespace) -> dict[str, loewner.Body]:
 
 
 def table(path: Path) -> tuple[list[dict[str, Any]], list[Floats], dict[str, Floats]]:
-    """Read a table: its rows, both poses of each, and the answers."""
+    """Read a table: its rows, the two poses of each row, and the answers."""
     rows = _rows(path)
     poses = [np.array([_pose(row, name, f"{path}, row {k}") for k, row in enumerate(rows, 1)]) for name in POSES]
     return rows, poses, _answers(rows, path)
 
 
 def _rows(path: Path) -> list[dict[str, Any]]:
-    """Read a table as rows, whose columns are known."""
+    """Read the rows of a table, which may have only known columns."""
     suffix = path.suffix.lower()
     if suffix not in (".csv", ".json"):
         raise FileError(f"{path}: expected a .csv or .json file, found {path.suffix or 'no suffix'}")
@@ -201,7 +201,7 @@ def _pair(row: dict[str, Any], bodies: dict[str, loewner.Body], where: str) -> t
 
 
 def _numbers(value: Any, where: str) -> list[float]:
-    """The numbers of a cell; an empty one has none."""
+    """The numbers in a cell; an empty cell has none."""
     if isinstance(value, str):
         words = value.split()
         try:
@@ -219,7 +219,7 @@ def _numbers(value: Any, where: str) -> list[float]:
 
 
 def _pose(row: dict[str, Any], column: str, where: str) -> Floats:
-    """The pose of a row: a translation, one with a quaternion, or a matrix."""
+    """A pose of a row: a translation, a translation with a quaternion, or a matrix."""
     numbers = _numbers(row.get(column), f"{where}, {column}")
     if len(numbers) == 16:
         return np.array(numbers).reshape(4, 4)
@@ -229,7 +229,7 @@ def _pose(row: dict[str, Any], column: str, where: str) -> Floats:
 
 
 def _answers(rows: Sequence[dict[str, Any]], path: Path) -> dict[str, Floats]:
-    """The columns with answers, with NaN where there is none."""
+    """The columns with answers, which are NaN in rows without one."""
     found = {}
     for name, count in ANSWERS.items():
         if not any(name in row for row in rows):
@@ -248,7 +248,7 @@ def _answers(rows: Sequence[dict[str, Any]], path: Path) -> dict[str, Floats]:
 
 
 def _program(options: Any, said: Judgement, named: Any, bodies: Any, poses: Any, answers: Any, tolerance: float) -> str:
-    """Write the worst answer about two hulls, or the one of the given row, as a program; return a line about it."""
+    """Write a program about the worst answer for two hulls, or the answer in the given row; return a line about it."""
     path, rows = options.program, said.worst().tolist()
     if options.row is not None:
         if options.row - 1 not in rows:
@@ -271,7 +271,7 @@ def _program(options: Any, said: Judgement, named: Any, bodies: Any, poses: Any,
 
 
 def _described(bodies: dict[str, loewner.Body]) -> dict[str, str]:
-    """Describe the body that was judged of each file, and where a hull would be the same body."""
+    """Describe the body that was made from each file and judged; add a note if a hull would be the same body."""
     found = {}
     for name, body in {id(body): (name, body) for name, body in bodies.items()}.values():
         found[name] = repr(body)[len("Body(") : -1]
@@ -282,8 +282,8 @@ def _described(bodies: dict[str, loewner.Body]) -> dict[str, str]:
 
 
 def _is_convex(vertices: Any, triangles: Any) -> bool:
-    """Whether a closed mesh is its own hull: for the reader alone, no finding depends on it."""
-    from scipy.spatial import ConvexHull  # other commands begin without it
+    """Whether a closed mesh is its own hull; this informs the reader, and no finding depends on it."""
+    from scipy.spatial import ConvexHull  # not needed by other commands, which start faster without it
 
     corners = (vertices - vertices.mean(axis=0))[triangles]
     volume = abs(float(np.linalg.det(corners).sum())) / 6
@@ -335,13 +335,13 @@ def _print(
 
 
 def _wrong_parts(said: Judgement, k: int) -> list[tuple[str, Finding, float]]:
-    """The wrong parts of the answer in a row, each with its finding and its error."""
+    """The wrong parts of the answer in a row, each with its finding and error."""
     parts = zip(PARTS, map(Finding, said.kinds[k].tolist()), said.excess[k].tolist(), strict=True)
     return [part for part in parts if part[1] > Finding.UNDECIDED]
 
 
 def _interval(said: Judgement, k: int) -> str:
-    """The signed distance of a row, as it is proven."""
+    """The proven signed distance of the bodies in a row."""
     lower, upper = float(said.lower[k]), float(said.upper[k])
     if np.isinf(lower):
         return f"depth at least {max(-upper, 0.0):.9g} m"

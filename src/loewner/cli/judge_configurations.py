@@ -1,4 +1,4 @@
-"""``loewner judge --configurations``: name another checker's verdicts about configurations that are proven wrong."""
+"""``loewner judge --configurations``: list the verdicts of another collision checker that are proven wrong."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def _print(wrong: list[dict[str, Any]], count: int) -> None:
 
 
 def robot_of(options: argparse.Namespace) -> loewner.Robot:
-    """Read the robot of a command whose first file is one."""
+    """Read the robot of a command whose first file is a URDF."""
     of_robot = {"urdf": options.files[0], "model": options.meshes, "decompose": False}
     return inputs.robot(argparse.Namespace(**{**vars(options), **of_robot}))
 

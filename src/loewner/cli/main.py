@@ -44,17 +44,17 @@ from loewner.cli.output import ERROR, PrintPath, standard_output
 from loewner.errors import InputError, LoewnerError
 from loewner.scenes.files.schema import SCHEMA_FILE
 
-# What argparse reports if numbers of a configuration are not in quotes.
+# The error of argparse if the numbers of a configuration are not in quotes.
 STRAY_NUMBER = re.compile(r"unrecognized arguments: -?\.?\d")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line.
+    """Run the command line of ``loewner``.
 
     Parameters
     ----------
     arguments : sequence of str, optional
-        The arguments after ``loewner``; by default the arguments of the process.
+        The arguments after ``loewner``; by default, the arguments of the process.
 
     Returns
     -------
@@ -95,10 +95,10 @@ def _words(arguments: Any) -> list[str]:
 
 
 class _Parser(argparse.ArgumentParser):
-    """A parser that, also in subcommands, does not mistake arguments that begin like negative numbers for options.
+    """A parser that does not mistake arguments that begin like negative numbers for options, also in subcommands.
 
-    Before Python 3.14, argparse recognises "-0.5" as a number, but treats "-0.5,0.3" and "-5e-1" as unknown options.
-    An error about numbers without quotes contains a hint.
+    Before Python 3.14, argparse recognises "-0.5" as a number, but treats "-0.5,0.3" and "-5e-1" as unknown options. An
+    error about numbers without quotes includes a hint.
     """
 
     def __init__(self, *arguments: Any, **named: Any) -> None:
@@ -135,7 +135,7 @@ def _parser() -> argparse.ArgumentParser:
 
 @contextmanager
 def _warnings_as_lines() -> Iterator[None]:
-    """Print each warning immediately, on a line of its own, since the work that it concerns may take minutes."""
+    """Print each warning immediately, on a line of its own, since the work that causes it may take minutes."""
 
     def show(message: Warning | str, *_: Any, **__: Any) -> None:
         print(f"loewner: warning: {message}", file=sys.stderr, flush=True)

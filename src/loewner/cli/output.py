@@ -25,19 +25,19 @@ if TYPE_CHECKING:
     from rich.progress import Progress
     from rich.table import Table
 
-# Exit status: done or free; at least one collision; an error; undecided by the ellipsoids.
+# Exit statuses: done or free; at least one collision; an error; undecided by the ellipsoids.
 FREE, COLLIDING, ERROR, AMBIGUOUS = 0, 1, 2, 3
 
-# The same by the name of a verdict.
+# Exit statuses by the name of a verdict.
 STATUS = {"FREE": FREE, "COLLIDING": COLLIDING, "AMBIGUOUS": AMBIGUOUS}
 
-# Metres by which bodies may overlap in contacts that rules allow: well above tolerances and errors of poses.
+# Metres by which bodies may overlap in contacts that rules allow; well above tolerances and errors of poses.
 OVERLAP = 1e-3
 
-# Columns of standard output where it is not a terminal: more than any table has.
+# Width of standard output that is not a terminal, in characters: more than any table has.
 UNBROKEN = 1_000_000
 
-# No path is an answer, like a collision, and not an error.
+# "No path" is an answer, like a collision, and not an error.
 NO_PATH = COLLIDING
 
 
@@ -52,9 +52,9 @@ class PrintPath(argparse.Action):
         self._path = path
 
     def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> NoReturn:
-        """Write the bytes by which the system names the path: a program that reads them finds it."""
+        """Write the bytes that name the path in the system, so that a program that reads them finds the file."""
         line, binary = f"{self._path}\n", getattr(sys.stdout, "buffer", None)
-        if binary is None:  # a caller in Python has put something else in its place
+        if binary is None:  # a caller in Python has replaced standard output
             sys.stdout.write(line)
         else:
             sys.stdout.flush()
@@ -64,10 +64,10 @@ class PrintPath(argparse.Action):
 
 
 class _Descriptor(io.FileIO):
-    """A file whose reader may end early (`| head`): the rest goes nowhere, and the exit status remains the verdict."""
+    """A file whose reader may end early (`| head`): further output is discarded, and the exit status is unaffected."""
 
     def write(self, data: Any) -> int:
-        """Write, or discard the data if there is no reader."""
+        """Write the data, or discard them if there is no reader."""
         try:
             return super().write(data)
         except BrokenPipeError:
@@ -77,12 +77,12 @@ class _Descriptor(io.FileIO):
 
 @contextmanager
 def standard_output() -> Iterator[None]:
-    """Keep standard output working after its reader has ended, and escape characters that it cannot encode, for example
-    in file names."""
+    """Keep standard output usable after its reader has ended, and escape characters that its encoding lacks, for
+    example in file names."""
     out = sys.stdout
     try:
         raw = _Descriptor(out.fileno(), "w", closefd=False)
-    except (AttributeError, OSError, ValueError):  # a caller in Python has put something else in its place
+    except (AttributeError, OSError, ValueError):  # a caller in Python has replaced standard output
         yield
         return
     out.flush()
@@ -97,9 +97,9 @@ def standard_output() -> Iterator[None]:
 
 
 def remove_older_proof(path: Path | None) -> None:
-    """Remove an older proof before the work for a new one begins: it could be verified, but it is about something else.
+    """Remove an older proof before the work for a new one begins, since it could be verified in place of the new one.
 
-    Any other file with this name stays until it is replaced.
+    Any other file with this name stays until the new proof replaces it.
 
     Raises
     ------
@@ -116,8 +116,8 @@ def remove_older_proof(path: Path | None) -> None:
         with path.open("rb") as file:
             is_proof = file.read(len(MAGIC)) == MAGIC
         if is_proof:
-            path.resolve().unlink()  # a link stays a link
-    except (OSError, ValueError) as error:  # also of a name that is too long for the system
+            path.resolve().unlink()  # of a link, remove the target
+    except (OSError, ValueError) as error:  # includes names that are too long for the system
         if isinstance(error, FileError):
             raise
         why = getattr(error, "strerror", None) or error
@@ -156,7 +156,7 @@ class NoProgress(nullcontext["NoProgress"]):
 
 
 def _console(**options: Any) -> Console:
-    """Make a console of Rich that leaves a broken pipe of standard error to `main`.
+    """Make a Rich console that lets `main` handle a broken pipe of standard error.
 
     Rich would end the program with status 1, which here means "colliding".
     """
@@ -173,7 +173,7 @@ def _console(**options: Any) -> Console:
 
 
 def print_answer(options: argparse.Namespace, answer: Any, print_text: Callable[[], None]) -> None:
-    """Print an answer as JSON if --json is given, otherwise as text."""
+    """Print an answer, as JSON if --json is given and as text if not."""
     if options.json:
         print(json.dumps(answer, indent=2))
     else:
@@ -182,7 +182,7 @@ def print_answer(options: argparse.Namespace, answer: Any, print_text: Callable[
 
 @contextmanager
 def progress_of(name: str, total: int | None = None) -> Iterator[Callable[[int, int], None]]:
-    """Show the progress of one task, which a callback ``progress(done, total)`` updates."""
+    """Show the progress of one task; yield a callback ``progress(done, total)`` that updates it."""
     with progress_bar() as bar:
         task = bar.add_task(name, total=total)
         yield lambda done, total: bar.update(task, completed=done, total=total)
@@ -211,8 +211,9 @@ def print_table(table: Table | PlainTable) -> None:
     if isinstance(table, PlainTable):
         print(table)
         return
-    # A program that reads a pipe or a file needs each name, path and number in one piece, so a table is as wide there
-    # as its cells. Names and messages are not markup: they may contain `pip install "loewner[meshes]"`.
+    # A program that reads a pipe or a file needs each name, path and number in one piece, so tables that are not for a
+    # terminal are as wide as their cells. Names and messages are not markup, since they may contain
+    # `pip install "loewner[meshes]"`.
     _console(width=None if sys.stdout.isatty() else UNBROKEN, markup=False, emoji=False).print(table)
 
 
@@ -222,7 +223,7 @@ def is_surface(body: loewner.Body) -> bool:
 
 
 def model_text(body: loewner.Body) -> str:
-    """Describe in a few words the model of the mesh from which a body was made."""
+    """Describe in a few words how a body represents the mesh from which it was made."""
     if not is_surface(body):
         return covering_text(body.covering)
     count = sum(len(piece.triangles) for piece in body.pieces if piece.triangles is not None)
@@ -232,7 +233,7 @@ def model_text(body: loewner.Body) -> str:
 
 
 def covering_text(covering: loewner.Covering | None) -> str:
-    """Describe in a few words a mesh's model: how much of the mesh the pieces contain, and how far they stick out."""
+    """Describe in a few words how much of a mesh its pieces contain, and how far they stick out of the mesh."""
     if covering is None:
         return "-"
     percent = round(100 * covering.excess_volume, 1) + 0.0  # avoids minus zero

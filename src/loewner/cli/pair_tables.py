@@ -13,7 +13,7 @@ ORDER = (PairVerdict.SOMETIMES, PairVerdict.CAN, PairVerdict.OPEN, PairVerdict.A
 
 
 def print_pairs(found: ProvenPairs, robot: loewner.Robot) -> None:
-    """Print a line for each verdict, and a table of the pairs that begins with the pairs that can collide."""
+    """Print a line for each verdict, and a table of pairs, in which pairs that can collide come first."""
     for verdict in ORDER:
         rows = found.with_verdict(verdict)
         if rows:
@@ -29,7 +29,7 @@ def print_pairs(found: ProvenPairs, robot: loewner.Robot) -> None:
 
 
 def _at(row: ProvenPair, robot: loewner.Robot) -> str:
-    """The values between the bodies at the least distance."""
+    """The values of the joints between the bodies at the least distance."""
     if row.nearest is None:
         return ""
     values = dict(zip(robot.configuration_names, row.nearest.tolist(), strict=True))

@@ -20,10 +20,10 @@ from loewner.cli import configurations, drives, inputs
 from loewner.cli.output import NO_PATH, STATUS, new_table, print_answer, print_table, progress_of, remove_older_proof
 from loewner.errors import ConvergenceError, InputError, PlanningError
 
-# Number of configurations per motion, including its ends, at which the distance of the nearest pair is measured.
+# Number of configurations of each motion, including its ends, for which the distance of the nearest pair is measured.
 MEASURED = 33
 
-# Options that make a plan one in time.
+# Options that make a plan a plan in time.
 IN_TIME = ("start_time", "arrive_by", "velocity")
 
 EXAMPLES = """examples:
@@ -150,7 +150,7 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def _pose_goal(link: str, text: str) -> planners.PoseGoal:
-    """Read the goal that a pose of a link gives."""
+    """Read a goal that is given as the pose of a link."""
     if Path(text).suffix.lower() == ".npy":
         data = read_regular(Path(text), "poses", configurations.MOST_BYTES)
         return planners.PoseGoal(link, _archives.numbers(data, text, "an array of numbers"))
@@ -165,7 +165,7 @@ def _pose_goal(link: str, text: str) -> planners.PoseGoal:
 
 
 def _refuse_unused(options: argparse.Namespace) -> None:
-    """Before the work begins, refuse options that would silently be ignored, and a path that cannot be written."""
+    """Refuse options that would silently be ignored, and a path that cannot be written, before the work begins."""
     if options.resolution is not None and not options.sampled and options.planner is None:
         raise InputError("--resolution: expected --sampled or --planner with it; without them no motion is sampled")
     if options.joint_error and options.sampled:
@@ -205,7 +205,7 @@ def _begin_in_time(options: argparse.Namespace, scene: loewner.Scene) -> None:
 def _found(
     checker: loewner.CollisionChecker, start: Floats, goal: Floats | planners.PoseGoal, options: argparse.Namespace
 ) -> planners.Plan | planners.Trajectory:
-    """Return the path with its cost and the seconds that it took to find, or the trajectory of a plan in time."""
+    """Return the path with its cost and planning time in seconds, or the trajectory of a plan in time."""
     given = {name: getattr(options, name) for name in ("planner", "max_iterations", "timeout", "resolution")}
     given = {name: value for name, value in given.items() if value is not None}
     search = planners.Search(certified=not options.sampled, simplify=not options.no_simplify, **given)
@@ -224,7 +224,7 @@ def _found(
 
 
 def _numbers(name: str, text: str) -> list[float] | float:
-    """Read the numbers of an option; a single one stands for all values."""
+    """Read the numbers of an option; a single --velocity applies to all joints."""
     try:
         numbers = _tables.row(text)
     except ValueError as error:

@@ -51,14 +51,14 @@ OPTIONS: dict[str, dict[str, type]] = {
 }
 USUAL: dict[str, Any] = {"margin": 0.0, "scale": 1.0, "hull": False, "decompose": False, "usual_model": "surface"}
 
-# The member with the options, the versions and the answers; all names of members are plain.
+# The member with the options, the versions and the answers; names of members have only characters of `PLAIN`.
 DOCUMENT, FORMAT, VERSION = "report.json", "loewner-report", 1
 PLAIN = re.compile(r"\w[\w.-]*", re.ASCII)
 
-# Limits on a report: bytes of the archive and of all members together, and members.
+# Limits on a report: the bytes of the archive, and of all members together; and the number of members.
 MOST_BYTES, MOST_MEMBERS = 2**30, 10_000
 
-# Characters of an answer that a table shows.
+# Largest number of characters of an answer that a table shows.
 SHOWN = 70
 
 
@@ -100,7 +100,7 @@ def _write(options: argparse.Namespace) -> int:
         if (size := sum(member.stat().st_size for member in members)) > MOST_BYTES or len(members) > MOST_MEMBERS:
             raise InputError(f"expected inputs of at most {MOST_BYTES} bytes, found {size} in {len(members)} files")
         with replacing(options.out) as target, zipfile.ZipFile(target, "x") as archive:
-            for member in members:  # without dates, so that the same query gives the same file
+            for member in members:  # dates are left out, so that the same query gives the same file
                 archive.writestr(zipfile.ZipInfo(member.name), member.read_bytes(), zipfile.ZIP_DEFLATED)
     table = new_table("answer", "here", title=f"loewner report {options.query}")
     for name, value in answers.items():
@@ -156,7 +156,7 @@ def _pack_pair(options: argparse.Namespace, folder: Path) -> None:
 
 def _pack_robot(options: argparse.Namespace, folder: Path) -> None:
     """Pack a robot without paths, comments and elements that affect no answer."""
-    names: dict[str, str] = {}  # members by the names of meshes in the URDF
+    names: dict[str, str] = {}  # maps the names of meshes in the URDF to members
     for link, shapes in read_urdf(options.urdf).shapes.items():
         for shape in (shape for shape in shapes if shape.kind == "mesh" and shape.file_name not in names):
             file = link_bodies.mesh_file(shape, link, options.urdf, options.package_dir)
@@ -174,14 +174,14 @@ def _pack_robot(options: argparse.Namespace, folder: Path) -> None:
 
 
 def _copy(path: Path, stem: Path, what: str) -> str:
-    """Copy a file to a name with its own suffix; return the name."""
+    """Copy a file to `stem` with the file's own suffix; return the new name."""
     target = stem.with_name(stem.name + path.suffix.lower())
     target.write_bytes(read_regular(path, what, MOST_BYTES))
     return target.name
 
 
 def _write_xml(root: Element, path: Path, names: Mapping[str, str]) -> None:
-    """Write elements with their attributes, and other names of meshes."""
+    """Write elements with their attributes, and replace the names of meshes."""
 
     def copied(element: Element) -> ElementTree.Element:
         copy = ElementTree.Element(element.tag, element.attributes)
@@ -194,7 +194,7 @@ def _write_xml(root: Element, path: Path, names: Mapping[str, str]) -> None:
 
 
 def _unpacked(path: Path, folder: Path) -> dict[str, Any]:
-    """Write the members of a report into a folder, and return its document, checked."""
+    """Write the members of a report into a folder, and return its document after checking it."""
     data = read_regular(path, "a report", MOST_BYTES)
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
@@ -208,7 +208,7 @@ def _unpacked(path: Path, folder: Path) -> dict[str, Any]:
             for info in infos:
                 (folder / info.filename).write_bytes(archive.read(info))
         document = _json.parsed((folder / DOCUMENT).read_bytes(), DOCUMENT)
-    except MemoryError:  # lack of memory is not the file's fault
+    except MemoryError:  # not a fault of the file
         raise
     except Exception as error:  # a damaged zip raises any of a dozen exceptions, including zlib's
         found = f"no member {DOCUMENT}" if isinstance(error, FileNotFoundError) else error
@@ -242,7 +242,7 @@ def _fault(document: Any) -> str:
 
 
 def _answered(query: str, folder: Path, kept: Mapping[str, Any]) -> dict[str, Any]:
-    """Run a query on the inputs in a folder, which messages leave out."""
+    """Run a query on the inputs in a folder; messages do not name the folder."""
     options = argparse.Namespace(**(dict.fromkeys(OPTIONS["check"]) | USUAL | dict(kept)))
     try:
         return {"check": _of_pair, "robot": _of_robot}[query](options, folder)
@@ -309,7 +309,7 @@ def _names(verdicts: Any) -> Any:
 
 
 def _tried(answer: Callable[[], Any]) -> Any:
-    """Return an answer, or the error if none could be computed."""
+    """Return an answer, or the error that prevented it."""
     try:
         return answer()
     except ConvergenceError as error:
@@ -317,7 +317,7 @@ def _tried(answer: Callable[[], Any]) -> Any:
 
 
 def _checksum(body: loewner.Body) -> str:
-    """Checksum of a body's numbers; it differs if the same mesh became another body."""
+    """Checksum of a body's numbers, which shows whether the same mesh became another body."""
     return _archives.digest(arrays_of(packed_of(body)))[:16]
 
 
@@ -337,12 +337,12 @@ def _versions() -> dict[str, str]:
 
 
 def _shown(value: Any) -> str:
-    text = json.dumps(value)  # which escapes all characters that control a terminal
+    text = json.dumps(value)  # escapes all characters that control a terminal
     return text if len(text) <= SHOWN else f"{text[: SHOWN - 3]}..."
 
 
 def _both(there: Any, here: Any) -> tuple[str, str]:
-    """Show two answers; for lists and objects, the first entries that differ."""
+    """Show two answers; lists and objects are shown by the first entries that differ."""
     if isinstance(there, dict) and isinstance(here, dict):
         there, here = list(there.items()), list(here.items())
     if isinstance(there, list) and isinstance(here, list):

@@ -20,18 +20,18 @@ from loewner.cli.output import COLLIDING, FREE, is_surface, new_table, print_ans
 from loewner.cli.pair_tables import print_pairs
 from loewner.errors import InputError
 
-# Configurations per step of the progress bar, and the largest number of pairs that a table lists.
+# Configurations for each step of the progress bar, and the largest number of pairs that a table lists.
 AT_ONCE = 50_000
 LISTED = 20
 
-# Boxes of configurations to examine for the exempt pairs: some seconds. With links that are solids, a box takes twenty
-# times as long.
+# Boxes of configurations that are examined for the exempt pairs, which takes several seconds. If links are solids, a
+# box takes twenty times as long.
 BOXES, BOXES_OF_SOLIDS = 200_000, 10_000
 
-# Random configurations in which pairs that always collide do so.
+# Number of random configurations; a pair that collides in all of them is reported.
 TRIED = 64
 
-# Rates are not computed from shorter times [s]: the first large batch takes about 10 ms more to start.
+# Shortest time from which rates are computed [s]: starting the first large batch takes about 10 ms more.
 LEAST_TIMED = 0.1
 
 EXAMPLES = """examples:
@@ -159,7 +159,7 @@ def _checked_configurations(checker: loewner.CollisionChecker, Q: Floats) -> dic
     robot = checker.robot
     if len(Q) == 0:
         raise InputError("--configs: expected one configuration or more, found none")
-    checker.tiers(Q[:1])  # compiles if this machine has not done so before
+    checker.tiers(Q[:1])  # compiles the kernels if they are not compiled yet
     tiers: Counter[str] = Counter()
     hits = np.zeros(len(checker.checked_pairs), dtype=np.int64)
     colliding, seconds = [], 0.0

@@ -1,4 +1,4 @@
-"""Read trajectories from files of any program, and let links carry bodies of the scene during them."""
+"""Read trajectories from the files of any program, and let links carry bodies of the scene along them."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from loewner.robots.proofs import curves
 
 CONTROLLERS = ("linear", "cubic", "quintic")
 
-# Points with times, or a path without, of shape (two or more, dof).
+# Points with times, or a path without times, of shape (two or more, dof).
 Part = planners.ControllerPoints | Floats
 
 
@@ -60,7 +60,7 @@ def read(
     robot: loewner.Robot,
     present: Floats | None = None,
 ) -> tuple[list[Part], list[dict[str, str]]]:
-    """Read the parts of a file, which follow one another, and for each part the links by the bodies that they carry.
+    """Read the successive parts of a file and, for each part, a dict that maps the carried bodies to their links.
 
     Joints that the file does not name have the values from --others, or from the robot's present state.
 
@@ -87,7 +87,7 @@ def read(
 
 
 def carry(scene: loewner.Scene, robot: loewner.Robot, part: Part, carrying: dict[str, str]) -> None:
-    """Let links carry bodies from the beginning of a part, each from its present pose."""
+    """Let links carry bodies from the beginning of a part, starting at the present pose of each body."""
     if not carrying:
         return
     touching = part.origin.touching if isinstance(part, planners.ControllerPoints) else {}
@@ -100,7 +100,7 @@ def carry(scene: loewner.Scene, robot: loewner.Robot, part: Part, carrying: dict
 
 
 def put_down(scene: loewner.Scene, robot: loewner.Robot, part: Part, carrying: dict[str, str]) -> None:
-    """Leave bodies where a part ends."""
+    """Detach bodies at the end of a part, at the poses that they have reached."""
     if not carrying:
         return
     links = robot.forward_kinematics(end(robot, part, -1))
@@ -115,7 +115,7 @@ def controller_of(points: planners.ControllerPoints) -> str:
 
 
 def assumed(part: Part) -> dict[str, float]:
-    """Return the values that the file lacks and that keep the robot's defaults."""
+    """Return the values that are not in the file and keep the robot's defaults."""
     if not isinstance(part, planners.ControllerPoints):
         return {}
     values = dict(zip(part.names or (), part.positions[0].tolist(), strict=False))
@@ -141,7 +141,7 @@ def _parts(path: Path, robot: loewner.Robot, others: Floats | None) -> list[Part
 
 
 def _carrying(given: list[str], scene: loewner.Scene, robot: loewner.Robot, count: int) -> list[dict[str, str]]:
-    """Return, for each part, the links by the bodies that they carry, from --attach."""
+    """Return, for each part, a dict from --attach that maps the carried bodies to their links."""
     found: list[dict[str, str]] = [{} for _ in range(count)]
     for text in given:
         where, _, what = text.rpartition(":")
@@ -160,14 +160,14 @@ def _carrying(given: list[str], scene: loewner.Scene, robot: loewner.Robot, coun
 
 
 def _expect_carried(scene: loewner.Scene, given: Part, carrying: dict[str, str]) -> None:
-    """Refuse a part on which the robot carries bodies that neither the scene nor --attach lets it carry."""
+    """Refuse a part in which the robot carries bodies that neither the scene nor --attach assigns to it."""
     if isinstance(given, planners.ControllerPoints):
         held = {body: each.link for body, each in scene.attachments.items()} | carrying
         curves.expect_carried(held, [*given.carried.items(), *((body, "") for body in given.origin.free)])
 
 
 def _set_clock(parts: list[Part], start_time: float | None) -> None:
-    """Let the parts begin one after the other, the first at `start_time`."""
+    """Let the parts begin one after another, the first part at `start_time`."""
     end = None if start_time is None else _validate.real(start_time, "--start-time")
     for given in parts:
         if isinstance(given, planners.ControllerPoints):
@@ -176,7 +176,7 @@ def _set_clock(parts: list[Part], start_time: float | None) -> None:
 
 
 def _derivatives(points: planners.ControllerPoints) -> int:
-    """Return the number of derivatives that the points have: 1 with velocities, 2 with accelerations as well."""
+    """Return the number of derivatives that the points have: 1 for velocities, 2 for accelerations as well."""
     return sum(one is not None for one in (points.velocities, points.accelerations))
 
 

@@ -1,4 +1,4 @@
-"""``loewner verify``: check the proof of a plan or of ranges, and compare its model with a robot and a scene."""
+"""``loewner verify``: check the proof of a plan or of ranges, and compare the proven model with a robot and a scene."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ exit status: 0 verified to be free, and the same model and path; 1 verified to c
 refused, too deep a contact, or a different model or path; 2 error
 """
 
-# Differences of two models that are printed.
+# Largest number of differences between two models that are printed.
 MOST_SHOWN = 10
 
 
@@ -108,7 +108,7 @@ def _claim(report: verify.Report) -> str:
 
 
 def _entry(report: verify.Report, faults: list[str]) -> dict[str, Any]:
-    """A report as JSON has it."""
+    """A report in the form of JSON."""
     return {
         "verified": not faults,
         "claim": _claim(report),

@@ -15,7 +15,7 @@ from loewner._base import _tables
 from loewner.cli import inputs, trajectories
 from loewner.errors import InputError
 
-# Options of trajectories, by their names in the code.
+# Options that apply only to trajectories, by their names in the code.
 OF_TRAJECTORIES = ("controller", "others", "attach", "start_time", "part", "at")
 
 EXAMPLES = """examples:
@@ -150,7 +150,7 @@ def _seconds(text: str) -> float:
 
 
 def _played(options: argparse.Namespace, scene: loewner.Scene, robot: loewner.Robot) -> trajectories.Part:
-    """Read the trajectory to play, and put bodies of the scene where earlier parts leave them, or in the links."""
+    """Read the trajectory to play; put bodies of the scene where earlier parts leave them, or attach them to links."""
     parts, carrying = trajectories.read(options.trajectory, options, scene, robot)
     number = 1 if options.part is None and len(parts) == 1 else options.part
     if number is None or not 1 <= number <= len(parts):

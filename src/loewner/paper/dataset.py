@@ -1,9 +1,9 @@
 """Draw the paper's data set: pairs of hulls of twenty random points, the second of each shifted along [1, 1, 1].
 
 The text leaves two readings open. Points "sampled from a unit ball" may be uniform in radius or in volume, and the
-shift "in the direction [1, 1, 1] by a random number" may take that vector at length 1 or sqrt(3). Uniform radius with
-the unit vector reproduces the paper's share of collisions and its four exact classes (docs/design/paper.md), so it is
-the default. Uniform volume is the second data set.
+shift "in the direction [1, 1, 1] by a random number" may use a vector of length 1 or sqrt(3). Uniform radius with the
+unit vector is the default, since it reproduces the paper's share of collisions and its four exact classes
+(docs/design/paper.md). Uniform volume is the second data set.
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ class DataSet(_validate.Brief):
         Key of `DATA_SETS`.
     seed : int
     points_1, points_2 : ndarray, shape (pairs, 20, 3)
-        In metres; the second points are already shifted.
+        Metres; the points of the second bodies are already shifted.
     shift : ndarray, shape (pairs,)
-        Distance of the two balls' centers, in metres.
+        Distance between the centers of the two balls, in metres.
 
     Examples
     --------
@@ -59,11 +59,11 @@ def sample(pairs: int = 1000, seed: int = 0, dataset: str = "radius") -> DataSet
     Parameters
     ----------
     pairs : int
-        At least 1.
+        Number of pairs, at least 1.
     seed : int
-        At least 0.
+        Seed of the random numbers, at least 0.
     dataset : {"radius", "volume"}
-        Distribution of the points in the unit ball: with uniform radius, or uniform in volume.
+        Distribution of the points in the unit ball: uniform in radius, or uniform in volume.
 
     Returns
     -------

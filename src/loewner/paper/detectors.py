@@ -1,9 +1,9 @@
 """Run the paper's four detectors, compiled, and tally their answers against the ground truth.
 
 Use detector 3 (level surfaces) for the paper's estimate: it also works well on other shapes. Detector 4 (center lines)
-does not generalise: near contact it misses a quarter of the collisions of tetrahedra, nearly half of the collisions of
-thin rods, and over two thirds of the collisions of thin plates. Detector 1 is the earlier method and serves only as the
-baseline.
+does not generalise: near contact, it misses a quarter of the collisions of tetrahedra, nearly half of the collisions of
+thin rods, and over two thirds of the collisions of thin plates. Detector 1 is the earlier method, and serves only as
+the baseline.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ DETECTORS = {
     4: "center-line near points",
 }
 HEURISTICS = ("centroid", "center")
-SHORTEST_TIMING = 0.05  # seconds; shorter runs are repeated because of the clock's resolution
+SHORTEST_TIMING = 0.05  # seconds; shorter runs are repeated, because the clock's resolution is limited
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ class Confusion:
     Attributes
     ----------
     tp, fp, fn, tn : int
-        Numbers of collisions found, false alarms, collisions missed, and free pairs found free.
+        Numbers of detected collisions, false alarms, missed collisions, and free pairs found free.
 
     Examples
     --------
@@ -110,7 +110,7 @@ class Faces:
     normals : ndarray, shape (f, 3)
     offsets : ndarray, shape (f,)
     start : ndarray of int, shape (n + 1,)
-        Body k has the rows start[k] : start[k + 1].
+        Polytope k has the rows start[k] : start[k + 1].
     """
 
     normals: Floats
@@ -164,7 +164,7 @@ class Pairs:
         a, b : Bodies
             Sequences of equal length.
         heuristic : {"centroid", "center"}
-            Center of detector 1's shrunk outer ellipsoid: the mean of the vertices, or the center of the outer
+            Center of the shrunk outer ellipsoid of detector 1: the mean of the vertices, or the center of the outer
             ellipsoid.
 
         Raises
@@ -217,7 +217,7 @@ class Answers:
     ----------
     collides : ndarray of bool, shape (n,)
     ambiguous : ndarray of bool, shape (n,)
-        Pairs that neither of the detector's two overlap checks decided.
+        Pairs that neither of the detector's two overlap checks decides.
 
     Examples
     --------
@@ -239,7 +239,7 @@ def detect(detector: int, pairs: Pairs, *, angle: float = PAPER_ANGLE) -> Answer
     detector : {1, 2, 3, 4}
     pairs : Pairs
     angle : float
-        Tolerance of Lin and Han's method in radians, for detector 2.
+        Tolerance of Lin and Han's method, which detector 2 uses, in radians.
 
     Returns
     -------
@@ -266,7 +266,7 @@ def detect(detector: int, pairs: Pairs, *, angle: float = PAPER_ANGLE) -> Answer
 
 
 def time_per_check(detector: int, pairs: Pairs, *, angle: float = PAPER_ANGLE) -> float:
-    """Measure the average time of one check in microseconds, on one thread, with everything compiled beforehand.
+    """Measure the average time of one check in microseconds, on one thread, with all code compiled beforehand.
 
     The result is the median of at least three passes over the pairs. With fewer than about a hundred pairs, the call
     itself takes a noticeable share of the time.
@@ -310,7 +310,7 @@ def estimate(pairs: Pairs) -> Answers:
 
 
 def shrunk(outer: Ellipsoids, faces: Faces, center: Floats) -> Ellipsoids:
-    """Make detector 1's heuristic inner ellipsoids: outer ones, moved to `center` and shrunk to touch a face.
+    """Make detector 1's heuristic inner ellipsoids: outer ellipsoids moved to `center` and shrunk to touch a face.
 
     Parameters
     ----------
@@ -345,7 +345,7 @@ def _bound(detector: int, pairs: Pairs, angle: float, collides: object, ambiguou
 
 
 def _unpacked(bodies: Bodies) -> tuple[Faces, Floats]:
-    """Return the faces of bodies of one polytope each, and the mean of each body's vertices."""
+    """Return the faces of bodies that are single polytopes, and the mean of each body's vertices."""
     packed = packed_of(bodies)
     layout = packed.layout
     single = (np.diff(packed.piece_start) == 1) & (layout[packed.piece_start[:-1], columns.KIND] == columns.POLYTOPE)

@@ -27,22 +27,22 @@ def distance_estimate(
 ) -> Floats:
     """Estimate the distance of convex pieces by the paper's f, from the two ellipsoids of each piece.
 
-    On the line through near points of the inner ellipsoids, each piece is assumed to end half way between its inner and
-    its outer ellipsoid.
+    On the line through near points of the inner ellipsoids, each piece is assumed to end halfway between its inner and
+    outer ellipsoids.
 
     Parameters
     ----------
     inner_1, outer_1, inner_2, outer_2 : Ellipsoids
         In 3-D, all in one frame, in metres; batches broadcast.
     method : {"rimon-boyd", "lin-han", "center-line"}
-        Method of `loewner.near_points`; the three are used by detectors 3, 2 (to 0.01 rad) and 4, in this order.
-        "center-line" misses many collisions of thin pieces.
+        Method of `loewner.near_points`. Detector 3 uses "rimon-boyd", detector 2 "lin-han" (to 0.01 rad), and detector
+        4 "center-line", which misses many collisions of thin pieces.
 
     Returns
     -------
     ndarray, shape (...)
-        f in metres; values of at most 0 count as collisions. The values prove nothing, even if the ellipsoids settle
-        the pair; use `loewner.classify` for proofs.
+        f in metres; values of at most 0 count as collisions. The values prove nothing, even where the ellipsoids settle
+        a pair; use `loewner.classify` for proofs.
 
     Raises
     ------
@@ -51,7 +51,7 @@ def distance_estimate(
     UnknownNameError
         If the method is not one of the three.
     ConvergenceError
-        If sizes or distances leave the range of float64 when squared.
+        If the squares of sizes or distances exceed the range of float64.
 
     References
     ----------

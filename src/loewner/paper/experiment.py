@@ -36,17 +36,17 @@ def run(
     Parameters
     ----------
     pairs : int
-        The paper uses 1000.
+        Number of pairs; the paper uses 1000.
     seed : int
         The same seed gives the same pairs; the first k pairs do not depend on the total number.
     dataset : {"radius", "volume"}
-        Distribution of the points in the unit ball; "radius" matches the paper's numbers.
+        Distribution of the points in the unit ball, as for `sample`; "radius" matches the paper's numbers.
     out : path, optional
         Folder for the report (report.md, report.html) and the figures (PNG, SVG); created if missing.
     json : path, optional
         File for the counts and times.
     progress : callable, optional
-        Called as ``progress(stage, done, total)`` from time to time, with the stage's name.
+        Called from time to time as ``progress(stage, done, total)``, where `stage` is a name.
 
     Returns
     -------
@@ -59,7 +59,7 @@ def run(
     MissingExtraError
         If `out` is given and matplotlib is not installed.
     FileError
-        If a file cannot be written; each file is written whole or not at all.
+        If a file cannot be written; each file is written completely or not at all.
 
     Examples
     --------
@@ -73,7 +73,7 @@ def run(
     _validate.callback(progress, "progress")
     counts = None if json is None else _validate.path(json, "json")
     data = sample(pairs, seed, dataset)
-    # Obstacles to writing the results are found before the work, not after it.
+    # Find obstacles to writing the results before the work, not after it.
     if counts is not None and not folder_exists(counts.parent):
         raise FileError(f"{counts}: expected a name in an existing folder, found no folder {counts.parent}")
     if counts is not None and folder_exists(counts):
@@ -86,7 +86,7 @@ def run(
     def fitted(done: int, total: int) -> None:
         tell("hulls and fits", done, total)
 
-    # All hulls at once; then the first and the second of each pair.
+    # Fit all hulls at once, then separate the first and the second body of each pair.
     bodies = Bodies.from_points(np.concatenate([data.points_1, data.points_2]), progress=fitted)
     bodies_1, bodies_2 = bodies[:n], bodies[n:]
     model = Pairs.from_bodies(bodies_1, bodies_2)

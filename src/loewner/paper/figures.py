@@ -64,7 +64,7 @@ def render(figure: Any, kind: str) -> bytes:
 
     stream = io.BytesIO()
     with matplotlib.rc_context({"svg.hashsalt": "loewner"}):
-        # By default SVG contains the date.
+        # By default, an SVG file contains the date.
         figure.savefig(stream, format=kind, dpi=DOTS_PER_INCH, metadata={"Date": None} if kind == "svg" else None)
     return stream.getvalue()
 
@@ -84,7 +84,7 @@ class Line:
 
 
 def line_of_pair(inner: tuple[Ellipsoids, Ellipsoids], outer: tuple[Ellipsoids, Ellipsoids], method: str) -> Line:
-    """Find a pair's near-point line, and where it leaves outer ellipsoid 1 (beta) and enters outer 2 (alpha)."""
+    """Find a pair's near-point line, its exit from outer ellipsoid 1 (beta) and its entry into outer 2 (alpha)."""
     near = near_points(*inner, method=method, angle=PAPER_ANGLE)
     L = float(near.distance)
     away = near.point_2 - near.point_1 if L > 0 else inner[1].center - inner[0].center
@@ -108,7 +108,7 @@ def _polytope_exit(normals: Floats, offsets: Floats, p: Floats, e: Floats) -> fl
 
 
 def _clear_pair(experiment: Experiment, colliding: bool) -> int:
-    """Pick an ambiguous pair whose four points are well apart on its line, as in the paper's drawings."""
+    """Pick an ambiguous pair whose four points are well apart on its near-point line, as in the paper's drawings."""
     chosen = np.flatnonzero(experiment.detectors[1].answers.ambiguous & (experiment.truth == colliding))
     if not len(chosen):
         chosen = np.arange(len(experiment))
@@ -136,7 +136,7 @@ def _section(experiment: Experiment, k: int, kind: str) -> Any:
     earlier = kind == "heuristic"
     inner, outer = _ellipsoids(experiment, k, kind)
     line = line_of_pair(inner, outer, "rimon-boyd" if earlier else "lin-han")
-    # The plane also follows the offset of the centers from the line, so that both bodies are clearly visible.
+    # The plane also contains the mean offset of the centers from the line, so that both bodies are clearly visible.
     across = (outer[0].center + outer[1].center) / 2 - line.v1
     across = across - (across @ line.e) * line.e
     if np.linalg.norm(across) < 1e-9:
@@ -170,7 +170,7 @@ def _section(experiment: Experiment, k: int, kind: str) -> Any:
         marks["$v_1$"] = (_polytope_exit(faces_1.normals, faces_1.offsets, line.v1, line.e), BLUE)
         marks["$v_2$"] = (line.L - _polytope_exit(faces_2.normals, faces_2.offsets, v2, -line.e), RED)
     ax.axhline(0.0, color=GREY, lw=0.7, zorder=0)
-    # Labels alternate above and below in the order along the line, so that near neighbours stay legible.
+    # In their order along the line, labels are alternately above and below it, so that close labels stay legible.
     for place, (name, (t, color)) in enumerate(sorted(marks.items(), key=lambda item: item[1][0])):
         ax.plot([t], [0.0], "o", ms=5, color=color)
         ax.annotate(
@@ -185,7 +185,7 @@ def _section(experiment: Experiment, k: int, kind: str) -> Any:
 
 
 def _ellipse(E: Ellipsoids, origin: Floats, x: Floats, y: Floats) -> Floats | None:
-    """Cut an ellipsoid by the plane origin + s x + t y; return the outline, shape (2, 200), or None if it misses."""
+    """Cut an ellipsoid by the plane origin + s x + t y; return the outline, shape (2, 200), or None without one."""
     u, v, w = np.linalg.solve(E.factor, np.stack([x, y, origin - E.center], axis=1)).T
     M = np.array([[u @ u, u @ v], [u @ v, v @ v]])
     middle = -np.linalg.solve(M, [u @ w, v @ w])
@@ -200,7 +200,7 @@ def _ellipse(E: Ellipsoids, origin: Floats, x: Floats, y: Floats) -> Floats | No
 
 
 def _polygon(normals: Floats, offsets: Floats, origin: Floats, x: Floats, y: Floats) -> Floats:
-    """Cut a polytope by a plane: clip a square by every face (Sutherland-Hodgman); the shape is (corners, 2)."""
+    """Cut a polytope by a plane: clip a square by every face (Sutherland-Hodgman); return the corners, shape (n, 2)."""
     size = 10.0 + np.abs(offsets).max()
     corners = np.array([[-size, -size], [size, -size], [size, size], [-size, size]])
     for n, b in zip(normals, offsets, strict=True):
@@ -220,7 +220,7 @@ def _polygon(normals: Floats, offsets: Floats, origin: Floats, x: Floats, y: Flo
 
 # -- figure 3: the flow ----------------------------------------------------------------------------
 
-# name: (x, y, half width, half height, text, question?); wide and high enough for the text.
+# name: (x, y, half width, half height, text, question?); each box has room for its text.
 BOXES = {
     "outer": (0.0, 3.0, 0.62, 0.24, "outer ellipsoids\n(MVCEs) overlap?", True),
     "inner": (0.0, 2.0, 0.62, 0.24, "inner ellipsoids\n(MVIEs) overlap?", True),
@@ -243,7 +243,7 @@ ARROWS = (
 def arrow_path(start: str, end: str) -> Floats:
     """Return the corners of an arrow from the border of one box to the border of a second box, shape (2 or 3, 2).
 
-    The arrow runs straight down or sideways, or sideways and then down if an answer skips the questions below.
+    The arrow runs straight down or sideways. If an answer skips the questions below, it runs sideways, then down.
     """
     x0, y0, width_0, height_0 = BOXES[start][:4]
     x1, y1, width_1, height_1 = BOXES[end][:4]
@@ -289,7 +289,7 @@ def _flow_chart() -> Any:
 
 
 def _samples(experiment: Experiment) -> Any:
-    """Pick one ambiguous pair of detector 2 from each cell of Table 2 (b)."""
+    """Draw an ambiguous pair of detector 2 from each cell of Table 2 (b)."""
     require_matplotlib()
     from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 

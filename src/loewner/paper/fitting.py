@@ -1,6 +1,6 @@
 """Measure the reliability of the fits: fit each polyhedron of the experiment separately, and count failures.
 
-The paper requires reliable fits (section 3) but prints no numbers about them.
+The paper requires reliable fits (section 3), but prints no numbers about their reliability.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ class Fitting:
     name : str
         A key of `FITS`.
     tried, failed : int
-        Numbers of fits tried and failed; a fit failed if it raised a `LoewnerError` instead of returning an ellipsoid
-        within the tolerance.
+        Numbers of all fits and of failed fits. A fit failed if it raised a `LoewnerError` instead of returning an
+        ellipsoid within the tolerance.
     largest_gap : float
-        The largest certified gap in log-volume among the successful fits; NaN if there are none.
+        The largest certified gap in log-volume among the successful fits; NaN if no fit succeeded.
     microseconds : float
         Average time of one call.
 
@@ -57,7 +57,7 @@ FITS: dict[str, Callable[[Floats], Fit]] = {
 
 
 def fit_one_by_one(bodies_1: Bodies, bodies_2: Bodies) -> tuple[Fitting, ...]:
-    """Fit the first pairs' polyhedra by every kind of fit, at the default tolerance (the paper's, section 5)."""
+    """Fit the polyhedra of the first pairs by every kind of fit, with the default tolerance (as in section 5)."""
     half = MOST_POLYHEDRA // 2
     pieces = [body.pieces[0] for bodies in (bodies_1, bodies_2) for body in bodies[:half]]
     polyhedra = [piece.vertices for piece in pieces if piece.vertices is not None]

@@ -1,6 +1,6 @@
 """Find the smallest ellipsoid around points as the largest one in a polytope with one more dimension (appendix B).
 
-The method serves as a check on `loewner.mvce`, which is faster, since the lifted problem has dimension n + 1 and two
+The method serves as a check on `loewner.mvce`, which is faster: the lifted problem has dimension n + 1 and two
 half-spaces per point.
 """
 
@@ -25,14 +25,14 @@ def mvce_by_lifted_mvie(points: ArrayLike, tol: float = DEFAULT_TOLERANCE) -> Fi
     Parameters
     ----------
     points : array_like, shape (m, n)
-        m > n >= 1, in metres.
+        The points in metres, with m > n >= 1.
     tol : float
         Largest certified gap in log-volume, in [1e-12, 1].
 
     Returns
     -------
     Fit
-        The fit; its ellipsoid as stored contains every point exactly, in spite of rounding.
+        The fit. Despite rounding, its ellipsoid contains every point exactly.
 
     Raises
     ------
@@ -41,7 +41,7 @@ def mvce_by_lifted_mvie(points: ArrayLike, tol: float = DEFAULT_TOLERANCE) -> Fi
     GeometryError
         If there are fewer than n + 1 points, or all lie in a hyperplane.
     ConvergenceError
-        If the requested gap was not reached.
+        If the certified gap exceeds `tol`.
 
     References
     ----------
@@ -72,15 +72,15 @@ def _lifted(points: Floats, tol: float) -> Fit:
     )
     if not np.isfinite(gap):
         return certified_fit("mvce_by_lifted_mvie", origin, frame, gap, iterations, tol)
-    # The MVIE {xᵀ B x <= 1} has B⁻¹ = low lowᵀ = [[P, p], [pᵀ, s]], and {xᵀ B⁻¹ x <= 1} holds every (v, 1). Its cut
-    # with height 1 has center -P⁻¹ p and matrix P / (1 - s + pᵀ P⁻¹ p); with P = R Rᵀ, p = R r and s = rᵀr + t² that is
-    # center -R⁻ᵀ r and matrix P / (1 - t²).
+    # The MVIE {xᵀ B x <= 1} has B⁻¹ = low lowᵀ = [[P, p], [pᵀ, s]], and {xᵀ B⁻¹ x <= 1} contains every (v, 1). Its cut
+    # at height 1 has the center -P⁻¹ p and the matrix P / (1 - s + pᵀ P⁻¹ p). With P = R Rᵀ, p = R r and s = rᵀr + t²,
+    # these are the center -R⁻ᵀ r and the matrix P / (1 - t²).
     R, r, t = low[:n, :n], low[n, :n], low[n, n]
     inverse = np.linalg.inv(R)
     factor = frame @ (np.sqrt(1.0 - t * t) * np.linalg.qr(inverse).R.T)
     factor *= np.sign(np.diagonal(factor))
     center = origin - frame @ (inverse.T @ r)
-    # Each point's dual weight is the sum of the multipliers of its two half-spaces, the duals of the MVIE.
+    # Each point's dual weight is the sum of the multipliers of its two half-spaces, which are duals of the MVIE.
     weights = multipliers[:m] + multipliers[m:]
     error = entries.enclose(points, center, factor)
     gap = entries.outer_gap(points, np.arange(m), weights, m, center, factor, error) if error >= 0 else np.inf

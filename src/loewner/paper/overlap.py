@@ -16,8 +16,8 @@ from loewner.ellipsoids.ellipsoid_pairs import PairArrays
 from loewner.ellipsoids.ellipsoids import Ellipsoids
 from loewner.errors import ConvergenceError
 
-# Largest relative distance of the touching point from E2 at which its eigenvalue is accepted. The eigenproblem squares
-# the axis ratio: from about 1 : 100 on, some pairs come out wrong.
+# Largest relative distance from E2 to the touching point at which its eigenvalue is accepted. The eigenproblem squares
+# the axis ratio: for ratios of about 100 and more, results for some pairs are wrong.
 LARGEST_MISS = 1e-6
 
 
@@ -39,7 +39,7 @@ def overlap_by_eigenvalue(E1: Ellipsoids, E2: Ellipsoids) -> NDArray[np.bool_]:
     InputError
         If dimensions differ or batch shapes do not broadcast.
     ConvergenceError
-        If the eigenproblem lost its accuracy, as it does for thin ellipsoids.
+        If the eigenproblem lost its accuracy, as it can for thin ellipsoids.
 
     References
     ----------
@@ -55,7 +55,7 @@ def overlap_by_eigenvalue(E1: Ellipsoids, E2: Ellipsoids) -> NDArray[np.bool_]:
     """
     pair = PairArrays(E1, E2, "overlap_by_eigenvalue", dim=None)
     try:
-        with np.errstate(all="ignore"):  # overflow misses the second ellipsoid, and is reported
+        with np.errstate(all="ignore"):  # after an overflow, the point is not on E2, which is an error
             return _solved_by_eigenvalue(pair)
     except np.linalg.LinAlgError as error:
         raise ConvergenceError(
@@ -66,8 +66,8 @@ def overlap_by_eigenvalue(E1: Ellipsoids, E2: Ellipsoids) -> NDArray[np.bool_]:
 def _solved_by_eigenvalue(pair: PairArrays) -> NDArray[np.bool_]:
     """Compute the overlap in the notation of appendix A.
 
-    The paper first tests whether either center lies in the other ellipsoid. The eigenproblem cannot decide the case
-    that a lies in E2, since no scaled E1 then touches E2 from outside. It correctly decides the case that b lies in E1.
+    The paper first tests whether the center of either ellipsoid lies in the other one. The eigenproblem cannot decide
+    the case that a lies in E2, in which no scaled E1 touches E2 from outside. It decides correctly if b lies in E1.
     """
     F1, F2, batch = pair.F1, pair.F2, pair.batch
     if not len(F1):
@@ -97,8 +97,8 @@ def _solved_by_eigenvalue(pair: PairArrays) -> NDArray[np.bool_]:
     eigenvalues = np.linalg.eigvals(block)
     lam = eigenvalues[np.arange(len(a)), np.argmin(eigenvalues.real, axis=-1)].real
 
-    # a + lam A^(-1/2) (lam I - B tilde)⁻¹ b bar, with the inverse from the singular values that are already computed. A
-    # point off E2 (or NaN) shows that the eigenvalue has lost its accuracy and decides nothing.
+    # a + lam A^(-1/2) (lam I - B tilde)⁻¹ b bar, with the inverse from the singular values that are already computed.
+    # If this point is not on E2 (or is NaN), the eigenvalue has lost its accuracy and decides nothing.
     coordinates = lam[:, None] / (lam[:, None] - h**2) * np.einsum("kji,kj->ki", V, b_bar)
     y = np.einsum("kij,kj->ki", V, coordinates)
     miss = np.abs(np.linalg.norm(_solved(F2, a - b + np.einsum("kij,kj->ki", inverse_root_A, y)), axis=-1) - 1.0)

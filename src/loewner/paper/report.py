@@ -1,4 +1,4 @@
-"""Write the experiment as a report: Markdown, self-contained HTML and the figures, each whole or not at all."""
+"""Write the experiment as a report: Markdown, self-contained HTML and figures, each file completely or not at all."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ CAPTIONS = {
     "figure-4": "Figure 4. A pair of each cell of Table 2 (b), detector 2: polyhedra and inner ellipsoids.",
 }
 
-# Blocks of one paragraph: the beginning of the line in Markdown, and the element in HTML.
+# Kinds of blocks that are one paragraph: the beginning of its line in Markdown, and its element in HTML.
 PARAGRAPHS = {"title": ("# ", "h1"), "heading": ("## ", "h2"), "text": ("", "p")}
 
 
 def prepare(folder: str | os.PathLike[str]) -> Path:
-    """Before any work is done, create the folder and check that figures can be drawn.
+    """Create the folder and check that figures can be drawn, before any work is done.
 
     Raises
     ------

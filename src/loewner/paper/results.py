@@ -25,14 +25,14 @@ class Result:
     Attributes
     ----------
     id : int
-        Number of the detector, 1 to 4 as in the paper; 0 for the library's own estimate.
+        Number of the detector, from 1 to 4 as in the paper; 0 for the library's own estimate.
     name : str
     answers : Answers
     all, ambiguous : Confusion
         Counts over all pairs, and over the pairs that are ambiguous to this detector.
     microseconds, ambiguous_microseconds : float
-        Average time of one check on one thread, over all pairs and over the ambiguous pairs; NaN if not timed, or if
-        there are no such pairs.
+        Average time of one check on one thread, over all pairs and over the ambiguous pairs; NaN if the time was not
+        measured, or no pair is ambiguous.
 
     Examples
     --------
@@ -67,7 +67,7 @@ class Experiment:
     detectors : tuple of Result
         Detectors 1 to 4.
     estimate : Result
-        The rule F_in F_out <= 1, for which pairs are ambiguous if the two exact overlap checks do not settle them.
+        The rule F_in F_out <= 1; pairs are ambiguous to it if the two exact overlap checks do not settle them.
     fittings : tuple of Fitting
         Reliability of each kind of fit, measured on at most the first 2000 polyhedra.
 
@@ -92,7 +92,7 @@ class Experiment:
         return len(self.truth)
 
     def as_dict(self) -> dict[str, Any]:
-        """Return counts and times (in microseconds) as plain numbers, as they are written to JSON.
+        """Return counts and times (in microseconds) as plain numbers, in the form that is written to JSON.
 
         Returns
         -------
@@ -117,6 +117,6 @@ class Experiment:
 
 
 def write_atomically(target: Path, content: bytes) -> None:
-    """Write a file whole or not at all; after a `FileError` an existing file is unchanged."""
+    """Write a file completely or not at all; after a `FileError`, an existing file is unchanged."""
     with replacing(target) as temporary:
         temporary.write_bytes(content)

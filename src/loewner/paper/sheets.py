@@ -1,7 +1,7 @@
 """Format the tables as text, at most 80 columns wide, with our numbers next to the paper's.
 
-Cells with numbers from the paper name the table and the cells from which the numbers come; all other numbers are
-counted or measured in this run.
+Cells with numbers from the paper name the source of the numbers: a table and its cells. All other numbers are counted
+or measured in this run.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ class Sheet:
 
     @property
     def numeric(self) -> tuple[bool, ...]:
-        """Return which columns contain numbers; these are right-aligned."""
+        """Return which columns contain numbers; such columns are right-aligned."""
         return tuple(all(NUMBER.fullmatch(cell) for cell in column) for column in zip(*self.rows, strict=True))
 
     @property
@@ -111,7 +111,7 @@ def right(experiment: Experiment) -> Sheet:
             table = f"{result.id} {letter}" if result.id else letter
             rows.append(_right(table, result, part, printed[part]))
             if result.id == 2:
-                # The paper also printed detector 4's numbers here (docs/design/paper.md), so compare with these as
+                # The paper printed detector 4's numbers here (docs/design/paper.md), so compare with those results as
                 # well.
                 rows.append(_right(table, fourth, part, printed[part]))
     return Sheet(
@@ -179,7 +179,7 @@ def fits(experiment: Experiment) -> Sheet:
 
 
 def in_order(experiment: Experiment) -> tuple[Sheet, ...]:
-    """Return the terminal's output: every table, without the confidence intervals."""
+    """Return the tables that the terminal shows: all except the confidence intervals."""
     return pairs(experiment), *counts(experiment), *(sheet(experiment) for sheet in (right, outside, times, fits))
 
 

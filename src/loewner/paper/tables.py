@@ -14,9 +14,9 @@ from loewner._base._proportions import wilson
 from loewner.paper.detectors import Confusion
 from loewner.paper.results import Experiment, Result
 
-# The paper's numbers by the number of their table, which is also the detector's: its part (a), all pairs, and its
-# part (b), the ambiguous ones, then the milliseconds per check that the caption gives for (a) and (b) (Pentium 4 at
-# 1.8 GHz, MATLAB 6.5). A matrix is read row by row: tp is cell (1,1), fp (1,2), fn (2,1), tn (2,2).
+# The paper's numbers by table; a table has the number of its detector. Part (a) is about all pairs, and part (b) about
+# ambiguous pairs. Milliseconds per check follow, as the caption gives them for (a) and (b) (Pentium 4 at 1.8 GHz,
+# MATLAB 6.5). A matrix is read row by row: tp is cell (1,1), fp (1,2), fn (2,1), tn (2,2).
 PAPER = {
     1: (Confusion(375, 32, 167, 426), Confusion(50, 32, 5, 150), 100.0, 146.0),
     2: (Confusion(515, 23, 27, 435), Confusion(134, 23, 24, 136), 46.0, 75.0),
@@ -24,7 +24,7 @@ PAPER = {
     4: (Confusion(515, 23, 27, 435), Confusion(134, 23, 24, 136), 10.0, 15.0),
 }
 PAPER_PAIRS = PAPER[1][0].total
-PAPER_COLLIDING = PAPER[1][0].tp + PAPER[1][0].fn  # the same in all four tables
+PAPER_COLLIDING = PAPER[1][0].tp + PAPER[1][0].fn  # equal in all four tables
 
 # Classes of the data that Table 3 implies: inner ellipsoids overlap, ambiguous and colliding, ambiguous and free, outer
 # ellipsoids apart. Each class is followed by the cells from which it is computed.
@@ -34,7 +34,7 @@ _ALL, _HARD = PAPER[3][:2]
 PAPER_CLASSES = (_ALL.tp - _HARD.tp, _HARD.tp + _HARD.fn, _HARD.fp + _HARD.tn, _ALL.tn - _HARD.tn)
 
 CELLS = ("true collision", "false collision", "missed collision", "true free")
-SIGNIFICANCE = 0.01  # below this p the numbers count as different
+SIGNIFICANCE = 0.01  # with a smaller p-value, the numbers count as different
 
 
 @dataclass(frozen=True)
@@ -72,7 +72,7 @@ class Table:
     cells : tuple of Cell
         tp, fp, fn, tn.
     accuracy : float
-        Share of right answers.
+        Share of answers that are right.
     p_value : float
         The p-value of a chi-square test of homogeneity, for the hypothesis that these counts and the paper's come from
         one distribution.
@@ -94,7 +94,7 @@ class Table:
 
 
 def homogeneity(counts: Sequence[int], others: Sequence[int]) -> float:
-    """Compute Pearson's chi-square p-value for two rows of counts sharing one distribution; NaN if one is empty."""
+    """Compute Pearson's chi-square p-value for two rows of counts having one distribution; NaN if a row is empty."""
     table = np.array([counts, others], dtype=float)
     table = table[:, table.sum(axis=0) > 0]
     rows, columns = table.sum(axis=1), table.sum(axis=0)
@@ -118,7 +118,7 @@ def tables(experiment: Experiment) -> tuple[Table, ...]:
         whole = _table(f"{title} (a)", name, result.all, every, result.microseconds, milliseconds)
         part = _table(f"{title} (b)", name, result.ambiguous, hard, result.ambiguous_microseconds, hard_milliseconds)
         if result.id == 2:
-            # The paper also printed detector 4's numbers here (docs/design/paper.md), so compare with these as well.
+            # The paper printed detector 4's numbers here (docs/design/paper.md), so compare with those results as well.
             whole, part = _with_fourth(whole, fourth.all, every), _with_fourth(part, fourth.ambiguous, hard)
         found += [whole, part]
     own: Result = experiment.estimate
@@ -212,13 +212,13 @@ def _table(
 
 
 def _with_fourth(table: Table, fourth: Confusion, printed: Confusion) -> Table:
-    """Extend table 2's statement by how well the printed numbers fit detector 4."""
+    """Add to the statement of table 2 how well the printed numbers fit detector 4."""
     p = homogeneity(fourth.counts, printed.counts)
     return replace(table, statement=f"{table.statement}; printed is detector 4: {statement(p)}")
 
 
 def statement(p: float) -> str:
-    """State in words whether a p-value is consistent with two rows of counts sharing one distribution."""
+    """State in words whether a p-value is consistent with two rows of counts having one distribution."""
     if math.isnan(p):
         return "-"
     verdict = "yes" if p >= SIGNIFICANCE else "no"

@@ -1,8 +1,8 @@
-"""Settle pairs of surfaces in whole numbers where rounding keeps the kernels from deciding.
+"""Settle pairs of surfaces in integers where rounding keeps the kernels from deciding.
 
-Poses and corners are floats, so all placed corners are whole multiples of one small unit, and so are all determinants,
-whose signs are therefore certain. With Python's integers this takes a millisecond instead of a kernel's microsecond,
-but hardly any pair needs it.
+Poses and corners are floats, so all placed corners are integer multiples of one small unit. So are all determinants,
+and their signs are therefore certain. With Python's integers this takes a millisecond, where a kernel takes a
+microsecond, but hardly any pair needs it.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from loewner._base._validate import Floats, Ints
 from loewner._kernels import codes, columns
 from loewner._native import entries
 
-# Plan, rows, handle and poses of a, handle and poses of b, arrays in C order: see `_kernels/pipeline/verdicts.py`.
+# Plan, rows, handle and poses of a, handle and poses of b, with arrays in C order: see `_kernels/pipeline/verdicts.py`.
 Operands: TypeAlias = tuple[Ints, Ints, int, Floats, int, Floats]
 
 Vector: TypeAlias = tuple[int, int, int]
@@ -27,7 +27,7 @@ Vector: TypeAlias = tuple[int, int, int]
 # Limit on the open pairs of triangles examined; with more, the pair stays AMBIGUOUS unless one of these meets.
 ROOM = 20_000
 
-# Directions of rays, all well apart; a ray that meets an edge gives no answer.
+# Directions of rays, all well apart, since a ray that meets an edge gives no answer.
 RAYS = (
     (1, 2, 3),
     (-3, 1, 2),
@@ -40,12 +40,12 @@ RAYS = (
     (3, -2, -11),
 )
 
-# Allowance, relative to all lengths, for rounding in the selection of triangles that a ray could meet.
+# Allowance for rounding, relative to all lengths, in the selection of triangles that a ray could meet.
 _GENEROUS = 1e-9
 
 
 def verdict(margin: float, k: int, operands: Operands) -> int:
-    """Settle pair k, which the fallback called INEXACT."""
+    """Settle pair k, for which the fallback returned INEXACT."""
     plan, rows, pack_a, poses_a, pack_b, poses_b = operands
     listed = np.empty((ROOM, 6), dtype=np.int64)
     count = entries.open_triangles(margin, k, plan, rows, pack_a, poses_a, pack_b, poses_b, listed)
@@ -79,7 +79,7 @@ class Part:
         return np.asarray(self.triangles[triangle].reshape(3, 3))
 
     def holds_part_of(self, other: Part, T: Floats, S: Floats) -> bool:
-        """Whether a connected part of another piece has its first vertex within this solid, or on its surface."""
+        """Whether the first vertex of a connected part of another piece is in this solid or on its surface."""
         return self.kind == columns.SOLID and any(self._holds(point, T, S) for point in other.points)
 
     def _holds(self, point: Floats, T: Floats, S: Floats) -> bool:
@@ -101,7 +101,7 @@ class Part:
 
 
 def placed(points: list[tuple[Floats, Floats]]) -> tuple[list[Vector], Fraction]:
-    """Points at poses as whole multiples of a unit, and the unit in metres."""
+    """Points at poses as integer multiples of a unit, and the unit in metres."""
     turn = _digits([T[:3, :3] for T, _ in points])
     place = _digits([p for _, p in points])
     all_digits = max(turn + place, _digits([T[:3, 3] for T, _ in points]))
@@ -115,14 +115,14 @@ def placed(points: list[tuple[Floats, Floats]]) -> tuple[list[Vector], Fraction]
 
 
 def _digits(arrays: list[Floats]) -> int:
-    """Largest number of binary digits after the point in some floats."""
+    """Largest number of binary digits after the point among all floats of the arrays."""
     numbers = np.concatenate([np.ravel(a) for a in arrays])
     numbers = numbers[numbers != 0]
     return max(0, 53 - int(np.frexp(numbers)[1].min())) if len(numbers) else 0
 
 
 def _whole(x: float, digits: int) -> int:
-    """x times 2 to the power of `digits`, a whole number."""
+    """x times 2 to the power of `digits`, which must be an integer."""
     top, bottom = x.as_integer_ratio()
     return (top << digits) // bottom
 
@@ -145,8 +145,8 @@ def cross(a: Vector, b: Vector) -> Vector:
 def meet(a: list[Vector], b: list[Vector]) -> bool:
     """Whether two triangles, segments or points have a point in common.
 
-    They have none if and only if an axis separates them strictly: a normal of the set of their differences, or of its
-    plane or line if this set is flat.
+    They have no common point if and only if an axis separates them strictly: a normal of the set of their differences,
+    or of the plane or line of this set if it is flat.
     """
     return not any(
         max(dot(n, p) for p in a) < min(dot(n, p) for p in b) or max(dot(n, p) for p in b) < min(dot(n, p) for p in a)
@@ -192,7 +192,7 @@ def within(a: list[Vector], b: list[Vector], reach: Fraction) -> bool:
 
 
 def _to_segment(p: Vector, a: Vector, b: Vector) -> Fraction:
-    """Squared distance of a point from a segment."""
+    """Squared distance from a point to a segment."""
     e, w = minus(b, a), minus(p, a)
     length, along = dot(e, e), dot(w, e)
     if along <= 0 or length == 0:
@@ -203,7 +203,7 @@ def _to_segment(p: Vector, a: Vector, b: Vector) -> Fraction:
 
 
 def _to_face(p: Vector, t: list[Vector]) -> Fraction | None:
-    """Squared distance of a point from the plane of a triangle; None if the foot lies outside."""
+    """Squared distance from a point to the plane of a triangle; None if its foot is outside the triangle."""
     n = cross(minus(t[1], t[0]), minus(t[2], t[0]))
     if not any(n) or any(dot(cross(minus(t[(k + 1) % 3], t[k]), minus(p, t[k])), n) < 0 for k in range(3)):
         return None
@@ -211,7 +211,7 @@ def _to_face(p: Vector, t: list[Vector]) -> Fraction | None:
 
 
 def _between_lines(a: Vector, b: Vector, c: Vector, d: Vector) -> Fraction | None:
-    """Squared distance of two lines; None if they are parallel, or a foot lies outside the segments."""
+    """Squared distance between two lines; None if they are parallel, or a foot is outside the segments."""
     u, v, r = minus(b, a), minus(d, c), minus(c, a)
     n = cross(u, v)
     squared = dot(n, n)
@@ -223,7 +223,7 @@ def _between_lines(a: Vector, b: Vector, c: Vector, d: Vector) -> Fraction | Non
 
 
 def _windings(ray: Vector, surface: tuple[Floats, Floats], place: tuple[Floats, Floats]) -> bool | None:
-    """Whether triangles wind around a point, from the ones that a ray crosses; None if the ray meets an edge."""
+    """Whether a surface winds around a point, by the triangles that a ray crosses; None if the ray meets an edge."""
     T, triangles = surface
     (x, *corners), _ = placed([place, *((T, p) for p in triangles.reshape(-1, 3))])
     count = 0
@@ -234,7 +234,7 @@ def _windings(ray: Vector, surface: tuple[Floats, Floats], place: tuple[Floats, 
             continue
         volume = dot(a, cross(b, c))
         if 0 in signs:
-            # This includes a triangle seen edge-on, which the ray may miss, and a triangle that contains the point.
+            # These include a triangle seen edge-on, which the ray may miss, and a triangle that contains the point.
             if volume == 0 and meet([(0, 0, 0)] * 3, [a, b, c]):
                 return True
             if _may_cross(ray, a, b, c):

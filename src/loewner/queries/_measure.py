@@ -1,6 +1,6 @@
 """Distances of pairs: a fast pass, then careful searches for the remaining pairs.
 
-Queries of pairs and of crowds use it.
+Queries about pairs and about crowds use this module.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from loewner.queries._settle import Operands
 # The smallest number of pairs that is worth a thread of its own.
 CHUNK = 4096
 
-# Bytes per pair: three numbers; measured exactly, one more, three vectors, a status and a flag.
+# Bytes per pair: three numbers; for an exact distance, also a fourth number, three vectors, a status and a flag.
 BOUND_BYTES, EXACT_BYTES = 24, 106
 
 
@@ -43,7 +43,7 @@ class Measures(NamedTuple):
 
 
 def measure(exact: bool, n: int, operands: Operands) -> Measures:
-    """Bounds on the distances of n pairs, and on request the distances themselves; poses must be rigid motions."""
+    """Bounds on the distances of n pairs and, on request, the distances themselves; poses must be rigid motions."""
     plan, rows, *bodies = operands
     m = n if exact else 0
     numbers, vectors, status = np.empty((3 + exact, n)), np.empty((3, m, 3)), np.zeros(m, dtype=np.int8)

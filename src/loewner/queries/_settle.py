@@ -1,6 +1,6 @@
-"""Verdicts for listed pairs: a fast pass, then a fallback for the remaining pairs, then whole numbers.
+"""Verdicts for listed pairs: a fast pass, then a fallback for the remaining pairs, then exact integers.
 
-Queries of pairs and of crowds use it, and so do robots for configurations that their own kernels
+Queries about pairs and about crowds use this module. So do robots, for configurations that their own kernels
 (`_kernels/robots/configurations.py`) leave open.
 """
 
@@ -32,14 +32,14 @@ def settle(mode: int, margin: float, first: int, last: int, operands: Operands, 
         Metres, >= 0.
     operands : Operands
     out : ndarray of int8
-        Receives the verdicts. AMBIGUOUS in mode EXACT means that no search settled the pair; the caller must not treat
-        it as anything else.
+        Receives the verdicts. AMBIGUOUS in mode EXACT means that no search settled the pair; the caller must treat the
+        pair as unsettled.
 
     Returns
     -------
     ndarray of int64, shape (TIERS,), or None
-        Number of piece pairs that the fast pass settled by each tier. None if a pose is not a rigid motion; no result
-        is then valid.
+        Number of piece pairs that each tier of the fast pass settled. None if a pose is not a rigid motion; in that
+        case no result is valid.
     """
     tally = np.zeros(codes.TIERS, dtype=np.int64)
     if not entries.settle_range(mode, margin, first, last, *operands, out, tally, workspace(entries.workspace_size())):

@@ -1,4 +1,4 @@
-"""Find which pairs of many bodies meet, and their depths: a broad phase over boxes, then a verdict for each pair."""
+"""Find which of many bodies meet, and how deeply: a broad phase over boxes, then a verdict for each pair."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ from loewner.queries._settle import Operands, settle
 # The smallest number of bodies that is worth a thread of its own.
 CHUNK = 4096
 
-# Candidate pairs collected before they are settled, in addition to the most that one group of boxes can have.
+# Candidate pairs that are collected before they are settled, besides the most that one group of boxes can have.
 CANDIDATES = 65536
 
-# A body takes two corners of its box; its sorted keys and its place in the order; and its share of the groups' boxes.
+# Bytes for a body: two corners of its box, its sorted keys, its place in the order, and its share of the groups' boxes.
 BODY_BYTES = 128
 
-# A pair found takes a key, the key's copies when all are concatenated, and the two numbers that are returned.
+# Bytes for a pair that is found: its key, copies of the key when all keys are concatenated, and two returned numbers.
 PAIR_BYTES = 40
 
-# A measured pair takes its rows once more, and its distance.
+# Additional bytes for a measured pair: a copy of its rows, and its distance.
 DEPTH_BYTES = 16 + EXACT_BYTES
 
 # The groups of boxes of a tree, the start of each level, and the order of the bodies in the lowest level.
@@ -51,9 +51,9 @@ class Overlaps(_validate.Brief):
     pairs : ndarray of int64, shape (m, 2)
         Indices i < j of the bodies, in lexicographic order.
     distance : ndarray, shape (m,)
-        In metres; a negative value is a depth. It is positive for separate bodies within the margin, and may round to
-        slightly above zero for bodies that just touch. For bodies with several pieces, it is the depth of the deepest
-        two pieces, see `Distance`.
+        In metres. A negative value is a depth; if a body has several pieces, the depth of the deepest two pieces, as
+        in `Distance`. The value is positive for separate bodies within the margin, and may round to slightly above
+        zero for bodies that just touch.
     witness_a, witness_b : ndarray, shape (m, 3)
         Points of bodies i and j in world coordinates, with witness_b - witness_a = distance * normal.
     normal : ndarray, shape (m, 3)
@@ -114,7 +114,7 @@ def overlapping_pairs(
     bodies : Bodies, or Body
         n bodies, or one body that is placed at each of n poses.
     T_world : array_like, shape (n, 4, 4), or None
-        Poses of the bodies; translation in metres. None is the identity for all.
+        Poses of the bodies; translation in metres. None places all bodies at the identity.
     margin : float
         In metres; bodies at this distance or less count as colliding.
     method : {"exact", "certified"}
@@ -132,15 +132,15 @@ def overlapping_pairs(
     Raises
     ------
     PoseError
-        If the numbers of poses and bodies differ, or a pose is not a rigid motion.
+        If the number of poses differs from the number of bodies, or a pose is not a rigid motion.
     InputError
         If `bodies` has entries that are not bodies, the margin is negative or not finite, or ``depth`` is neither True
         nor False.
     UnknownNameError
         If `method` is not one of the names above.
     ConvergenceError
-        If the exact search could not settle a pair. It never returns "free" instead. With ``depth=True`` also if a
-        distance could not be computed, as in `distance`; the error's `indices` are then rows of the list of pairs, and
+        If the exact search could not settle a pair; it never returns "free" instead. With ``depth=True``, also if a
+        distance could not be computed, as in `distance`. The `indices` of this error are rows of the list of pairs, and
         its `partial` has all other results.
 
     Examples
@@ -160,7 +160,7 @@ def overlapping_pairs(
 
 
 class _Crowd(NamedTuple):
-    """Bodies at poses: their number, flags 1 if each has its own pieces and its own pose, the pieces and the poses."""
+    """Bodies at poses: their number, two flags (1 if each body has its own pieces, own pose), pieces and poses."""
 
     n: int
     steps: tuple[int, int]
@@ -168,7 +168,7 @@ class _Crowd(NamedTuple):
     T: Floats
 
     def asked(self, rows: Ints) -> Operands:
-        """Make the operands of a query about listed pairs: the same bodies twice."""
+        """Make the operands of a query about listed pairs, with the same bodies as both operands."""
         plan = np.array([rows.shape[1], *self.steps, *self.steps], dtype=np.int64)[:, None]
         return plan, rows, self.packed.handle, self.T, self.packed.handle, self.T
 
@@ -242,9 +242,9 @@ def _tree(crowd: _Crowd) -> Tree:
 
 
 def _settled(mode: int, margin: float, first: int, last: int, tree: Tree, crowd: _Crowd, counts: list[int]) -> Ints:
-    """Find pairs i, j not proven free, encoded as i n + j, with the earlier body in the leaf groups first to last.
+    """Find pairs i, j that are not proven free, encoded as i n + j, with the earlier body in leaf groups first .. last.
 
-    The number of pairs found is added to `counts`, which all threads share.
+    The number of pairs is appended to `counts`, which all threads share.
     """
     n = crowd.n
     rows = np.empty((2, columns.WIDE * n + CANDIDATES), dtype=np.int64)
@@ -271,7 +271,7 @@ def _settled(mode: int, margin: float, first: int, last: int, tree: Tree, crowd:
 
 
 def _refuse_unsettled(out: NDArray[np.int8], a: Ints, b: Ints) -> None:
-    """Raise an exception for answers that arithmetic could not settle, instead of returning a guess."""
+    """Raise an exception for pairs that arithmetic could not settle, instead of guessing."""
     unsettled = np.flatnonzero(out == codes.AMBIGUOUS)
     if len(unsettled):
         pair = int(a[unsettled[0]]), int(b[unsettled[0]])

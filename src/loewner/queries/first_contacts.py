@@ -23,27 +23,27 @@ CHUNK = 512
 
 BYTES = 17  # per pair: two times and a verdict
 
-# Poses at the beginning and at the end of a motion; or a pose, for a body at rest.
+# The poses at the beginning and at the end of a motion, or the pose of a body at rest.
 Motion = tuple[ArrayLike | None, ArrayLike | None] | ArrayLike | None
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class FirstContact(_validate.Brief):
-    """When two moving bodies first touch, each of the batch's shape; times are fractions of the motion.
+    """When two moving bodies first touch. Each field has the batch's shape; times are fractions of the motion.
 
     Attributes
     ----------
     verdict : Verdict, or ndarray of int8
-        FREE: proven not to touch, nor to come within the margin, at any time from 0 to 1. COLLIDING: they touch at
-        `touching_at` according to the exact test of `collide`; for pieces with curved faces, this holds up to about
-        1e-9 m. AMBIGUOUS: they graze, or the search did not converge; only `free_until` is proven.
+        FREE: the bodies are proven not to touch, nor to come within the margin, at any time from 0 to 1. COLLIDING: the
+        bodies touch at `touching_at` according to the exact test of `collide`; for pieces with curved faces, this holds
+        up to about 1e-9 m. AMBIGUOUS: the bodies graze, or the search did not converge; only `free_until` is proven.
     free_until : float or ndarray
-        Before this time, the bodies are proven to be farther apart than the margin at every real time from 0 on; inf if
+        At every real time t with 0 <= t < free_until, the bodies are proven to be farther apart than the margin; inf if
         FREE.
     touching_at : float or ndarray
-        Time at which they touch or come within the margin. From `free_until` to this time, the distance of the bodies
-        changes by no more than the tolerance. For AMBIGUOUS pairs, it is a time not before `free_until` at which they
-        touch or are within the tolerance of touching; inf if none is known. inf if FREE.
+        Time at which the bodies touch or come within the margin. From `free_until` to this time, the distance of the
+        bodies changes by no more than the tolerance. For AMBIGUOUS pairs, it is a time not before `free_until` at which
+        the bodies touch or are within the tolerance of touching, or inf if no such time is known. inf if FREE.
 
     Examples
     --------
@@ -71,8 +71,8 @@ def first_contact(
 ) -> FirstContact:
     """Compute when two bodies that move and turn first touch, and prove that they are free until then.
 
-    The origin of a body moves on a straight line between its two poses, at a constant rate. At the same time the body
-    turns by the shorter way, also at a constant rate, about an axis through its origin.
+    The origin of a body moves along a straight line between its two poses, at a constant speed. At the same time, the
+    body turns the shorter way, also at a constant rate, about an axis through its origin.
 
     Parameters
     ----------
@@ -82,30 +82,30 @@ def first_contact(
         The poses (T0, T1) of a body at the beginning and at the end, broadcast together; or a single pose for a body at
         rest. None is the identity.
     tolerance : float
-        Length in metres by which the bodies may approach each other from the time until which they are proven free to
-        the time at which they touch. It can be as small as about 1e-11 of the lengths involved, and 1e-8 for
-        ellipsoids, cylinders and cones; below that, pairs are AMBIGUOUS.
+        Length in metres by which the bodies may approach each other between `free_until` and `touching_at`. It can be
+        as small as about 1e-11 of the lengths involved, and 1e-8 for ellipsoids, cylinders and cones; below that, pairs
+        are AMBIGUOUS.
     margin : float
         Distance in metres that the bodies have to keep.
 
     Returns
     -------
     FirstContact
-        The time is never late: before `free_until` the pair is free, including all rounding (docs/certified.md, "First
-        contact"). If the bodies touch at the beginning, both times are 0.
+        The time `free_until` is never late: before it, the pair is free, including all rounding (docs/certified.md,
+        "First contact"). If the bodies touch at the beginning, both times are 0.
 
     Raises
     ------
     PoseError
         If a pose does not have the shape (..., 4, 4) or is not a rigid motion; if batches do not broadcast; or if a
-        body turns by half a turn, for which no way is shorter: divide such a motion into two.
+        body turns by half a turn, so that neither way is shorter: divide such a motion into two.
     InputError
         If an operand is not a body, the margin is negative or not finite, or the tolerance is not positive.
 
     Notes
     -----
-    Convex pieces take a handful of searches for each pair of pieces, because the steps towards a contact converge
-    quadratically. Surfaces converge linearly, and take dozens of distances.
+    A pair of convex pieces takes a handful of searches, because the steps towards a contact converge quadratically. For
+    surfaces the steps converge linearly, and take dozens of distance computations.
 
     References
     ----------

@@ -1,4 +1,4 @@
-"""Compute verdicts, collisions and distances of bodies, for one pair or millions of pairs."""
+"""Compute verdicts, collisions and distances of bodies, for one pair or for millions of pairs."""
 
 from __future__ import annotations
 
@@ -34,13 +34,13 @@ else:
 
     Number, Exact, Vector = TypeVar("Number"), TypeVar("Exact"), TypeVar("Vector")
 
-# Value of a result's fields that were not requested: None, typed so that it fits their type variables.
+# Value of fields that were not requested: None, typed so that it fits the fields' type variables.
 NOTHING: Any = None
 
-# Bytes per pair in `collide`: a verdict and two flags. In a list of pairs: two numbers.
+# Bytes per pair in `collide` (a verdict and two flags), and in a list of pairs (two numbers).
 COLLIDE_BYTES, LIST_BYTES = 3, 16
 
-# Poses of a body or several, as users give them.
+# Poses of one or more bodies, as users pass them.
 Poses = ArrayLike | None
 
 # The shape of an array.
@@ -79,7 +79,7 @@ VerdictOrVerdicts = Verdict | Verdicts
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Distance(_validate.Brief, Generic[Number, Exact, Vector]):
-    """Signed distances of bodies, in metres, each of the batch's shape; negative values are penetration depths.
+    """Signed distances of bodies in metres, arrays of the batch's shape; negative values are penetration depths.
 
     All values refer to the nearest two pieces or, if the bodies overlap, to the deepest two. For bodies with several
     pieces, a negative distance is therefore the depth of that pair alone: the bodies penetrate each other at least that
@@ -93,7 +93,7 @@ class Distance(_validate.Brief, Generic[Number, Exact, Vector]):
     lower, upper : float or ndarray
         Certified bounds from the ellipsoids: lower <= distance <= upper.
     estimate : float or ndarray
-        A guess, computed in O(1) from the product of the two contact functions and clamped to the bounds.
+        A guess, computed in O(1) from the product of the two contact functions, and clamped to the bounds.
     distance : float or ndarray, or None
         With ``exact=True``: the distance of the bodies, or minus the depth of the deepest two pieces. This depth is the
         length of the shortest translation that separates the two pieces.
@@ -124,11 +124,11 @@ class Distance(_validate.Brief, Generic[Number, Exact, Vector]):
     def wrench(self) -> Vector:
         """Derivative of the distance with respect to b's motion, shape (..., 6), or None without ``exact=True``.
 
-        It consists of a unit force along the normal at the witness, and the moment of that force about the world's
-        origin [m]. Let a twist be the velocity of a body's point at the world's origin, and the body's angular
-        velocity. If b moves by a twist, the distance changes by the product of twist and wrench; if a moves, by minus
-        that product. Where the witnesses are not unique (parallel faces or edges), the distance has a kink, and the
-        wrench is the derivative for one choice of witnesses.
+        The wrench consists of a unit force along the normal at the witness, and the moment of that force about the
+        world's origin [m]. A twist consists of the velocity of the body's point at the world's origin, and the body's
+        angular velocity. If b moves with a twist, the distance changes at a rate that is the product of twist and
+        wrench; if a moves, at minus this rate. Where the witnesses are not unique (parallel faces or edges), the
+        distance has a kink, and the wrench is the derivative for one choice of witnesses.
 
         Examples
         --------
@@ -145,7 +145,7 @@ class Distance(_validate.Brief, Generic[Number, Exact, Vector]):
         return found  # type: ignore[no-any-return]
 
 
-# Without and with ``exact=True``.
+# The results without and with ``exact=True``.
 Bounds = Distance[Number, None, None]
 Measured = Distance[Number, Number, Floats]
 
@@ -162,8 +162,8 @@ def _prepare(
 ) -> _Pairs:
     """Check the operands and work out how they broadcast; unless `check` is true, the kernel checks the poses.
 
-    `each` is the number of bytes of results per pair, by which a call that does not fit into memory is refused.
-    `chosen` lists rows of pairs, instead of broadcasting.
+    `each` is the number of bytes of results per pair; a call whose results do not fit into memory is refused. `chosen`
+    lists rows of pairs, which replace broadcasting.
     """
     expect_bodies(a, b)
     Ta = _validate.poses(T_world_a, "T_world_a", check=check)
@@ -226,7 +226,7 @@ def plan_of(
     each: int = 1,
     chosen: ArrayLike | None = None,
 ) -> Plan:
-    """Work out from shapes how bodies and poses broadcast, or the shape of listed pairs; see `_prepare`."""
+    """Work out from shapes how bodies and poses broadcast, or the shape of the listed pairs; see `_prepare`."""
     if chosen is not None:
         return _listed(chosen, a, of_poses_a, b, of_poses_b, each)
     of_a = (len(a),) if isinstance(a, Bodies) else ()
@@ -274,7 +274,7 @@ def _listed(
 
 
 def _row_strides(part: Lengths, ndim: int) -> list[int]:
-    """Compute an operand's step in rows along each axis of the batch; 0 along axes where it repeats."""
+    """Compute the step in an operand's rows along each axis of the batch; 0 along axes where the operand repeats."""
     strides = [0] * ndim
     step = 1
     for axis in range(1, len(part) + 1):
@@ -287,7 +287,7 @@ def _row_strides(part: Lengths, ndim: int) -> list[int]:
 def _collapse(shape: Lengths, strides: list[list[int]]) -> Ints:
     """Merge neighbouring axes over which the stride of every operand is constant; usually one axis remains.
 
-    Return the plan: the merged shape in the first row, then the strides of each operand in a row of its own.
+    Return the plan, which has the merged shape in its first row, followed by a row of strides for each operand.
     """
     axes: list[list[int]] = []
     for d, length in enumerate(shape):
@@ -361,23 +361,23 @@ def classify(
     T_world_a, T_world_b : array_like, shape (..., 4, 4), or None
         Poses, broadcast together; translation in metres. None is the identity.
     margin : float
-        Distance in metres that the bodies have to keep: FREE then means that they are farther apart than `margin`, and
+        Distance in metres that the bodies have to keep. FREE means that they are farther apart than `margin`, and
         COLLIDING means that they are not.
     pairs : array_like of int, shape (..., 2), optional
         Rows of a and of b to compare, instead of broadcasting: row i of a is body i at pose i, unless a single body or
-        pose serves all rows. Nothing is copied. To compare each of n bodies with each of m, pass ``np.indices((n,
-        m)).T``; the result has shape (m, n).
+        pose serves all rows. Nothing is copied. To compare each of n bodies with each of m bodies, pass
+        ``np.indices((n, m)).T``; the result has shape (m, n).
 
     Returns
     -------
     Verdict, or ndarray of int8, shape (...)
         FREE and COLLIDING are proven, including all rounding (docs/certified.md). Two unions of pieces are FREE only if
-        every pair of pieces is FREE, and COLLIDING if any pair is COLLIDING.
+        every pair of pieces is FREE, and COLLIDING if any pair of pieces is COLLIDING.
 
     Raises
     ------
     PoseError
-        If a pose does not end in (4, 4), is not a rigid motion, or batches do not broadcast.
+        If the shape of a pose does not end in (4, 4), a pose is not a rigid motion, or batches do not broadcast.
     InputError
         If an operand is not a body, or the margin is negative or not finite.
 
@@ -452,9 +452,9 @@ def collide(
     T_world_a, T_world_b : array_like, shape (..., 4, 4), or None
         Poses, broadcast together; translation in metres. None is the identity.
     method : {"exact", "estimate"}
-        "exact": the certificate; for ambiguous pairs, a search on the pieces themselves. "estimate": the certificate;
-        for ambiguous pairs, a guess in O(1) from the product of two contact functions, one for the inner and one for
-        the outer ellipsoids. The guess is wrong for some pairs (docs/theory/estimate.md).
+        Both methods first use the certificate. "exact" settles ambiguous pairs by a search on the pieces themselves.
+        "estimate" guesses their answers in O(1), from the product of two contact functions, one for the inner and one
+        for the outer ellipsoids. The guess is wrong for some pairs (docs/theory/estimate.md).
     margin : float
         In metres; pairs at this distance or less count as colliding.
     pairs : array_like of int, shape (..., 2), optional
@@ -463,9 +463,9 @@ def collide(
     Returns
     -------
     bool, or ndarray of bool, shape (...)
-        Touching counts as colliding. False from "exact" is proven; True is proven up to rounding: bodies that are apart
-        by less than about 1e-12 of the lengths involved may count as touching, and whether they do may depend on their
-        order (docs/certified.md).
+        Touching counts as colliding. With "exact", False is proven, and True is proven up to rounding: bodies that are
+        apart by less than about 1e-12 of the lengths involved may count as touching, and whether they do may depend on
+        their order (docs/certified.md).
 
     Raises
     ------
@@ -474,7 +474,7 @@ def collide(
     UnknownNameError
         If `method` is not one of the names above.
     ConvergenceError
-        If the exact search could not settle a pair. It never returns "free" instead.
+        If the exact search could not settle a pair; it never returns "free" instead.
 
     References
     ----------
@@ -504,10 +504,10 @@ def _collided(exact: bool, margin: float, a: Any, T_world_a: Any, b: Any, T_worl
 def decided(
     exact: bool, margin: float, a: Any, T_world_a: Any, b: Any, T_world_b: Any, chosen: Any = None
 ) -> tuple[BoolOrBools, Bools]:
-    """Decide whether bodies collide; unsettled pairs are marked in a flat array, and count as colliding."""
+    """Decide whether bodies collide; unsettled pairs count as colliding, and are marked in a flat array."""
     asked = _prepare(a, T_world_a, b, T_world_b, check=False, each=COLLIDE_BYTES, chosen=chosen)
     out, _ = _settle(codes.EXACT if exact else codes.CERTIFY, margin, asked, estimate=not exact)
-    # With the numbers: NumPy would call Python code of `Verdict`, and drop an interrupt that occurs there.
+    # Use plain numbers: NumPy would call Python code of `Verdict`, and drop an interrupt that occurs in it.
     unsettled = out == codes.AMBIGUOUS
     colliding = (out == codes.COLLIDING) | unsettled
     shape = asked.plan.shape
@@ -593,8 +593,8 @@ def distance(
     Returns
     -------
     Distance
-        Distances are positive for separate bodies, negative for penetration, and zero for touching bodies. The signed
-        distance of two bodies is the least over their pairs of pieces; `Distance` explains the meaning of depths.
+        Distances are positive for separate bodies, negative for overlapping bodies, and zero for touching bodies. The
+        signed distance of two bodies is the least over their pairs of pieces; `Distance` explains what depths mean.
 
     Raises
     ------
@@ -603,7 +603,7 @@ def distance(
     ConvergenceError
         If an exact distance could not be computed to 1e-9 of the lengths involved. (The penetration depth computed for
         cylinders, cones and capsules is never less than the true depth; if many directions tie, it is proven to 1e-3.)
-        For ellipsoids flatter than about 1 : 5e7, it fails for one pair in twenty.
+        For ellipsoids with axis ratios beyond about 5e7, one pair in twenty fails.
 
     Examples
     --------
@@ -619,11 +619,11 @@ def distance(
 
 @guarded
 def push(T_world_body: Poses, wrench: ArrayLike, *, radius: float) -> Floats:
-    """Move bodies along wrenches: a step of gradient ascent for distances, or for penalties made of them.
+    """Move bodies along wrenches: a step of gradient ascent for distances, or for penalties made of distances.
 
-    Each body moves by the force. It also turns about its own origin by a rotation vector, which is the moment about
-    this origin divided by the square of the radius. To first order, a distance with this wrench grows by the square of
-    the force, plus the square of this moment over the radius.
+    Each body moves by the force. It also turns about its own origin by a rotation vector: the moment about this origin,
+    divided by the square of the radius. To first order, a distance with this wrench grows by the squared force plus
+    the squared moment over the squared radius.
 
     Parameters
     ----------
@@ -633,7 +633,7 @@ def push(T_world_body: Poses, wrench: ArrayLike, *, radius: float) -> Floats:
         Multiples and sums of `Distance.wrench`: a force, in metres, and its moment about the world's origin [m²]. For
         the first body of a distance, use the negative wrench.
     radius : float
-        Distance of typical points of a body from its origin, in metres: the lever arm at which turns count as much as
+        Distance in metres between a body's origin and its typical points: the lever arm at which turns count as much as
         translations.
 
     Returns
@@ -686,7 +686,7 @@ def _measured(a: Any, T_world_a: Any, b: Any, T_world_b: Any, exact: Any, chosen
 
 
 def measured(a: Any, T_world_a: Any, b: Any, T_world_b: Any, exact: bool, chosen: Any = None) -> tuple[Distance, Bools]:
-    """Compute bounds on distances, and the distances; unsettled pairs are NaN, and are marked in a flat array."""
+    """Compute bounds on distances, and distances, which are NaN for unsettled pairs; a flat array marks these pairs."""
     asked = _prepare(a, T_world_a, b, T_world_b, check=True, each=EXACT_BYTES if exact else BOUND_BYTES, chosen=chosen)
     shape = asked.plan.shape
     *answers, unsettled = measure(exact, asked.plan.total, asked.operands)
@@ -700,7 +700,7 @@ def measured(a: Any, T_world_a: Any, b: Any, T_world_b: Any, exact: bool, chosen
 
 
 def _refused(unsettled: NDArray[np.bool_], query: str, partial: Any) -> NoReturn:
-    """Raise an exception for answers that arithmetic could not settle, never a guess."""
+    """Raise an exception for pairs that arithmetic could not settle, instead of guessing."""
     indices = np.flatnonzero(unsettled)
     raise ConvergenceError(
         f"{query}: {len(indices)} of {unsettled.size} pairs could not be settled, the first at flat index "

@@ -1,4 +1,4 @@
-"""Motions of bodies in time: poses at given times; in between, they move along a straight line and turn at a constant
+"""Motions of bodies in time: poses at given times, between which bodies move on a straight line and turn at a constant
 rate."""
 
 from __future__ import annotations
@@ -20,31 +20,31 @@ from loewner._kernels import tolerances
 from loewner._native import entries
 from loewner.errors import InputError
 
-# Turns between two poses stay this far [rad] below half a turn, where the direction of the shorter turn is open.
+# Turns between two poses stay this far [rad] below half a turn, for which neither direction is shorter.
 NEARLY_HALF = 1e-3
 
-# Turns of a motion that is given by a twist are divided into turns of at most this angle [rad].
+# A motion that is given by a twist is divided into turns of at most this angle [rad].
 MOST_TURN = 3.0
 
-# Largest turn [rad], in terms of quaternions, of a piece whose quaternion is approximated by a cubic curve.
+# Largest angle [rad] between the quaternions at the ends of a piece that is approximated by a cubic curve.
 MOST_ARC = 0.05
 
-# The first and the last pose of a motion that repeats agree to this share of its positions, and to this angle [rad].
+# The first and last pose of a motion that repeats agree to this fraction of its positions, and to this angle [rad].
 CLOSED, CLOSED_TURN = 1e-9, 1e-6
 
-# Largest speed [m/s] and shortest time between two poses [s]; bounds on rounding overflow far beyond.
+# Largest speed [m/s], and shortest time between two poses [s]; bounds on rounding overflow only far beyond them.
 FASTEST, SHORTEST = 1e12, 1e-12
 
-# Repetitions after which a time in a motion is lost in rounding.
+# Number of repetitions after which rounding exceeds the times within a motion.
 MOST_REPEATED = 2.0**40
 
-# Repetitions and parts of turns that a query may run through.
+# Largest number of times, over all repetitions and parts of turns, that a query may run through.
 MOST_KNOTS = 2**22
 
-# What rounding may take from a bound on how far points are off, as a share of its largest value on a piece of a motion.
+# Rounding may reduce a bound on deviations by this fraction of the bound's largest value on a piece of a motion.
 OFF_ROUNDINGS = 16.0 * tolerances.UNIT_ROUNDOFF  # certified.md B69
 
-# Metres by which a body may be off at most; nothing is free of it then, since kernels refuse bodies so large.
+# Largest deviation of a body [m]. Nothing is free of a body that deviates so far: kernels refuse bodies of this size.
 MOST_OFF = 1e100
 
 
@@ -53,8 +53,8 @@ class PoseBounds:
     """How far a body may be from its given pose; see `Scene.follow` and `Scene.move`.
 
     At the time t, the body's origin deviates by at most metres + speed |t - since|, and its orientation by at most
-    radians + turn |t - since|. A point at the distance ρ from the origin then deviates by no more than the first number
-    plus ρ times the second. The bounds therefore depend on the position of the origin of the body's frame.
+    radians + turn |t - since|. A point at the distance ρ from the origin deviates by no more than the first bound plus
+    ρ times the second. The bounds therefore depend on the place of the origin of the body's frame.
 
     Attributes
     ----------
@@ -63,7 +63,7 @@ class PoseBounds:
     speed, turn : float
         Growth of the errors [m/s, rad/s].
     since : float
-        Time from which on they grow [s].
+        Time from which the errors grow [s].
     reach : float
         The largest ρ [m]: an upper bound on the distance of the body's points from its origin.
 
@@ -85,14 +85,14 @@ class PoseBounds:
 
     @property
     def rate(self) -> float:
-        """By how much the bound on the body's points grows [m/s]."""
+        """Growth of the bound on the deviation of the body's points [m/s]."""
         return self.speed + self.reach * self.turn
 
     def off(self, t: Any) -> Any:
         """Bound how far points of the body may deviate at times t, shape (...), in metres."""
         with np.errstate(over="ignore", invalid="ignore"):
             found = (self.metres + self.reach * self.radians) + self.rate * np.abs(t - self.since)
-            return np.fmin(found * (1.0 + OFF_ROUNDINGS), MOST_OFF)  # also if it is not a number
+            return np.fmin(found * (1.0 + OFF_ROUNDINGS), MOST_OFF)  # MOST_OFF also replaces NaN
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -104,11 +104,11 @@ class PosePath(_validate.Brief, KeepsReadOnly):
     times : ndarray, shape (n,)
         Seconds, increasing.
     positions : ndarray, shape (n, 3)
-        Metres. Between two times the position changes linearly.
+        Metres. Between two times, the position changes linearly.
     quaternions : ndarray, shape (n, 4)
-        Real part first. Between two times the body turns at a constant rate, by the shorter way.
+        Real part first. Between two times, the body turns the shorter way at a constant rate.
     repeat : bool
-        Whether the motion starts again when it ends. Otherwise the body waits at the first pose before the motion, and
+        Whether the motion starts again when it ends. If not, the body waits at the first pose before the motion, and
         at the last pose after it.
 
     Examples
@@ -134,7 +134,7 @@ class PosePath(_validate.Brief, KeepsReadOnly):
         return bool((self.positions == self.positions[0]).all() and (self.quaternions == self.quaternions[0]).all())
 
     def poses(self, t: ArrayLike) -> Floats:
-        """Compute the poses at times.
+        """Compute the poses at given times.
 
         Parameters
         ----------
@@ -159,13 +159,13 @@ class PosePath(_validate.Brief, KeepsReadOnly):
 
     @kept
     def arcs(self) -> Floats:
-        """Angles between successive quaternions [rad]: half of the turns."""
+        """Angles between successive quaternions [rad], which are half of the body's turns."""
         chords = np.linalg.norm(np.diff(self.quaternions, axis=0), axis=1)
         return np.asarray(2.0 * _elementary.arcsin(np.minimum(chords / 2.0, 1.0)))
 
     @kept
     def _fine(self) -> Floats:
-        """The times, and more of them, so that turns between two are at most `MOST_ARC`."""
+        """The times, with more between them, such that angles between quaternions are at most `MOST_ARC`."""
         parts: Ints = np.maximum(np.ceil(self.arcs / MOST_ARC), 1).astype(np.int64)
         first = np.repeat(np.arange(len(parts)), parts)
         share = (np.arange(len(first)) - np.repeat(np.cumsum(parts) - parts, parts)) / parts[first]
@@ -179,8 +179,8 @@ def path_of(times: ArrayLike, poses: ArrayLike, repeat: bool) -> PosePath:
     Raises
     ------
     InputError
-        If there are fewer than two times, times do not increase, the numbers of times and poses differ, two successive
-        poses differ by half a turn, or a motion that repeats does not end at its first pose.
+        If there are fewer than two times, times do not increase, the number of poses differs from the number of times,
+        two successive poses differ by half a turn, or a motion that repeats does not end at its first pose.
     PoseError
         If a pose is not a rigid motion.
     """
@@ -228,7 +228,7 @@ def path_of(times: ArrayLike, poses: ArrayLike, repeat: bool) -> PosePath:
 
 
 def with_twist(times: ArrayLike, pose: ArrayLike, twist: ArrayLike) -> tuple[Floats, Floats]:
-    """Make times and poses of a body whose origin moves along a straight line while the body turns about it, at
+    """Make times and poses of a body that turns about its origin while the origin moves along a straight line, both at
     constant rates.
 
     Raises
@@ -259,12 +259,12 @@ def with_twist(times: ArrayLike, pose: ArrayLike, twist: ArrayLike) -> tuple[Flo
 
 
 def _knots(path: PosePath, low: Floats, high: Floats, fine: bool) -> Floats:
-    """List times of a motion that repeats between each `low` and `high`, with `fine` also times between short turns.
+    """List the times of a motion that repeats, between each `low` and `high`; `fine` adds times between short turns.
 
     Raises
     ------
     InputError
-        If there are more than `MOST_KNOTS`, or a motion has repeated so often that rounding exceeds its period.
+        If there are more than `MOST_KNOTS` times, or the motion has repeated so often that rounding exceeds its period.
     """
     at = path._fine if fine else path.times
     with np.errstate(over="ignore"):
@@ -298,9 +298,9 @@ class PackedPaths(NamedTuple):
     spans : ndarray, shape (bodies,)
         Largest numbers that are added to a time to locate it in the motion [s].
     once : tuple of 2 ndarray
-        The times of all motions that do not repeat, in order; and the same list with the times between short turns.
+        The times of all motions that do not repeat, in order; and the same list with times between short turns.
     bounds : tuple of PoseBounds
-        How far bodies may be from their motions or their poses.
+        How far bodies may deviate from their motions or poses.
     numbers : ndarray, shape (len(bounds),)
         The index of each body in `bounds` among all bodies; negative for a body without pieces.
     """
@@ -323,7 +323,7 @@ class PackedPaths(NamedTuple):
     def of(
         cls, paths: tuple[PosePath, ...], bounds: tuple[PoseBounds, ...] = (), numbers: Ints | None = None
     ) -> PackedPaths:
-        """Pack motions, and bounds on how far bodies with these indices are from their motions."""
+        """Pack motions, and bounds on the deviations of the bodies with these indices."""
         kinks = [one.since for one in bounds]
         steps = [np.linalg.norm(np.diff(path.positions, axis=0), axis=1) for path in paths]
         lengths = [np.diff(path.times) for path in paths]
@@ -347,15 +347,16 @@ class PackedPaths(NamedTuple):
         )  # fmt: skip
 
     def values(self, t: Floats) -> Floats:
-        """Compute positions and quaternions at times, shape (N, bodies, 7); signs of quaternions are arbitrary."""
+        """Compute positions and quaternions at times, shape (N, bodies, 7); the signs of quaternions are arbitrary."""
         out = np.empty((len(t), len(self.paths), 7))
         if self.paths:
             entries.pose_values(self.start, self.times, self.rows, self.arcs, self.periods, np.array(t), out)
         return out
 
     def off(self, begin: Floats, end: Floats, ticks: Floats | float = 0.0) -> Floats:
-        """Bound how far points of bodies may deviate at times, shape (N,), rounded by `ticks`; in between, the bound is
-        linear.
+        """Bound how far points of bodies may deviate at times, shape (N,), that are rounded by up to `ticks`.
+
+        Between the two times the bound is linear.
 
         Returns
         -------
@@ -371,15 +372,15 @@ class PackedPaths(NamedTuple):
         return found.reshape(len(begin), 3 * len(self.bounds))
 
     def knots(self, t0: Floats, t1: Floats, fine: bool) -> Floats:
-        """List all times between t0 and t1, shape (N,) each, at which any body changes its rates, and some others.
+        """List in order all times from t0 to t1, shape (N,) each, at which a body changes its rates, and further times.
 
-        The list is in order; see `_knots` for `fine` and for errors.
+        See `_knots` for `fine` and for errors.
         """
         if len(t0) == 0 or not self.periods.any():
             return self.once[fine]
         order = np.argsort(t0)
         low, until = t0[order], np.maximum.accumulate(t1[order])
-        apart = np.flatnonzero(low[1:] > until[:-1])  # where times begin that no earlier motion reaches
+        apart = np.flatnonzero(low[1:] > until[:-1])  # intervals that no earlier interval reaches
         low, high = low[np.append(0, apart + 1)], until[np.append(apart, len(t0) - 1)]
         again = [_knots(path, low, high, fine) for path in self.paths if path.repeat]
         return np.unique(np.concatenate([self.once[fine], *again]))

@@ -1,6 +1,6 @@
 """Show two bodies, or a robot in a scene, in the browser (viser), with their verdicts while they move.
 
-By default only this machine can open the page (see `host`). The page loads nothing from any other address. `pair` and
+By default, only this machine can open the page (see `host`). The page loads nothing from any other address. `pair` and
 `robot` are the two pages, built from `page`, `visuals`, `drawing`, `framing` and `style`. `playing` moves along
 trajectories, `screenshots` takes pictures, and `guard` keeps other machines away.
 """

@@ -1,7 +1,7 @@
 """Draw bodies on the page: original meshes, pieces and ellipsoids, each sent once, when it is first shown.
 
-Most pieces are drawn as triangles, in one node per body. Point clouds are drawn as points, and large numbers of balls
-or ellipsoids as copies of one ball, since ten thousand of them would be millions of triangles.
+Most pieces are drawn as triangles, in one node per body. Point clouds are drawn as points. Large numbers of balls or
+ellipsoids are drawn as copies of one ball, since ten thousand of them would need millions of triangles.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ from loewner.queries.pairs import VERDICTS, Verdict
 
 Rgb = tuple[int, int, int]
 
-# Also distinguishable with colour blindness; the name of the verdict is always written next to its colour.
+# Colour-blind people can distinguish these colours, and the name of the verdict is always written next to its colour.
 VERDICT_COLOURS: dict[Verdict, Rgb] = dict(zip(VERDICTS, _pictures.VERDICT_COLOURS, strict=True))
 INNER, OUTER = (68, 119, 170), (119, 119, 119)
 
-# Colours of the two bodies of a page, which are none of the above and differ for all kinds of colour vision.
+# Colours of the two bodies on a page: none of the colours above, and different for all kinds of colour vision.
 PAIR: dict[str, Rgb] = {"A": (102, 153, 204), "B": (238, 153, 85)}
 
 LABELS = {"meshes": "meshes", "pieces": "pieces", "inner": "inner ellipsoids", "outer": "outer ellipsoids"}
@@ -37,15 +37,15 @@ LABELS = {"meshes": "meshes", "pieces": "pieces", "inner": "inner ellipsoids", "
 # Opacity of a piece while a layer inside it is shown, and of an outer ellipsoid.
 PIECE_OPACITY, OUTER_OPACITY = 0.45, 0.22
 
-# Copies of a ball have 320 triangles each, or 80 if there are more copies than this.
+# A copy of a ball has 320 triangles, or 80 if there are more than MANY_COPIES copies.
 MANY_COPIES = 2000
 
-# Colour of points, lines and the normal that show where two bodies are nearest; seen on white and on black.
+# Colour of the near points, their line and the normal; visible on white and on black.
 INK = (170, 51, 119)
 
-# Layers whose colour shows contact, and how each layer is drawn. If triangles face outward, only the half that faces
-# the camera is drawn. For an outer ellipsoid it is the far half, since the near side would hide later objects although
-# it is transparent. The triangles of files and surfaces may face anywhere.
+# Layers whose colour shows contact, and how each layer is drawn. Where triangles face outward, only the half that faces
+# the camera is drawn, or the far half of an outer ellipsoid: its near half, although transparent, would hide objects
+# that are drawn later. The triangles of files and surfaces may face any way.
 COLOURED = ("meshes", "pieces")
 LOOKS: dict[str, dict[str, Any]] = {
     "meshes": {"flat_shading": True, "side": "double"},
@@ -59,7 +59,7 @@ AMBIENT = 1.2
 
 
 def add_mesh(scene: Any, name: str, mesh: Mesh, **look: Any) -> Any:
-    """Add triangles to the page's scene, without shadows, since these would require drawing everything twice."""
+    """Add triangles to the page's scene, without shadows, for which everything would have to be drawn twice."""
     vertices, triangles = mesh
     return scene.add_mesh_simple(
         name, vertices.astype(np.float32), triangles.astype(np.uint32), cast_shadow=False, receive_shadow=False, **look
@@ -74,7 +74,7 @@ class Triangles:
     triangles: Any
 
     def add(self, scene: Any, name: str, look: dict[str, Any]) -> Any:
-        """Add them to the page's scene."""
+        """Add the triangles to the page's scene."""
         return add_mesh(scene, name, (self.vertices, self.triangles), **look)
 
     def box(self, T: Floats) -> Floats:
@@ -109,7 +109,7 @@ class Copies:
     factors: Floats
 
     def add(self, scene: Any, name: str, look: dict[str, Any]) -> Any:
-        """Add them to the page's scene."""
+        """Add the copies to the page's scene."""
         turns, lengths, _ = np.linalg.svd(self.factors)
         turns[..., 0] *= np.sign(np.linalg.det(turns))[:, None]
         vertices, triangles = ball(1 if len(self.centers) > MANY_COPIES else 2)

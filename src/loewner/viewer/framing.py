@@ -11,15 +11,15 @@ import numpy as np
 from loewner._base._validate import Floats
 from loewner.viewer.drawing import spanned
 
-# The side of the grid in units of the diagonal of the view, its least number of cells, and the cells in a section.
+# The side of the grid as a multiple of the view's diagonal, the least number of cells along it, and cells per section.
 GRID_SIDE, LEAST_CELLS, SECTION = 2.5, 20, 5
 
-# A scene higher above z = 0 than this share of the diagonal does not rest on it.
+# A scene rests on z = 0 unless it is below z = 0, or above it by more than this fraction of the view's diagonal.
 ON_GROUND = 0.1
 
 
 def framed(main: Floats, others: Iterable[Floats], most: float) -> Floats:
-    """Compute the box of the camera's view: the main object, and nearby objects that are not much larger.
+    """Compute the box that the camera shows: the main object, and nearby objects that are not much larger.
 
     Parameters
     ----------
@@ -27,7 +27,7 @@ def framed(main: Floats, others: Iterable[Floats], most: float) -> Floats:
         Lowest and highest corner.
     others : iterable of ndarray, shape (2, 3)
     most : float
-        A box, such as a floor's, is left out if it would make the diagonal longer by more than this factor.
+        A box, such as the box of a floor, is left out if it would lengthen the diagonal by more than this factor.
 
     Returns
     -------
@@ -43,7 +43,7 @@ def diagonal(box: Floats) -> float:
 
 
 def aim(server: Any, box: Floats) -> None:
-    """Let the camera start with a view of a box from the front, the right and above; the box is left of the panel."""
+    """Let the camera start with a view of a box from the front, the right and above, to the left of the panel."""
     size = diagonal(box)
     middle = box.mean(axis=0) + 0.12 * size * np.array([0.84, 0.54, 0.0])
     server.initial_camera.look_at = middle
@@ -62,7 +62,7 @@ def add_ground(scene: Any, box: Floats) -> tuple[Any, float]:
     side = section * math.ceil(GRID_SIDE * size / section)
     lowest = float(box[0, 2])
     at = 0.0 if 0.0 <= lowest <= ON_GROUND * size else lowest
-    # Its lines are at round coordinates, in round steps.
+    # The grid's lines are at round coordinates, in round steps.
     x, y = section * np.round(box.mean(axis=0)[:2] / section)
     grid = scene.add_grid(
         "/ground", side, side, position=(x, y, at), cell_size=cell, section_size=section, fade_distance=20 * size

@@ -1,9 +1,9 @@
 """Control access to the page: check each request, for the page or its websocket, before viser receives it.
 
-viser serves any client that can reach its port. Such clients are not only users of this machine: a page of any site,
-opened in a browser here, can reach 127.0.0.1 as well, by a websocket to this address or by a name that resolves to it.
-A request from such a page names the page's site as its Origin or Host, which no script in a browser can change, so it
-can be refused.
+viser serves any client that can reach its port, and not only users of this machine can: a page of any site, opened in
+a browser here, can reach 127.0.0.1 by a websocket to this address, or by a name that resolves to it. A request from
+such a page can be refused, since it names the page's site as its Origin or Host, which no script in a browser can
+change.
 """
 
 from __future__ import annotations
@@ -26,25 +26,25 @@ from urllib.parse import parse_qs, urlsplit
 from loewner.errors import InputError, MissingExtraError
 from loewner.viewer.style import HEAD
 
-# Time limit for the newly started server to answer the guard's own requests, in seconds.
+# Seconds within which the newly started server must answer the guard's own requests.
 PATIENCE = 30.0
 
 FORBIDDEN = 403
 
-# A Host header: a name or an address, IPv6 in brackets, and a port unless it is HTTP's own.
+# A Host header: a name or an address (IPv6 in brackets), followed by the port unless it is HTTP's default port.
 HOST = re.compile(r"(?P<name>\[[0-9a-f:.]+\]|[^\s:/@\[\]]+)(?::(?P<port>[0-9]{1,5}))?")
 HTTP_PORT = "80"
 
-# Title in the page that viser serves.
+# The title of the page as viser serves it.
 VISERS_TITLE = b"<title>Viser</title>"
 
-# No host has this name (RFC 2606): it represents all foreign hosts when the guard is tested.
+# No host has this name (RFC 2606). It represents all foreign hosts when the guard is tested.
 FOREIGN = "loewner.invalid"
 
 
 @dataclasses.dataclass(frozen=True)
 class Listening:
-    """Address at which the page is served.
+    """The address at which the page is served.
 
     Attributes
     ----------
@@ -85,7 +85,7 @@ class Listening:
 
 
 def listening(host: Any) -> Listening:
-    """Find the address of a host; InputError if it has none."""
+    """Find the address of a host; InputError if the host has none."""
     if not isinstance(host, str):
         raise InputError(f"host: expected an address or the name of a host as a str, found {type(host).__name__}")
     if not host:
@@ -118,14 +118,14 @@ class Guard:
 
     def __init__(self, where: Listening, port: int, token: str | None, title: str) -> None:
         self.where, self.port, self.token, self.title = where, port, token, title
-        # Cookies are shared by all ports of a host: two pages must not overwrite each other's.
+        # All ports of a host share their cookies, and two pages must not overwrite each other's.
         self.cookie = f"loewner-token-{port}"
         self._names = {"localhost", where.host.lower(), where.address}
         if where.everywhere:
             self._names |= {socket.gethostname().lower(), socket.gethostname().lower().partition(".")[0]}
 
     def refusal(self, path: str, headers: Any) -> str | None:
-        """Return the reason why a request is refused; None if it is accepted.
+        """Return the reason for refusing a request; None if the request is accepted.
 
         Parameters
         ----------
@@ -136,8 +136,8 @@ class Guard:
         hosts, origins = headers.get_all("Host"), headers.get_all("Origin")
         if len(hosts) != 1 or not self._knows(hosts[0].lower()):
             return f"expected a Host of this server, such as localhost:{self.port}"
-        # Browsers send no Origin when a page is opened, and always send one with a websocket. A websocket without one
-        # comes from a program, which could just as well send the right one.
+        # Browsers send no Origin when a page is opened, and always send one with a websocket. A websocket without an
+        # Origin comes from a program, which could just as well send the right Origin.
         if any(origin.lower() != f"http://{hosts[0].lower()}" for origin in origins):
             return "expected a page of this server as Origin"
         if self.token is not None and not any(map(self._is_token, (*_queried(path), *self._cookies(headers)))):
@@ -145,12 +145,12 @@ class Guard:
         return None
 
     def admit(self, path: str, response: Any, host: str) -> None:
-        """Add the title, the style, the token for the websocket and the policy on connections to a page that is sent.
+        """Add title, style, the token for the websocket and the policy on connections to the page that is sent.
 
         viser's page follows `?websocket=ws://...` and `?playbackPath=...` to any address and shows the content as its
         own, so a link to this server with such parameters could be used in an attack. The policy allows connections
-        only to this server. It also keeps pages of foreign machines from framing this page in order to collect clicks
-        unnoticed.
+        only to this server. It also forbids pages of other machines to frame this page, since they could then collect
+        clicks unnoticed.
         """
         self._entitle(response)
         response.headers["Content-Security-Policy"] = (
@@ -163,7 +163,7 @@ class Guard:
             response.headers["Set-Cookie"] = f"{self.cookie}={self.token}; Path=/; HttpOnly; SameSite=Strict"
 
     def _entitle(self, response: Any) -> None:
-        """Add the title and the style to the page; a page of an unknown version of viser is left unchanged."""
+        """Add the title and the style to the page, which stays unchanged if viser's version is unknown."""
         packed = response.headers.get("Content-Encoding") == "gzip"
         content = gzip.decompress(response.body) if packed else response.body
         if VISERS_TITLE in content:
@@ -183,7 +183,7 @@ class Guard:
             address = ipaddress.ip_address(name)
         except ValueError:
             return False
-        # A numeric address cannot be redirected: a foreign site has a name.
+        # A foreign site has a name: a numeric address cannot be redirected.
         return address.is_loopback or self.where.everywhere
 
     def _cookies(self, headers: Any) -> list[str]:
@@ -208,12 +208,12 @@ def new_token() -> str:
 
 
 def install(server: Any, guard: Guard) -> None:
-    """Put the guard before a viser server that has just been started, and check that it works.
+    """Put the guard before a viser server that has just been started, and check that the guard works.
 
     viser has no hook for this, so the guard is installed in the websockets server on which viser is built. That server
     is reached through one of its own connections, opened for this purpose. Earlier clients are disconnected in the same
-    turn of the server's loop, during which no client can connect and the page is still empty. If the internals of viser
-    or websockets differ from the expected ones, this step or the check fails, and no page is left open.
+    turn of the server's loop, during which no client can connect and the page is still empty. If viser or websockets
+    work differently inside than expected, the installation or the check fails, and no page is left open.
 
     Raises
     ------
@@ -289,7 +289,7 @@ def _try(guard: Guard) -> None:
 def _ask(
     guard: Guard, *, host: str = "localhost", origin: str | None = None, token: str | None = "", upgrade: bool = False
 ) -> tuple[int, http.client.HTTPConnection]:
-    """Send a request to the server, with the right token or without one, and return the status of the answer."""
+    """Send a request to the server, with the right token unless another is given; return the status of the answer."""
     import viser
 
     headers = {"Host": f"{host}:{guard.port}"}

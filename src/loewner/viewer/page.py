@@ -1,4 +1,4 @@
-"""Define the page: its server, the thread that answers user actions, and the parts shared by both kinds of page."""
+"""Define the page: its server, the thread that answers user actions, and the parts that both kinds of page share."""
 
 from __future__ import annotations
 
@@ -30,16 +30,16 @@ from loewner.viewer import guard
 from loewner.viewer.drawing import NearPoints, Rgb, light, place
 from loewner.viewer.framing import add_ground, aim, diagonal, round_length
 
-# Interval in seconds at which the page checks for changes made in Python.
+# Seconds between two checks for changes made in Python.
 LOOK_EVERY = 0.1
 
 # Port numbers are below this.
 PORTS = 65536
 
-# Length of a gizmo's arrows in units of the longest side of its body.
+# Length of a gizmo's arrows, as a multiple of the longest side of its body.
 GIZMO = 0.5
 
-# The largest size of a gizmo in units of the diagonal of the first view.
+# The largest size of a gizmo, as a fraction of the diagonal of the first view.
 MOST_GIZMO = 1 / 6
 
 TEXT = "padding:0.4em 0.8em;font-size:0.85em;line-height:1.5"
@@ -51,7 +51,7 @@ class Viewer(ABC):
     """An open page; made by `show_pair` or `show_robot`.
 
     `_answer` handles actions on the page and calls from Python, one at a time, under `lock`. If several moves are
-    waiting, only the last of them is answered, so that the page does not lag behind the mouse.
+    waiting, only the last one is answered, so that the page does not lag behind the mouse.
 
     Attributes
     ----------
@@ -64,9 +64,9 @@ class Viewer(ABC):
     seconds : float
         Duration of the last update.
     verdict : Verdict
-        The certified answer that the page shows; AMBIGUOUS if there is none.
+        The certified answer that the page shows; AMBIGUOUS if no answer could be computed.
     colliding : bool
-        The exact answer; True if there is none.
+        The exact answer; True if no answer could be computed.
     """
 
     verdict: Verdict
@@ -90,13 +90,13 @@ class Viewer(ABC):
             raise
         self.refresh()
         self._thread.start()
-        # Before viser's own function, which prints that it stops the server.
+        # This runs before viser's own function, which prints that it stops the server.
         atexit.register(self.close)
         if self._guard.token is not None:
             print(self._warning(), flush=True)
 
     def __repr__(self) -> str:
-        # Without the token, since notebooks are passed on.
+        # The token is left out, since notebooks are passed on.
         where = "closed" if self._closed.is_set() else self._guard.where.url(self._guard.port, None)
         return f"{type(self).__name__}({where})"
 
@@ -139,7 +139,7 @@ class Viewer(ABC):
         self.close()
 
     def _warning(self) -> str:
-        """Return the warning that a page not restricted to this machine can be opened by others."""
+        """Return the warning that others can open a page that is not restricted to this machine."""
         where, port = self._guard.where, self._guard.port
         reach = "any of this machine's addresses" if where.everywhere else where.host
         address = where.url(port, self._guard.token, socket.gethostname() if where.everywhere else where.host)
@@ -162,7 +162,7 @@ class Viewer(ABC):
             self.refresh()
 
     def _frame_view(self, box: Floats, grid: Any) -> None:
-        """Aim the camera at a box; add a grid with a label for its check box, and marks of matching size."""
+        """Aim the camera at a box; add a grid, a label for its check box, and marks of matching size."""
         self._size = diagonal(box)
         aim(self.server, box)
         self._ground, cell = add_ground(self.server.scene, box)
@@ -175,7 +175,7 @@ class Viewer(ABC):
 
     @abstractmethod
     def _take(self, done: dict[str, Any]) -> None:
-        """Apply the actions on the page, given as the last value of each control, keyed by name."""
+        """Apply the actions on the page, given as a dict of control names and last values."""
 
     @abstractmethod
     def _answer(self) -> None:
@@ -204,7 +204,7 @@ class Viewer(ABC):
         return False
 
     def _look_every(self) -> float:
-        """Return the seconds until the next check for changes, if nothing happens before."""
+        """Return the seconds until the next check for changes, unless a user acts earlier."""
         return LOOK_EVERY
 
     def _tell(self, name: str, value: Any = None) -> None:
@@ -212,7 +212,7 @@ class Viewer(ABC):
         self._events.put((name, value))
 
     def _watch(self, handle: Any, name: str) -> Any:
-        """Record each change of a control by a user; changes by Python have no client and are ignored."""
+        """Record each change that a user makes to a control; changes by Python have no client and are ignored."""
         handle.on_update(lambda event: self._tell(name) if event.client is not None else None)
         return handle
 
@@ -230,7 +230,7 @@ class Viewer(ABC):
             self._verdict.content = content
 
     def _show_failure(self, error: Exception) -> None:
-        # Nor may old answers stay in the attributes: nothing is proven, and unknown counts as colliding.
+        # No old answers may stay in the attributes: nothing is proven, and unknown counts as colliding.
         self.verdict, self.colliding = Verdict.AMBIGUOUS, True
         kind = "UNDECIDED" if isinstance(error, LoewnerError) else "ERROR"
         self._show_verdict(kind, BAD, [], [f"{type(error).__name__}: {error}", "Treat it as colliding."])
@@ -311,7 +311,7 @@ class Mover:
 
 
 class PoseInputs:
-    """A pose as numbers on the panel: position in metres, and roll, pitch and yaw in degrees."""
+    """A pose as numbers on the panel: its position in metres, and roll, pitch and yaw in degrees."""
 
     def __init__(self, page: Viewer, name: str, view: float) -> None:
         gui = page.server.gui
@@ -336,7 +336,7 @@ class PoseInputs:
 
 
 def cut_short(lines: list[str], most: int) -> list[str]:
-    """Keep the first lines, and count the others."""
+    """Keep the first lines, and replace the other lines with their count."""
     return lines if len(lines) <= most else [*lines[:most], f"and {len(lines) - most} more"]
 
 
@@ -389,7 +389,7 @@ def _serve(title: str, where: guard.Listening, port: int) -> tuple[Any, guard.Gu
     except ImportError as error:
         package = (error.name or "viser").partition(".")[0]
         raise MissingExtraError(f"the viewer needs {package}: {installing('viewer')}") from None
-    # viser would silently take another port, and wait forever at an invalid address.
+    # viser would silently take another port, and would wait forever at an invalid address.
     try:
         with socket.create_server((where.address, port), family=where.family):
             pass
@@ -398,7 +398,7 @@ def _serve(title: str, where: guard.Listening, port: int) -> tuple[Any, guard.Gu
             f"port: expected a free port at {where.host}, could not have {port} "
             f"({os.strerror(error.errno) if error.errno and error.errno > 0 else error}); choose another, or 0 for any"
         ) from None
-    # Browsers open connections in advance and drop them, which is not worth a traceback.
+    # Browsers open connections in advance and drop them; a dropped connection is not worth a traceback.
     logging.getLogger("websockets.server").addFilter(_worth_logging)
     with _quiet():
         server = viser.ViserServer(host=where.address, port=port, label=title, verbose=False)
@@ -425,7 +425,7 @@ def _stop(server: Any) -> None:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Drop what viser prints by Rich when a server starts and stops, which it has no option for."""
+    """Drop the messages that viser prints with Rich when a server starts and stops; viser has no option for this."""
     import rich
 
     everything = rich.print

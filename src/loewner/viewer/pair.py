@@ -1,4 +1,4 @@
-"""Define the page for two bodies, where one is dragged towards the other while the verdict is shown."""
+"""Define the page for two bodies, on which users drag the bodies and see the verdict change."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from loewner.viewer.drawing import INK, LABELS, PAIR, VERDICT_COLOURS, Drawing
 from loewner.viewer.framing import diagonal, framed
 from loewner.viewer.page import Mover, PoseInputs, Viewer, certified_words
 
-# The first view omits the larger body, and shows only the smaller one, if it would be this many times as wide.
+# The first view shows only the smaller body if a view of both would be more than this many times as wide.
 WIDEST = 12.0
 
 
@@ -35,7 +35,7 @@ def show_pair(
     port: int = 0,
     block: bool = False,
 ) -> PairViewer:
-    """Open a page that shows two bodies and their verdict while they are moved.
+    """Open a page that shows two bodies, which can be moved, and their verdict.
 
     Parameters
     ----------
@@ -46,15 +46,15 @@ def show_pair(
         Distance in metres that the bodies have to keep.
     mesh_a, mesh_b : path, trimesh.Trimesh or trimesh.Scene, optional
         The meshes from which the bodies were made, in the frames of the bodies. They form a separate layer, hidden at
-        first, because the pieces are checked and not the meshes. A body without a mesh shows its pieces in that layer.
+        first, because the pieces, not the meshes, are checked. A body without a mesh shows its pieces in that layer.
     host : str
         Address on which the server listens. The default, "::1" and "localhost" restrict the page to this machine. With
-        any other host, other people can open the page and move the bodies if they have the page's address; it ends in a
+        any other host, anyone who has the page's address can open the page and move the bodies. The address ends in a
         random token and is printed once. "0.0.0.0" stands for all addresses of this machine.
     port : int
-        0 means any free port.
+        The port on which the server listens; 0 means any free port.
     block : bool
-        Return only after the page is closed, or on a keyboard interrupt.
+        Whether to return only after the page is closed or a keyboard interrupt.
 
     Returns
     -------
@@ -92,11 +92,11 @@ class PairViewer(Viewer):
     Attributes
     ----------
     verdict : Verdict
-        The certified answer that the page shows; AMBIGUOUS if there is none.
+        The certified answer that the page shows; AMBIGUOUS if no answer could be computed.
     colliding : bool
-        The exact answer; True if there is none.
+        The exact answer; True if no answer could be computed.
     found : Distance
-        Bounds, estimate, exact distance, near points and normal.
+        The bounds, the estimate, the exact distance, the near points and the normal.
 
     Examples
     --------
@@ -234,7 +234,7 @@ class PairViewer(Viewer):
         return rows + ([("margin", f"{self._margin:g} m")] if self._margin else [])
 
     def _show_near(self) -> None:
-        # Near points of bodies that overlap are inside them.
+        # The near points of overlapping bodies are inside the bodies.
         for drawing in self._drawings.values():
             drawing.see_through(self._layers["near"].value and self.found.distance < 0)
         if not self._layers["near"].value:

@@ -24,30 +24,30 @@ from loewner.robots.proofs.in_time import with_bodies
 from loewner.viewer.drawing import VERDICT_COLOURS, Rgb
 from loewner.viewer.page import TEXT, cut_short
 
-# A path has no times: it is played at this speed, measured by `Robot.distances` [rad or m per second].
+# Speed at which a path without times is played, measured by `Robot.distances` [rad/s or m/s].
 PACE = 1.0
 
 # Number of evenly spaced times at which the page checks for collisions.
 LOOKS = 201
 
-# Results of the checks; an unsettled one, which counts as colliding elsewhere, has its own colour here.
+# Results of the checks. An unsettled result has its own colour here, although it counts as colliding elsewhere.
 FREE, COLLIDING, UNSETTLED = 0, 1, 2
 COLOURS: dict[int, Rgb] = {
     FREE: VERDICT_COLOURS[Verdict.FREE],
     COLLIDING: VERDICT_COLOURS[Verdict.COLLIDING],
     UNSETTLED: (119, 119, 119),
 }
-# The same by verdict.
+# These results, indexed by verdict.
 SEEN = np.array([FREE, COLLIDING, UNSETTLED])
 NAMES = {FREE: "FREE", COLLIDING: "COLLIDING", UNSETTLED: "UNDECIDED"}
 
-# A path without pieces of its own in time is proven in this many parts, such that a bar shows where it is not free.
+# Parts into which a path without times is divided for its proof, so that a bar shows where the path is not free.
 PARTS = 60
 
-# Radians or metres by which the ends of the parts may be off the path.
+# Radians or metres by which the ends of the parts may deviate from the path.
 ROUNDING = 1e-9
 
-# Words for a part, by its verdict. Samples show where in a part the robot collides.
+# Words for a part, by its verdict. Samples show where the robot collides within the part.
 PROVEN = {Verdict.FREE: "free throughout", Verdict.COLLIDING: "collides within", Verdict.AMBIGUOUS: "open in"}
 
 # Number of colliding or unsettled stretches that are listed.
@@ -66,11 +66,11 @@ class Path:
     Attributes
     ----------
     times : ndarray, shape (n,)
-        Seconds from the first configuration to each.
+        Seconds from the first configuration to each configuration.
     duration : float
-        Seconds from the first configuration to the last; 0 if all are equal.
+        Seconds from the first configuration to the last; 0 if all configurations are equal.
     start_time : float
-        Start time on the clock of bodies that follow motions: 0.
+        Start time on the clock of bodies that follow motions, which is 0.
     """
 
     start_time = 0.0
@@ -90,7 +90,7 @@ class Path:
 
 
 class Standing:
-    """A robot that stays where it is while bodies move, from the first time of their motions to the last.
+    """A robot that stays in place while bodies move, from the first time of their motions to the last.
 
     Attributes
     ----------
@@ -122,7 +122,7 @@ class Executed:
     Attributes
     ----------
     given
-        As given.
+        The curve that was passed.
     duration, start_time : float
         Seconds, as for `Path`; the start time includes the first time of the curve.
     """
@@ -151,7 +151,7 @@ Way = Trajectory | Path | Standing | Executed
 
 
 def _located(t: Any, times: Floats) -> tuple[Floats, Ints]:
-    """Check times from 0 to the last of all times, and find the part that contains each."""
+    """Check that times are between 0 and the last of `times`, and find the part that contains each."""
     at = np.asarray(t, dtype=float)
     if not ((at >= 0.0) & (at <= times[-1])).all():
         raise InputError(f"t: expected seconds from 0 to {times[-1]:.15g}, found {at.tolist()}")
@@ -159,7 +159,7 @@ def _located(t: Any, times: Floats) -> tuple[Floats, Ints]:
 
 
 def checked_way(robot: Robot, path: Any, trajectory: Any) -> Trajectory | Path | Executed | None:
-    """Return the path to play, from two parameters; InputError if both are given, or it is for a different robot."""
+    """Return the path to play; InputError if both kinds are given, or the path is for a different robot."""
     if path is not None and trajectory is not None:
         raise InputError("path, trajectory: expected one of the two, found both")
     if isinstance(path, Trajectory):
@@ -201,9 +201,9 @@ class Proof(NamedTuple):
     times : ndarray, shape (n + 1,)
         Seconds since the start at which the parts begin and end.
     verdicts : ndarray of int, shape (n,)
-        The verdict for each part, valid at every instant; an AMBIGUOUS part has no proof.
+        The verdict for each part; FREE holds at every instant, and an AMBIGUOUS part has no proof.
     fractions : ndarray, shape (n,)
-        For a part that is not FREE, the place where its proof ended.
+        For a part that is not FREE, the fraction of the part at which its proof ended.
     """
 
     times: Floats
@@ -228,7 +228,7 @@ def proven_along(checker: CollisionChecker, way: Way) -> Proof:
 
 
 def worst_along(checker: CollisionChecker, way: Way, proof: Proof) -> float:
-    """Return the seconds since the start at which the nearest pair is nearest.
+    """Return the time, in seconds since the start, at which the least distance of any pair is smallest.
 
     On a path without times of its own, samples and the places where proofs ended are compared.
     """

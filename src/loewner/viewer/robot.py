@@ -1,4 +1,4 @@
-"""Define the page for a robot in a scene, where joints and bodies are moved and contacts are shown."""
+"""Define the page for a robot in a scene, on which users move joints and bodies and see the contacts."""
 
 from __future__ import annotations
 
@@ -31,23 +31,23 @@ from loewner.viewer.visuals import visual_meshes
 
 LINK, OBSTACLE, HELD = (187, 187, 187), (102, 153, 204), (170, 136, 187)
 
-# Larger links [m] count as ground, and the camera does not start with them. Bodies of the scene are included in the
-# first view if they make it at most this many times as wide.
+# Links larger than WORLD [m] count as ground. The first view shows the other links, and includes ground and bodies of
+# the scene if they make the view at most WIDEST times as wide.
 WORLD, WIDEST = 500.0, 4.0
 
-# Ranges of sliders without limits: for joints that turn without limits, and for positions of bases, in metres.
+# Ranges of sliders for values without limits: angles of joints [rad], and positions of mobile bases [m].
 TURN, TRAVEL = math.pi, 2.0
 
-# Seconds between two frames of a trajectory that is played.
+# Seconds between two frames while a trajectory is played.
 FRAME = 1 / 30
 
 PLAY, PAUSE = "play", "pause"
 SPEEDS = {"0.1 ×": 0.1, "0.25 ×": 0.25, "0.5 ×": 0.5, "1 ×": 1.0, "2 ×": 2.0, "5 ×": 5.0}
 
-# A path is proven when the scene has not changed for this many seconds, since a proof takes longer than the samples.
+# Seconds for which the scene must stay unchanged before a path is proven, since a proof takes longer than samples.
 STILL = 0.3
 
-# Numbers of contacts and of notes that are listed.
+# Largest number of contacts, and of notes, that are listed.
 MOST_LINES = 12
 
 # Opacity of links that are not checked.
@@ -80,15 +80,16 @@ def show_robot(
     checker : CollisionChecker
         Checker of the robot and the scene to show. Moving a body on the page moves it in this scene.
     q : array_like, shape (dof,), optional
-        The first configuration. Default: the start of the path or, without a path, the state of the SRDF that names
-        the most joints or, without a state, all joints at 0; joints are within their limits.
+        The first configuration. The default is the start of the path. Without a path, it is the state of the SRDF that
+        names the most joints, or 0 for all joints if there is no state, with joints kept within their limits.
     path : array_like, shape (n, dof), or planners.Trajectory, optional
-        Configurations of this robot, n >= 2. The page gets a time slider, a button to play the path, a bar that shows
-        where samples of the path collide, and a bar that shows where the path is proven free. If bodies of the scene
-        follow motions, these are also shown without a path. A path without times is played at a speed of 1 rad/s or
-        m/s in terms of `Robot.distances`.
-    trajectory : planners.Trajectory, planners.ControllerPoints, or a curve of SciPy, optional
-        As for `CollisionChecker.certify_trajectory`, instead of a path; give either `trajectory` or `path`.
+        Two or more configurations of this robot. The page gets a time slider, a button to play the path, a bar that
+        shows where samples of the path collide, and a bar that shows where the path is proven free. If bodies of the
+        scene follow motions, slider, button and bars also appear without a path. A path without times is played at a
+        speed of 1 rad/s or m/s in terms of `Robot.distances`.
+    trajectory : planners.Trajectory, planners.ControllerPoints, or a SciPy curve, optional
+        A trajectory to play instead of a path, as for `CollisionChecker.certify_trajectory`; give either `trajectory`
+        or `path`.
     host, port, block
         As for `show_pair`.
 
@@ -99,7 +100,7 @@ def show_robot(
     Raises
     ------
     MissingExtraError
-        If viser is not installed, or is a version that cannot be kept from answering foreign requests.
+        If viser is not installed, or its version cannot be kept from answering foreign requests.
     InputError
         If the configuration or the path does not fit the robot, both `path` and `trajectory` are given, there is
         nothing to check, the host does not belong to this machine, or the port is taken.
@@ -135,22 +136,22 @@ class _Shown:
 class RobotViewer(Viewer):
     """A page for a robot in a scene; made by `show_robot`.
 
-    Changes of the scene made in Python appear within a tenth of a second, or immediately after `refresh`.
+    Changes that Python code makes to the scene appear within a tenth of a second, or immediately after `refresh`.
 
     Attributes
     ----------
     checker : CollisionChecker
     trajectory : planners.Trajectory or None
-        The trajectory that can be played, if it is of this type; None for a path without times.
+        The trajectory that can be played, if it is a `planners.Trajectory`; None for any other path.
     verdict : Verdict
-        The certified answer for the configuration that is shown; AMBIGUOUS if there is none.
+        The certified answer for the configuration that is shown; AMBIGUOUS if no answer could be computed.
     colliding : bool
-        The exact answer for this configuration; True if there is none.
+        The exact answer for this configuration; True if no answer could be computed.
     path_verdict : Verdict or None
-        The verdict for the whole path or trajectory, which the page shows in place of the certified one: FREE only if
-        it is proven at every moment, COLLIDING if a sample or the proof found a collision, and AMBIGUOUS otherwise,
-        also while the proof is running. Contact that `Scene.leave` or `Scene.reach` allows is no collision. None
-        without a path, or while the robot is not on it.
+        The verdict for the whole path or trajectory, which the page shows instead of the verdict for one configuration.
+        It is FREE only if the path is proven free at every moment, COLLIDING if a sample or the proof found a
+        collision, and AMBIGUOUS otherwise, also while the proof is running. Contact that `Scene.leave` or `Scene.reach`
+        allows is not a collision. It is None without a path, or while the robot is not on the path.
     contacts : tuple of Contact
         The pairs that touch or come within their margin.
     bounds : StateDistance
@@ -191,7 +192,7 @@ class RobotViewer(Viewer):
         self._way: paths.Way | None = paths.checked_way(robot, path, trajectory)
         self.trajectory = self._way if isinstance(self._way, Trajectory) else None
         self._time = 0.0
-        # Value of `monotonic` at time 0 of the path that is being played.
+        # The value of `monotonic` at time 0 of the path that is being played.
         self._began: float | None = None
         self._speed = 1.0
         if q is None and self._way is not None:
@@ -211,7 +212,7 @@ class RobotViewer(Viewer):
         self._seen_along: Any = None
         self._along: Ints | None = None
         self._proof: paths.Proof | None = None
-        # Value of `monotonic` at which the path is to be proven.
+        # The value of `monotonic` at which the path will be proven.
         self._prove_at = math.inf
         self._size = math.inf
         self._shown: dict[str, _Shown] = {}
@@ -222,7 +223,7 @@ class RobotViewer(Viewer):
 
     @property
     def q(self) -> Floats:
-        """The configuration shown, shape (dof,); set it to move the robot on the page."""
+        """The configuration that is shown, shape (dof,); set it to move the robot on the page."""
         return self._q.copy()
 
     @q.setter
@@ -236,7 +237,7 @@ class RobotViewer(Viewer):
 
     @property
     def time(self) -> float:
-        """The position on the path, in seconds; set it to move the robot there."""
+        """The position on the path, in seconds; set it to move the robot along the path."""
         return self._time
 
     @time.setter
@@ -253,7 +254,7 @@ class RobotViewer(Viewer):
         return self._began is not None
 
     def play(self) -> None:
-        """Let the robot follow its path from its current position, or from the start if it is at the end.
+        """Let the robot follow its path from the current position, or from the start if the robot is at the end.
 
         Raises
         ------
@@ -277,8 +278,9 @@ class RobotViewer(Viewer):
             self._start(self._the_way())
 
     def go_to_worst(self) -> float:
-        """Move the robot to the moment at which the nearest pair is nearest, among 401 moments and all moments at which
-        proofs ended.
+        """Move the robot to the moment at which the distance of the nearest pair is smallest.
+
+        For a path without times, this is the smallest distance among 401 moments and all moments at which proofs ended.
 
         Returns
         -------
@@ -328,7 +330,7 @@ class RobotViewer(Viewer):
         Raises
         ------
         InputError
-            If the page is closed, or the body is attached to a link, with which it moves.
+            If the page is closed, or the body is attached to a link and moves with it.
         UnknownNameError, PoseError
             As for `Scene.move`.
         """
@@ -404,8 +406,8 @@ class RobotViewer(Viewer):
                 shown.mover.fit(shown.drawing.box(np.eye(4)), self._size)
 
     def _add(self, name: str, body: Body, colour: Rgb, link: int | None, T_link_body: Floats | None) -> None:
-        # Nodes have numbers, since a name may contain the slash that separates viser's nodes, and may return after its
-        # removal.
+        # Nodes have numbers, since a name may contain the slash that separates viser's nodes, and a removed name may be
+        # used again.
         node, self._numbers = f"/body/{self._numbers}", self._numbers + 1
         mover, handle = None, None
         if link is None:
@@ -431,7 +433,7 @@ class RobotViewer(Viewer):
 
     @cached_property
     def _visuals(self) -> tuple[dict[str, Mesh], list[str]]:
-        """Return the visual meshes of the links, which are read when they are first shown, since that takes a while."""
+        """Return the links' visual meshes, which are read only when they are first shown, since reading takes time."""
         return visual_meshes(self.checker.robot)
 
     def _show_layers(self) -> None:
@@ -558,7 +560,7 @@ class RobotViewer(Viewer):
         return self._way
 
     def _follow(self, way: paths.Way, done: dict[str, Any]) -> None:
-        """Continue a path that is being played; it stops when a joint is moved by hand, unless only bodies move."""
+        """Continue a path that is being played; moving a joint by hand stops it, unless only bodies move."""
         if "speed" in done:
             self._set_speed(SPEEDS[self._pace.value])
         if isinstance(way, paths.Standing):
@@ -625,7 +627,7 @@ class RobotViewer(Viewer):
         return self._time + (0.0 if self._way is None else self._way.start_time)
 
     def _now(self) -> float | None:
-        """Return the time on the path, after bodies that follow motions are where they are then; None without any."""
+        """Return the time on the path after moving the bodies that follow motions to it; None without such bodies."""
         following = self.checker.scene.following
         for name, motion in following.items():
             if name in self._shown:
@@ -635,11 +637,11 @@ class RobotViewer(Viewer):
     def _distance(self) -> StateDistance:
         try:
             return self.checker.distance(self._q, self._now(), exact=True)
-        except ConvergenceError:  # the collision verdict is known nevertheless
+        except ConvergenceError:  # the verdict about collisions does not depend on it
             return self.checker.distance(self._q, self._now())
 
     def _look_along(self) -> None:
-        """Sample the path again if the scene has changed, and prove it when the scene has been still for a while."""
+        """Sample the path again if the scene has changed, and prove it once the scene has not changed for a while."""
         way = self._way
         if way is None:
             return
@@ -660,7 +662,7 @@ class RobotViewer(Viewer):
                 self._proof_strip.content = note_lines([f"proof: none; {error}"])
 
     def _prove(self) -> None:
-        """Prove the path at once, if it is to be proven."""
+        """Prove the path at once, if a proof is due."""
         if self._prove_at < math.inf:
             self._prove_at = 0.0
             self.refresh()
@@ -680,7 +682,7 @@ class RobotViewer(Viewer):
         if (verdicts == Verdict.FREE).all():
             return Verdict.FREE
         scene = self.checker.scene
-        # Samples may be in contact that is allowed at the beginning or the end; the proof decides.
+        # The contact of a sample may be allowed at the beginning or the end; the proof decides.
         sampled = (along == paths.COLLIDING).any() and not (scene.leaving or scene.reaching)
         return Verdict.COLLIDING if sampled or (verdicts == Verdict.COLLIDING).any() else Verdict.AMBIGUOUS
 
@@ -741,7 +743,7 @@ def _slider_ends(robot: Robot) -> tuple[list[float], list[float]]:
     far = np.array([TRAVEL if name.endswith(("/x", "/y", "/z")) else TURN for name in robot.configuration_names])
     low = np.where(np.isfinite(robot.hard_lower), robot.hard_lower, -far)
     high = np.where(np.isfinite(robot.hard_upper), robot.hard_upper, far)
-    # viser refuses a slider without length: a joint whose limits are equal.
+    # viser refuses a slider of zero length, as for a joint whose limits are equal.
     return low.tolist(), np.maximum(high, low + 1e-6).tolist()
 
 

@@ -13,16 +13,16 @@ from loewner._base._files import replacing
 from loewner.errors import FileError, InputError, MissingExtraError, imported
 from loewner.viewer.page import Viewer
 
-# Browsers of the system, preferred over Playwright's own, and options to draw without a graphics card.
+# The system's browsers, which are preferred to Playwright's own, and options for drawing without a graphics card.
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 FLAGS = ("--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
 
-# Waiting times for the page to be drawn [ms]: the longest, and the pause after its last message.
+# Longest wait for the page to be drawn, and the pause after the page's last message [ms].
 PATIENCE, SETTLED = 60_000, 3_000
 
 
 def save_screenshot(page: Viewer, path: str | os.PathLike[str], *, width: int = 1280, height: int = 720) -> None:
-    """Save a picture of an open page, as a browser shows it, but without the handles for dragging bodies.
+    """Save a picture of an open page as a browser shows it, without the handles for dragging bodies.
 
     Parameters
     ----------
@@ -36,9 +36,9 @@ def save_screenshot(page: Viewer, path: str | os.PathLike[str], *, width: int = 
     Raises
     ------
     InputError
-        If the path has any other extension, or a size is outside 200 to 4,000.
+        If the path does not end in ``.png``, or a size is outside 200 to 4,000 pixels.
     MissingExtraError
-        If Playwright or a browser for it is not installed.
+        If Playwright, or a browser that it can use, is not installed.
     FileError
         If the page was not drawn within a minute, or the file cannot be written.
 
@@ -62,7 +62,7 @@ def save_screenshot(page: Viewer, path: str | os.PathLike[str], *, width: int = 
         if isinstance(size, bool) or not isinstance(size, int) or not 200 <= size <= 4000:
             raise InputError(f"{name}: expected pixels from 200 to 4000, found {_validate.short(size)}")
     playwright = imported("playwright.sync_api", "screenshots need Playwright", "screenshots")
-    # In a separate thread: the caller's thread may run an event loop, as in a notebook, which Playwright refuses.
+    # Use a separate thread: the caller's may run an event loop, as in a notebook, and Playwright refuses such threads.
     with ThreadPoolExecutor(1) as thread, page._without_gizmos():
         picture = thread.submit(_picture, page.url, sizes, playwright.sync_playwright, playwright.Error).result()
     with replacing(file) as temporary:
@@ -76,7 +76,7 @@ def _picture(url: str, sizes: dict[str, int], start: Any, error: type[Exception]
             tab = browser.new_page(viewport=sizes)
             tab.goto(url, timeout=PATIENCE)
             tab.locator('[data-loewner="verdict"]').wait_for(timeout=PATIENCE)
-            tab.add_style_tag(content=".mantine-Notification-root { display: none }")  # of how slowly it draws
+            tab.add_style_tag(content=".mantine-Notification-root { display: none }")  # warnings of slow drawing
             tab.wait_for_timeout(SETTLED)
             return bytes(tab.screenshot(timeout=PATIENCE))
         except error as found:

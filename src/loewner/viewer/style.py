@@ -1,13 +1,13 @@
 """Style viser's panel: numbers that fit their boxes, legible labels, and the scene above the panel in a narrow window.
 
-viser has no options for this, so the rules name the classes of its components. With another version of viser, rules
+viser has no options for this, so the rules name the classes of viser's components. With another version of viser, rules
 that do not apply have no effect.
 """
 
-# Below this width viser moves the panel to the bottom of the window, over the scene.
+# Below this width, viser moves the panel to the bottom of the window, over the scene.
 NARROW = "max-width: 36em"
 
-# A vector of numbers, with its label.
+# A vector of numbers and its label.
 VECTOR = ".mantine-Flex-root:has(> div > .mantine-Flex-root > .mantine-NumberInput-root + .mantine-NumberInput-root)"
 
 # A folder of check boxes.

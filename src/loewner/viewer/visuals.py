@@ -1,4 +1,4 @@
-"""Read the appearance of a robot's links, that is, the visual geometry of its URDF, which no query uses."""
+"""Read the appearance of a robot's links: the visual geometry in its URDF, which no query uses."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def visual_meshes(robot: Robot) -> tuple[dict[str, Mesh], list[str]]:
     meshes : dict
         Maps link names to vertices (v, 3) [m] and triangles (t, 3), in the frame of the link.
     faults : list of str
-        Reasons why meshes are missing, since a picture without them is still worth showing.
+        Reasons for missing meshes: a picture without these meshes is still worth showing.
     """
     meshes: dict[str, Mesh] = {}
     faults: list[str] = []
