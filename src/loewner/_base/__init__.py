@@ -1,4 +1,4 @@
-"""The ground floor of the library's own Python: what all modules above share.
+"""The lowest layer of the library's Python code, which all other modules share.
 
 Arguments: `_validate`, `_plausible`, `_rotations`, `_matrices`. Files: `_files` and `_archives`; `_json`, `_nodes`,
 `_tables` and `_xml` read text formats strictly. The machine: `_guard`, `_threads`, `_memory`, `_workspaces`, `_log`.

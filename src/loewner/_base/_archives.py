@@ -28,20 +28,20 @@ from loewner.errors import FileError, InputError
 
 T = TypeVar("T")
 
-# Limit on the size of a file's unpacked arrays [bytes], besides the machine's memory: about a hundred million pieces.
+# Largest size of a file's unpacked arrays [bytes], about a hundred million pieces, if the machine's memory permits.
 LARGEST_CONTENT = 2**36
 
-# Limit on the size of texts (format, digest, names) [bytes].
+# Largest size of texts, such as format, digest and names [bytes].
 LARGEST_TEXT = 2**12
 
-# Bytes read at a time; the directory of an archive with a few members takes a kilobyte.
+# Bytes that are read at a time, and limit on a single read; the directory of a small archive takes a kilobyte.
 CHUNK, MOST_AT_ONCE = 2**18, 2**20
 
 # Members of every file, besides its arrays.
 OWN = ("format", "version", "digest")
 
-# An array begins with these bytes, followed by two bytes for the version, whose first determines how many bytes hold
-# the length of the header. In `.npy` files this length is at most the last number.
+# An array begins with MAGIC, followed by two bytes for the version. The first of them determines how many bytes hold
+# the length of the header, which is at most LONGEST_HEADER in `.npy` files.
 MAGIC, LENGTH_BYTES, LONGEST_HEADER = b"\x93NUMPY", {1: 2, 2: 4, 3: 4}, 2**16
 
 # NumPy's header of a plain array, which is read strictly, so that nothing is evaluated.
@@ -58,7 +58,7 @@ class Format:
     Attributes
     ----------
     name : str
-        Content of the member "format".
+        Text in the member "format".
     version : int
         The newest version; files of older versions are read as well.
     what : str
@@ -68,9 +68,9 @@ class Format:
     arrays : tuple of str
         Members that hold numbers.
     integers : frozenset of str
-        Members among `arrays` that hold whole numbers.
+        Members among `arrays` that hold integers.
     check_shapes : callable
-        Function of the shapes of the arrays by name, called before any array is unpacked; raises InputError.
+        Called with a dict of the arrays' shapes before any array is unpacked; raises InputError for wrong shapes.
     texts : tuple of str
         Members that hold short texts.
     optional : frozenset of str
@@ -102,9 +102,10 @@ def write(path: str | os.PathLike[str], kind: Format, arrays: Mapping[str, Any],
     Raises
     ------
     InputError
-        If the path is none, or does not end in .npz.
+        If the path is not valid, or does not end in .npz.
     FileError
-        If the file cannot be written, or would be too large to be read again; an older file is then unchanged.
+        If the file cannot be written, or would be too large to be read again. In both cases, an older file stays
+        unchanged.
     """
     target = Path(_expect_path(path))
     if target.suffix != ".npz":
@@ -117,7 +118,7 @@ def write(path: str | os.PathLike[str], kind: Format, arrays: Mapping[str, Any],
 
 
 def _save(stream: IO[bytes], content: dict[str, Any]) -> None:
-    """Write arrays as an archive; an interrupt is raised as such, not as zipfile's error about the unfinished entry."""
+    """Write arrays as an archive; raise an interrupt itself, not zipfile's error about the unfinished entry."""
     try:
         np.savez_compressed(stream, **content)
     except ValueError as error:
@@ -142,17 +143,17 @@ def read(
     path : path
     kind : Format
     make : callable
-        Called with the arrays by name: int64 or float64 in C order, and arrays of texts. Its result is returned, and
-        its InputErrors become FileErrors that name the file.
+        Called with a dict of the arrays: int64 or float64 in C order, and arrays of texts. Its result is returned, and
+        an InputError in it becomes a FileError that names the file.
     wanted : str, optional
         The `digest` that the content must have.
 
     Raises
     ------
     InputError
-        If the path is none.
+        If the path is not valid.
     FileError
-        If there is no such file, or it is of another kind or damaged, or has another content.
+        If the file does not exist, is of another kind, is damaged, or does not have the `wanted` digest.
     """
     name = _expect_path(path)
     try:
@@ -176,12 +177,12 @@ def numbers(data: bytes, name: str, what: str) -> NDArray[Any]:
     data : bytes
         The whole file.
     name, what : str
-        Name of the file, and description of its expected content, such as "an array of numbers", for messages.
+        Name of the file and description of its expected content, such as "an array of numbers", for messages.
 
     Raises
     ------
     FileError
-        If it is not an array of whole numbers, floats or booleans in NumPy's format, or its length differs from its
+        If the file is not an array of integers, floats or booleans in NumPy's format, or its length does not match its
         header. Nothing is unpickled, and no memory is allocated for missing numbers.
     """
     if not data.startswith(MAGIC) or len(data) < len(MAGIC) + 2 or data[len(MAGIC)] not in LENGTH_BYTES:
@@ -197,7 +198,7 @@ def numbers(data: bytes, name: str, what: str) -> NDArray[Any]:
             )
         order: Any = "F" if header.fortran_order else "C"
         return np.ndarray(header.shape, header.dtype, data, stop, order=order).copy(order="K")
-    except (ValueError, TypeError) as error:  # also an InputError; the others come from absurd types and shapes
+    except (ValueError, TypeError) as error:  # includes InputError; absurd types and shapes raise other errors
         found = str(error).removeprefix(f"{name}: ")
         raise FileError(f"{name}: expected {what}, found something else ({found})") from None
 
@@ -210,7 +211,7 @@ def _read(stream: IO[bytes], name: str, kind: Format, make: Callable[[dict[str, 
     try:
         with zipfile.ZipFile(_InSmallParts(stream, kind.what)) as archive:
             return make(_from_archive(archive, name, kind, wanted))
-    except (FileError, MemoryError):  # lack of memory is not the file's fault
+    except (FileError, MemoryError):  # a lack of memory is not a fault of the file
         raise
     except InputError as error:
         raise FileError(f"{name}: {error}") from None
@@ -260,13 +261,13 @@ def _from_archive(archive: zipfile.ZipFile, name: str, kind: Format, wanted: str
             f"{name}: expected {kind.what} with the checksum {wanted}, found {found}; the file was written anew or "
             "replaced by another"
         )
-    for member in kind.arrays:  # integer types differ between systems
+    for member in kind.arrays:  # systems have different integer types
         told[member] = np.ascontiguousarray(told[member], dtype=np.int64 if member in kind.integers else np.float64)
     return told
 
 
 def digest(arrays: Mapping[str, Any]) -> str:
-    """Checksum over all arrays, so that a damaged or altered file never turns into a verdict."""
+    """Checksum of all arrays, so that a damaged or altered file never leads to a verdict."""
     found = hashlib.sha256()
     for name in sorted(arrays):
         array = np.ascontiguousarray(arrays[name])
@@ -292,7 +293,7 @@ class _Header:
 
 
 class _InSmallParts:
-    """A file that limits the size of a read: a larger request relies on a size that the file states."""
+    """A file that refuses large reads, since only a size stated in the file itself can cause such a request."""
 
     def __init__(self, stream: IO[bytes], what: str) -> None:
         self._stream, self._what = stream, what
@@ -316,7 +317,7 @@ def _header(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> _Header:
 
 def _header_of(member: IO[bytes], info: zipfile.ZipInfo) -> _Header:
     start = member.read(10)
-    # Later versions of the format are only needed for names and types that do not occur here.
+    # Only names and types that do not occur here need later versions of the format.
     if len(start) < 10 or start[:8] != MAGIC + b"\x01\x00":
         raise InputError(f"{info.filename}: expected an array in NumPy's format 1.0, found something else")
     length = int.from_bytes(start[8:], "little")
@@ -355,7 +356,7 @@ def _array(archive: zipfile.ZipFile, info: zipfile.ZipInfo, header: _Header) -> 
                 raise InputError(f"{info.filename}: expected {header.nbytes} bytes, found {at}")
             data[at : at + len(part)] = np.frombuffer(part, dtype=np.uint8)
             at += len(part)
-        member.read(1)  # at the end the archive's own checksum is verified
+        member.read(1)  # at the end of the member, zipfile verifies the archive's own checksum
     return data.view(header.dtype).reshape(header.shape, order=order)
 
 
@@ -397,7 +398,7 @@ def _expect_path(path: Any) -> str:
 
 
 def _open_without_waiting(path: str, flags: int) -> int:
-    """Opener for `open` that does not block on a pipe without a writer."""
+    """Open a file for `open` without blocking on a pipe that has no writer."""
     return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))
 
 

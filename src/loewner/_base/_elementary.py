@@ -1,7 +1,7 @@
 """Elementary functions of numbers and arrays, with the same bits on every machine, which C libraries do not promise.
 
-They take the time of the C library's for arrays, and a microsecond for a number. Accuracy: three units in the last
-place (`_kernels.elementary`).
+For arrays, they take as long as the C library's functions; for a number, a microsecond. Their results are accurate to
+three units in the last place (`_kernels.elementary`).
 """
 
 from typing import Any
@@ -24,7 +24,7 @@ def cos(angle: Any) -> Any:
 
 
 def arctan2(y: Any, x: Any) -> Any:
-    """Angles of vectors (x, y) to the x-axis [rad]."""
+    """Angles from the x-axis to the vectors (x, y) [rad]."""
     return _of_each(codes.ARC_TANGENT, *np.broadcast_arrays(y, x))
 
 
@@ -49,7 +49,7 @@ def cbrt(x: Any) -> Any:
 
 
 def _of_each(function: int, x: Any, y: Any = None) -> Any:
-    """Apply a function of `codes` to each number; the result is a float for a number."""
+    """Apply a function of `codes` to each number; for a single number, the result is a float."""
     first = np.array(x, dtype=float, order="C")
     second = first if y is None else np.array(y, dtype=float, order="C")
     found: Floats = np.empty(first.shape)

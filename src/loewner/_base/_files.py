@@ -8,10 +8,10 @@ from pathlib import Path
 
 from loewner.errors import FileError
 
-# Bytes read at a time: a file's stated size is no reason to allocate that much memory at once.
+# Bytes that are read at a time, since memory of a file's whole stated size must not be allocated at once.
 CHUNK = 1 << 24
 
-# Hexadecimal digits of a digest in the name of a file: enough that two contents never share them by chance.
+# Number of hexadecimal digits of a digest in a file's name, enough that two contents never share them by chance.
 DIGITS = 16
 
 # Kinds of files other than regular ones.
@@ -43,8 +43,8 @@ def read_regular(path: str | os.PathLike[str], what: str, limit: int) -> bytes:
     """
     name = shown(path)
     try:
-        # Opening a device can have effects, so the file is checked before it is opened, and again when it is open,
-        # since it may have changed.
+        # Opening a device can have effects, so the file is checked before it is opened. It is checked again when it is
+        # open, since another file may have taken its place.
         _expect_regular(os.stat(path), name, what)
         flags = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_NOCTTY", 0) | getattr(os, "O_BINARY", 0)
         with open(os.open(path, flags), "rb", buffering=0) as file:
@@ -85,7 +85,7 @@ def _expect_regular(status: os.stat_result, name: str, what: str) -> None:
 
 
 def named_by_content(stem: str, digest: str, suffix: str) -> str:
-    """Name a file that another file refers to by its content, so that no later file of another content replaces it."""
+    """Name a file by its content, if another file refers to it: no later file with other content then replaces it."""
     return f"{stem}-{digest[:DIGITS]}{suffix}"
 
 
@@ -93,17 +93,17 @@ def named_by_content(stem: str, digest: str, suffix: str) -> str:
 def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
     """Provide a temporary name for writing, and rename it to `path` when the block ends without an error.
 
-    A link stays a link: its target is written, as by a plain open.
+    A link stays a link: its target is written, as `open` would do.
 
     Raises
     ------
     FileError
-        If something other than a regular file has this name (renaming would replace a device or a pipe, which root may
-        do), or writing or renaming fails; an older file of this name is then unchanged.
+        If something other than a regular file has this name (root could replace a device or a pipe by renaming), or
+        writing or renaming fails. An older file of this name stays unchanged.
     """
     name = shown(path)
     target = _regular_or_new(Path(path), name)
-    # A plain open respects the user's file mode; the suffix is kept, since some writers depend on it.
+    # The caller opens this name, so that the user's file mode applies; the suffix is kept, since some writers use it.
     temporary = target.with_name(f".{target.stem}-{os.urandom(6).hex()}{target.suffix}")
     try:
         yield temporary
@@ -118,7 +118,7 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
 
 
 def made_folder(folder: Path) -> Path:
-    """Make a folder with its parents, unless it is there."""
+    """Make a folder and its parents, unless the folder exists."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -129,7 +129,7 @@ def made_folder(folder: Path) -> Path:
 def _regular_or_new(path: Path, name: str) -> Path:
     """Path of a file that exists or will be created, with links resolved."""
     try:
-        with suppress(FileNotFoundError):  # a new file; errors are reported when it is written
+        with suppress(FileNotFoundError):  # the file is new; errors are reported when it is written
             _expect_regular(os.stat(path), name, "the name of a file to write")
         return Path(os.path.realpath(path))
     except FileError:

@@ -1,9 +1,10 @@
 """Handle interrupts and exhausted memory, which can occur in any call regardless of its arguments.
 
-A signal's handler may raise (`KeyboardInterrupt` on Ctrl+C) while Numba converts a kernel's arrays to Python's. Numba
-continues with the next array, which Python reports as a SystemError, caused by a SystemError, caused by the
-KeyboardInterrupt. A caller's ``except Exception`` would then swallow the interrupt. If memory runs out in NumPy, in a
-kernel or in Qhull, a raw MemoryError results. Guarded calls raise the interrupt itself, or `MemoryLimitError`.
+The handler of a signal may raise an exception (`KeyboardInterrupt` on Ctrl+C) while Numba converts a kernel's arrays to
+Python's. Numba continues with the next array, for which Python raises a SystemError that is caused by a SystemError,
+which is caused by the KeyboardInterrupt. A caller's ``except Exception`` would swallow the interrupt. If memory runs
+out in NumPy, in a kernel or in Qhull, a raw MemoryError results. Guarded calls raise the interrupt itself, or
+`MemoryLimitError`.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from loewner.errors import LoewnerError, MemoryLimitError
 
 T = TypeVar("T")
 
-# NumPy's message if an interrupt occurs while Numba determines the type of arrays; the interrupt itself is then lost.
+# NumPy's message if an interrupt occurs while Numba determines the type of arrays, in which case the interrupt is lost.
 LOST_INTERRUPT = "subtype is NULL in PyArray_NewFromDescr"
 
 # Exceptions that `meant` inspects; a clause "except GUARDED" costs nothing unless one of them is raised.
@@ -25,7 +26,7 @@ GUARDED = (SystemError, MemoryError)
 
 
 def meant(error: BaseException) -> BaseException:
-    """Return the exception behind `error`, which is one of GUARDED, or `error` itself if there is none."""
+    """Return the exception that caused `error`, which is one of GUARDED, or `error` itself if nothing caused it."""
     cause: BaseException | None = error
     while isinstance(cause, SystemError):
         cause = cause.__cause__
@@ -45,8 +46,8 @@ def meant(error: BaseException) -> BaseException:
 def guarded(thing: T) -> T:
     """Guard a function, or the constructor and all public methods that a class defines itself.
 
-    It adds a tenth of a microsecond to a call. Properties, and the fast path of queries of single configurations, are
-    guarded individually where it is worthwhile.
+    The guard adds a tenth of a microsecond to a call. Properties, and the fast path of queries about single
+    configurations, are guarded individually where this is worthwhile.
     """
     if not isinstance(thing, type):
         return cast(T, _guarded(thing))
@@ -74,8 +75,8 @@ def _guarded(function: Any) -> Any:
             cause = meant(error)
             if cause is error:
                 raise
-        # Outside the clause, and from a name that is deleted: neither the error before nor this frame then refers to
-        # the exception, and all that its traceback holds is freed together with it.
+        # Raise outside the clause, from a name that is deleted: neither the earlier error nor this frame then refers to
+        # the exception, and all objects that its traceback holds are freed together with it.
         try:
             raise cause
         finally:

@@ -11,7 +11,7 @@ from loewner._base._memory import uncollected
 from loewner._base._validate import short
 from loewner.errors import FileError
 
-# A string, which may lack its end, or a character that begins, divides or ends something.
+# A string, which may lack its end, or a character that begins, divides or ends a mapping or a list.
 _TOKEN = re.compile(r'"(?:[^"\\]|\\.)*"?|[{}\[\]:]', re.DOTALL)
 
 
@@ -21,7 +21,7 @@ class RepeatedKeyError(ValueError):
     Attributes
     ----------
     line : int
-        The line of the second.
+        The line of the second occurrence.
     """
 
     def __init__(self, key: str, line: int) -> None:
@@ -42,9 +42,9 @@ def parsed(data: str | bytes, name: str) -> Any:
     Raises
     ------
     FileError
-        If a key occurs twice in an object; the message gives the line of the second.
+        If a key occurs twice in an object; the message gives the line of the second occurrence.
     ValueError, RecursionError
-        If the data is no JSON, or is nested too deeply.
+        If the data are not JSON, or are nested too deeply.
 
     Examples
     --------
@@ -64,7 +64,7 @@ def parsed(data: str | bytes, name: str) -> Any:
 def loads(data: str | bytes, constant: Callable[[str], Any] | None = None) -> Any:
     """Parse JSON as `json.loads` does, and raise a RepeatedKeyError if a key occurs twice in an object.
 
-    If given, `constant` is called with the words NaN, Infinity and -Infinity; by default they become floats.
+    If given, `constant` is called with the words NaN, Infinity and -Infinity; by default, they become floats.
     """
     text = data if isinstance(data, str) else data.decode(json.detect_encoding(data), "surrogatepass")
     repeated: list[Any] = []
@@ -83,8 +83,8 @@ def loads(data: str | bytes, constant: Callable[[str], Any] | None = None) -> An
 
 
 def _first_repeated(text: str) -> tuple[str, int]:
-    """Return the first key of valid JSON that its object already has, and its line; the parser records no places."""
-    keys: list[set[str]] = []  # of the objects and lists that are open, from the outside inwards
+    """Return the first repeated key in valid JSON, and its line, since the parser records no places."""
+    keys: list[set[str]] = []  # for the objects and lists that are open, from the outside inwards
     last, start = "", 0
     for token in _TOKEN.finditer(text):
         found = token[0]

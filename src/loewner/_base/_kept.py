@@ -12,9 +12,9 @@ T = TypeVar("T")
 class kept(cached_property[T]):
     """A property that is computed when it is first needed and then kept.
 
-    `functools.cached_property` has no lock from Python 3.12 on: two threads that compute a property at once get
-    different values, one of which is soon freed although kernels may have received addresses in it. Here both threads
-    may compute, but all of them get the first value that was kept.
+    `functools.cached_property` has no lock in Python 3.12 and later: two threads that compute a property at once get
+    different values, one of which is soon freed although kernels may have received addresses in it. Here, several
+    threads may compute a value, but all of them get the first value that was kept.
 
     Parameters
     ----------
@@ -29,13 +29,13 @@ class kept(cached_property[T]):
     def __get__(self, instance: Any, owner: type[Any] | None = None) -> kept[T] | T:
         if instance is None:
             return self
-        # From now on the instance attribute is found first: it takes precedence over a non-data descriptor of the
-        # class.
+        # Later look-ups find the instance's attribute first, since it takes precedence over a non-data descriptor of
+        # the class.
         value: T = vars(instance).setdefault(self.func.__name__, self.func(instance))
         return value
 
     def hand_on(self, old: Any, new: Any, change: Callable[[T], T] | None = None) -> None:
-        """Give a new object the value of an old one, or what `change` makes of it, if it has been computed."""
+        """Give a new object the value of an old object, if computed, or the result of `change` for this value."""
         if self.func.__name__ in vars(old):
             value = vars(old)[self.func.__name__]
             vars(new)[self.func.__name__] = value if change is None else change(value)

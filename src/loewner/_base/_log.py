@@ -1,4 +1,4 @@
-"""The logger of work that takes long; silent unless the program that uses the library configures logging."""
+"""The logger for work that takes long; it is silent unless the program that uses the library configures logging."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from typing import Any
 log = logging.getLogger("loewner")
 log.addHandler(logging.NullHandler())
 
-# Meshes with fewer triangles, and fits of fewer pieces at once, are not logged.
+# Work on meshes with fewer triangles, and fits of fewer pieces at once, are not logged.
 MANY_TRIANGLES, MANY_PIECES = 100_000, 100
 
 
 @contextmanager
 def logged(work: str, *values: Any, least: int = 0) -> Iterator[None]:
-    """Log the beginning of some work, and its end with the time that it took, if its last value is `least` or more."""
+    """Log the beginning of work, and its end with the time taken, if the last of `values` is at least `least`."""
     if values[-1] < least:
         yield
         return

@@ -1,9 +1,9 @@
 """Products and factors of small matrices, and lengths of short vectors, with the same bits on every processor.
 
-BLAS, LAPACK, `np.einsum` and reductions choose the order of a sum, and whether a product is fused with it, to suit the
-processor. NumPy's sums and products of whole arrays round every entry by itself, as IEEE 754 demands. What two machines
-compare, such as the hash of a robot's model, is therefore computed by these functions, in the order in which C would
-compute it. Sines and logarithms are in `_elementary`.
+BLAS, LAPACK, `np.einsum` and reductions choose the order of a sum, and whether to fuse products with it, to suit the
+processor. NumPy's sums and products of whole arrays round every entry by itself, as IEEE 754 demands. Values that two
+machines compare, such as the hash of a robot's model, are therefore computed by these functions, in the order in which
+C would compute them. Sines and logarithms are in `_elementary`.
 """
 
 import math
@@ -14,17 +14,17 @@ import numpy as np
 
 from loewner._base._validate import Floats, Ints
 
-# Columns count as orthogonal if the cosine of their angle is at most this: rounding alone makes cosines of up to three
-# units of 2^-53, and the lengths of such columns are the singular values up to twice this.
+# Largest cosine of the angle between columns that count as orthogonal. Rounding alone causes cosines of up to three
+# units of 2^-53. The lengths of orthogonal columns are the singular values, with errors of at most twice this bound.
 ORTHOGONAL = 2.0**-51
 
 # Jacobi's method takes three to six sweeps.
 MOST_SWEEPS = 16
 
-# Numbers below it are nothing beside entries of about 1; added, it keeps a quotient from being 0 / 0.
+# A number that is negligible beside entries of about 1; it is added to denominators, so that no quotient is 0 / 0.
 TINY = 1e-300
 
-# Up to this many matrices, arrays take longer than numbers.
+# Number of matrices up to which arrays take longer than single numbers.
 FEW = 16
 
 # The entries of a column: numbers, or arrays with a number for each matrix.
@@ -32,7 +32,7 @@ Column: TypeAlias = tuple[Any, ...]
 
 
 def product(A: Floats, B: Floats) -> Floats:
-    """Multiply matrices, shapes (..., n, k) and (..., k, m), with a small k; no entry is a negative zero."""
+    """Multiply matrices of shapes (..., n, k) and (..., k, m), with a small k; no entry is a negative zero."""
     total: Floats = 0.0 + A[..., :, 0, None] * B[..., None, 0, :]
     for k in range(1, A.shape[-1]):
         total += A[..., :, k, None] * B[..., None, k, :]
@@ -40,7 +40,7 @@ def product(A: Floats, B: Floats) -> Floats:
 
 
 def image(M: Floats, x: Floats) -> Floats:
-    """Multiply a matrix, shape (n, k), with vectors, shape (..., k)."""
+    """Multiply a matrix of shape (n, k) by vectors of shape (..., k)."""
     total: Floats = 0.0 + x[..., 0, None] * M[:, 0]
     for k in range(1, M.shape[-1]):
         total += x[..., k, None] * M[:, k]
@@ -48,7 +48,7 @@ def image(M: Floats, x: Floats) -> Floats:
 
 
 def in_frame(T_world_frame: Floats, T_world_body: Floats) -> Floats:
-    """Return the pose of a body in a frame; the shapes are (4, 4)."""
+    """Return the pose of a body in a frame; all shapes are (4, 4)."""
     inverse = np.eye(4)
     inverse[:3, :3] = T_world_frame[:3, :3].T
     inverse[:3, 3] = -image(inverse[:3, :3], T_world_frame[:3, 3])
@@ -56,7 +56,7 @@ def in_frame(T_world_frame: Floats, T_world_body: Floats) -> Floats:
 
 
 def dot(a: Floats, b: Floats) -> Floats:
-    """Multiply vectors, shape (..., k), with a small k; the products are added from the first to the last."""
+    """Compute dot products of vectors, shape (..., k), with a small k; terms are added from the first to the last."""
     total: Floats = 0.0 + a[..., 0] * b[..., 0]
     for k in range(1, a.shape[-1]):
         total = total + a[..., k] * b[..., k]
@@ -69,13 +69,13 @@ def lengths(x: Floats) -> Floats:
 
 
 def normals_of(triangles: Floats) -> Floats:
-    """Compute normals of triangles, shape (n, 3, 3), of twice the area's length; for a few, np.cross takes longer."""
+    """Compute normals of triangles, shape (n, 3, 3), twice as long as the areas; for a few, np.cross takes longer."""
     (ax, ay, az), (bx, by, bz) = (triangles[:, 1] - triangles[:, 0]).T, (triangles[:, 2] - triangles[:, 0]).T
     return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=1)
 
 
 def least_of(values: Floats, owner: Ints, count: int) -> Floats:
-    """Find the least value of each owner, shape (count,); infinity for one without values."""
+    """Find the least value of each owner, shape (count,); infinity for owners without values."""
     least = np.full(count, np.inf)
     np.minimum.at(least, owner, values)
     return least
@@ -90,13 +90,13 @@ def power(x: Floats, exponent: int) -> Floats:
 
 
 def singular_values(A: Floats) -> Floats:
-    """Compute the singular values of matrices, shape (N, 3, 3), largest first, by Jacobi's method from one side.
+    """Compute the singular values of matrices, shape (N, 3, 3), largest first, by Jacobi's one-sided method.
 
-    Numbers or arrays pass through the same operations, so that the values of a matrix are the same alone and among
-    others. For a few matrices, numbers take a tenth of the time of arrays.
+    Numbers and arrays pass through the same operations, so that a matrix has the same values alone and among other
+    matrices. For a few matrices, numbers take a tenth of the time of arrays.
     """
     exponent = np.frexp(np.abs(A).max(axis=(1, 2), initial=0.0))[1]
-    scaled = np.ldexp(A, -exponent[:, None, None])  # exactly: a diagonal matrix keeps its entries
+    scaled = np.ldexp(A, -exponent[:, None, None])  # exact: a diagonal matrix keeps its entries
     squares = np.empty((len(A), 3))
     if len(A) > FEW:
         columns: list[Column] = [tuple(np.ascontiguousarray(scaled[:, :, j].T)) for j in range(3)]
@@ -109,7 +109,7 @@ def singular_values(A: Floats) -> Floats:
 
 
 def principal_axes(points: Floats) -> Floats:
-    """Find the directions in which points, shape (n, 3), extend from their mean: rows, the widest first."""
+    """Find the directions in which points, shape (n, 3), extend from their mean, as rows, the widest first."""
     off = points - points.mean(axis=0)
     x, y, z = np.ascontiguousarray((off / (float(np.abs(off).max()) or 1.0)).T)
     rows = [[float((a * b).sum()) for b in (x, y, z)] for a in (x, y, z)]
@@ -119,7 +119,7 @@ def principal_axes(points: Floats) -> Floats:
 
 
 def cholesky(A: Floats) -> Floats:
-    """Factor positive definite matrices, shape (N, 3, 3), as products of a lower triangular one and its transpose."""
+    """Factor positive definite matrices, shape (N, 3, 3), into a lower triangular matrix and its transpose."""
     L = np.zeros(A.shape)
     for k in range(3):
         for i in range(k, 3):
@@ -131,7 +131,7 @@ def cholesky(A: Floats) -> Floats:
 
 
 def _made_orthogonal(columns: list[Column], turn_of: Callable[[Any, Any, Any], tuple[Any, Any] | None]) -> list[Column]:
-    """Turn three columns until they are orthogonal; further entries are turned with the first three."""
+    """Turn three columns until they are orthogonal; entries after the first three turn with them."""
     for _ in range(MOST_SWEEPS):
         still = True
         for i, j in ((0, 1), (0, 2), (1, 2)):
@@ -151,7 +151,7 @@ def _dot(a: Column, b: Column) -> Any:
 
 
 def _turn(aa: float, bb: float, ab: float) -> tuple[float, float] | None:
-    """Return the cosine and sine of the turn that makes two columns orthogonal; None if they are."""
+    """Return the cosine and sine of the turn that makes two columns orthogonal; None if they already are."""
     if not abs(ab) > ORTHOGONAL * math.sqrt(aa) * math.sqrt(bb):
         return None
     apart, twice = bb - aa, 2.0 * ab
@@ -161,7 +161,7 @@ def _turn(aa: float, bb: float, ab: float) -> tuple[float, float] | None:
 
 
 def _turn_of_each(aa: Floats, bb: Floats, ab: Floats) -> tuple[Floats, Floats] | None:
-    """Do the same for many; the others are multiplied by 1 and 0."""
+    """Do the same for many pairs of columns; orthogonal pairs get the cosine 1 and the sine 0."""
     off = np.abs(ab) > ORTHOGONAL * np.sqrt(aa) * np.sqrt(bb)
     if not off.any():
         return None

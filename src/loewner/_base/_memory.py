@@ -1,7 +1,7 @@
 """How much memory a call may still use, within the limits of the machine, the process and its container.
 
-Requests that are too large are refused before anything is allocated: on most systems allocating more than the available
-memory succeeds, and this process or another one is killed when the memory is used.
+Requests that are too large are refused before any memory is allocated: on most systems, allocating more than the
+available memory succeeds, and this process or another process is killed when the memory is used.
 """
 
 import gc
@@ -16,14 +16,14 @@ import numpy as np
 from loewner._native import library
 from loewner.errors import MemoryLimitError
 
-# Reading the limits takes as long as filling a few hundred kilobytes, so requests below this [bytes] are not checked.
+# Smallest request that is checked [bytes], since reading the limits takes as long as filling a few hundred kilobytes.
 LOOK = 2**26
 
 # Libraries that a process loads on first use: kernels with OpenBLAS's buffers, and SciPy's hulls and linear programs.
 KERNELS, SCIPY = "compiled kernels", "SciPy"
 
 # Measured address space [bytes] of these libraries, with a reserve. The native library and OpenBLAS for the first body
-# took 38 MiB, and SciPy 148 MiB. Numba and its compiled code took 180 MiB, and then the rest of SciPy 45 MiB.
+# took 38 MiB, and SciPy 148 MiB. Numba and its compiled code took 180 MiB, and after them the rest of SciPy 45 MiB.
 LIBRARY = {KERNELS: 64 * 2**20, SCIPY: 192 * 2**20}
 NUMBA = {KERNELS: 256 * 2**20, SCIPY: 64 * 2**20}
 
@@ -49,28 +49,28 @@ def uncollected() -> Iterator[None]:
 
 
 def left(root: Path = _ROOT) -> tuple[int, str]:
-    """Available memory in bytes, and the limit that determines it, as words that follow the number.
+    """Available memory in bytes, and the limit that determines it, in words that follow the number in a message.
 
     Parameters
     ----------
     root : path
-        Folder of ``proc`` and ``sys``; tests use another one.
+        Folder that contains ``proc`` and ``sys``; tests use another folder.
     """
     return min([*_of_process(root), *_of_groups(root), *_of_machine(root)], default=(sys.maxsize, ""))
 
 
-_expected: set[str] = set()  # libraries that were found to fit, and are loaded by now
+_expected: set[str] = set()  # libraries that fitted, and are loaded by now
 
 
 def expect_place(*names: str) -> None:
-    """Refuse to load KERNELS or SCIPY, the first time in a process, if they would not fit.
+    """Refuse to load KERNELS or SCIPY for the first time in a process if they would not fit.
 
     SciPy, OpenBLAS and LLVM end the process, or leave a half-loaded module, when they run out of address space.
     """
     missing = [name for name in names if name not in _expected]
     if missing:
-        there, which = min(_of_process(_ROOT), default=(sys.maxsize, ""))  # little of it is ever used
-        there_is_room = there >= LIBRARY[KERNELS]  # to look for the library
+        there, which = min(_of_process(_ROOT), default=(sys.maxsize, ""))  # libraries use little of their space
+        there_is_room = there >= LIBRARY[KERNELS]  # enough to open the native library
         sizes = NUMBA if there_is_room and library.level() is None else LIBRARY
         wanted = sum(sizes[name] for name in missing)
         if there < wanted:
@@ -82,7 +82,7 @@ def expect_place(*names: str) -> None:
 
 
 def expect_left(needed: int, what: str) -> None:
-    """Refuse work on `what` whose arrays take at least `needed` bytes, if they would not fit."""
+    """Refuse work on `what` if its arrays, which take at least `needed` bytes, would not fit."""
     if needed >= LOOK:
         there, which = min(left(), (physical(), " in this machine"))
         if needed > there:
@@ -94,7 +94,7 @@ def expect_left(needed: int, what: str) -> None:
 def expect_room_for_blas(needed: int = 0) -> None:
     """Refuse to continue if hardly any address space is left beyond `needed` bytes.
 
-    On several threads OpenBLAS allocates a few more kilobytes in each call, and ends the process if this fails.
+    On several threads, OpenBLAS allocates a few more kilobytes in each call, and ends the process if this fails.
 
     Raises
     ------
@@ -108,7 +108,7 @@ def _of_process(root: Path) -> Iterator[tuple[int, str]]:
     """Address space and private memory left by `setrlimit`."""
     try:
         import resource
-    except ImportError:  # no such limits on this system
+    except ImportError:  # this system has no such limits
         return
     pages = (_text(root / "proc/self/statm") or "0 0 0 0 0 0 0").split()
     for name, column in (("RLIMIT_AS", 0), ("RLIMIT_DATA", 5)):
@@ -153,7 +153,7 @@ def _group_folders(root: Path) -> Iterator[tuple[Path, Path]]:
         if kind not in mine or (kind == "cgroup" and "memory" not in options.split(",")):
             continue
         top, path = root / mount.lstrip("/"), mine[kind]
-        # A container may see the host's path of its group, but only its own part of the tree.
+        # In a container, the path of a group may be the host's path, although only a part of the tree is visible.
         inside = path.relative_to(start) if path.is_relative_to(start) else PurePosixPath()
         folder = top / str(inside).lstrip("/")
         yield (folder if folder.is_dir() else top), top

@@ -1,7 +1,7 @@
-"""Read JSON and YAML as trees of places: keys occur once, kinds are checked, and faults name file, line and key.
+"""Read JSON and YAML as trees of places: keys occur once, kinds are checked, and errors name file, line and key.
 
 A file is read completely or refused, since a robot would drive into an obstacle that was skipped. Every key must
-therefore be known, and every fault is reported with its place.
+therefore be known, and every error is reported with its place.
 """
 
 from __future__ import annotations
@@ -24,21 +24,21 @@ from loewner.errors import FileError, InputError, MissingExtraError, installing
 # Largest number of keys that a message lists.
 LISTED = 30
 
-# Limits on a file: the depth of nested entries; and for YAML the number of entries, in which an alias counts at each
-# use. A scene of a hundred thousand boxes has half as many. Reading YAML takes a few seconds per megabyte.
+# Limits on a file: the depth of nested entries and, for YAML, the number of entries, where an alias counts at each use.
+# A scene of a hundred thousand boxes has half as many entries. Reading YAML takes a few seconds per megabyte.
 DEEPEST = 50
 MOST_ENTRIES = 2_000_000
 
-# YAML's tags for plain values, and for a mapping that takes its entries from another one unless it has its own.
+# YAML's tags for plain values, and for a key that adds another mapping's entries to a mapping.
 TAGS = tuple(f"tag:yaml.org,2002:{kind}" for kind in ("map", "seq", "str", "int", "float", "bool", "null", "timestamp"))
 MERGE = "tag:yaml.org,2002:merge"
 
-# A number in YAML: what versions 1.1 and 1.2 both read as decimal, and 1e-3, which 1.1 reads as text; and a whole
-# number that 1.1 reads as octal.
+# NUMBER matches decimal numbers that YAML 1.1 and 1.2 both read, and also numbers like 1e-3, which YAML 1.1 reads as
+# text; OCTAL matches integers that YAML 1.1 reads as octal.
 NUMBER = re.compile(r"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?", re.ASCII)
 OCTAL = re.compile(r"[-+]?0\d+", re.ASCII)
 
-# Tags of angles in ROS's parameters, and radians in their units.
+# Tags of angles in ROS parameter files, and the radians of one unit.
 ANGLES = {"!degrees": math.pi / 180, "!radians": 1.0}
 
 
@@ -62,7 +62,7 @@ class Node(ABC):
         """The keys that lead here, joined by "/"; empty at the top."""
         names: list[str] = []
         at: Node | None = self
-        while at is not None and at._above is not None:  # aliases of YAML lead deeper than recursion may go
+        while at is not None and at._above is not None:  # YAML's aliases may lead deeper than recursion can go
             names.append(f"[{at._name}]" if isinstance(at._name, int) else f"/{cut(at._name)}")
             at = at._above
         return cut_middle("".join(reversed(names)).removeprefix("/"))
@@ -144,7 +144,7 @@ class Node(ABC):
     def items(self, *lengths: int, names: str = "") -> list[Self]:
         """Return the places of a sequence, which has one of the given lengths, or any length if none is given.
 
-        Names of its entries are shown in messages.
+        Messages show the `names` of the entries.
         """
         wanted = f"a sequence of {' or '.join(map(str, lengths))}{names and f' ({names})'}" if lengths else "a sequence"
         entries = self.expect("sequence", wanted)
@@ -153,11 +153,11 @@ class Node(ABC):
         return [type(self)(self.file, raw, self, i) for i, raw in enumerate(entries)]
 
     def first(self) -> Self:
-        """Return the first place of a sequence that has some."""
+        """Return the first place of a sequence that is not empty."""
         return type(self)(self.file, self.expect("sequence", "a sequence")[0], self, 0)
 
     def finite(self, number: float) -> float:
-        """Check that a number read here is finite; NaN means that none could be read."""
+        """Check that a number read here is finite; NaN means that no number could be read."""
         if not math.isfinite(number):
             raise self.error(f"expected a finite number, found {self.described()}")
         return number
@@ -186,7 +186,7 @@ def some(names: Iterable[str]) -> str:
 
 
 def cut_middle(text: str) -> str:
-    """Shorten the keys that lead to a place to the first and the last."""
+    """Shorten the keys that lead to a place: keep the first and the last."""
     return text if len(text) <= 400 else f"{text[:200]} ... {text[-200:]}"
 
 
@@ -262,7 +262,7 @@ class JsonNode(Node):
 
 
 def read_json(data: str | bytes, file: Path, what: str) -> JsonNode:
-    """Read a file of JSON, in UTF-8, UTF-16 or UTF-32; a FileError names what, and the line if known."""
+    """Read a JSON file in UTF-8, UTF-16 or UTF-32; a FileError names the expected content, and the line if known."""
     try:
         text = data if isinstance(data, str) else data.decode(json.detect_encoding(data))
         return JsonNode(file, _json.parsed(text.removeprefix("\ufeff"), str(file)))
@@ -321,7 +321,7 @@ class YamlNode(Node):
         return value
 
     def number(self) -> float:
-        """Read a finite number, which must not be quoted, nor mean different numbers in YAML 1.1 and 1.2."""
+        """Read a finite number, which must not be quoted, or mean different numbers in YAML 1.1 and 1.2."""
         return self._number(self.expect("scalar", "a number"))
 
     def angle(self) -> float:
@@ -357,9 +357,9 @@ def yaml_package() -> Any:
 
 
 def read_yaml(data: bytes, file: Path, what: str, *, merges: bool = False) -> YamlNode:
-    """Read a file of YAML that contains one document; a FileError names the expected content, and the line if known.
+    """Read a YAML file that contains one document; a FileError names the expected content, and the line if known.
 
-    With `merges`, the key ``<<`` adds the entries of other mappings; otherwise it is an unknown key.
+    With `merges`, the key ``<<`` adds the entries of other mappings; without it, the key is unknown.
     """
     yaml = yaml_package()
     try:
@@ -387,8 +387,8 @@ def read_yaml(data: bytes, file: Path, what: str, *, merges: bool = False) -> Ya
 
 
 def _merge(top: YamlNode) -> None:
-    """Replace each key << by the entries of the mappings to which it leads; a mapping's own entries come first."""
-    # Parts come before the whole. An alias leads to the same node again, even from within it.
+    """Replace each key << with the entries of the mappings that it names; a mapping's own entries come first."""
+    # Parts come before the whole. An alias leads to its node again, even from within this node.
     order, waiting, seen = [], [(top.raw, False)], set()
     while waiting:
         node, entered = waiting.pop()
@@ -417,7 +417,7 @@ def _merge(top: YamlNode) -> None:
 
 @functools.cache
 def _loader() -> Any:
-    """Make the class that reads YAML, when PyYAML is first needed; nothing in a file is executed."""
+    """Make the class that reads YAML when PyYAML is first needed; nothing in a file is executed."""
     yaml = yaml_package()
     parent: Any = yaml.SafeLoader
 
@@ -439,8 +439,7 @@ def _loader() -> Any:
             node = super().compose_node(above, index)
             self.depth -= 1
             if isinstance(event, yaml.AliasEvent):
-                # Within the entries of an alias, a further alias counts as one entry: no part of a file is read any
-                # deeper.
+                # Within the entries of an alias, a further alias counts as one entry: files are not read more deeply.
                 self.entries = before + self.entries_of.get(event.anchor, 1)
             elif event.anchor is not None:
                 self.entries_of[event.anchor] = self.entries - before

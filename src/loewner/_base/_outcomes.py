@@ -1,4 +1,4 @@
-"""The outcome for each of many mesh files: done, or failed with a reason; used by the command line and clusters."""
+"""The outcome for each of many mesh files, done or failed with a reason, for the command line and for clusters."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from loewner._base._files import shown
 from loewner._base._plausible import told_to
 from loewner.errors import LoewnerError
 
-# A small body on which options are tried, so that a bad one is reported once and not for each of a thousand files.
+# A small body on which options are tried, so that a bad option is reported once, and not for each of a thousand files.
 TETRAHEDRON = (
     np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]),
     np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]),
@@ -20,7 +20,7 @@ TETRAHEDRON = (
 
 
 class Outcome(NamedTuple):
-    """The outcome for a mesh: done, skipped or failed, with the reason of a failure and any warnings."""
+    """The outcome for a mesh: done, skipped or failed, with the reason for a failure and any warnings."""
 
     status: str
     message: str = ""
@@ -28,7 +28,7 @@ class Outcome(NamedTuple):
 
 
 def outcome_of(mesh: Path, fit: Callable[[], Outcome]) -> Outcome:
-    """The result of `fit` with its warnings; errors become an outcome, and begin with the file's name."""
+    """The result of `fit` with its warnings; an error becomes an outcome whose message begins with the file's name."""
     warnings: list[str] = []
     try:
         with told_to(warnings):

@@ -18,34 +18,35 @@ import numpy as np
 from loewner._base._log import log
 from loewner._base._validate import Floats, Ints
 
-# Colours of bodies and curves, in turn, and of the verdicts in the order of their codes. They suit colour blindness,
-# and light and dark pages.
+# Colours of bodies and curves, used in turn, and of the verdicts in the order of their codes. Colour-blind people can
+# distinguish them, on light and dark pages.
 COLOURS = ("#4477aa", "#ddaa33", "#228833", "#cc6677", "#66ccee", "#aa3377", "#bbbbbb", "#ee7733")
-LINKS = COLOURS[0], "#77a0cc"  # links of a robot, in turn
+LINKS = COLOURS[0], "#77a0cc"  # for the links of a robot, used in turn
 VERDICT_COLOURS = ((34, 136, 51), (204, 51, 68), (221, 170, 51))
 VERDICT_NAMES = ("FREE", "COLLIDING", "AMBIGUOUS")
 
 # Size of a picture on the page [pixels], and its border.
 WIDTH, HEIGHT, BORDER = 400, 300, 6.0
 
-# A picture has up to two pixels for each pixel of the page, but fewer if all its triangles cover more pixels than this.
-# Beyond a number of triangles, each n-th triangle of a shape is drawn, and enlarged by this factor times sqrt(n).
+# A picture has up to two pixels for each pixel of the page, but fewer if all its triangles cover more than MOST_PIXELS.
+# With more than MOST_TRIANGLES, each n-th triangle of a shape is drawn, enlarged by the factor ENLARGED times sqrt(n).
 MOST_PIXELS, MOST_TRIANGLES, ENLARGED = 1.2e6, 40_000, 1.8
 
-# Largest PNG file; a larger one is drawn with half of its rows and columns.
+# Largest PNG file [bytes]; a larger picture is drawn with half of its rows and columns.
 MOST_BYTES = 40_000
 
-# A body of more than this length [m], and much larger than the others, is not drawn.
+# A body that is longer than this [m], and much longer than the other bodies, is not drawn.
 VAST = 100.0
 
 # Number of levels of brightness, and the lowest level.
 LEVELS, DARKEST = 20, 0.45
 
-# Largest numbers of curves or bodies with names in a picture, of bodies, and of bars in a row of verdicts; and the
-# number of points of a curve.
+# Largest numbers of named curves or bodies in a picture, of bodies, and of bars in a row of verdicts; and the number of
+# points of a curve.
 MOST_NAMES, MOST_BODIES, MOST_BARS, POINTS = 7, 1000, 200, 161
 
-# The directions to the right, down and towards the viewer, who is in front, to the right and above; and to the light.
+# The directions to the right, down, and towards the viewer, who is in front, to the right and above; and the direction
+# to the light.
 _TOWARDS = np.array([0.43, -0.66, 0.35])
 _TOWARDS /= np.linalg.norm(_TOWARDS)
 _RIGHT = np.cross([0.0, 0.0, 1.0], _TOWARDS) / np.linalg.norm(_TOWARDS[:2])
@@ -82,7 +83,7 @@ class Shape(NamedTuple):
         return float(np.ptp(self.corners, axis=(0, 1)).max())
 
     def thinned(self, step: int) -> Shape:
-        """Return every `step`-th triangle, enlarged, if there are many."""
+        """Return every `step`-th triangle, enlarged, if the shape has many triangles."""
         if step == 1 or len(self.corners) < MOST_TRIANGLES // 100:
             return self
         corners = self.corners[::step]
@@ -92,13 +93,13 @@ class Shape(NamedTuple):
 
 def escape(text: str) -> str:
     """Write text in HTML."""
-    import html  # a percent of the time of `import loewner`, which all classes with pictures wait for
+    import html  # not on top, since it would take a percent of the time of `import loewner`
 
     return html.escape(text)
 
 
 def pictured(draw: Callable[[Any], str]) -> Callable[[Any], str]:
-    """Make `_repr_html_` of a function that draws: it also shows the text, and nothing else if drawing fails."""
+    """Make `_repr_html_` from a function that draws: it shows text and picture, or the text alone if drawing fails."""
 
     @wraps(draw)
     def shown(thing: Any) -> str:
@@ -120,7 +121,7 @@ def _svg(width: float, height: float, inside: str) -> str:
 
 
 def legend(entries: Sequence[tuple[str, str]], more: str = "") -> str:
-    """Format names with their colours, and a last remark."""
+    """Format names with their colours, followed by a remark."""
     spots = " ".join(
         f'<span style="white-space:nowrap;margin-right:0.6em"><span style="color:{colour}">&#9632;</span> '
         f"{escape(name)}</span>"
@@ -138,14 +139,14 @@ def bodies(
     entries: Sequence[tuple[str, str]] = (),
     note: str = "",
 ) -> str:
-    """Draw shapes and, over them, the outlines of ellipsoids; below are a legend and the extent along the axes."""
+    """Draw shapes, the outlines of ellipsoids over them, and below a legend and the extent along the axes."""
     shapes = [shape for shape in shapes if len(shape.corners)]
     if not shapes:
         return legend(entries, note)
     shapes.sort(key=Shape.size)
     sizes = [shape.size() for shape in shapes]
     for k in range(1, len(sizes)):
-        if sizes[k] > max(VAST, 20.0 * sizes[k - 1]):  # a half-space, beside which all others are points
+        if sizes[k] > max(VAST, 20.0 * sizes[k - 1]):  # a half-space, beside which all other bodies would be points
             shapes, note = shapes[:k], f"{note}; bodies of {sizes[k]:.0f} m are not drawn"
             break
     step = 1 + sum(len(shape.corners) for shape in shapes) // MOST_TRIANGLES
@@ -187,9 +188,9 @@ def _outline(center: Floats, factor: Floats, line: str) -> str:
 
 
 def _thick(corners: Floats, radii: Floats, colour: Ints) -> tuple[Floats, Ints]:
-    """Replace points and segments that have balls around them by rectangles; return triangles, and palette entries.
+    """Replace points and segments that have balls around them with rectangles; return triangles and palette entries.
 
-    Coordinates are pixels of the page, the third one towards the viewer.
+    Coordinates are pixels of the page; the third coordinate points towards the viewer.
     """
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     lengths = np.linalg.norm(normals, axis=1)
@@ -208,13 +209,13 @@ def _thick(corners: Floats, radii: Floats, colour: Ints) -> tuple[Floats, Ints]:
         square[..., :2] += np.stack([-along - across, across - along, along + across, along - across], axis=1)
         corners = np.concatenate([corners[~thin], square[:, [0, 1, 2]], square[:, [0, 2, 3]]])
         colour = np.concatenate([colour[~thin], colour[thin], colour[thin]])
-        near = (a[:, 2] - a[:, 2].min()) / max(np.ptp(a[:, 2]), 1e-9)  # the brighter, the nearer
+        near = (a[:, 2] - a[:, 2].min()) / max(np.ptp(a[:, 2]), 1e-9)  # nearer ones are brighter
         light = np.concatenate([light[~thin], near, near])
     return corners, 1 + colour * LEVELS + np.rint(light.clip(0.0, 1.0) * (LEVELS - 1)).astype(np.int64)
 
 
 def _raster(corners: Floats, value: Ints, width: float, height: float) -> Any:
-    """Draw triangles into an image of palette entries: at each pixel the entry of the nearest triangle, or 0."""
+    """Draw triangles into an image of palette entries: each pixel has the entry of the nearest triangle, or 0."""
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     area = 0.5 * float(np.abs(normal[:, 2]).sum())
     ratio = next((r for r in (2.0, 1.0, 0.5) if area * r**2 <= MOST_PIXELS), 0.25)
@@ -227,7 +228,7 @@ def _raster(corners: Floats, value: Ints, width: float, height: float) -> Any:
     pixels = [middles[:, 1].astype(np.int64) * columns + middles[:, 0].astype(np.int64)]
     depths, values = [middles[:, 2]], [value[small]]
     corners, normal, low, high, value = (array[~small] for array in (corners, normal, low, high, value))
-    # Each row of pixels that a triangle crosses, from one edge to another.
+    # Find the pixels of a triangle in each row that it crosses, from one edge to another.
     owner, row = _ranges(low[:, 1], high[:, 1], rows)
     x, y = corners[owner, :, 0], corners[owner, :, 1]
     left, right = np.full(len(row), np.inf), np.full(len(row), -np.inf)
@@ -250,7 +251,7 @@ def _raster(corners: Floats, value: Ints, width: float, height: float) -> Any:
 
 
 def _ranges(low: Floats, high: Floats, most: int) -> tuple[Ints, Ints]:
-    """List the pixels below `most` whose middles are in each interval: the number of the interval, and the pixel."""
+    """List the pixels below `most` whose centers are in each interval: the index of the interval, and the pixel."""
     first, end = (np.ceil(np.clip(x, 0.0, most) - 0.5).astype(np.int64) for x in (low, high))
     counts = np.maximum(end - first, 0)
     owner = np.repeat(np.arange(len(first)), counts)
@@ -258,11 +259,11 @@ def _ranges(low: Floats, high: Floats, most: int) -> tuple[Ints, Ints]:
 
 
 def _png(image: Any, colours: Sequence[str]) -> bytes:
-    """Write an image of palette entries: transparent, then each colour at all levels of brightness."""
+    """Encode an image of palette entries: a transparent one, then each colour at all levels of brightness."""
     bright = np.linspace(DARKEST, 1.0, LEVELS)[:, None]
     shades = [np.rint(bright * np.frombuffer(bytes.fromhex(colour[1:]), dtype=np.uint8)) for colour in colours]
     palette = np.concatenate([np.zeros((1, 3)), *shades]).astype(np.uint8).tobytes()
-    rows = np.zeros((image.shape[0], image.shape[1] + 1), dtype=np.uint8)  # each begins with the number of its filter
+    rows = np.zeros((image.shape[0], image.shape[1] + 1), dtype=np.uint8)  # a row begins with its filter's number
     rows[:, 1:] = image
     head = struct.pack(">2I5B", image.shape[1], image.shape[0], 8, 3, 0, 0, 0)
     data = {b"IHDR": head, b"PLTE": palette, b"tRNS": b"\0", b"IDAT": zlib.compress(rows.tobytes(), 9), b"IEND": b""}
@@ -294,7 +295,7 @@ def curves(names: Sequence[str] | None, times: Floats, values: Floats) -> str:
 
 
 def verdicts(codes: Any, ends: Floats, label: str) -> str:
-    """Draw verdicts from each of n + 1 `ends` to the next, FREE ones lower; of many, the worst of several."""
+    """Draw verdicts as bars from each of n + 1 `ends` to the next, lower for FREE; if many, the worst of several."""
     starts = np.arange(0, len(codes), 1 + len(codes) // MOST_BARS)
     worst = np.maximum.reduceat(np.array([0, 2, 1])[codes], starts)  # COLLIDING is the worst
     left, wide, at = 4.0, WIDTH - 8.0, np.append(ends[starts], ends[-1])
@@ -311,7 +312,7 @@ def verdicts(codes: Any, ends: Floats, label: str) -> str:
 
 
 def shares(counts: Mapping[str, int]) -> str:
-    """Draw one bar with a part for each count; names begin with "free" or "colliding", and costly tests are opaque."""
+    """Draw a bar with a part for each count; names begin with "free" or "colliding", and costly tests are opaque."""
     at, parts, entries = 4.0, "", []
     for name, count in counts.items():
         alike = [other for other in counts if other[:4] == name[:4]]

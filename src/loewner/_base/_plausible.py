@@ -1,6 +1,6 @@
 """Warn once about values that are allowed but usually a mistake: degrees for radians, millimetres for metres.
 
-Thresholds are such that a warning is almost certainly right; if a value is intended, one line of text is the only
+With the chosen thresholds, a warning is almost certainly right; if a value is intended, one line of text is the only
 effect.
 """
 
@@ -14,29 +14,29 @@ import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
-# A rotation in a file is written within one turn; two turns leave a margin for any convention [rad].
+# Files give angles of rotations within one turn; two turns leave a margin for any convention [rad].
 LARGEST_RPY = 4 * math.pi
 
-# A joint between stops makes few turns, and limits in degrees of a joint that turns freely end at two turns; some files
-# write a thousand or more for no limit [rad].
+# A joint between stops makes few turns. Even if a joint turns freely, its limits in degrees are at most two turns. Some
+# files write a thousand or more for no limit [rad].
 LIMITS_IN_DEGREES = 4 * math.pi, 720.0
 
-# Joints of robots turn by less than eight turns a second; limits in degrees are between this and a few turns [rad/s].
+# Robot joints turn less than eight times per second; limits in degrees are between this and a few turns [rad/s].
 VELOCITY_IN_DEGREES = 50.0, 2000.0
 
-# Larger limits are programs' way to write none [rad or m]: 1e16, or the largest float.
+# Programs write larger limits for no limit [rad or m]: 1e16, or the largest float.
 FARTHEST_LIMIT = 1e6
 
-# Bodies and places that ask for another unit [m]: a hall in millimetres, a screw scaled twice by a thousandth.
+# Sizes and distances [m] beyond which a warning asks about the unit: a hall in millimetres, a screw scaled down twice.
 LARGEST_RADIUS, SMALLEST_RADIUS, LARGEST_DISTANCE = 1000.0, 1e-5, 2000.0
 
-# A robot's mesh of 50 m across is probably in millimetres, too.
+# A robot's mesh that is 50 m across is probably in millimetres, too.
 LARGEST_MESH_RADIUS = 25.0
 
-# Modules whose frames belong to a call of the library; `contextlib` wraps functions that contexts decorate.
+# Modules whose frames belong to a call of the library; `contextlib` wraps functions that are contexts.
 OF_THE_CALL = ("loewner", "contextlib")
 
-# A comment about units other than metres. The word "in" alone is an inch only where nothing follows.
+# A comment about units other than metres. The word "in" alone means inches only if nothing follows.
 _UNIT = re.compile(
     r"(?<![a-z])units?[\s:=\"'(]+(?:(?:is|are|in|of|length)[\s:=\"'(]+)*"
     r"(?:[mck]m|um|mils?|thou|ft|yd|(?:milli|centi|micro|kilo)met\w*|inch\w*|foot|feet|in(?=[\"')]?\s*$))(?![a-z])",
@@ -45,7 +45,7 @@ _UNIT = re.compile(
 
 
 class _Listener(threading.local):
-    """The calling thread's list for warnings; Python's own way to catch them affects all threads."""
+    """The calling thread's list for warnings; Python's own way to catch warnings affects all threads."""
 
     texts: list[str] | None = None
 
@@ -76,7 +76,7 @@ def warn(text: str) -> None:
 
 
 def doubt_about_size(radius: float, distance: float, largest: float = LARGEST_RADIUS) -> str:
-    """Why a body of this radius [m] at this distance from the origin [m] may be in another unit; empty if plausible."""
+    """Why a radius and a distance from the origin [m] of a body may be in another unit; empty if they are plausible."""
     if radius > largest:
         return f"lengths in metres, found a body {2 * radius:.3g} m across; is it in millimetres?"
     if 0 < radius < SMALLEST_RADIUS:
@@ -87,25 +87,25 @@ def doubt_about_size(radius: float, distance: float, largest: float = LARGEST_RA
 
 
 def doubt_about_unit(comments: str) -> str:
-    """Why lengths may be in another unit, by a file's comments, which no format defines; empty if plausible."""
+    """Why lengths may be in another unit according to comments in a file; empty if the comments name none."""
     found = _UNIT.search(comments)
     return f"lengths in metres, found {found[0]!r} in a comment, which is not read; give a scale" if found else ""
 
 
 def doubt_about_rpy(rpy: Sequence[float]) -> str:
-    """Why roll, pitch and yaw may be in degrees; empty if plausible."""
+    """Why roll, pitch and yaw may be in degrees; empty if they are plausible in radians."""
     most = max(abs(angle) for angle in rpy)
     return f"roll, pitch and yaw in radians, found {most:g}; is it in degrees?" if most > LARGEST_RPY else ""
 
 
 def doubt_about_limits(lower: float, upper: float) -> str:
-    """Why the limits of a revolute joint may be in degrees; empty if plausible."""
+    """Why the limits of a revolute joint may be in degrees; empty if they are plausible in radians."""
     least, most = LIMITS_IN_DEGREES
     doubtful = least < max(abs(lower), abs(upper)) <= most
     return f"limits in radians, found {lower:g} .. {upper:g}; are they in degrees?" if doubtful else ""
 
 
 def doubt_about_velocity(velocity: float) -> str:
-    """Why the velocity limit of a turning joint may be in degrees; empty if plausible."""
+    """Why the velocity limit of a turning joint may be in degrees; empty if it is plausible in radians."""
     least, most = VELOCITY_IN_DEGREES
     return f"radians per second, found {velocity:g}; is it in degrees?" if least < velocity <= most else ""

@@ -2,7 +2,7 @@
 
 import math
 
-NORMAL_QUANTILE = 1.959963984540054  # two-sided, 95 %
+NORMAL_QUANTILE = 1.959963984540054  # for two-sided intervals of 95 %
 
 
 def wilson(count: int, total: int) -> tuple[float, float]:
@@ -18,5 +18,5 @@ def wilson(count: int, total: int) -> tuple[float, float]:
     scale = 1.0 / (1.0 + z * z / total)
     middle = scale * (share + z * z / (2 * total))
     half = scale * z * math.sqrt(share * (1 - share) / total + z * z / (4 * total * total))
-    # For counts of 0 and all, one end is exactly 0 or 1; rounding must not put the share outside.
+    # For counts of 0 and `total`, one end is exactly 0 or 1; rounding must not put the proportion outside.
     return max(0.0, min(middle - half, share)), min(1.0, max(middle + half, share))

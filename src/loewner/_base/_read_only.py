@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 
 class KeepsReadOnly:
-    """A class with attributes that are read-only arrays, or tuples of them: checked once, and trusted from then on.
+    """A class with attributes that are read-only arrays, or tuples of them; they are checked once, and then trusted.
 
-    NumPy makes arrays writeable when it copies or unpickles them. Here the state of an object lists its read-only
-    arrays, and an object that is made from the state, by `copy` or `pickle`, protects them again.
+    NumPy makes arrays writeable when it copies or unpickles them. Here, the state of an object lists its read-only
+    arrays, and an object that `copy` or `pickle` makes from the state protects these arrays again.
     """
 
     def __getstate__(self) -> tuple[dict[str, Any], list[int]]:

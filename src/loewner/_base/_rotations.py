@@ -1,4 +1,4 @@
-"""Rotation matrices from the forms that users and files use: quaternions, and roll, pitch and yaw."""
+"""Rotation matrices from the forms in which users and files give rotations: quaternions, and roll, pitch and yaw."""
 
 import math
 from collections.abc import Sequence
@@ -11,17 +11,17 @@ from loewner._base._matrices import lengths
 from loewner._base._validate import Floats
 from loewner.errors import PoseError
 
-# Allowed deviation of a written quaternion from unit length: three digits are enough to type.
+# Allowed deviation of a written quaternion's length from 1, so that typing three digits is enough.
 QUATERNION_TOLERANCE = 1e-2
 
 
 def from_quaternion(wxyz: Sequence[float], name: str) -> Floats:
-    """Rotation of a unit quaternion, real part first, shape (3, 3); a length near 1 is normalised.
+    """Rotation of a unit quaternion, real part first, shape (3, 3); a quaternion of length near 1 is normalised.
 
     Raises
     ------
     PoseError
-        If the length is not within `QUATERNION_TOLERANCE` of 1.
+        If the quaternion's length is not within `QUATERNION_TOLERANCE` of 1.
     """
     length = math.sqrt(sum(x * x for x in wxyz))
     if not abs(length - 1) <= QUATERNION_TOLERANCE:
@@ -61,10 +61,10 @@ def from_rpy(roll: float, pitch: float, yaw: float) -> Floats:
 
 
 def to_rpy(R: Floats) -> tuple[float, float, float]:
-    """Roll, pitch and yaw of a rotation matrix, such that `from_rpy` restores it, also at gimbal lock."""
+    """Roll, pitch and yaw of a rotation matrix, from which `from_rpy` restores the matrix, also at gimbal lock."""
     yaw = _elementary.arctan2(R[1, 0], R[0, 0])
     s, c = _elementary.sin(yaw), _elementary.cos(yaw)
-    # The remaining rotation without the yaw, which is arbitrary if the pitch is a right angle.
+    # Roll and pitch follow from the rotation without the yaw, which is arbitrary if the pitch is a right angle.
     roll = _elementary.arctan2(s * R[0, 2] - c * R[1, 2], c * R[1, 1] - s * R[0, 1])
     return roll, _elementary.arctan2(-R[2, 0], c * R[0, 0] + s * R[1, 0]), yaw
 
@@ -73,7 +73,7 @@ def quaternions_of(rotations: Floats) -> Floats:
     """Unit quaternions, real part first, of rotation matrices of shape (..., 3, 3); also at half turns."""
     R = rotations.reshape(-1, 3, 3)
     diagonal, trace = R[:, [0, 1, 2], [0, 1, 2]], np.trace(R, axis1=1, axis2=2)
-    # Row k is the quaternion times four times its own entry k; the row with the largest such entry is well conditioned.
+    # Row k is the quaternion multiplied by four times its entry k; the row for the largest entry is well conditioned.
     rows = np.empty((len(R), 4, 4))
     rows[:, 0, 0] = 1.0 + trace
     rows[:, [1, 2, 3], [1, 2, 3]] = 1.0 + 2.0 * diagonal - trace[:, None]

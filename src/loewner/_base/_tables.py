@@ -15,18 +15,18 @@ from loewner.errors import FileError
 LINE_END, COMMENT = re.compile(r"\r\n|\r|\n"), re.compile("#[^\r\n]*")
 BLANK, CONTENT = re.compile(r"^[ \t]+(?=#|\r?$)", re.MULTILINE), re.compile(r"^[ \t]*[^#\s]", re.MULTILINE)
 
-# Before the header of a table, the time at which a trajectory starts, unless it is 0.
+# This precedes the time at which a trajectory starts, above the header of its table, unless the time is 0.
 STARTS = "# start_time: "
 
 
 def row(text: str, *, commas: bool | None = None) -> list[float]:
-    """Numbers of a line.
+    """Read the numbers of a line.
 
     Parameters
     ----------
     text : str
     commas : bool, optional
-        Whether commas separate the numbers, or spaces. Default: commas if there is one.
+        Whether commas, not spaces, separate the numbers. By default, commas do if the line contains one.
 
     Raises
     ------
@@ -47,14 +47,14 @@ def row(text: str, *, commas: bool | None = None) -> list[float]:
 
 
 def number(cell: str) -> float:
-    """The number in a cell; a ValueError describes any other content."""
+    """Read the number in a cell; a ValueError describes any other content."""
     if not cell:
         raise ValueError("expected a number in each cell, found an empty one")
     if len(cell.split()) > 1 or "," in cell:
         raise ValueError(
             f"expected numbers divided by commas or by spaces, not by both, and no decimal commas, found {short(cell)}"
         )
-    try:  # Python would accept "1_0" as ten, and digits of other scripts
+    try:  # Python would accept "1_0" as ten, as well as digits of other scripts
         if cell.isascii() and "_" not in cell:
             return float(cell)
     except ValueError:
@@ -63,7 +63,7 @@ def number(cell: str) -> float:
 
 
 def below(header: list[str], rows: list[list[str]]) -> Floats:
-    """Numbers of rows below a header, shape (rows, columns); a ValueError describes any other row."""
+    """Read the numbers of rows below a header, shape (rows, columns); a ValueError describes any other row."""
     for number_of_row, cells in enumerate(rows, 1):
         if len(cells) != len(header):
             raise ValueError(f"{len(cells)} cells in row {number_of_row} below a header of {len(header)}")
@@ -71,17 +71,17 @@ def below(header: list[str], rows: list[list[str]]) -> Floats:
 
 
 def table(data: bytes, name: str, *, commas: bool = False) -> Floats:
-    """Read lines that have equally many numbers; # begins a comment.
+    """Read lines that all have the same count of numbers; # begins a comment.
 
     Parameters
     ----------
     data : bytes
-        Contents of a whole file.
+        Contents of the whole file.
     name : str
         Name of the file, for messages.
     commas : bool
-        Whether commas separate the numbers in each line. If false, they do so only if some line has one; otherwise
-        spaces do.
+        Whether commas must separate the numbers. If false, commas separate them if any line contains a comma, and
+        spaces if no line does.
 
     Returns
     -------
@@ -90,7 +90,7 @@ def table(data: bytes, name: str, *, commas: bool = False) -> Floats:
     Raises
     ------
     FileError
-        If a line has an empty or malformed cell, or another length; the message gives the line.
+        If a line has an empty or malformed cell, or a different count of numbers; the message gives the line.
     """
     try:
         text = data.decode("ascii")
@@ -108,7 +108,7 @@ def table(data: bytes, name: str, *, commas: bool = False) -> Floats:
 
 
 def _refuse_lines(text: str, name: str, commas: bool) -> None:
-    """Refuse the first line that is not a row of numbers, or has another length than the first row."""
+    """Refuse the first line that is not a row of numbers, or has a different count of numbers than the first row."""
     length = 0
     for number, line in enumerate(LINE_END.split(text), 1):
         content = line.partition("#")[0]
@@ -122,7 +122,7 @@ def _refuse_lines(text: str, name: str, commas: bool) -> None:
 
 
 def written(header: list[str], rows: Floats, start_time: float, flags: list[int] | None = None) -> str:
-    """Write rows below a header, in full precision, with a last column of `flags` if there are some."""
+    """Write rows below a header, in full precision, with a last column of `flags` if given."""
     out = io.StringIO()
     if start_time:
         out.write(f"{STARTS}{start_time!r}\n")
@@ -135,6 +135,6 @@ def written(header: list[str], rows: Floats, start_time: float, flags: list[int]
 
 
 def start_of(text: str) -> tuple[float, str]:
-    """Split a table into its start time and the lines behind it."""
+    """Split a table into its start time and the lines that follow."""
     first, _, rest = text.partition("\n")
     return (float(first.removeprefix(STARTS)), rest) if first.startswith(STARTS) else (0.0, text)

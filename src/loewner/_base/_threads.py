@@ -1,8 +1,8 @@
 """Divide work among several threads, for code that runs outside the interpreter lock: kernels and Qhull.
 
 This module has its own threads instead of Numba's: a parallel loop takes several times as long to compile as a plain
-one, and Numba's default threading layer aborts the process when two of a caller's threads enter it at once. The number
-of threads is also a separate setting for each calling thread.
+loop, and Numba's default threading layer aborts the process when two of a caller's threads enter it at once. Each
+calling thread also has its own setting for the number of threads.
 
 Only the main thread is interrupted, possibly at any line, so it keeps no counts on which other threads depend.
 """
@@ -22,21 +22,20 @@ from loewner._base._validate import whole_number
 
 T = TypeVar("T")
 
-# Number of `least` items that a single thread takes at a time: each share starts with cold caches, but the user must be
-# able to interrupt.
+# A single thread takes shares of ALONE times `least` items: each share starts with cold caches, but the user must be
+# able to interrupt between shares.
 ALONE = 16
 
-# Target duration of a share [s]: an interrupt is noticed between two shares, and waiting for the last one must be
-# short.
+# Target duration of a share [s]: interrupts are noticed between shares, and waiting for the last share must be short.
 LONG = 0.1
 
 
-# Limit on the threads of one call: more are probably a mistake, and each takes memory for its stack.
+# Largest number of threads of one call: more are probably a mistake, and each thread takes memory for its stack.
 MOST_THREADS = 1024
 
 
 class _Setting(threading.local):
-    """The calling thread's setting; it is read without a lock, so an interrupt cannot leave one locked."""
+    """The calling thread's setting, which is read without a lock, so that an interrupt cannot leave a lock closed."""
 
     count: int | None = None
 
@@ -48,13 +47,13 @@ _setting = _Setting()
 def set_num_threads(n: int) -> None:
     """Set how many threads the calls of this thread may use; the settings of other threads do not change.
 
-    A batch is divided among at most this number of threads, including the calling thread; small batches stay on that
-    thread. Answers do not depend on the number.
+    A batch is divided among at most `n` threads, including the calling thread; small batches stay on the calling
+    thread. Answers do not depend on the number of threads.
 
     Parameters
     ----------
     n : int
-        From 1 to 1024. It may exceed the number of processors.
+        Number of threads, from 1 to 1024; it may exceed the number of processors.
 
     Raises
     ------
@@ -81,14 +80,14 @@ def set_num_threads(n: int) -> None:
 def get_num_threads() -> int:
     """Return the number of threads that calls of this thread may use.
 
-    It is the number set by `set_num_threads` on this thread, else the environment variable ``LOEWNER_NUM_THREADS``,
-    else ``NUMBA_NUM_THREADS`` if that is a valid number, else the number of processors that this process may use. The
-    environment is read once, at the first call that needs the number.
+    This is the number that `set_num_threads` has set on this thread. If it has set none, the environment variable
+    ``LOEWNER_NUM_THREADS`` gives the number, or else ``NUMBA_NUM_THREADS`` if it is a valid number, or else the number
+    of processors that this process may use. The environment is read once, at the first call that needs the number.
 
     Returns
     -------
     int
-        At least 1.
+        The number of threads, at least 1.
 
     Raises
     ------
@@ -118,7 +117,7 @@ def at_most(n: int) -> Iterator[None]:
 
 @cache
 def _of_process() -> int:
-    """Number of threads for a thread that has set none."""
+    """Number of threads for calling threads that have set no number."""
     ours = os.environ.get("LOEWNER_NUM_THREADS")
     if ours is not None:
         return whole_number(_integer(ours), "LOEWNER_NUM_THREADS", 1, MOST_THREADS)
@@ -143,7 +142,7 @@ def processors() -> int:
 
 
 def share(total: int, least: int) -> int:
-    """Largest number of items per share, at least `least`: each thread takes a few shares, so the last one is short."""
+    """Largest number of items per share, at least `least`; each thread takes a few, so that the last one is short."""
     threads = get_num_threads()
     return ALONE * least if threads == 1 else max(least, -(-total // (4 * threads)))
 
@@ -159,9 +158,9 @@ def in_shares(
 ) -> list[T]:
     """Return the results of run(first, last) over shares of 0..total, in order; up to `least` items run on this thread.
 
-    This thread takes shares like the others, since waiting for a thread to wake up costs as much as 1,000 pairs. Shares
-    begin with `least` items and grow to `most` (see `share`), or shrink, until their duration is right; progress(done,
-    total) receives the count. When this returns or raises, no thread is still running.
+    The calling thread also takes shares, since waiting for a thread to wake up costs as much as 1,000 pairs. Shares
+    begin with `least` items, and grow to `most` (see `share`) or shrink until their duration is right.
+    ``progress(done, total)`` receives the count of items. When the call returns or raises, no thread is running.
     """
     if total <= least:
         results = [run(0, total)]
@@ -174,7 +173,7 @@ def in_shares(
             finally:
                 interrupts: list[BaseException] = []
                 while True:
-                    try:  # immediately, without a call before it: an interrupt here must not leave a thread running
+                    try:  # no call may precede this, since an interrupt must not leave a thread running
                         work.close()
                         break
                     except BaseException as error:
@@ -200,7 +199,7 @@ class _Work(Generic[T]):
         self._closed = False
         self._helping = 0
         self._left: SimpleQueue[None] = SimpleQueue()  # one entry for each helper that has finished
-        self._errors: dict[int, BaseException] = {}  # likewise
+        self._errors: dict[int, BaseException] = {}  # by first item
 
     def take(self, progress: Callable[[int, int], None] | None = None) -> None:
         """Run shares until none are left."""
@@ -240,10 +239,10 @@ class _Work(Generic[T]):
             self._left.get()
 
     def in_order(self) -> list[T]:
-        """Return all results, or raise an interrupt if there was one, or else the error with the lowest item number."""
+        """Return all results, or raise the interrupt if one occurred, or else the error with the lowest item number."""
         if self._errors:
-            # All shares before the first failed one were begun earlier and are done, so this error does not depend on
-            # the threads.
+            # All shares before the first failed share were begun earlier and are done, so this error does not depend
+            # on the threads.
             errors = [self._errors[first] for first in sorted(self._errors)]
             chosen = next((k for k, error in enumerate(errors) if not isinstance(meant(error), Exception)), 0)
             raise errors.pop(chosen)
@@ -252,8 +251,8 @@ class _Work(Generic[T]):
     def forget_errors(self) -> None:
         """Break the cycle of an error and its traceback, which contains frames that refer to this object.
 
-        Otherwise the frames of all callers, with their arrays, would live until the next garbage collection. Python
-        drops an interrupt that occurs in a finalizer, so the collector should find little to finalize.
+        In such a cycle, the frames of all callers, with their arrays, would live until the next garbage collection.
+        Python drops an interrupt that occurs in a finalizer, so the collector should find little to finalize.
         """
         self._errors.clear()
 
@@ -285,13 +284,13 @@ if hasattr(os, "register_at_fork"):
 def _lend_a_hand(task: Callable[[], None], times: int) -> None:
     """Run a task on the given number of other threads, or on fewer if no more can be started."""
     helpers = _helpers
-    # Without a lock: a signal's handler may request threads while this thread starts one, and would wait for itself.
-    # Two simultaneous callers may start more threads than needed, which then idle.
+    # Use no lock: a signal's handler may request threads while this thread starts one, and would wait for itself. Two
+    # simultaneous callers may start more threads than needed; the surplus threads are idle.
     while len(helpers.started) < times:
         thread = threading.Thread(target=helpers.serve, name="loewner", daemon=True)
         try:
             thread.start()
-        except RuntimeError:  # no memory for its stack: the existing threads suffice
+        except RuntimeError:  # no memory for its stack; the existing threads suffice
             times = len(helpers.started)
             break
         helpers.started.append(thread)

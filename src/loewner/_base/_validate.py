@@ -1,7 +1,7 @@
-"""Input validation: array-likes in, checked C-order float64 arrays out, and types shared by signatures.
+"""Validate input: turn array-likes into checked float64 arrays in C order; and define types that signatures share.
 
-Returned arrays are finite float64 in C order. Poses are not always rigid: `one_pose` and ``poses(check=False)`` leave
-their entries to the kernels, which read them anyway and report a bad one.
+Returned arrays are finite float64 in C order. Poses are not always rigid: ``poses(check=False)`` leaves the entries to
+the kernels, which read them anyway and report a bad pose.
 """
 
 import math
@@ -26,14 +26,14 @@ Ints = NDArray[np.int64]
 
 Bools = NDArray[np.bool_]
 
-# One value or an array, depending on an argument's number of axes, which its type does not show.
+# One value or an array, depending on an argument's number of axes, which the argument's type does not show.
 FloatOrFloats = float | Floats
 BoolOrBools = bool | Bools
 
-# Likewise, for results that a type checker should accept as either.
+# One value or an array, for results that a type checker should accept as either.
 OneOrMany = Any
 
-# The values of a dict of names; a class of ours.
+# The type of the values in a `Named`, and a class of this library.
 Entry = TypeVar("Entry")
 Kind = TypeVar("Kind")
 
@@ -43,23 +43,23 @@ Pair = tuple[str, str]
 # A callback progress(done, total).
 Progress = Callable[[int, int], None]
 
-# Largest number of names that the message about an unknown one lists.
+# Largest number of names that a message about an unknown name lists.
 LISTED = 30
 
-# Largest count: no array can hold more.
+# Largest count; no array can have more entries.
 LARGEST_INTEGER = 2**63 - 1
 # Bits of a seed of random numbers, as for NumPy's own seeds.
 LARGEST_SEED = 2**128 - 1
 
 # Largest number of characters of a value that a message shows.
 LONGEST = 120
-# Largest array that the repr of a result writes out, in entries.
+# Largest number of entries of an array that the repr of a result writes out.
 FEW = 6
 
-# Nesting of lists that is looked through for quantities; NumPy has no more axes.
+# Depth to which nested lists are searched for quantities; NumPy's arrays have at most this many axes.
 MOST_AXES = 64
 
-IDENTITY: Floats = np.eye(4)  # writable: for Numba a read-only array is another type, which needs another compilation
+IDENTITY: Floats = np.eye(4)  # writable, since Numba would compile kernels again for the type of read-only arrays
 
 
 def float_array(x: ArrayLike, name: str) -> Floats:
@@ -75,7 +75,7 @@ def float_array(x: ArrayLike, name: str) -> Floats:
         return _numbers(array, name)
     if array.dtype.kind not in "fiu":
         raise InputError(f"{name}: expected real numbers, found dtype {array.dtype}")
-    with np.errstate(over="ignore"):  # a longdouble may overflow to inf, which is reported as such
+    with np.errstate(over="ignore"):  # a longdouble may overflow to inf, which the error reports
         return array.astype(np.float64, order="C")
 
 
@@ -93,20 +93,20 @@ def integer_array(x: ArrayLike, name: str) -> Ints:
 
 
 def plain_array(x: ArrayLike, name: str) -> NDArray[Any]:
-    """An array of the entries of `x`, of any type; masked entries, which mean missing numbers, are refused."""
+    """Make an array of the entries of `x`, of any type; refuse masked entries, which represent missing numbers."""
     if isinstance(x, (np.ma.MaskedArray, list, tuple)):
         for part in x if isinstance(x, (list, tuple)) else (x,):
             if isinstance(part, np.ma.MaskedArray) and np.ma.is_masked(part):
                 raise InputError(f"{name}: expected numbers only, found masked entries")
     if type(x) is not np.ndarray:
         _refuse_quantity(x, name)
-    if isinstance(x, (str, bytes, bytearray)):  # NumPy would convert the last one to an array of its bytes
+    if isinstance(x, (str, bytes, bytearray)):  # NumPy would convert a bytearray to an array of its bytes
         raise InputError(f"{name}: expected an array of numbers, found {short(x)}")
     try:
         return np.asarray(x)
     except MemoryError:
         raise
-    except Exception as error:  # ragged, or the caller's object fails to convert itself to an array
+    except Exception as error:  # the array is ragged, or the caller's object fails to convert itself to an array
         what = "a ragged sequence" if isinstance(x, (list, tuple)) else type(x).__name__
         raise InputError(
             f"{name}: expected an array of numbers, found {what} ({type(error).__name__}: {error})"
@@ -114,7 +114,7 @@ def plain_array(x: ArrayLike, name: str) -> NDArray[Any]:
 
 
 def _refuse_quantity(x: Any, name: str) -> None:
-    """Refuse numbers with a unit, as astropy, pint and xarray have them; the first entry of a list decides."""
+    """Refuse numbers with a unit, such as astropy, pint and xarray have; for a list, the first entry decides."""
     for _ in range(MOST_AXES):
         if not (isinstance(x, (list, tuple)) and x):
             break
@@ -122,7 +122,7 @@ def _refuse_quantity(x: Any, name: str) -> None:
     if type(x) in (np.ndarray, list, tuple, float, int, str):
         return
     try:
-        # A table may have a column of that name, which is no unit.
+        # A table may have a column of that name, which is not a unit.
         units = (getattr(x, key, None) for key in ("unit", "units"))
         stated = [
             str(unit) for unit in units if isinstance(unit, str) or not (callable(unit) or hasattr(unit, "__len__"))
@@ -163,7 +163,7 @@ def finite_array(x: ArrayLike, name: str, shape: tuple[int | None | str, ...]) -
     ----------
     x : array_like
     name : str
-        The caller's name for it, for the message.
+        The caller's name for `x`, for the message.
     shape : tuple
         Expected shape; ``None`` or a letter matches any length, a leading ``"..."`` any batch shape.
 
@@ -197,14 +197,14 @@ def real(x: Any, name: str, *, least: str = "") -> float:
         An int or a float, of Python or NumPy; an array without axes; or an object that converts itself to a float, such
         as a Fraction, a Decimal or a tensor. Booleans and numbers in text are refused.
     name : str
-        The caller's name for it, for the message.
+        The caller's name for `x`, for the message.
     least : str
-        Continuation of the message about the expected number; the caller checks this condition.
+        Words that follow "a finite number" in the message, about a condition that the caller checks.
 
     Raises
     ------
     InputError
-        If `x` is not a number, or is not finite, or exceeds the range of a float.
+        If `x` is not a number, is not finite, or exceeds the range of a float.
     """
     _refuse_quantity(x, name)
     if isinstance(x, (bool, np.bool_, str, bytes, bytearray)) or not _maybe_a_number(x):
@@ -228,7 +228,7 @@ def _maybe_a_number(x: Any) -> bool:
 
 
 def positive_scalar(x: Any, name: str, *, zero: bool = False) -> float:
-    """Check a finite number above zero (or not below it, with `zero`); see `real` for the accepted types."""
+    """Check a finite number above zero (with `zero`, at least zero); see `real` for the accepted types."""
     if type(x) is float and (0.0 < x < math.inf or (zero and x == 0.0)):  # a fast path for the usual case
         return x
     least = " >= 0" if zero else " > 0"
@@ -242,7 +242,7 @@ def whole_number(x: Any, name: str, least: int, most: int = LARGEST_INTEGER) -> 
     """Check an integer from `least` to `most`; a boolean is refused."""
     try:
         value = least - 1 if isinstance(x, bool) or np.ma.is_masked(x) else operator.index(x)
-    except Exception:  # a TypeError, or an error from the caller's object
+    except Exception:  # a TypeError, or an error that the caller's object raised
         value = least - 1
     if value < least:
         raise InputError(f"{name}: expected an integer >= {least}, found {short(x)}")
@@ -252,7 +252,7 @@ def whole_number(x: Any, name: str, least: int, most: int = LARGEST_INTEGER) -> 
 
 
 def instance(x: Any, name: str, kind: type[Kind], home: str = "loewner") -> Kind:
-    """Check that `x` is of one of our classes, which `home` makes public."""
+    """Check that `x` is an instance of a class that the module `home` makes public."""
     if isinstance(x, kind):
         return x
     raise InputError(f"{name}: expected {home}.{kind.__name__}, found {type(x).__name__}")
@@ -269,25 +269,25 @@ def flag(x: Any, name: str) -> bool:
 
 def choice(x: Any, name: str, known: Collection[str]) -> str:
     """Check that `x` is one of the `known` names."""
-    if isinstance(x, str) and x in known:  # first, since arrays compare by entries, and lists have no hash
+    if isinstance(x, str) and x in known:  # check the type first: arrays compare by entries, and lists have no hash
         return x
     raise UnknownNameError(f"{name}: expected one of {', '.join(known)}, found {short(x)}")
 
 
 def listed(x: Any, name: str, *, wanted: str = "a list") -> list[Any]:
-    """Check an iterable and iterate over it once; text is not accepted as a list of its letters."""
+    """Check an iterable and return its items as a list; text is not accepted as a list of its letters."""
     if isinstance(x, (str, bytes, bytearray)):
         raise InputError(f"{name}: expected {wanted}, found one text, {short(x)}")
     try:
         return list(x)
     except MemoryError:
         raise
-    except Exception:  # not iterable, or an error from the caller's object
+    except Exception:  # the object is not iterable, or raised an error
         raise InputError(f"{name}: expected {wanted}, found {short(x)}") from None
 
 
 def group_or_names(x: Any, name: str) -> Any:
-    """Return the name of a group, or None, as it is, and other names as a list, since an iterable may end."""
+    """Return the name of a group, or None, unchanged, and other names as a list, since an iterator can end."""
     return x if x is None or isinstance(x, str) else listed(x, name)
 
 
@@ -299,7 +299,7 @@ def callback(x: Any, name: str) -> Any:
 
 
 def broadcast(shapes: dict[str, tuple[int, ...]]) -> tuple[int, ...]:
-    """Shape to which batch shapes broadcast; the error names shapes that do not broadcast."""
+    """The shape to which batch shapes broadcast; an error names shapes that do not broadcast."""
     try:
         return np.broadcast_shapes(*shapes.values())
     except ValueError:
@@ -308,7 +308,7 @@ def broadcast(shapes: dict[str, tuple[int, ...]]) -> tuple[int, ...]:
 
 
 def positive_array(x: ArrayLike, name: str, shape: tuple[int | None | str, ...]) -> Floats:
-    """Check shape, and that all numbers are finite and above zero."""
+    """Check the shape, and that all numbers are finite and above zero."""
     array = finite_array(x, name, shape)
     if not (array > 0).all():
         where = tuple(int(i) for i in np.argwhere(~(array > 0))[0])
@@ -317,7 +317,7 @@ def positive_array(x: ArrayLike, name: str, shape: tuple[int | None | str, ...])
 
 
 def positive_lengths(x: ArrayLike, name: str, shape: tuple[int, ...]) -> Floats:
-    """Check numbers above zero whose shape broadcasts to `shape` from its last axes."""
+    """Check numbers above zero whose shape broadcasts to `shape`, aligned at the last axes."""
     array = float_array(x, name)
     if array.ndim > len(shape) or array.shape != shape[len(shape) - array.ndim :]:
         raise InputError(
@@ -340,7 +340,7 @@ def poses(T: ArrayLike | None, name: str, *, check: bool = True) -> Floats:
     T : array_like, shape (..., 4, 4), or None
         Homogeneous matrices; ``None`` is the identity.
     check : bool
-        False leaves the check of the entries to the kernels, which read them anyway.
+        Whether to check the entries here; False leaves this check to the kernels, which read the entries anyway.
 
     Raises
     ------
@@ -357,7 +357,7 @@ def poses(T: ArrayLike | None, name: str, *, check: bool = True) -> Floats:
     if array.shape[-2:] != (4, 4):
         cure = "; T = np.eye(4), T[:3, :3] = rotation, T[:3, 3] = translation makes one"
         raise PoseError(f"{name}: expected shape (..., 4, 4), found {shape_text(array.shape)}{cure}")
-    if not array.flags.carray:  # read-only arrays are another type to Numba, see above
+    if not array.flags.carray:  # to Numba, read-only arrays are of another type; see IDENTITY
         array = array.copy()
     if check:
         rigid_motions(array, name)
@@ -397,7 +397,7 @@ def path(x: Any, name: str, *, wanted: str = "the path of a file") -> Path:
     ----------
     x : str or os.PathLike of str
     name : str
-        The caller's name for it, for the message.
+        The caller's name for `x`, for the message.
     wanted : str
         Description of the expected file, for the message.
 
@@ -424,17 +424,17 @@ def path(x: Any, name: str, *, wanted: str = "the path of a file") -> Path:
 
 
 def short(x: Any) -> str:
-    """A value as shown in messages: its `repr`, cut if it is long, or its type if it has none."""
+    """A value as shown in messages: its `repr`, cut if it is long, or its type if its `repr` fails."""
     try:
         text = repr(x)
-    except Exception:  # the caller's object, or an integer with more digits than Python writes
+    except Exception:  # from the caller's object, or from an integer with more digits than Python writes
         text = f"{type(x).__name__}, which cannot be shown"
     return text if len(text) <= LONGEST else f"{text[: LONGEST - 20]} ... ({type(x).__name__})"
 
 
 def unknown_name(what: str, name: Any, known: Iterable[str]) -> UnknownNameError:
-    """Make the error about a name that is not among the `known` ones, which it lists, nearest first."""
-    import difflib  # for this message only
+    """Make the error about an unknown name; the message lists the `known` names, and suggests the most similar name."""
+    import difflib  # only this message needs it
 
     listed = list(known)
     nearest = difflib.get_close_matches(name, listed, n=1) if isinstance(name, str) else []
@@ -446,7 +446,7 @@ def unknown_name(what: str, name: Any, known: Iterable[str]) -> UnknownNameError
 
 
 def known(x: Any, what: str, names: Collection[str]) -> str:
-    """Check that `x` is one of many names; the error lists the nearest ones."""
+    """Check that `x` is one of many names; the error suggests the most similar name."""
     if isinstance(x, str) and x in names:
         return x
     raise unknown_name(what, x, names)
@@ -480,7 +480,7 @@ class Brief:
 
 
 def fits_memory(needed: int, what: str) -> None:
-    """Refuse results of `needed` bytes that exceed the machine's memory or a limit on this process."""
+    """Refuse results of `needed` bytes if they exceed the machine's memory or a limit on this process."""
     there, which = physical_memory(), ""
     if needed >= _memory.LOOK:
         there, which = min((there, which), _memory.left())

@@ -1,4 +1,4 @@
-"""Memory to which kernels write: each thread has its own, and reuses it for the next query."""
+"""Memory to which kernels write: each thread has its own memory, and reuses it for the next query."""
 
 import threading
 
@@ -18,8 +18,8 @@ class Memory:
 
 class _Own(threading.local):
     def __init__(self) -> None:
-        # All blocks made so far, the largest last. A signal handler may request more between another query's lookup and
-        # its use, so no block is freed before the thread ends; together they are at most twice the largest.
+        # All blocks so far, the largest last. No block is freed before the thread ends, since a signal handler may
+        # request a larger block while a query uses its own. All blocks together are at most twice the largest.
         self.made = [Memory(0)]
 
 
@@ -27,7 +27,7 @@ _own = _Own()
 
 
 def workspace(size: int) -> int:
-    """Address of at least `size` bytes that belong to this thread until it ends; the next caller overwrites them."""
+    """Address of at least `size` bytes, which belong to this thread until it ends; the next query overwrites them."""
     memory = _own.made[-1]
     if memory.size < size:
         memory = Memory(max(size, 2 * memory.size))

@@ -13,8 +13,8 @@ from loewner._base._memory import uncollected
 
 E = TypeVar("E", bound="Element")
 
-# Python's expat decodes no encoding that has characters of several bytes, except Unicode's. These are names of Python's
-# codecs; other codecs can do more than decode, and stay with expat.
+# Python's expat decodes no encodings with characters of several bytes, except Unicode's. Python's codecs have these
+# names for such encodings. All other names are left to expat, since some codecs do more than decode.
 _MULTIBYTE = frozenset(
     ["gb2312", "gbk", "gb18030", "big5", "cp950", "shift_jis", "cp932", "euc_jp", "iso2022_jp", "euc_kr", "cp949"]
 )
@@ -22,12 +22,12 @@ _DECLARED = re.compile(rb"""<\?xml\s[^>]*?\sencoding\s*=\s*["']([A-Za-z][A-Za-z0
 
 
 class XmlError(ValueError):
-    """A file is no XML, or has something that its reader excludes; the message has the expected and found content.
+    """A file is not XML, or has content that its reader excludes; the message has the expected and the found content.
 
     Attributes
     ----------
     line : int
-        The line in which it was found.
+        The line of the content that was found.
     """
 
     def __init__(self, expected: str, found: str, line: int) -> None:
@@ -41,13 +41,13 @@ class Element:
     Attributes
     ----------
     tag : str
-        Name, with its prefix, or without its namespace if the parser takes the namespaces off.
+        Name with its prefix, or without its prefix if the parser strips namespaces.
     namespace : str
-        Address to which the prefix is bound at this place, or the default one; empty if there is none.
+        Address to which the prefix is bound at this place, or the default namespace; empty if neither exists.
     attributes : dict of str to str
     children : list of Element
     texts : list of str
-        Text outside the children, in pieces; empty unless the parser keeps texts.
+        Pieces of text outside the children; empty unless the parser keeps texts.
     line : int
         Line of the file in which the element begins.
     """
@@ -58,7 +58,7 @@ class Element:
         self.tag, self.attributes, self.line, self.namespace = tag, attributes, line, namespace
         self.children: list[Self] = []
         self.texts: list[str] = []
-        self._asked: set[str] | None = None  # tags, and names of attributes after "@"; made when it is first needed
+        self._asked: set[str] | None = None  # tags, and "@" with names of attributes; made when first needed
 
     def all(self, tag: str) -> list[Self]:
         """Return the children with this tag."""
@@ -68,14 +68,14 @@ class Element:
         return [child for child in self.children if child.tag == tag]
 
     def one(self, tag: str) -> Self | None:
-        """Return the child with this tag, or None; two are an error."""
+        """Return the child with this tag, or None; two such children are an error."""
         found = self.all(tag)
         if len(found) > 1:
             found[1].fault(f"one <{tag}> in <{self.tag}>", f"another one in line {found[0].line}")
         return found[0] if found else None
 
     def the(self, tag: str) -> Self:
-        """Return the child with this tag; none, and two, are an error."""
+        """Return the only child with this tag; an error if there is none, or more than one."""
         found = self.one(tag)
         if found is None:
             self.fault(f"a <{tag}> in <{self.tag}>", "none")
@@ -89,34 +89,34 @@ class Element:
         return self.attributes.get(name)
 
     def fault(self, expected: str, found: str) -> NoReturn:
-        """Raise an error about this element; readers replace it by one that raises their own."""
+        """Raise an error about this element; readers override this method to raise errors of their own."""
         raise XmlError(expected, found, self.line)
 
     def disown(self, *names: str) -> None:
-        """Mark parts as unread again: tags, and names of attributes after "@"."""
+        """Mark parts as unread again: tags, and "@" with names of attributes."""
         if self._asked is not None:
             self._asked.difference_update(names)
 
     def unread(
         self, harmless: Mapping[str, AbstractSet[str]], telling: AbstractSet[str] = frozenset()
     ) -> Iterator[tuple[Self, str]]:
-        """Yield the elements, attributes and texts in this one that were never requested, in the order of the file.
+        """Yield the elements, attributes and texts in this element that were never requested, in the file's order.
 
         Parameters
         ----------
         harmless : mapping of str to set of str
-            By the tag of an element: tags of children, and names of attributes after "@", that may be passed over.
-            Nothing inside such children is reported. A tag may end in "*": inside of such a child, elements that are
-            `telling` and have children are reported.
+            Maps the tag of an element to parts that may be ignored: tags of children, and "@" with names of attributes.
+            Nothing inside such children is reported. If a tag ends in "*", however, elements inside such children are
+            reported if they are `telling` and have children.
         telling : set of str, optional
-            Tags.
+            Tags of elements.
 
         Yields
         ------
         element : Element
-            The element, or the one that has the attribute; its line is the place.
+            The element, or the element that has the attribute; its line is the place.
         name : str
-            For messages, as "<colision> in <link>", or "<limit min>" for an attribute.
+            Words for messages, such as "<colision> in <link>", or "<limit min>" for an attribute.
         """
         asked: AbstractSet[str] = self._asked or frozenset()
         passed_over = harmless.get(self.tag, frozenset())
@@ -160,31 +160,32 @@ def parse(
     Parameters
     ----------
     data : bytes or str
-        A string has already been decoded; the encoding that its first line declares has no effect.
+        The contents of the file. A string has already been decoded, so that the encoding that its first line declares
+        has no effect.
     what : str
-        The expected kind of file, for messages, with its article.
+        The expected kind of file with an article, for messages.
     make : callable
         Makes an element from its tag, attributes, line and namespace.
     deepest, most : int
-        Limits on the nesting and on the number of elements. The caller limits the bytes.
+        Limits on the nesting and on the number of elements. The caller limits the number of bytes.
     texts : bool, optional
         Whether to keep the text between tags.
     doctype : bool, optional
-        Whether a document type is allowed. The declaration of an entity never is: entities can expand to more text
-        than memory holds, or to other files.
+        Whether a document type is allowed. Declarations of entities are never allowed, since entities can expand to
+        more text than memory holds, or to other files.
     strip : bool, optional
-        Whether to take the namespaces off the tags; prefixes must then be declared.
+        Whether to strip the namespaces from the tags, in which case prefixes must be declared.
 
     Raises
     ------
     XmlError
-        If the data is no XML or exceeds a limit.
+        If the data are not XML, or exceed a limit.
     """
     parser = expat.ParserCreate(namespace_separator="}" if strip else None)
     parser.buffer_text, parser.buffer_size = True, 1 << 20
     path = [make("", {}, 0, "")]
-    scopes: list[dict[str, str]] = [{}]  # namespaces by prefix, of the document and the open elements
-    names: dict[str, tuple[str, str]] = {}  # tag and namespace of names that are stripped
+    scopes: list[dict[str, str]] = [{}]  # namespaces by prefix, for the document and the open elements
+    names: dict[str, tuple[str, str]] = {}  # maps names in the file to their tags and namespaces
     total = 0
 
     def refuse(found: str) -> NoReturn:
@@ -240,13 +241,13 @@ def parse(
         raise
     except expat.ExpatError as error:
         raise XmlError(what, f"broken XML ({expat.ErrorString(error.code) or error})", error.lineno) from None
-    except (ValueError, LookupError, MemoryError) as error:  # an encoding that is unknown, large, or not kept to
+    except (ValueError, LookupError, MemoryError) as error:  # the encoding is unknown, too large, or violated
         raise XmlError(what, f"broken XML ({error})", 1) from None
     return path[0].children[0]
 
 
 def _decoded(data: bytes | str) -> bytes | str:
-    """Decode bytes if their declared encoding is one that expat lacks."""
+    """Decode bytes if expat lacks their declared encoding."""
     declared = _DECLARED.match(data) if isinstance(data, bytes) else None
     if declared is None:
         return data
@@ -255,6 +256,6 @@ def _decoded(data: bytes | str) -> bytes | str:
 
 
 def _with_declared(namespaces: dict[str, str], attributes: dict[str, str]) -> dict[str, str]:
-    """Add the namespaces that an element declares to a dict by prefix; the default namespace has the prefix ""."""
+    """Add the namespaces that an element declares to a dict from prefixes; the default namespace has the prefix ""."""
     declared = {name[6:]: value for name, value in attributes.items() if name == "xmlns" or name.startswith("xmlns:")}
     return namespaces | declared

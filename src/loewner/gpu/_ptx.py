@@ -1,8 +1,9 @@
-"""The threads' functions as PTX, which drivers of NVIDIA's GPUs compile for the GPU at hand.
+"""The threads' functions as PTX, which NVIDIA's drivers compile for the GPU at hand.
 
 llvmlite's wheels include LLVM's back end for PTX. It takes the intermediate code that Numba makes from the library's
-own formulas, so there is no second source, and nothing else to install. PTX that was built with the native library is
-used as it is. Otherwise it is made when it is first requested, and kept in the store of compiled kernels.
+own formulas, so the formulas need no second source, and users nothing else to install. PTX that was built with the
+native library is used as it is. Without it, the PTX is made when it is first requested, and kept in the store of
+compiled kernels.
 """
 
 from __future__ import annotations
@@ -20,13 +21,13 @@ from loewner._kernels._sources import source_hash
 from loewner._native import library
 from loewner._native.entries import expect_numba
 
-NAME = "threads.ptx.z"  # compressed by zlib, to a sixth
+NAME = "threads.ptx.z"  # zlib compresses it to a sixth
 
-# The oldest supported GPUs (Turing, 2018), and a version of PTX that drivers from 2020 on support.
+# The oldest supported GPUs (Turing, 2018), and a version of PTX that drivers from 2020 and later support.
 OLDEST, VERSION = "sm_75", "ptx70"
 TRIPLE = "nvptx64-nvidia-cuda"
 
-# Kernels, by the modules of `loewner._kernels.threads` whose functions they call.
+# Kernels by the modules of `loewner._kernels.threads` that define their functions.
 KERNELS = {
     "pairs": ("classify_pieces", "classify_bodies", "gather_rows", "scatter_bytes"),
     "configurations": ("place_links", "place_body", "cull_pair", "certify_survivor", "search_survivor", "conclude"),
@@ -39,12 +40,12 @@ KERNELS = {
 
 @cache
 def text() -> bytes:
-    """PTX of all threads' functions, from the build, from the cache, or made now.
+    """PTX of all threads' functions, from the build or from the cache, or made now.
 
     Raises
     ------
     MissingExtraError
-        If it must be made and Numba is not installed.
+        If the PTX must be made and Numba is not installed.
     """
     shipped = library.shipped(NAME)
     if shipped is not None:
@@ -53,15 +54,15 @@ def text() -> bytes:
     from loewner._kernels import _jit, _store
 
     key = ""
-    with suppress(OSError):  # where sources cannot be read, nothing is kept, since its origin would be unknown
+    with suppress(OSError):  # if sources cannot be read, the PTX is not kept, since its origin would be unknown
         if _store.is_usable():
             made_of = Path(__file__).read_bytes(), _jit.MADE_WITH, source_hash()
             key = _store.key_of("threads.ptx", made_of, frozenset())
-    with suppress(OSError, _sealed.DamagedFileError):  # otherwise it is made anew
+    with suppress(OSError, _sealed.DamagedFileError):  # after an error, the PTX is made again
         if key:
             return _store.read(key)
     made = compiled()
-    with suppress(OSError):  # otherwise it is made again in the next process
+    with suppress(OSError):  # after an error, the next process makes the PTX again
         if key:
             _store.write(key, made)
     return made
@@ -88,12 +89,12 @@ def compiled() -> bytes:
 
 
 def _target(module: Any, machine: Any) -> None:
-    """Set the GPU as a module's target."""
+    """Set the GPU as the target of a module."""
     module.triple, module.data_layout = TRIPLE, str(machine.target_data)
 
 
 def _kernel(function: Any, machine: Any) -> Any:
-    """Module of one kernel: Numba's intermediate code of a function, and a caller that passes the thread's number."""
+    """Module of one kernel: Numba's intermediate code for a function, and a caller that passes the thread's number."""
     import llvmlite.binding as llvm
     from numba import types
 
@@ -123,7 +124,7 @@ def _caller(name: str, inner: str, count: int, machine: Any) -> str:
     pointer = ir.IntType(8).as_pointer()
     module = ir.Module(name)
     module.triple, module.data_layout = TRIPLE, str(machine.target_data)
-    # Numba's calling convention has pointers to a result and to an exception; here there is neither.
+    # Numba's calling convention has pointers to a result and to an exception, which these functions do not have.
     body = ir.Function(module, ir.FunctionType(half, [pointer, pointer] + [word] * count), inner)
     kernel = ir.Function(module, ir.FunctionType(ir.VoidType(), [word] * count), name)
     kernel.calling_convention = "ptx_kernel"

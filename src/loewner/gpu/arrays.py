@@ -1,7 +1,7 @@
 """Read other libraries' arrays on a GPU by address, and return results in the same way.
 
-CuPy, PyTorch, JAX and Numba share arrays by ``__cuda_array_interface__`` (version 2 and 3) and by DLPack. An array is
-any object that supports one of the two protocols; nothing is imported and nothing is copied.
+CuPy, PyTorch, JAX and Numba share arrays through ``__cuda_array_interface__`` (versions 2 and 3) and DLPack. An array
+is any object that supports one of the two protocols; nothing is imported, and nothing is copied.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ def is_on_gpu(x: Any) -> bool:
 def taken(x: Any, name: str, device: Device) -> View:
     """Take a float32 array on the GPU by its address.
 
-    Work that is put on the device's stream from now on waits for the pending work of the array's own stream.
+    All later work on the device's stream waits for the pending work of the array's own stream.
 
     Raises
     ------
@@ -144,14 +144,14 @@ _api.PyCapsule_SetName.argtypes, _api.PyCapsule_SetName.restype = (ctypes.py_obj
 _api.PyCapsule_New.argtypes = ctypes.c_void_p, ctypes.c_char_p, ctypes.c_void_p
 _api.PyCapsule_New.restype = ctypes.py_object
 
-# Likewise for a capsule that is being destroyed, by its address: it must not be referenced any more.
+# Calls for a capsule that is being destroyed take its address, since the capsule must not be referenced any more.
 _DESTRUCTOR = ctypes.PYFUNCTYPE(None, ctypes.c_void_p)
 _is_valid = ctypes.PYFUNCTYPE(ctypes.c_int, ctypes.c_void_p, ctypes.c_char_p)(("PyCapsule_IsValid", _api))
 _pointer_of = ctypes.PYFUNCTYPE(ctypes.c_void_p, ctypes.c_void_p, ctypes.c_char_p)(("PyCapsule_GetPointer", _api))
 
 
 class _Borrowed:
-    """A DLPack tensor that is given back when it is no longer referenced."""
+    """A DLPack tensor, which is given back when it is no longer referenced."""
 
     def __init__(self, managed: Any) -> None:
         self.managed = managed
@@ -237,7 +237,7 @@ class DeviceArray:
         return _capsule_of(self)
 
 
-# Our arrays that other libraries hold until they give them back, by the address of their tensors.
+# Arrays of this library that other libraries hold until they give them back, by the address of their tensors.
 _lent: dict[int, tuple[Any, ...]] = {}
 
 
@@ -256,8 +256,7 @@ def _unclaimed(capsule: Any) -> None:
 
 def _capsule_of(array: DeviceArray) -> Any:
     """Make a DLPack capsule."""
-    # Booleans are passed as bytes: older versions of DLPack have no kind for them, although PyTorch and JAX now support
-    # it.
+    # Booleans are passed as bytes: PyTorch and JAX now support a kind for them, but older versions of DLPack have none.
     code = {kind: code for code, kind in KINDS.items()}[array.dtype.kind]
     shape = (ctypes.c_int64 * len(array.shape))(*array.shape)
     managed = _DLManaged(

@@ -33,8 +33,8 @@ from loewner.robots.proofs.proofs import prove_by_rules
 KINDS = columns.FIXED, columns.REVOLUTE, columns.PRISMATIC
 
 
-# A question to a GPU about rows at addresses, with verdicts and the indices left to the CPU; and the CPU's answer to
-# these.
+# A query to a GPU about rows at addresses, which returns verdicts and the indices that are left to the CPU; and the
+# CPU's answers for the rows with these indices.
 Ask = Callable[..., tuple[Memory, Ints]]
 Settle = Callable[..., NDArray[np.int8]]
 
@@ -42,17 +42,17 @@ Settle = Callable[..., NDArray[np.int8]]
 class Checker:
     """A collision checker on a GPU.
 
-    The GPU places the robot, compares bounds and ellipsoids, and searches exactly where these do not decide. The
-    checker itself decides the configurations and motions for which single precision proves nothing, one in a thousand,
-    so the answers are equal to the checker's.
+    The GPU places the robot, compares bounds and ellipsoids, and searches exactly where bounds and ellipsoids do not
+    decide. The checker itself decides the configurations and motions for which single precision proves nothing, about
+    one in a thousand, so the answers are equal to the checker's.
 
     Parameters
     ----------
     checker : CollisionChecker
-        Its scene may change between calls.
+        The checker of the robot and its scene, which may change between calls.
     fallback : {"error", "cpu"}
-        What to do if there is no GPU, its driver is too old, its memory is too small, or its work was lost: raise an
-        error, or warn once and use the checker.
+        Whether to raise an error, or to warn once and use the checker, if there is no GPU, its driver is too old, its
+        memory is too small, or its work was lost.
     device : int
         Index of the GPU among those visible to the driver.
 
@@ -81,7 +81,7 @@ class Checker:
         self._checker = checker
         self._tables: dict[Device, Tables] = {}
         self._tiles: dict[Device, Tile] = {}
-        self._lock = threading.Lock()  # of the tiles
+        self._lock = threading.Lock()  # for the tiles
 
     def __repr__(self) -> str:
         return f"<loewner.gpu.Checker of {self._checker.robot.dof} joints on GPU {self._number}>"
@@ -93,12 +93,13 @@ class Checker:
         Parameters
         ----------
         Q : array_like or array on the GPU, shape (..., dof)
-            An array on the GPU must be float32 in C order; the answers then refer to exactly these float32 numbers.
+            The configurations. An array on the GPU must be float32 in C order, and the answers refer to exactly these
+            float32 numbers.
 
         Returns
         -------
         bool, or ndarray of bool, shape (...), or DeviceArray of bool
-            A `DeviceArray` if the configurations are on the GPU.
+            True for collisions; a `DeviceArray` if the configurations are on the GPU.
 
         Raises
         ------
@@ -133,11 +134,11 @@ class Checker:
         Parameters
         ----------
         Q0, Q1 : array_like or array on the GPU, shape (..., dof)
-            Ends, broadcast together. If one is on the GPU, both must be there, in float32, C order and of the same
-            shape; the verdicts then refer to exactly these float32 numbers.
+            Ends of the motions, broadcast together. If one array is on the GPU, both must be on it, in float32, in C
+            order and of the same shape, and the verdicts refer to exactly these float32 numbers.
         tolerance : float
-            In metres, for the motions that are left to the CPU: a motion that comes within this distance of colliding
-            may be AMBIGUOUS.
+            Distance in metres for the motions that are left to the CPU: a motion that comes within this distance of
+            colliding may be AMBIGUOUS.
 
         Returns
         -------
@@ -155,9 +156,9 @@ class Checker:
         Notes
         -----
         A motion is cut into intervals. As on the CPU, a plane proves an interval free if it separates two bodies at
-        both ends and leaves room for the bend of the paths in between. All of this is in single precision, with bounds
-        on its errors (docs/certified.md). The CPU decides the rest: one motion in a thousand, which comes within some
-        hundredths of a millimetre of contact.
+        both ends and leaves room for the bend of the paths in between. All computations are in single precision, with
+        bounds on the errors (docs/certified.md). The CPU decides the remaining motions: about one in a thousand, which
+        come within a few hundredths of a millimetre of contact.
 
         Examples
         --------
@@ -199,7 +200,7 @@ class Checker:
     # -- inside -------------------------------------------------------------------------------
 
     def _ready(self) -> Problem:
-        """Prepare the pairs for the present scene; refuse pieces that single precision cannot hold, on the CPU too."""
+        """Prepare the pairs for the present scene; even without a GPU, refuse pieces that are too small or large."""
         ready = prepared_of(self._checker)
         if ready.given is not None:
             names = ", ".join(self._checker.scene.bounds)
@@ -211,8 +212,8 @@ class Checker:
         return ready
 
     def _decided_here(self, gpu: Device, given: Sequence[Floats], ask: Ask, settle: Settle) -> NDArray[np.int8]:
-        """Decide about rows of configurations in CPU memory, of one or two arrays; `settle` decides the rest."""
-        with np.errstate(over="ignore"):  # infinite, and then left to the CPU
+        """Decide about the rows of one or two arrays in CPU memory; `settle` decides the rows that `ask` leaves."""
+        with np.errstate(over="ignore"):  # infinite numbers are left to the CPU
             there = [gpu.upload(Q.astype(np.float32)) for Q in given]
         verdicts, left = ask(gpu, len(given[0]), *(memory.address for memory in there))
         out = np.empty(len(given[0]), dtype=np.int8)
@@ -223,7 +224,7 @@ class Checker:
     def _decided_there(
         self, gpu: Device, given: dict[str, Any], ask: Ask, settle: Settle
     ) -> tuple[Memory, tuple[int, ...]]:
-        """Decide about configurations in GPU memory, likewise; return the verdicts there and their shape."""
+        """Decide in the same way about arrays in GPU memory; return the verdicts on the GPU, and their shape."""
         robot, views = self._checker.robot, [self._taken(gpu, Q, name) for name, Q in given.items()]
         shapes = [view.shape for view in views]
         if shapes[0] != shapes[-1]:
@@ -265,11 +266,11 @@ class Checker:
             return motions.certified(gpu, tables, tile, self._checker.robot.dof, ends, total)
 
     def _tile_of(self, gpu: Device, tables: Tables, count: int) -> Tile:
-        """Return memory for a tile of up to `count` configurations, from the last call if it fits."""
+        """Return memory for a tile of up to `count` configurations, from the last call if that is large enough."""
         most, shape, tile = most_of(tables, count), (tables.links, tables.moving), self._tiles.get(gpu)
         if tile is None or tile.shape != shape or tile.most < most:
             tile = None
-            self._tiles.pop(gpu, None)  # its memory is free before more is needed
+            self._tiles.pop(gpu, None)  # frees its memory before more is allocated
             tile = self._tiles[gpu] = tile_of(gpu, tables, most)
         return tile._replace(most=most)
 
@@ -282,7 +283,7 @@ class Checker:
 
 
 def _settled(ready: Problem, Q: Floats) -> NDArray[np.int8]:
-    """Let the CPU decide the given configurations, in the state of the scene that the GPU used."""
+    """Let the CPU decide the given configurations, for the state of the scene that the GPU used."""
     if len(Q) == 0:
         return np.empty(0, dtype=np.int8)
     found, _ = classified(ready, codes.EXACT, Q)
@@ -291,7 +292,7 @@ def _settled(ready: Problem, Q: Floats) -> NDArray[np.int8]:
 
 
 def _proven(ready: Problem, tolerance: float, a: Floats, b: Floats) -> NDArray[np.int8]:
-    """Let the CPU prove the given motions, in the state of the scene that the GPU used."""
+    """Let the CPU prove the given motions, for the state of the scene that the GPU used."""
     if len(a) == 0:
         return np.empty(0, dtype=np.int8)
     found = prove_by_rules(ready, a, b, tolerance)

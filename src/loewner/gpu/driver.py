@@ -1,10 +1,10 @@
 """Call NVIDIA's driver with ctypes: open a GPU, allocate its memory, run kernels, and name causes of errors.
 
 The driver is the library that comes with the GPU's software, ``libcuda.so.1`` or ``nvcuda.dll``; no toolkit is needed.
-It compiles the PTX of `loewner.gpu._ptx` for its GPU when a `Device` is opened, and keeps the result on disk.
+The driver compiles the PTX of `loewner.gpu._ptx` for its GPU when a `Device` is opened, and keeps the result on disk.
 
-All work goes to one stream, in order. The context is the GPU's primary one, which PyTorch, JAX and CuPy use as well, so
-their memory can be read here.
+All work goes to one stream, in order. The context is the GPU's primary context, which PyTorch, JAX and CuPy use as
+well, so their memory can be read here.
 """
 
 from __future__ import annotations
@@ -25,24 +25,24 @@ from loewner.gpu import _ptx
 
 LIBRARY = "nvcuda.dll" if sys.platform == "win32" else "libcuda.so.1"
 
-# Threads of a block; every GPU since `_ptx.OLDEST` has registers for at least six such blocks.
+# Number of threads of a block; every GPU since `_ptx.OLDEST` has registers for at least six blocks of this size.
 BLOCK = 128
 
-# Codes of errors that need our own wording.
+# Codes of errors with a wording of our own.
 OUT_OF_MEMORY, NO_DEVICE, UNSUPPORTED_PTX, INVALID_PTX, NO_IMAGE = 2, 100, 222, 218, 209
 OLD_DRIVER = (34, 35, 36, 803)
 
-# After these errors nothing more can be done in the context, which holds all of this process's work on the GPU.
+# After these errors, the context can no longer be used, and it holds all of this process's work on the GPU.
 LOST = (201, 700, 702, 709, 710, 714, 715, 716, 717, 718, 719, 721, 999)
 
-# Our wording for codes, unless it needs numbers.
+# Our wording for the codes whose messages need no numbers.
 CAUSES = {
     **dict.fromkeys(LOST, "the GPU's work was lost, and all that this process keeps there; start the process again"),
     **dict.fromkeys(OLD_DRIVER, "expected a newer driver of the GPU: update it"),
     NO_DEVICE: "expected an NVIDIA GPU, found none",
 }
 
-# Attributes of a GPU's compute capability, and the oldest that is accepted: sm_75.
+# Attributes that give a GPU's compute capability, and the lowest capability that is accepted: sm_75.
 MAJOR, MINOR, LEAST_CAPABILITY = 75, 76, (7, 5)
 
 # Options of the driver's compiler: the buffer for its log, and the size of the buffer.
@@ -118,7 +118,7 @@ class Device:
 
     @property
     def stream(self) -> int:
-        """The stream that receives all work, as a number."""
+        """The number of the stream that receives all work."""
         return int(self._stream.value or 0)
 
     # -- memory -------------------------------------------------------------------------------
@@ -156,7 +156,7 @@ class Device:
     # -- work ---------------------------------------------------------------------------------
 
     def launch(self, kernel: str, threads: int, *arguments: int | Memory) -> None:
-        """Run a kernel with threads 0 .. `threads`; it receives the number of threads before the arguments."""
+        """Run a kernel in `threads` threads; the kernel receives this number before the arguments."""
         if threads == 0:
             return
         numbers = [ctypes.c_int64(x.address if isinstance(x, Memory) else x) for x in (threads, *arguments)]
@@ -179,7 +179,7 @@ class Device:
             self._ask("cuEventCreate", ctypes.byref(event), WITHOUT_TIMES)
             self._ask("cuEventRecord", event, other)
             self._ask("cuStreamWaitEvent", self._stream, event, 0)
-            self._ask("cuEventDestroy_v2", event)  # the driver frees it once it has been reached
+            self._ask("cuEventDestroy_v2", event)  # the driver frees the event once it has been reached
 
     def time(self) -> Any:
         """Record a point in time on the stream, for `seconds`."""
@@ -190,7 +190,7 @@ class Device:
         return event
 
     def seconds(self, start: Any, stop: Any) -> float:
-        """Wait until two recorded points are past, return the time between them, and free them."""
+        """Wait until two recorded points in time are past; free them, and return the seconds between them."""
         found = ctypes.c_float()
         with self._current():
             self._ask("cuEventSynchronize", stop)
@@ -265,13 +265,13 @@ class Device:
         return f"{', '.join(words)} ({code})" if words else f"error {code}"
 
     def _free(self, address: int) -> None:
-        """Free memory, which may already be gone at the end of a process or of a context."""
+        """Free memory; at the end of a process or of a context, it may already have been freed."""
         with contextlib.suppress(Exception), self._current():
             self._cuda.cuMemFree_v2(ctypes.c_uint64(address))
 
 
 def _places(address: int, array: NDArray[Any]) -> tuple[Any, Any, Any]:
-    """Address on the GPU, address on the CPU, and size of a copy of an array, for the driver."""
+    """The arguments of the driver for copying an array: address on the GPU, address on the CPU, and size."""
     return ctypes.c_uint64(address), ctypes.c_void_p(array.ctypes.data), ctypes.c_size_t(array.nbytes)
 
 

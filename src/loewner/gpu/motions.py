@@ -8,23 +8,22 @@ from loewner.gpu.tables import Tables
 from loewner.gpu.tiles import Tile, check, place, room_for
 from loewner.gpu.work import Left, length_of
 
-# Number of motions whose intervals are listed together, and of their bounds on curvature; with many chains of joints
-# there are fewer motions.
+# Largest number of motions whose intervals are listed together, and of their bounds on curvature. The second limit
+# reduces the number of motions if there are many chains of joints.
 MOTIONS, BENDS = 1 << 18, 1 << 26
 
-INTERVALS = 64  # room in a list, for each motion; at least two, for its probes
+INTERVALS = 64  # entries of a list for each motion; its probes need at least two
 
 
 def slots(count: int) -> int:
-    """Number of configurations that are initially placed together for `count` motions."""
+    """Number of configurations that are placed together at first, for `count` motions."""
     return 4 * count
 
 
 def certified(
     gpu: Device, tables: Tables, tile: Tile, dof: int, ends: tuple[int, ...], total: int
 ) -> tuple[Memory, Ints]:
-    """Return the verdicts for motions whose ends are stored at two addresses, and the indices of the motions that are
-    left to the CPU."""
+    """Return the verdicts for motions with ends at two addresses, and the indices of motions left to the CPU."""
     verdicts, left = gpu.memory(total), Left(gpu, total)
     run = _Run(gpu, tables, dof, tile, max(1, min(total, MOTIONS, BENDS // max(1, tables.chains))))
     for first in range(0, total, run.most):
@@ -36,7 +35,7 @@ def certified(
 
 
 class _Run:
-    """Memory for the proofs of some motions; intervals without a proof are halved until none is left."""
+    """Memory for the proofs of several motions; intervals without a proof are halved until none is left."""
 
     def __init__(self, gpu: Device, tables: Tables, dof: int, tile: Tile, most: int) -> None:
         self._gpu, self._tables, self._dof, self._tile, self.most = gpu, tables, dof, tile, most
@@ -63,7 +62,7 @@ class _Run:
             listed = min(length_of(gpu, self._items), self._room)
 
     def _probe(self, Q0: int, Q1: int, count: int) -> None:
-        """Check motions at four configurations, which most collisions show."""
+        """Check motions at four configurations, which reveal most collisions."""
         gpu, tile = self._gpu, self._tile
         gpu.launch("list_probe", 2 * count, self._items.address + 4)
         for first in range(0, 2 * count, tile.most // 2):
@@ -78,7 +77,7 @@ class _Run:
         place(self._gpu, self._tables, self._tile, self._Q.address, self._spans.address, self._dof, 2 * count)
 
     def _halve(self, Q0: int, Q1: int, items: int, count: int) -> None:
-        """Prove intervals of a tile, and list the halves of the others."""
+        """Prove the intervals of a tile, and list the halves of intervals without a proof."""
         gpu, t, tile, state, flags = self._gpu, self._tables, self._tile, self.state, self._flags
         bends, survivors, searches = self._bends, tile.survivors, tile.searches
         S, log_S = room_for(2 * count)

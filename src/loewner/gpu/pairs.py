@@ -22,7 +22,7 @@ from loewner.queries import pairs as queries
 from loewner.queries._settle import NO_ROWS, settle
 from loewner.queries.pairs import Plan, Verdict
 
-# For pairs that are settled one at a time, each listed by the rows of its bodies.
+# The plan of a pair that is settled alone, listed by the rows of its bodies.
 _ONE_LISTED = np.array([[1], [1], [0], [1], [0]], dtype=np.int64)
 
 
@@ -43,46 +43,46 @@ def classify(
     Parameters
     ----------
     a, b : Body or Bodies
-        A `Bodies` of n broadcasts with the last batch axis of the poses. Their ellipsoids stay on the GPU as long as
-        the bodies live.
+        A `Bodies` of n broadcasts with the last batch axis of the poses. The bodies' ellipsoids stay on the GPU as long
+        as the bodies live.
     T_world_a, T_world_b : array_like or array on the GPU, shape (..., 4, 4), or None
         Poses, broadcast together; translation in metres. None is the identity. An array on the GPU must be float32 in C
-        order, from CuPy, PyTorch, JAX or any library that supports ``__cuda_array_interface__`` or DLPack; the answers
-        then refer to exactly these float32 numbers. Any other array is copied to the GPU.
+        order, from CuPy, PyTorch, JAX or any library that supports ``__cuda_array_interface__`` or DLPack, and the
+        answers refer to exactly these float32 numbers. Any other array is copied to the GPU.
     pairs : array_like of int, shape (..., 2), optional
-        Rows of a and of b to compare, instead of broadcasting; see `loewner.classify`. They must not be on the GPU.
+        Rows of a and of b to compare, instead of broadcasting; see `loewner.classify`. The rows must not be on the GPU.
     refine : bool
-        Let the CPU settle the pairs that single precision leaves open, about half a percent for round pieces. If False,
-        such pairs stay AMBIGUOUS, which claims nothing, and so do pairs with poses that are not rigid motions. If the
-        poses are on the GPU, the call then does not wait for the GPU.
+        Whether the CPU settles the pairs that single precision leaves open, about half a percent for round pieces. If
+        False, such pairs stay AMBIGUOUS, which claims nothing, as do pairs with poses that are not rigid motions, and
+        a call with poses on the GPU does not wait for the GPU.
     fallback : {"error", "cpu"}
-        What to do if there is no GPU, its driver is too old, its memory is too small, or its work was lost: raise an
-        error, or warn once and use the CPU. The CPU cannot read poses on a GPU, so with such poses an error is always
-        raised.
+        Whether to raise an error, or to warn once and use the CPU, if there is no GPU, its driver is too old, its
+        memory is too small, or its work was lost. Poses on a GPU always cause an error in these cases, since the CPU
+        cannot read them.
     device : int
         Index of the GPU among those visible to the driver.
 
     Returns
     -------
     Verdict, or ndarray of int8, shape (...), or DeviceArray of int8
-        The verdicts of `loewner.classify`; if any of the poses are on the GPU, as a `DeviceArray`, which other
-        libraries use without copying.
+        The verdicts of `loewner.classify`. If any poses are on the GPU, the verdicts are a `DeviceArray`, which other
+        libraries can use without copying.
 
     Raises
     ------
     GpuError
         If the GPU cannot do the work.
     PoseError
-        If a pose does not end in (4, 4), is not a rigid motion, or batches do not broadcast.
+        If the shape of a pose does not end in (4, 4), a pose is not a rigid motion, or batches do not broadcast.
     InputError
         If an operand is not a body, an array on the GPU has the wrong type or layout or is on a different GPU, pieces
         are smaller than 1e-3 m or larger than 1e3 m, or there are more than 2^31 - 1 pairs.
 
     Notes
     -----
-    The formulas are the same as on the CPU, compiled for the GPU with only correctly rounded operations: FREE and
-    COLLIDING are proven as in docs/certified.md. It is not worthwhile to transfer poses to the GPU only for this call,
-    since they take 128 bytes per pair.
+    The formulas are the same as on the CPU, compiled for the GPU with only correctly rounded operations. FREE and
+    COLLIDING are therefore proven as in docs/certified.md. Transferring poses to the GPU for this call alone is not
+    worthwhile, since the poses take 128 bytes per pair.
 
     Examples
     --------
@@ -102,12 +102,12 @@ def classify(
     number = number_of(device)
     refined, instead = _validate.flag(refine, "refine"), _validate.choice(fallback, "fallback", FALLBACKS) == "cpu"
     for bodies in (a, b):
-        single_rows(packed_of(bodies))  # pieces that the GPU cannot take are refused on the CPU, too
+        single_rows(packed_of(bodies))  # even without a GPU, refuse pieces that are too small or large
     poses = {"T_world_a": T_world_a, "T_world_b": T_world_b}
     there = [is_on_gpu(T) for T in poses.values()]
     here = [None if is_on_gpu(T) else _validate.poses(T, name, check=False) for name, T in poses.items()]
     if not any(there):
-        queries.plan_of(a, _shape(here[0]), b, _shape(here[1]), each=5, chosen=pairs)  # its errors are not the GPU's
+        queries.plan_of(a, _shape(here[0]), b, _shape(here[1]), each=5, chosen=pairs)  # raises errors of the arguments
 
     def on_gpu() -> Any:
         gpu = driver.opened(number)
@@ -117,7 +117,7 @@ def classify(
         return _classified(gpu, plan, operands, refined, any(there))
 
     def on_cpu() -> Any:
-        ask: Any = queries.classify  # which has a signature for each kind of operands
+        ask: Any = queries.classify  # has a signature for each kind of operands
         return ask(a, here[0], b, here[1], pairs=pairs)
 
     return attempted(on_gpu, on_cpu if instead and not any(there) else None)
@@ -128,7 +128,7 @@ def _shape(poses: Floats | None) -> tuple[int, ...]:
 
 
 class _Operand(NamedTuple):
-    """Bodies and their poses, the poses on the CPU or on the GPU."""
+    """Bodies and their poses; the poses are on the CPU or on the GPU."""
 
     bodies: Body | Bodies
     here: Floats | None
@@ -193,7 +193,7 @@ def _classified(gpu: Device, plan: Plan, operands: list[_Operand], refine: bool,
     steps = gpu.upload(plan.steps.astype(np.int32))
     rows = gpu.upload(plan.rows.astype(np.int32)) if plan.rows.size else None
     verdicts, left = gpu.memory(plan.total), Left(gpu, plan.total)
-    # For surfaces the CPU has more than one ellipsoid.
+    # For surfaces, the CPU has more than one ellipsoid.
     of_open = codes.LEFT if any(len(packed.kernel.part_start) > 0 for packed in packs) else codes.AMBIGUOUS
     one_each = all(len(packed.piece_start) == len(packed.layout) + 1 for packed in packs)
     asked = steps.address, plan.steps.shape[1], 0 if rows is None else rows.address, plan.rows.shape[1]
@@ -208,7 +208,7 @@ def _classified(gpu: Device, plan: Plan, operands: list[_Operand], refine: bool,
         if there:
             scattered(gpu, numbers, settled, verdicts)
     if there:
-        # The kernel's input lives until it is done: memory is freed in the order of the stream's work.
+        # The kernel's input lives until the kernel is done: memory is freed in the order of the stream's work.
         return DeviceArray(verdicts, plan.shape, np.int8)
     out = np.empty(plan.total, dtype=np.int8)
     gpu.download(verdicts.address, out)
@@ -222,13 +222,13 @@ def _poses_on(gpu: Device, operand: _Operand) -> View:
     if operand.there is not None:
         return operand.there
     assert operand.here is not None
-    with np.errstate(over="ignore"):  # infinite, and then left to the CPU
+    with np.errstate(over="ignore"):  # infinite numbers are left to the CPU
         memory = gpu.upload(operand.here.astype(np.float32))
     return View(memory.address, operand.here.shape, memory)
 
 
 def _rows_of(plan: Plan, numbers: Ints) -> list[Ints]:
-    """Return the rows of a, Ta, b and Tb that belong to the given pairs."""
+    """Return the rows of a, Ta, b and Tb for the given pairs."""
     if plan.rows.shape[1]:
         of_a, of_b = plan.rows[:, numbers]
         return [side * step for side, step in zip((of_a, of_a, of_b, of_b), plan.steps[1:, 0], strict=True)]
@@ -260,7 +260,7 @@ def _settled(gpu: Device, plan: Plan, operands: list[_Operand], numbers: Ints) -
 
 
 def _refuse(Ta: Floats, Tb: Floats) -> None:
-    """Raise an error that names the pose that is not a rigid motion."""
+    """Raise an error that names the first pose that is not a rigid motion."""
     for T, name in ((Ta, "T_world_a"), (Tb, "T_world_b")):
         for one in T:
             _validate.rigid_motions(one, name)

@@ -13,7 +13,7 @@ from loewner.gpu.driver import Device, Memory
 from loewner.gpu.pairs import single_rows
 from loewner.robots.checking.problem import Problem
 
-# A ball that is added to a core keeps its shape only under a pose that is so close to a rotation.
+# Largest deviation of a pose from a rotation at which the ball that is added to a core keeps its shape.
 ROUND = 1e-9
 
 GROUP = 4  # vertices that a search reads at a time
@@ -37,7 +37,7 @@ class Tables(NamedTuple):
     margins: Memory
     standing: Memory
     cell: Memory
-    others: tuple[Memory, ...]  # to which `cell` points
+    others: tuple[Memory, ...]  # `cell` has pointers to these
 
 
 def tables_of(gpu: Device, ready: Problem) -> Tables:
@@ -61,7 +61,7 @@ def tables_of(gpu: Device, ready: Problem) -> Tables:
     balls = np.zeros((moving, columns.BALL_NUMBERS))
     balls[:, :5] = ready.balls
     balls[:, [columns.BALL_RADIUS, columns.BALL_REACH]] *= tolerances.UP
-    with np.errstate(over="ignore"):  # infinite, and then left to the CPU
+    with np.errstate(over="ignore"):  # infinite numbers are left to the CPU
         floats = [x.astype(np.float32) for x in (constants, balls, ready.margins * tolerances.UP)]
     at = {
         "bodies": gpu.upload(bodies), "balls": gpu.upload(floats[1]), "pairs": gpu.upload(ready.pairs.astype(np.int32)),
@@ -79,7 +79,7 @@ def tables_of(gpu: Device, ready: Problem) -> Tables:
 
 
 def _cores(ready: Problem) -> tuple[NDArray[np.int32], NDArray[np.float32], NDArray[np.float32]]:
-    """Describe the pieces for `threads.searches.core_at`: static ones in the world, others in frames of links."""
+    """Describe the pieces for `threads.searches.core_at`, in the world if static, and otherwise in frames of links."""
     packed, moving = ready.packed, len(ready.link)
     table, first_static = packed.kernel.table, int(packed.piece_start[moving])
     integers = np.zeros((len(packed.layout), columns.CORE_INTEGERS), dtype=np.int32)
@@ -116,7 +116,7 @@ def _cores(ready: Problem) -> tuple[NDArray[np.int32], NDArray[np.float32], NDAr
 
 
 class _Chains:
-    """The joints between bodies: first between each moving body and the world, then between two of a pair."""
+    """The joints between bodies: first between each moving body and the world, then between the bodies of each pair."""
 
     def __init__(self, ready: Problem) -> None:
         self._ready, self.joints = ready, [_joints_between(ready, body, -1) for body in range(len(ready.link))]
@@ -153,7 +153,7 @@ class _Chains:
 
 
 def _joints_between(ready: Problem, body: int, lower: int) -> Ints:
-    """Joints from a moving body to a link, or to the world (-1), by the links that they move."""
+    """Joints from a moving body to a link, or to the world (-1), given as the links that they move."""
     paths = ready.tables
     up, down = (
         paths.path_link[slice(*paths.path_start[link : link + 2])] if link >= 0 else paths.path_link[:0]

@@ -1,4 +1,4 @@
-"""Memory of a GPU for a tile of configurations, and their placement."""
+"""GPU memory for a tile of configurations, and the placement of the robot at these configurations."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from loewner.gpu.driver import Device, Memory
 from loewner.gpu.tables import Tables
 from loewner.gpu.work import MOST, expect_few
 
-# Logarithm of the number of configurations in a tile: as many as a large GPU has threads, since each launch waits for
-# its slowest one; and for few configurations.
+# Base-2 logarithms of the largest and smallest number of configurations in a tile. The largest is the number of threads
+# of a large GPU, since each launch waits for its slowest thread.
 LOG_TILE, LEAST = 18, 10
 
-BYTES = 1 << 30  # a tile of a robot with very many links has fewer configurations
+BYTES = 1 << 30  # limit on a tile's memory; for robots with very many links, a tile has fewer configurations
 
-# Average number of pairs of bodies that bounds may leave open per configuration of a tile, and of pairs of pieces that
-# ellipsoids may; the CPU gets the rest.
+# Average number, per configuration of a tile, of pairs of bodies that bounds may leave open, and of pairs of pieces
+# that ellipsoids may leave open; the CPU decides the configurations with further pairs.
 SURVIVORS = 32
 
 
@@ -47,7 +47,7 @@ def place(gpu: Device, tables: Tables, tile: Tile, Q: int, spans: int, dof: int,
 
 
 def most_of(tables: Tables, count: int) -> int:
-    """Number of configurations in a tile for `count` of them: fewer if there are very many pairs or links."""
+    """Number of configurations in a tile for `count` configurations; very many pairs or links reduce it."""
     each = 4 * (columns.LINK_NUMBERS * tables.links + columns.BOUNDS * tables.moving + 4 * SURVIVORS)
     log = min(LOG_TILE, room_for(count)[1])
     while log > LEAST and (tables.pair_count << log > MOST or each << log > BYTES):
@@ -65,7 +65,7 @@ def tile_of(gpu: Device, tables: Tables, most: int) -> Tile:
 
 
 def check(gpu: Device, tables: Tables, tile: Tile, count: int) -> None:
-    """Find the states of the first configurations of a tile, which have been placed."""
+    """Find the states of the first `count` configurations of a tile, which have been placed."""
     t, (S, log_S) = tables, room_for(count)
     gpu.clear(tile.state.address, 4 * count)
     gpu.clear(tile.survivors.address, 4)

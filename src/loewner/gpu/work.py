@@ -1,4 +1,4 @@
-"""Code shared by queries of pairs and configurations: handle missing GPUs, lists for the CPU, and rows of tables."""
+"""Code that queries about pairs and configurations share: for missing GPUs, lists for the CPU, and rows of tables."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from loewner.gpu.driver import Device, Memory
 
 FALLBACKS = ("error", "cpu")
 
-# Threads have numbers of 31 bits.
+# The number of a thread has 31 bits.
 MOST = 2**31 - 1
 
 Answer = TypeVar("Answer")
@@ -62,7 +62,7 @@ def number_of(device: int) -> int:
 
 
 def attempted(on_gpu: Callable[[], Answer], on_cpu: Callable[[], Answer] | None) -> Answer:
-    """Return the GPU's answer or, if the GPU fails, the CPU's, with one warning per process."""
+    """Return the GPU's answer or, if the GPU fails, the CPU's answer; warn about this once per process."""
     global _warned
     try:
         return on_gpu()
@@ -82,7 +82,7 @@ def expect_few(count: int, what: str) -> None:
 
 
 class Left:
-    """The work that a kernel leaves to the CPU: a list on the GPU, preceded by its length, to which threads append.
+    """The work that a kernel leaves to the CPU: a list on the GPU, headed by its length, to which threads append.
 
     Parameters
     ----------
@@ -103,7 +103,7 @@ class Left:
 
 
 def length_of(device: Device, listed: Memory) -> int:
-    """Wait until all work is done, and read how many entries a list has, or would have if there were enough room."""
+    """Wait until all work is done, and read how many entries a list has, or would have with enough room."""
     count = np.empty(1, dtype=np.int32)
     device.download(listed.address, count)
     return int(count[0])
@@ -122,4 +122,4 @@ def scattered(device: Device, rows: Ints, values: NDArray[Any], target: Memory) 
     """Write small values to single bytes on the GPU."""
     listed, given = device.upload(rows.astype(np.int32)), device.upload(values.astype(np.int32))
     device.launch("scatter_bytes", len(rows), listed, given, target)
-    device.wait()  # until then the lists must live
+    device.wait()  # the lists must live until the work is done
