@@ -1,30 +1,32 @@
 /* loewner.h: certified collision detection from C, without Python in the process.
 
-   Python prepares, C queries: `CollisionChecker.save("cell.lwn")` writes a robot in its scene to a file, and
-   `loewner_checker_open` maps it. The answers are those of Python, from the same machine code.
+   Python prepares a file, and C queries it: `CollisionChecker.save("cell.lwn")` writes a robot and its scene to the
+   file, and `loewner_checker_open` maps the file. C and Python give the same answers, from the same machine code.
 
    VERDICTS. FREE and COLLIDING are proven, including all rounding. AMBIGUOUS means that nothing is proven; treat it as
-   not free. `loewner_checker_classify` uses only ellipsoids and is often AMBIGUOUS; `..._collide` is exact, and
-   AMBIGUOUS only where arithmetic could not settle a configuration.
+   not free. `loewner_checker_classify` uses only ellipsoids, and its verdict is often AMBIGUOUS; `..._collide` is
+   exact, and AMBIGUOUS only if arithmetic could not settle a configuration.
 
    UNITS are metres and radians. ARRAYS are in C order. A pose is 16 doubles: a 4x4 matrix in row order, which maps
    points of a body to the world, with an orthonormal rotation and the last row 0 0 0 1. A configuration has `dof`
    doubles, in the order of `Robot.configuration_names`; orientations are quaternions wxyz of norm 1.
 
-   OWNERSHIP. What a function makes belongs to the caller, who passes it to `..._close` or `..._free` once; both accept
-   NULL. No function keeps a pointer to an argument. Texts that functions return belong to the library.
+   OWNERSHIP. An object that a function makes belongs to the caller, who must pass it to `..._close` or `..._free` once;
+   both accept NULL. No function keeps a pointer to an argument. Texts that functions return belong to the library.
 
    LIMITS of joints are ignored, except by `loewner_checker_plan` and gates.
 
    THREADS. Any number of threads may query a checker or bodies at the same time, each with a workspace of its own; a
    workspace that another thread is using is refused. A function that takes a `loewner_checker *` that is not const
-   changes it: no other thread may then use this checker.
+   changes the checker, and no other thread may use this checker during the call.
 
    ERRORS. Functions return LOEWNER_OK or the kind of the error, and `loewner_error_text` describes this thread's last
-   one. After an error, outputs have no meaning. Queries check their arguments: sizes, finite numbers, rigid poses.
+   error. After an error, outputs have no meaning. Queries check the sizes in their arguments, and check that numbers
+   are finite and poses rigid.
 
-   MEMORY. A workspace grows when it is first used with a state of a checker. After that, classify, collide, clearance
-   and proofs of motions allocate no memory, unless bodies are surfaces or have many pieces. Other queries may. */
+   MEMORY. A workspace grows when it is first used with a state of a checker. Later calls of classify, collide,
+   clearance and proofs of motions allocate no memory, unless bodies are surfaces or have many pieces. Other queries may
+   allocate memory. */
 
 #ifndef LOEWNER_H
 #define LOEWNER_H
@@ -47,13 +49,13 @@ extern "C" {
 typedef enum {
     LOEWNER_OK = 0,
     LOEWNER_BAD_ARGUMENT = 1,  /* an invalid size, number, pose or index */
-    LOEWNER_BAD_FILE = 2,      /* no such file, not written by loewner, or damaged */
+    LOEWNER_BAD_FILE = 2,      /* the file does not exist, was not written by loewner, or is damaged */
     LOEWNER_OTHER_VERSION = 3, /* the file belongs to another version of loewner: save it again */
     LOEWNER_NO_KERNELS = 4,    /* the machine code is missing, or not for this processor */
     LOEWNER_NO_MEMORY = 5,
-    LOEWNER_UNKNOWN_NAME = 6, /* of loewner.hpp only: in C, the functions that look names up return -1 */
+    LOEWNER_UNKNOWN_NAME = 6, /* only in loewner.hpp: in C, functions that look up a name return -1 */
     LOEWNER_NOT_FREE = 7, /* the start, all goals, or a motion of a path are outside the limits, or not proven free */
-    LOEWNER_NO_PATH = 8,  /* no path was found within the iterations or in time */
+    LOEWNER_NO_PATH = 8,  /* no path was found within the limits on iterations and time */
     LOEWNER_OVERFLOW = 9  /* positions overflow at a configuration */
 } loewner_status;
 
@@ -63,22 +65,22 @@ typedef struct loewner_checker loewner_checker;
 typedef struct loewner_bodies loewner_bodies;
 typedef struct loewner_workspace loewner_workspace;
 
-/* Version of the library, which should be the one of this header, LOEWNER_VERSION. */
+/* Version of the library, which should equal the version of this header, LOEWNER_VERSION. */
 LOEWNER_API const char *loewner_version(void);
 
 /* Name of a status, such as "bad file". */
 LOEWNER_API const char *loewner_status_name(loewner_status status);
 
-/* What was expected and what was found at this thread's last error; valid until its next one. */
+/* Text of this thread's last error: the expected and the found content. It is valid until the thread's next error. */
 LOEWNER_API const char *loewner_error_text(void);
 
-/* Level of the processor whose machine code is in use, such as "x86-64-v3"; NULL, with an error text, if there is
-   none. */
+/* Level of processors for which the machine code in use was compiled, such as "x86-64-v3". Without machine code, the
+   function returns NULL and sets an error text. */
 LOEWNER_API const char *loewner_level(void);
 
 /* -- workspaces ---------------------------------------------------------------------------------------------------- */
 
-/* Memory for the queries of one thread at a time, for any checkers and bodies. */
+/* Memory for queries about any checkers and bodies, for one thread at a time. */
 LOEWNER_API loewner_status loewner_workspace_new(loewner_workspace **workspace);
 LOEWNER_API void loewner_workspace_free(loewner_workspace *workspace);
 
@@ -86,28 +88,29 @@ LOEWNER_API void loewner_workspace_free(loewner_workspace *workspace);
 
 /* Open a file that `CollisionChecker.save` wrote.
 
-   The file is mapped into memory and must not change while the checker is open; replacing it by a new file of the same
-   name is fine. Sizes, indices and numbers are checked, so that no file can lead to accesses outside it; whether the
-   ellipsoids in it belong to the shapes in it is not checked. */
+   The file is mapped into memory, and must not change while the checker is open; replacing it with a new file of the
+   same name is safe. Sizes, indices and numbers are checked, so that no file can cause accesses outside the file.
+   Whether the ellipsoids in the file fit its shapes is not checked. */
 LOEWNER_API loewner_status loewner_checker_open(const char *path, loewner_checker **checker);
 LOEWNER_API void loewner_checker_close(loewner_checker *checker);
 
-/* Numbers of values of a configuration, links, bodies (bodies of links first), and checked pairs of bodies. */
+/* The numbers of values of a configuration, of links, of bodies (the bodies of links come first), and of checked pairs
+   of bodies. */
 LOEWNER_API int32_t loewner_checker_dof(const loewner_checker *checker);
 LOEWNER_API int32_t loewner_checker_link_count(const loewner_checker *checker);
 LOEWNER_API int32_t loewner_checker_body_count(const loewner_checker *checker);
 LOEWNER_API int64_t loewner_checker_pair_count(const loewner_checker *checker);
 
-/* Names, by number; NULL if there is no such number. Valid until the checker is closed. */
+/* Names by number, or NULL for a number without a name. A name is valid until the checker is closed. */
 LOEWNER_API const char *loewner_checker_value_name(const loewner_checker *checker, int32_t value);
 LOEWNER_API const char *loewner_checker_link_name(const loewner_checker *checker, int32_t link);
 LOEWNER_API const char *loewner_checker_body_name(const loewner_checker *checker, int32_t body);
 
-/* Numbers, by name; -1 if there is no such name. A body on a link has the link's name. */
+/* Numbers by name, or -1 for an unknown name. The body of a link has the link's name. */
 LOEWNER_API int32_t loewner_checker_find_link(const loewner_checker *checker, const char *name);
 LOEWNER_API int32_t loewner_checker_find_body(const loewner_checker *checker, const char *name);
 
-/* Limits of the values, shape (dof,) each, narrowed by soft limits; infinite where there are none. */
+/* Limits of the values, shape (dof,) each, narrowed by soft limits; infinite for values without limits. */
 LOEWNER_API loewner_status loewner_checker_limits(const loewner_checker *checker, double *lower, double *upper);
 
 /* The bodies of the checked pair number `pair`. */
@@ -115,18 +118,20 @@ LOEWNER_API loewner_status loewner_checker_pair(const loewner_checker *checker, 
 
 /* -- queries of configurations ------------------------------------------------------------------------------------- */
 
-/* Verdicts of n configurations, shape (n, dof), from the ellipsoids alone, or exact; `verdicts` has shape (n,). */
+/* Verdicts for n configurations, shape (n, dof): `..._classify` uses only ellipsoids, and `..._collide` is exact.
+   `verdicts` has shape (n,). */
 LOEWNER_API loewner_status loewner_checker_classify(const loewner_checker *checker, loewner_workspace *workspace,
                                                     const double *configurations, size_t n, int8_t *verdicts);
 LOEWNER_API loewner_status loewner_checker_collide(const loewner_checker *checker, loewner_workspace *workspace,
                                                    const double *configurations, size_t n, int8_t *verdicts);
 
-/* Exact verdict of every checked pair at one configuration; `verdicts` has shape (pairs,). */
+/* Exact verdict for every checked pair at one configuration; `verdicts` has shape (pairs,). */
 LOEWNER_API loewner_status loewner_checker_collide_by_pair(const loewner_checker *checker, loewner_workspace *workspace,
                                                            const double *configuration, int8_t *verdicts);
 
-/* Likewise for poses of all links in the world, shape (links, 16), that another program computed. `verdict` receives
-   the verdict of all pairs together; `verdicts` may be NULL. */
+/* Exact verdicts for poses of all links in the world, shape (links, 16), that another program computed. `verdict`
+   receives the verdict for all pairs together, and `verdicts`, shape (pairs,), the verdict for each pair; `verdicts`
+   may be NULL. */
 LOEWNER_API loewner_status loewner_checker_collide_placed(const loewner_checker *checker, loewner_workspace *workspace,
                                                           const double *link_poses, int8_t *verdict, int8_t *verdicts);
 
@@ -136,21 +141,21 @@ LOEWNER_API loewner_status loewner_checker_link_poses(const loewner_checker *che
 
 typedef struct {
     double lower, upper; /* certified bounds on the distance */
-    double distance;     /* of the nearest pair, or minus the depth of the deepest one; NaN if it was not settled */
+    double distance;     /* distance of the nearest pair, or minus the depth of the deepest pair; NaN if not settled */
     int32_t bodies[2];
     double witness_a[3], witness_b[3]; /* the nearest points of the two bodies, in the world */
     double normal[3];                  /* of length 1, from the first body to the second one */
 } loewner_distance;
 
 /* Signed distance of the nearest checked pair at n configurations; margins are ignored. `gradients`, shape (n, dof),
-   may be NULL: derivatives of the distance in metres per radian or metre. If `distance` is NaN, so is the gradient, and
-   the bounds hold. There must be a pair. */
+   receives derivatives of the distance in metres per radian or metre, and may be NULL. If `distance` is NaN, so is the
+   gradient, but the bounds hold. At least one pair must be checked. */
 LOEWNER_API loewner_status loewner_checker_distance(const loewner_checker *checker, loewner_workspace *workspace,
                                                     const double *configurations, size_t n, loewner_distance *distances,
                                                     double *gradients);
 
 /* A smooth certified lower bound on the distance of the nearest pair at n configurations, shape (n,), and its
-   gradients, shape (n, dof), which may be NULL. `softness` is in metres, such as 0.005; see
+   gradients, shape (n, dof), which may be NULL. `softness` is a length in metres, such as 0.005; see
    `CollisionChecker.clearance`. */
 LOEWNER_API loewner_status loewner_checker_clearance(const loewner_checker *checker, loewner_workspace *workspace,
                                                      const double *configurations, size_t n, double softness,
@@ -160,43 +165,44 @@ LOEWNER_API loewner_status loewner_checker_clearance(const loewner_checker *chec
 
 typedef struct {
     double tolerance;          /* motions that come nearer than this to contact may be AMBIGUOUS [m]; 0: 1e-5 */
-    const double *joint_error; /* shape (dof,), or NULL: FREE then holds for all deviations up to these */
+    const double *joint_error; /* shape (dof,), or NULL: deviations of the values up to which FREE holds */
     const double *t0, *t1;     /* shape (n,), or NULL: seconds at which the motions begin and end, see loewner_bounds */
     int64_t steps;             /* steps after which the proof of a motion is given up as AMBIGUOUS; 0: no limit */
     int64_t *steps_taken;      /* shape (n,), or NULL: receives the steps that each motion took */
-} loewner_proof_options;       /* fields that are 0 have no effect, so new ones come last */
+} loewner_proof_options;       /* a field of 0 means the default; future fields will come last */
 
-/* STEPS count the work of a proof: configurations placed, pairs of bodies and of pieces compared, searches, and boxes
-   about parts of surfaces and about many pieces opened. A motion takes at most `steps` plus a number that depends only
-   on the scene; docs/certified.md, "Bounded work", gives both, and the time that they take. Some work is not counted:
-   COLLIDING on a curve is confirmed as by `..._collide`, and so is the start of a motion that is free among solid
-   surfaces, once for each motion. */
+/* STEPS measure the work of a proof: placing configurations, comparing pairs of bodies and of pieces, searching, and
+   opening boxes around parts of surfaces and around groups of pieces. A motion takes at most `steps` plus a number that
+   depends only on the scene; docs/certified.md, "Bounded work", gives both, and the time that they take. Some work is
+   not counted: once for each motion, a check like `..._collide` confirms COLLIDING on a curve, or the start of a motion
+   that is free among solid surfaces. */
 
 /* Prove n motions on which all values change linearly from `starts` to `ends`, shape (n, dof) each, and orientations
-   take the shorter way. FREE holds at every real fraction of the motion; COLLIDING at the fraction that `fractions`,
-   shape (n,), receives (NaN for FREE). `bodies`, shape (n, 2), receives the pair in question; it is -1 for FREE, and
-   for motions too long to be proven in some 450,000 intervals, which are AMBIGUOUS. `fractions`, `bodies` and `options`
-   may be NULL. */
+   turn the shorter way. FREE holds at every real fraction of a motion; COLLIDING holds at the fraction that
+   `fractions`, shape (n,), receives (NaN for FREE). `bodies`, shape (n, 2), receives the pair in question. It is -1 for
+   FREE, and for motions that are AMBIGUOUS because they are too long to be proven in about 450,000 intervals.
+   `fractions`, `bodies` and `options` may be NULL. */
 LOEWNER_API loewner_status loewner_checker_certify_edges(const loewner_checker *checker, loewner_workspace *workspace,
                                                          const double *starts, const double *ends, size_t n,
                                                          const loewner_proof_options *options, int8_t *verdicts,
                                                          double *fractions, int32_t (*bodies)[2]);
 
-/* Whether each of n straight motions is proven free, 1 or 0, for validators of motions: as by `..._certify_edges`, but
-   in less time if many of them collide, since the workspace learns which pairs do. `options` may be NULL. */
+/* Find whether each of n straight motions is proven free (1) or not (0), for motion validators. The answers are those
+   of `..._certify_edges`, but take less time if many motions collide, since the workspace learns which pairs collide.
+   `options` may be NULL. */
 LOEWNER_API loewner_status loewner_checker_motions_free(const loewner_checker *checker, loewner_workspace *workspace,
                                                         const double *starts, const double *ends, size_t n,
                                                         const loewner_proof_options *options, int8_t *is_free);
 
-/* As `..._certify_edges`, for n curves: polynomials of a degree from 1 to 7, given by their Bezier points, shape (n,
-   degree + 1, dof). The robot must have no quaternions. */
+/* Prove n curves as `..._certify_edges` proves motions. The curves are polynomials of a degree from 1 to 7, given by
+   their Bezier points, shape (n, degree + 1, dof). The robot must have no quaternions. */
 LOEWNER_API loewner_status loewner_checker_certify_curves(const loewner_checker *checker, loewner_workspace *workspace,
                                                           const double *points, size_t n, int32_t degree,
                                                           const loewner_proof_options *options, int8_t *verdicts,
                                                           double *fractions, int32_t (*bodies)[2]);
 
 typedef struct {
-    const uint8_t *joints;     /* shape (dof,): 1 for values that may change, of joints of one value; NULL: all */
+    const uint8_t *joints;     /* shape (dof,): 1 for values that may change, of joints with one value; NULL: all */
     const double *joint_error; /* shape (dof,), or NULL */
     int64_t max_iterations;    /* random configurations to draw; 0: no limit */
     double timeout;            /* seconds, checked after 64 to 512 iterations; 0: 10 */
@@ -204,66 +210,66 @@ typedef struct {
     uint32_t seed;             /* equal seeds give equal paths, the same as in Python */
 } loewner_plan_options;
 
-/* Find a path from `start`, shape (dof,), to one of several goals, shape (goals, dof), whose motions are all proven
-   free, as `loewner.planners.plan` does. `path` receives `count` configurations, which belong to the workspace and are
+/* Find a path whose motions are all proven free, from `start`, shape (dof,), to one of several goals, shape (goals,
+   dof), as `loewner.planners.plan` does. `path` receives `count` configurations, which belong to the workspace and are
    valid until its next use. `options` may be NULL. */
 LOEWNER_API loewner_status loewner_checker_plan(const loewner_checker *checker, loewner_workspace *workspace,
                                                 const double *start, const double *goals, size_t goal_count,
                                                 const loewner_plan_options *options, const double **path,
                                                 size_t *count);
 
-/* Shorten a path of `n` configurations whose motions are all free; its other arguments are those of `..._plan`. */
+/* Shorten a path of `n` configurations whose motions are all free; the other arguments are as for `..._plan`. */
 LOEWNER_API loewner_status loewner_checker_shorten(const loewner_checker *checker, loewner_workspace *workspace,
                                                    const double *path, size_t n, const loewner_plan_options *options,
                                                    const double **shorter, size_t *count);
 
 /* -- changes of the scene ------------------------------------------------------------------------------------------ */
 
-/* Move n bodies of the scene, by their numbers, to `poses`, shape (n, 16). The next query takes the changes over, which
-   costs some microseconds for each body that moved. */
+/* Move n bodies of the scene, given by their numbers, to `poses`, shape (n, 16). The next query applies the changes,
+   which takes a few microseconds for each body that has moved. */
 LOEWNER_API loewner_status loewner_checker_move(loewner_checker *checker, const int32_t *bodies, const double *poses,
                                                 size_t n);
 
-/* Add one of the bodies of a file, at a pose, under a name that no other body or link has. It is checked against
-   everything that moves, with the larger of the scene's margin and the other body's own margin. `body` receives its
-   number and may be NULL. The bodies may be closed afterwards. */
+/* Add one of the bodies of a file, at a pose, under a name that no other body or link has. The new body is checked
+   against everything that moves, with the larger of the scene's margin and the other body's own margin. `body` receives
+   the new body's number, and may be NULL. `bodies` may be closed afterwards. */
 LOEWNER_API loewner_status loewner_checker_add(loewner_checker *checker, const char *name, const loewner_bodies *bodies,
                                                int64_t which, const double *pose, int32_t *body);
 
 /* Exclude a body of the scene or of a link from all checks, or include it again; numbers of bodies do not change. */
 LOEWNER_API loewner_status loewner_checker_set_present(loewner_checker *checker, int32_t body, int present);
 
-/* Attach a body of the scene, even if it is attached already, to a link, at a pose in the frame of the link. It is then
-   checked against the scene and the robot, except for the `touch_count` links that it may touch, and links that are
-   rigidly joined with its link. Bodies that Python had attached when the file was saved belong to the robot, and cannot
-   be attached or detached. */
+/* Attach a body of the scene, even if it is attached already, to a link, at a pose in the frame of the link. The body
+   is then checked against the scene and the robot, except for the `touch_count` links that it may touch, and links that
+   are rigidly joined to its link. Bodies that Python had attached when the file was saved belong to the robot, and
+   cannot be attached or detached. */
 LOEWNER_API loewner_status loewner_checker_attach(loewner_checker *checker, int32_t body, int32_t link,
                                                   const double *pose_in_link, const int32_t *touch_links,
                                                   size_t touch_count);
 
-/* Detach a body: it is at rest in the scene again, at a pose in the world. */
+/* Detach a body, which is then at rest in the scene, at a pose in the world. */
 LOEWNER_API loewner_status loewner_checker_detach(loewner_checker *checker, int32_t body, const double *pose);
 
-/* Allow two bodies to touch, or forbid it again, and set the distance in metres, >= 0, that they have to keep. A pair
-   that was not checked when the file was saved cannot be checked. Settings for two bodies of the scene take effect when
-   one of them is attached. */
+/* Allow two bodies to touch, or forbid it again; and set the distance in metres, >= 0, that two bodies have to keep. A
+   pair that was not checked when the file was saved cannot be checked. Settings for two bodies of the scene take effect
+   when one of the bodies is attached. */
 LOEWNER_API loewner_status loewner_checker_allow(loewner_checker *checker, int32_t a, int32_t b, int allowed);
 LOEWNER_API loewner_status loewner_checker_set_margin(loewner_checker *checker, int32_t a, int32_t b, double margin);
 
-/* How far a body of the scene may be from its pose: at a time t, its origin by metres + speed |t - since| and its
-   orientation by radians + turn |t - since|. A point at the distance r from the origin is then off by no more than the
-   first number plus r times the second one. */
+/* How far a body of the scene may deviate from its pose: at a time t, its origin by metres + speed |t - since|, and its
+   orientation by radians + turn |t - since|. A point at the distance r from the origin deviates by no more than the
+   first bound plus r times the second bound. */
 typedef struct {
     double metres, radians; /* >= 0 */
     double speed, turn;     /* >= 0 [m/s, rad/s], such as 1.6 and 0 for a person */
     double since;           /* [s] */
 } loewner_bounds;
 
-/* Set the bounds of a body of the scene, or end them with NULL; attaching it ends them, too. As long as a body has
-   bounds, only motions and curves are proven, and other queries are refused. FREE then holds for all places of the
-   bodies within their bounds at the times in `loewner_proof_options`, which are required for a speed or a turn;
-   COLLIDING refers to the bodies at their poses. Changing the bounds of a body that has some, or moving it, takes no
-   longer next to bodies of many pieces. */
+/* Set the bounds of a body of the scene, or remove them with NULL; attaching the body removes them, too. While a body
+   has bounds, only motions and curves can be proven, and other queries are refused. FREE holds for all places of the
+   bodies within their bounds at the times in `loewner_proof_options`, which are required if bounds have a speed or a
+   turn. COLLIDING refers to the bodies at their poses. Changing the bounds of a body that already has bounds, or moving
+   this body, takes no longer if other bodies have many pieces. */
 LOEWNER_API loewner_status loewner_checker_set_bounds(loewner_checker *checker, int32_t body,
                                                       const loewner_bounds *bounds);
 
@@ -273,13 +279,15 @@ typedef struct loewner_gate loewner_gate;
 
 enum { LOEWNER_BRAKE_JOINTS = 0, LOEWNER_BRAKE_PATH = 1 };
 
-/* What may be executed: all targets; the first `steps` targets; no new target, only the brake; or, because the robot is
-   already in contact or nearer to something than its margin, only a brake that is not proven. */
+/* What may be executed. GO: all targets. PREFIX: the first `steps` targets. BRAKE: no new target, only the brake.
+   INSIDE: only a brake that is not proven, since the robot is already in contact, or nearer to something than its
+   margin. */
 enum { LOEWNER_GATE_GO = 0, LOEWNER_GATE_PREFIX = 1, LOEWNER_GATE_BRAKE = 2, LOEWNER_GATE_INSIDE = 3 };
 
-/* Why not all targets may be executed: the robot collides on the way to a target, or while it brakes (or the targets
-   end before a brake begins); it collides only with bodies away from their poses, or nothing is proven near contact; a
-   target is outside the limits of a joint or too fast; and the steps were used up. */
+/* Why not all targets may be executed. CONTACT: the robot collides on the way to a target. BRAKE: the robot collides
+   while it brakes, or the targets end before a brake begins. MAY_BE_HIT: the robot collides only with bodies away from
+   their poses, or nothing is proven near contact. LIMITS: a target is outside the limits of a joint, or too fast.
+   BUDGET: the steps were used up. */
 enum {
     LOEWNER_REASON_NONE = 0,
     LOEWNER_REASON_CONTACT = 1,
@@ -290,67 +298,68 @@ enum {
 };
 
 typedef struct {
-    int32_t brake;                /* each joint as fast as it can, off the path; or on the path, more and more slowly */
-    const double *acceleration;   /* shape (dof,), as all others: limits, > 0 */
-    const double *jerk;           /* > 0, or NULL: accelerations jump */
-    const double *velocity;       /* > 0, or NULL: the limits of the robot that was saved, if it has any */
-    const double *joint_error;    /* by which the robot may deviate from the motions and the brakes, or NULL */
-    const double *velocity_error; /* by which its velocity may deviate when it begins to brake, or NULL */
-    double latency;               /* seconds until the robot brakes; rounded up to whole periods */
-    double horizon;               /* seconds: only targets within it are examined; 0: all */
+    int32_t brake;                /* JOINTS: each joint as fast as it can, off the path; PATH: on the path */
+    const double *acceleration;   /* limits, > 0; all arrays have shape (dof,) */
+    const double *jerk;           /* limits, > 0; NULL: accelerations jump */
+    const double *velocity;       /* limits, > 0; NULL: the limits of the robot that was saved, if it has any */
+    const double *joint_error;    /* how far the robot may deviate from the motions and the brakes, or NULL */
+    const double *velocity_error; /* how far its velocity may deviate when it begins to brake, or NULL */
+    double latency;               /* seconds from the order to brake until the robot brakes; rounded up to periods */
+    double horizon;               /* seconds: only targets within this time are examined; 0: all */
     double tolerance;             /* as in loewner_proof_options */
-    int64_t steps;                /* that a check may take in its proofs; 0: any number */
+    int64_t steps;                /* steps that the proofs of a check may take; 0: no limit */
     int32_t wants_scale;          /* 1 to look for the scale, which takes up to three times the work of a new chunk */
 } loewner_gate_options;
 
 typedef struct {
     int32_t state, reason;
     size_t steps;      /* targets that may be executed: the motions to them, and a brake from each, are proven free */
-    double scale;      /* 1 for GO; or the largest of 1/2, 1/4 and 1/8 of the speed with which all are proven; or 0 */
+    double scale;      /* 1 for GO; or the largest of 1/2, 1/4 and 1/8 of the speed at which all are proven; or 0 */
     int32_t bodies[2]; /* the pair in question; -1 for none */
     int32_t joint;     /* the value whose target is outside the limits; -1 for none */
-    int32_t is_proven; /* whether the brake is */
-    int64_t work;      /* steps of the proofs */
-    /* The brake. If no other answer arrives, it begins `begins` seconds after the tick of this check: after `steps`
-       targets and the latency. If the state is BRAKE, the order to brake is due at once, and the robot continues to
-       targets of the previous answer until the latency is over. The gate owns these numbers until its next check.
-       Between two times, positions follow the cubic that has these positions and velocities at both; accelerations are
-       the values just after each time. */
+    int32_t is_proven; /* whether the brake is proven */
+    int64_t work;      /* steps that the proofs took */
+    /* The brake. If no other answer arrives, the brake begins `begins` seconds after the tick of this check: after
+       `steps` targets and the latency. If the state is BRAKE, the order to brake is due at once, and the robot
+       continues to targets of the previous answer until the latency is over. The gate owns these numbers until its next
+       check. Between two times, positions follow the cubic that has the given positions and velocities at both times;
+       accelerations are the values just after each time. */
     double begins;
-    size_t brake_count; /* joint by joint at most 3 dof + 1 */
-    const double *times;                                  /* seconds since it began, shape (brake_count,) */
+    size_t brake_count; /* number of times; at most 3 dof + 1 for LOEWNER_BRAKE_JOINTS */
+    const double *times;                                  /* seconds since the brake began, shape (brake_count,) */
     const double *positions, *velocities, *accelerations; /* shape (brake_count, dof) */
 } loewner_gate_answer;
 
-/* Make a gate for chunks of up to `most_targets`: the counterpart of Python's `loewner.planners.Gate`, whose page
-   states its claims. It is no safety function in the sense of IEC 61508 or ISO 13849. The robot must have no floating
-   and no ball joints, and targets must be within `loewner_checker_limits`. The checker must live longer than the gate;
-   its scene may change between checks. A gate has memory of its own for one thread at a time. A check allocates
-   nothing, unless more than poses and bounds of bodies has changed in the scene, or a new chunk begins within rounding
-   of contact; and it waits for no other thread, unless both are the first to query a checker whose scene has
+/* Make a gate for chunks of up to `most_targets` targets: the counterpart of Python's `loewner.planners.Gate`, whose
+   page states its claims. A gate is not a safety function in the sense of IEC 61508 or ISO 13849. The robot must have
+   no floating and no ball joints, and targets must be within `loewner_checker_limits`. The checker must live longer
+   than the gate; its scene may change between checks. A gate has memory of its own, for one thread at a time. A check
+   allocates no memory, unless changes of the scene go beyond poses and bounds of bodies, or a new chunk begins within
+   rounding of contact. A check waits for no other thread, unless both are the first to query a checker whose scene has
    changed. */
 LOEWNER_API loewner_status loewner_gate_new(const loewner_checker *checker, const loewner_gate_options *options,
                                             size_t most_targets, loewner_gate **gate);
 LOEWNER_API void loewner_gate_free(loewner_gate *gate);
 
-/* Judge a chunk, before it is executed and again at each tick: from the measured state `q`, `dq`, the robot is to be at
-   the first of n targets, shape (n, dof), after `dt` seconds. A tick later, a chunk that continues this one begins with
-   the second of these targets, and only its new part is proven. `time` is the time of the tick on the clock of
-   `loewner_bounds`, and must not run backwards. Without bounds, any constant will do, but with a latency the brake of a
-   slow robot is then not proven if the robot may be at several ticks. After an error, the brake of the last answer,
-   which the caller should have copied, is the safe motion. */
+/* Judge a chunk before it is executed, and again at each tick. From the measured state `q`, `dq`, the robot should
+   reach the first of n targets, shape (n, dof), after `dt` seconds. A tick later, a chunk that continues this one
+   begins with the second of these targets, and only its new part is proven. `time` is the time of the tick on the clock
+   of `loewner_bounds`, and must not run backwards. Without bounds, `time` may be constant. With a latency, however, a
+   constant time leaves the brake of a slow robot unproven if the robot's state fits several ticks. After an error, the
+   brake of the last answer, which the caller should have copied, is the safe motion. */
 LOEWNER_API loewner_status loewner_gate_check(loewner_gate *gate, const double *q, const double *dq,
                                               const double *targets, size_t n, double dt, double time,
                                               loewner_gate_answer *answer);
 
 /* -- pairs of bodies ----------------------------------------------------------------------------------------------- */
 
-/* Open a file of bodies, which `Body.save` or `Bodies.save` wrote under a name that ends in .lwn. */
+/* Open a file of bodies that `Body.save` or `Bodies.save` wrote under a name that ends in .lwn. */
 LOEWNER_API loewner_status loewner_bodies_open(const char *path, loewner_bodies **bodies);
 LOEWNER_API void loewner_bodies_close(loewner_bodies *bodies);
 LOEWNER_API int64_t loewner_bodies_count(const loewner_bodies *bodies);
 
-/* One side of a query of n pairs: pair k is body `body` (or body k, if it is -1) at pose k (or at the only pose). */
+/* One side of a query about n pairs: in pair k, body `body` (or body k, if `body` is -1) at pose k, or at the only
+   pose. */
 typedef struct {
     const loewner_bodies *bodies;
     int64_t body;
@@ -358,13 +367,13 @@ typedef struct {
     size_t pose_count;   /* n or 1 */
 } loewner_side;
 
-/* Verdicts of n pairs, shape (n,). To be FREE, a pair has to be more than `margin` metres apart. */
+/* Verdicts for n pairs, shape (n,). A pair is FREE only if it is more than `margin` metres apart. */
 LOEWNER_API loewner_status loewner_classify(loewner_workspace *workspace, const loewner_side *a, const loewner_side *b,
                                             size_t n, double margin, int8_t *verdicts);
 LOEWNER_API loewner_status loewner_collide(loewner_workspace *workspace, const loewner_side *a, const loewner_side *b,
                                            size_t n, double margin, int8_t *verdicts);
 
-/* Signed distances of n pairs; `bodies` of the results are the numbers of the bodies in their files. */
+/* Signed distances of n pairs; in the results, `bodies` are the numbers of the bodies in their files. */
 LOEWNER_API loewner_status loewner_measure(loewner_workspace *workspace, const loewner_side *a, const loewner_side *b,
                                            size_t n, loewner_distance *distances);
 

@@ -1,7 +1,8 @@
 /* loewner.hpp: `loewner.h` for C++17, with owners that close what they hold, and vectors and views instead of pointers.
 
-   Everything here is inline, in the program's own code: the library throws nothing. A status other than OK becomes a
-   `loewner::Error`. What `loewner.h` says of units, shapes, ownership and threads holds here. */
+   All functions here are inline, and thus part of the calling program; the library itself throws no exceptions. A
+   status other than OK becomes a `loewner::Error`. The rules of `loewner.h` for units, shapes, ownership and threads
+   apply here, too. */
 
 #ifndef LOEWNER_HPP
 #define LOEWNER_HPP
@@ -40,7 +41,7 @@ inline void expect(loewner_status status)
 
 enum class Verdict : std::int8_t { Free = LOEWNER_FREE, Colliding = LOEWNER_COLLIDING, Ambiguous = LOEWNER_AMBIGUOUS };
 
-/* A view of numbers that somebody else owns: of a vector, an array, or a pointer and a length. */
+/* A view of numbers that it does not own, from a vector, an array, or a pointer and a length. */
 template <class T> class View
 {
 public:
@@ -83,7 +84,7 @@ private:
     std::unique_ptr<loewner_workspace, Leave> held_;
 };
 
-/* Bodies of a file that `Body.save` or `Bodies.save` wrote. */
+/* The bodies in a file that `Body.save` or `Bodies.save` wrote. */
 class Bodies
 {
 public:
@@ -107,7 +108,7 @@ struct Motion {
     Verdict verdict;
     double fraction;                    /* NaN for Free */
     std::array<std::int32_t, 2> bodies; /* -1 for none */
-    std::int64_t steps = 0;             /* that the proof took */
+    std::int64_t steps = 0;             /* steps that the proof took */
 };
 
 /* A robot in a scene, from a file that `CollisionChecker.save` wrote. */
@@ -144,7 +145,7 @@ public:
     std::string link_name(std::int32_t link) const { return text(loewner_checker_link_name(get(), link)); }
     std::string value_name(std::int32_t value) const { return text(loewner_checker_value_name(get(), value)); }
 
-    /* Limits of the values: lower, then upper. */
+    /* The lower and the upper limits of the values. */
     std::pair<std::vector<double>, std::vector<double>> limits() const
     {
         std::vector<double> lower(dof()), upper(dof());
@@ -152,7 +153,7 @@ public:
         return {std::move(lower), std::move(upper)};
     }
 
-    /* Verdict of one configuration. */
+    /* The verdict for one configuration. */
     Verdict classify(Workspace &workspace, Numbers q) const
     {
         std::int8_t found = LOEWNER_AMBIGUOUS;
@@ -168,7 +169,7 @@ public:
         return static_cast<Verdict>(found);
     }
 
-    /* Verdicts of configurations that follow each other. */
+    /* The verdicts for configurations that are stored one after another. */
     void collide(Workspace &workspace, Numbers configurations, View<std::int8_t> verdicts) const
     {
         expect_rows(configurations, verdicts.size());
@@ -184,7 +185,7 @@ public:
         return static_cast<Verdict>(found);
     }
 
-    /* The nearest pair at one configuration, and on request the gradient of its distance. */
+    /* The nearest pair at one configuration and, on request, the gradient of its distance. */
     loewner_distance distance(Workspace &workspace, Numbers q, View<double> gradient = {}) const
     {
         loewner_distance found;
@@ -202,8 +203,8 @@ public:
         return found;
     }
 
-    /* Prove one straight motion, in no more steps than are allowed; see loewner.h. `times` has the two at which it begins
-       and ends [s], for bodies with bounds that grow. */
+    /* Prove one straight motion; `steps` limits the work, as described in loewner.h. `times` has two entries, the times
+       at which the motion begins and ends [s], for bodies with bounds that grow. */
     Motion certify_edge(Workspace &workspace, Numbers start, Numbers end, double tolerance = 1e-5,
                         Numbers joint_error = {}, std::int64_t steps = 0, Numbers times = {}) const
     {
@@ -225,7 +226,7 @@ public:
         return {static_cast<Verdict>(found), fraction, {bodies[0][0], bodies[0][1]}, taken};
     }
 
-    /* Whether one straight motion is proven free, for a planner's validator of motions. */
+    /* Whether one straight motion is proven free, for a planner's motion validator. */
     bool is_free(Workspace &workspace, Numbers start, Numbers end, double tolerance = 1e-5, Numbers joint_error = {},
                  std::int64_t steps = 0) const
     {
@@ -240,7 +241,7 @@ public:
         return found == 1;
     }
 
-    /* Prove motions, whose starts follow each other, and so do their ends. */
+    /* Prove motions; their starts are stored one after another, as are their ends. */
     void certify_edges(Workspace &workspace, Numbers starts, Numbers ends, View<std::int8_t> verdicts,
                        double tolerance = 1e-5, std::int64_t steps = 0) const
     {
@@ -307,7 +308,7 @@ public:
     }
     void end_bounds(std::int32_t body) { expect(loewner_checker_set_bounds(held_.get(), body, nullptr)); }
 
-    /* For the rest of `loewner.h`. */
+    /* The checker for the other functions of `loewner.h`. */
     const loewner_checker *get() const noexcept { return held_.get(); }
     loewner_checker *get() noexcept { return held_.get(); }
 
