@@ -1,9 +1,9 @@
 """Arrays in ``.npz`` files, written atomically and read as pure data, and single arrays in ``.npy`` files.
 
-A file is read in steps, and each step trusts only what earlier steps have checked: a regular file; an archive with the
-expected members; for each member the few bytes that give type and shape, which must agree with one another, with the
-sizes that the archive states, and with a limit; then the numbers and their checksum. The caller checks the meaning of
-the numbers.
+A file is read in steps, and each step trusts only facts that earlier steps have checked. The file must be a regular
+file, and an archive with the expected members. The first bytes of each member give type and shape; both must agree with
+each other, with the sizes that the archive states, and with a limit. Last come the numbers and their checksum. The
+caller checks the meaning of the numbers.
 """
 
 from __future__ import annotations
@@ -97,7 +97,7 @@ def write(path: str | os.PathLike[str], kind: Format, arrays: Mapping[str, Any],
     kind : Format
     arrays : dict
     version : int, optional
-        The oldest version that supports these arrays; the newest by default.
+        The oldest version that supports these arrays; the default is the newest version.
 
     Raises
     ------

@@ -182,6 +182,6 @@ def _text(path: Path) -> str | None:
 
 
 def _number(path: Path) -> int | None:
-    """Content of a file with one number; None for "max", or if there is no number."""
+    """Content of a file with one number; None if it is "max" or not a number."""
     text = (_text(path) or "").strip()
     return int(text) if text.isdigit() else None

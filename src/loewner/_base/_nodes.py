@@ -80,7 +80,7 @@ class Node(ABC):
     @property
     @abstractmethod
     def empty(self) -> bool:
-        """Whether there is nothing: no value, or a mapping, a sequence or a text without contents."""
+        """Whether the place has no value, or is a mapping, a sequence or a text without contents."""
 
     @abstractmethod
     def expect(self, kind: str, wanted: str) -> Any:
@@ -120,7 +120,7 @@ class Node(ABC):
             raise self.error(str(error)) from None
 
     def mapping(self, known: Collection[str] | None, required: tuple[str, ...] = ()) -> dict[str, Self]:
-        """Return places by key; missing and duplicate keys are errors, and unknown ones unless `known` is None."""
+        """Return places by key; missing and duplicate keys are errors, as are unknown keys unless `known` is None."""
         found: dict[str, Self] = {}
         for raw_key, raw in self.expect("mapping", "a mapping"):
             key = raw_key if type(raw_key) is str else self._key(raw_key)
@@ -170,7 +170,7 @@ class Node(ABC):
         return number
 
     def numbers(self, length: int | None = None, names: str = "") -> list[float]:
-        """Read finite numbers: a given count of them, or any if none is given; messages show their names."""
+        """Read finite numbers, exactly `length` of them if it is given; messages show their `names`."""
         return [item.number() for item in self.items(*([] if length is None else [length]), names=names)]
 
     def rows(self, length: int) -> list[list[float]]:
@@ -214,7 +214,7 @@ class JsonNode(Node):
 
     @property
     def empty(self) -> bool:
-        """Whether there is nothing: no value, or a mapping, a sequence or a text without contents."""
+        """Whether the place has no value, or is a mapping, a sequence or a text without contents."""
         return self.raw is None or (isinstance(self.raw, (dict, list, str)) and not self.raw)
 
     def expect(self, kind: str, wanted: str) -> Any:
@@ -230,7 +230,7 @@ class JsonNode(Node):
         return cut(repr(self.raw) if isinstance(self.raw, str) else reprlib.repr(self.raw))
 
     def _plain(self, kind: type, wanted: str) -> Any:
-        # In Python a bool is an int; in a file it is not.
+        # In Python, a bool is an int; in a file, it is not.
         if not isinstance(self.raw, kind) or (isinstance(self.raw, bool) and kind is not bool):
             raise self.error(f"expected {wanted}, found {self.described()}")
         return self.raw
@@ -245,7 +245,7 @@ class JsonNode(Node):
         return self.finite(float(value) if abs(value) <= sys.float_info.max else math.nan)
 
     def numbers(self, length: int | None = None, names: str = "") -> list[float]:
-        """Read finite numbers: a given count of them, or any if none is given; messages show their names."""
+        """Read finite numbers, exactly `length` of them if it is given; messages show their `names`."""
         raw = self.raw
         plain = type(raw) is list and length in (None, len(raw))
         if plain and all(type(value) is float and math.isfinite(value) for value in raw):
@@ -296,7 +296,7 @@ class YamlNode(Node):
 
     @property
     def empty(self) -> bool:
-        """Whether there is nothing: no value, or a mapping, a sequence or a text without contents."""
+        """Whether the place has no value, or is a mapping, a sequence or a text without contents."""
         return not self.raw.value or self.raw.tag == "tag:yaml.org,2002:null"
 
     def expect(self, kind: str, wanted: str) -> Any:
@@ -375,7 +375,7 @@ def read_yaml(data: bytes, file: Path, what: str, *, merges: bool = False) -> Ya
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         raise FileError(f"{file}, line {mark.line + 1}: expected YAML, found a fault in it ({error.problem})") from None
-    except (yaml.YAMLError, ValueError, OverflowError, RecursionError) as error:  # the last three: escapes and depth
+    except (yaml.YAMLError, ValueError, OverflowError, RecursionError) as error:  # escapes and depth cause the others
         found = " ".join(str(error).split())[:200]
         raise FileError(f"{file}: expected YAML, found something else ({found})") from None
     if root is None:

@@ -1,6 +1,6 @@
 """Pictures for notebooks, as HTML of a few kilobytes: bodies, curves of joints, and rows of verdicts.
 
-Bodies are drawn here by a depth buffer into a PNG file, which is small for any number of triangles. All pictures are
+Bodies are drawn with a depth buffer into a PNG file, which is small for any number of triangles. All pictures are
 complete in themselves, without scripts or requests, and have the text colour and the background of the page.
 """
 

@@ -58,7 +58,7 @@ def set_num_threads(n: int) -> None:
     Raises
     ------
     InputError
-        If `n` is not such an integer.
+        If `n` is not an integer from 1 to 1024.
 
     See Also
     --------

@@ -453,7 +453,7 @@ def known(x: Any, what: str, names: Collection[str]) -> str:
 
 
 class Named(dict[str, Entry]):
-    """A dict of names for users: the error for an unknown name lists the known ones."""
+    """A dict for users, in which the error about an unknown name lists the known names."""
 
     def __init__(self, what: str, entries: Mapping[str, Entry]) -> None:
         super().__init__(entries)

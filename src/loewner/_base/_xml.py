@@ -107,7 +107,7 @@ class Element:
         harmless : mapping of str to set of str
             Maps the tag of an element to parts that may be ignored: tags of children, and "@" with names of attributes.
             Nothing inside such children is reported. If a tag ends in "*", however, elements inside such children are
-            reported if they are `telling` and have children.
+            reported if their tags are in `telling` and they have children.
         telling : set of str, optional
             Tags of elements.
 

@@ -34,7 +34,7 @@ UNITS = {"velocity": "/s", "acceleration": "/s²", "jerk": "/s³"}
 BEYOND = 4
 MARKS = {Verdict.FREE: ".", Verdict.AMBIGUOUS: "?", Verdict.COLLIDING: "#"}
 
-# Distance outside its limits from which a value is reported: more than the rounding of decimals in files.
+# A value that exceeds its limits is reported if the excess is more than this, which is above rounding in files.
 ROUNDED = 1e-9
 
 WORST_FIRST = ("COLLIDING", "AMBIGUOUS", "FREE")
@@ -240,7 +240,7 @@ def _answer(
 
 
 def _allowed(checker: loewner.CollisionChecker, pair: tuple[str, str], near: ClosestApproach) -> dict[str, Any]:
-    """Return how near two bodies come that may be in contact at an end of the trajectory, and the end."""
+    """Return the end of the trajectory at which two bodies may touch, and how near the bodies come to each other."""
     both = tuple(sorted(pair))
     ends = ("the beginning",) * (both in checker.scene.leaving) + ("the end",) * (both in checker.scene.reaching)
     margin = checker.scene.margin_of(*pair)

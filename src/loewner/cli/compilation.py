@@ -107,7 +107,7 @@ def compile_kernels(parts: Iterable[str] = PARTS, *, progress: Callable[[int, in
 
 
 def _expect_writable(folder: Path) -> None:
-    """Refuse a folder that cannot be written before minutes of compiling, not after them."""
+    """Refuse a folder that cannot be written, before compiling takes minutes."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
         tempfile.TemporaryFile(dir=folder).close()

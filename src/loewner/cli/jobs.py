@@ -136,7 +136,7 @@ def _answer(process: subprocess.Popen[str], task: dict[str, Any], tell: Callable
 
 
 def _serve(entry: str) -> None:
-    """Run the main loop of a process: do the tasks that arrive; output printed meanwhile is not an answer."""
+    """Run the main loop of a process, which does the tasks that arrive; their printed output is not an answer."""
     from importlib import import_module
 
     out = os.fdopen(os.dup(1), "w", encoding="utf-8")

@@ -229,7 +229,7 @@ def _pose(row: dict[str, Any], column: str, where: str) -> Floats:
 
 
 def _answers(rows: Sequence[dict[str, Any]], path: Path) -> dict[str, Floats]:
-    """The columns with answers, which are NaN in rows without one."""
+    """The columns with answers, which are NaN in rows without an answer."""
     found = {}
     for name, count in ANSWERS.items():
         if not any(name in row for row in rows):

@@ -77,7 +77,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except LoewnerError as error:
         print(f"loewner: error: {error}", file=sys.stderr)
     except BrokenPipeError:
-        pass  # of standard error
+        pass  # standard error has no reader
     except KeyboardInterrupt:
         print("loewner: interrupted", file=sys.stderr)
     except Exception:

@@ -116,7 +116,7 @@ def remove_older_proof(path: Path | None) -> None:
         with path.open("rb") as file:
             is_proof = file.read(len(MAGIC)) == MAGIC
         if is_proof:
-            path.resolve().unlink()  # of a link, remove the target
+            path.resolve().unlink()  # if the path is a link, remove its target
     except (OSError, ValueError) as error:  # includes names that are too long for the system
         if isinstance(error, FileError):
             raise

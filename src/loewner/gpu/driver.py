@@ -28,11 +28,11 @@ LIBRARY = "nvcuda.dll" if sys.platform == "win32" else "libcuda.so.1"
 # Number of threads of a block; every GPU since `_ptx.OLDEST` has registers for at least six blocks of this size.
 BLOCK = 128
 
-# Codes of errors with a wording of our own.
+# Codes of errors for which we have our own wording.
 OUT_OF_MEMORY, NO_DEVICE, UNSUPPORTED_PTX, INVALID_PTX, NO_IMAGE = 2, 100, 222, 218, 209
 OLD_DRIVER = (34, 35, 36, 803)
 
-# After these errors, the context can no longer be used, and it holds all of this process's work on the GPU.
+# After these errors, the context, which holds all of this process's work on the GPU, can no longer be used.
 LOST = (201, 700, 702, 709, 710, 714, 715, 716, 717, 718, 719, 721, 999)
 
 # Our wording for the codes whose messages need no numbers.

@@ -107,7 +107,7 @@ def classify(
     there = [is_on_gpu(T) for T in poses.values()]
     here = [None if is_on_gpu(T) else _validate.poses(T, name, check=False) for name, T in poses.items()]
     if not any(there):
-        queries.plan_of(a, _shape(here[0]), b, _shape(here[1]), each=5, chosen=pairs)  # raises errors of the arguments
+        queries.plan_of(a, _shape(here[0]), b, _shape(here[1]), each=5, chosen=pairs)  # errors about the arguments
 
     def on_gpu() -> Any:
         gpu = driver.opened(number)
@@ -143,7 +143,7 @@ class _Operand(NamedTuple):
         return found
 
     def poses_at(self, gpu: Device, rows: Ints) -> Floats:
-        """Return the poses of the given rows, on the CPU in double precision."""
+        """Return the poses of the given rows in double precision, in CPU memory."""
         if self.there is not None:
             return gathered(gpu, self.there.address, 16, rows).reshape(-1, 4, 4)
         assert self.here is not None

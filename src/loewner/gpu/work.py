@@ -41,7 +41,7 @@ def why_not(device: int = 0) -> str:
     Raises
     ------
     InputError
-        If `device` is not a whole number.
+        If `device` is not an integer of at least 0.
 
     Examples
     --------

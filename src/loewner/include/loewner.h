@@ -4,8 +4,8 @@
    file, and `loewner_checker_open` maps the file. C and Python give the same answers, from the same machine code.
 
    VERDICTS. FREE and COLLIDING are proven, including all rounding. AMBIGUOUS means that nothing is proven; treat it as
-   not free. `loewner_checker_classify` uses only ellipsoids, and its verdict is often AMBIGUOUS; `..._collide` is
-   exact, and AMBIGUOUS only if arithmetic could not settle a configuration.
+   not free. `loewner_checker_classify` uses only ellipsoids, and often returns AMBIGUOUS. `..._collide` is exact, and
+   returns AMBIGUOUS only if arithmetic could not settle a configuration.
 
    UNITS are metres and radians. ARRAYS are in C order. A pose is 16 doubles: a 4x4 matrix in row order, which maps
    points of a body to the world, with an orthonormal rotation and the last row 0 0 0 1. A configuration has `dof`
@@ -71,7 +71,7 @@ LOEWNER_API const char *loewner_version(void);
 /* Name of a status, such as "bad file". */
 LOEWNER_API const char *loewner_status_name(loewner_status status);
 
-/* Text of this thread's last error: the expected and the found content. It is valid until the thread's next error. */
+/* Text of this thread's last error: what was expected, and what was found. Valid until the thread's next error. */
 LOEWNER_API const char *loewner_error_text(void);
 
 /* Level of processors for which the machine code in use was compiled, such as "x86-64-v3". Without machine code, the
@@ -304,7 +304,7 @@ typedef struct {
     const double *velocity;       /* limits, > 0; NULL: the limits of the robot that was saved, if it has any */
     const double *joint_error;    /* how far the robot may deviate from the motions and the brakes, or NULL */
     const double *velocity_error; /* how far its velocity may deviate when it begins to brake, or NULL */
-    double latency;               /* seconds from the order to brake until the robot brakes; rounded up to periods */
+    double latency;               /* seconds between the order and the brake; rounded up to whole periods */
     double horizon;               /* seconds: only targets within this time are examined; 0: all */
     double tolerance;             /* as in loewner_proof_options */
     int64_t steps;                /* steps that the proofs of a check may take; 0: no limit */

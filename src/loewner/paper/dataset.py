@@ -1,4 +1,4 @@
-"""Draw the paper's data set: pairs of hulls of twenty random points, the second of each shifted along [1, 1, 1].
+"""Draw the paper's data set: pairs of hulls of twenty random points, with the second hull shifted along [1, 1, 1].
 
 The text leaves two readings open. Points "sampled from a unit ball" may be uniform in radius or in volume, and the
 shift "in the direction [1, 1, 1] by a random number" may use a vector of length 1 or sqrt(3). Uniform radius with the
@@ -54,7 +54,7 @@ class DataSet(_validate.Brief):
 
 
 def sample(pairs: int = 1000, seed: int = 0, dataset: str = "radius") -> DataSet:
-    """Draw the data set; the first k pairs of a larger data set are the data set of k pairs.
+    """Draw the data set; its first k pairs do not depend on the total number of pairs.
 
     Parameters
     ----------

@@ -172,7 +172,7 @@ class Pairs:
         InputError
             If the sequences differ in length, or a body is not a single convex polytope.
         UnknownNameError
-            If there is no such heuristic.
+            If the heuristic is unknown.
         """
         _validate.choice(heuristic, "heuristic", HEURISTICS)
         for name, bodies in (("a", a), ("b", b)):
@@ -199,7 +199,7 @@ class Pairs:
         Raises
         ------
         InputError
-            If there is no such pair.
+            If an index is out of range, or `index` does not have the shape (k,).
         """
         index = _validate.integer_array(index, "index")
         if index.ndim != 1 or (index.size and not (index.min() >= 0 and index.max() < len(self))):
@@ -248,8 +248,8 @@ def detect(detector: int, pairs: Pairs, *, angle: float = PAPER_ANGLE) -> Answer
     Raises
     ------
     InputError
-        If `pairs` is not a `paper.Pairs`, or the angle is not a number above zero; UnknownNameError if there is no such
-        detector.
+        If `pairs` is not a `paper.Pairs`, or the angle is not a number above zero; UnknownNameError if the detector is
+        unknown.
 
     Examples
     --------

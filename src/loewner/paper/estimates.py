@@ -1,4 +1,4 @@
-"""Compute the paper's estimate f of the distance of two pieces, for the near points of its detectors 2 to 4.
+"""Compute the paper's estimate f of the distance between two pieces, from the near points of detectors 2 to 4.
 
 f <= 0 counts as a collision. The library's own estimate (`loewner.collide` with ``method="estimate"``, and the
 `estimate` of `loewner.distance`) is different: docs/design/estimate_rule.md compares them.
@@ -25,7 +25,7 @@ BYTES_PER_PAIR = 8 * (4 * 12 + 1)  # copies of four centers and factors, and f
 def distance_estimate(
     inner_1: Ellipsoids, outer_1: Ellipsoids, inner_2: Ellipsoids, outer_2: Ellipsoids, method: str = "rimon-boyd"
 ) -> Floats:
-    """Estimate the distance of convex pieces by the paper's f, from the two ellipsoids of each piece.
+    """Estimate the distance between convex pieces by the paper's f, from the two ellipsoids of each piece.
 
     On the line through near points of the inner ellipsoids, each piece is assumed to end halfway between its inner and
     outer ellipsoids.
@@ -33,7 +33,7 @@ def distance_estimate(
     Parameters
     ----------
     inner_1, outer_1, inner_2, outer_2 : Ellipsoids
-        In 3-D, all in one frame, in metres; batches broadcast.
+        Ellipsoids in 3-D, all in one frame, in metres; batches broadcast.
     method : {"rimon-boyd", "lin-han", "center-line"}
         Method of `loewner.near_points`. Detector 3 uses "rimon-boyd", detector 2 "lin-han" (to 0.01 rad), and detector
         4 "center-line", which misses many collisions of thin pieces.
@@ -49,7 +49,7 @@ def distance_estimate(
     InputError
         If an argument is not 3-D or batch shapes do not broadcast.
     UnknownNameError
-        If the method is not one of the three.
+        If the method is unknown.
     ConvergenceError
         If the squares of sizes or distances exceed the range of float64.
 

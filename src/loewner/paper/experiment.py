@@ -55,7 +55,7 @@ def run(
     Raises
     ------
     InputError, UnknownNameError
-        If `pairs`, `seed` or `dataset` is not as described.
+        If `pairs`, `seed` or `dataset` is not as described above.
     MissingExtraError
         If `out` is given and matplotlib is not installed.
     FileError

@@ -185,7 +185,7 @@ def _section(experiment: Experiment, k: int, kind: str) -> Any:
 
 
 def _ellipse(E: Ellipsoids, origin: Floats, x: Floats, y: Floats) -> Floats | None:
-    """Cut an ellipsoid by the plane origin + s x + t y; return the outline, shape (2, 200), or None without one."""
+    """Cut an ellipsoid by the plane origin + s x + t y; return the outline, shape (2, 200), or None if it is empty."""
     u, v, w = np.linalg.solve(E.factor, np.stack([x, y, origin - E.center], axis=1)).T
     M = np.array([[u @ u, u @ v], [u @ v, v @ v]])
     middle = -np.linalg.solve(M, [u @ w, v @ w])

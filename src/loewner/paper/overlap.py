@@ -23,12 +23,12 @@ LARGEST_MISS = 1e-6
 
 @guarded
 def overlap_by_eigenvalue(E1: Ellipsoids, E2: Ellipsoids) -> NDArray[np.bool_]:
-    """Decide whether ellipsoids overlap, by the 2n x 2n eigenproblem of the paper's appendix A; touching counts.
+    """Decide whether ellipsoids overlap or touch, by the 2n x 2n eigenproblem of the paper's appendix A.
 
     Parameters
     ----------
     E1, E2 : Ellipsoids
-        In any dimension n; batches broadcast.
+        Ellipsoids of any dimension n; batches broadcast.
 
     Returns
     -------

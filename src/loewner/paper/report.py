@@ -137,7 +137,7 @@ def _blocks(experiment: Experiment) -> list[tuple[str, Any]]:
     second, fourth = (experiment.detectors[k].all.counts for k in (1, 3))
     printed = PAPER[2][0].counts
     found = tables(experiment)
-    first, third, estimate = found[:2], found[5], found[9]  # (a) and (b) of 1; (b) of 3 and of the estimate
+    first, third, estimate = found[:2], found[5], found[9]  # tables 1 (a), 1 (b), 3 (b), and (b) of the estimate
     return [
         ("title", "Ellipsoidal fit based collision detection: the experiment repeated"),
         (

@@ -24,7 +24,8 @@ Operands: TypeAlias = tuple[Ints, Ints, int, Floats, int, Floats]
 
 Vector: TypeAlias = tuple[int, int, int]
 
-# Limit on the open pairs of triangles examined; with more, the pair stays AMBIGUOUS unless one of these meets.
+# Largest number of open pairs of triangles that are examined. If there are more, the pair of surfaces stays AMBIGUOUS
+# unless one of these pairs of triangles meets.
 ROOM = 20_000
 
 # Directions of rays, all well apart, since a ray that meets an edge gives no answer.
@@ -122,7 +123,7 @@ def _digits(arrays: list[Floats]) -> int:
 
 
 def _whole(x: float, digits: int) -> int:
-    """x times 2 to the power of `digits`, which must be an integer."""
+    """The integer x times 2 to the power of `digits`."""
     top, bottom = x.as_integer_ratio()
     return (top << digits) // bottom
 
@@ -170,7 +171,7 @@ def _axes(a: list[Vector], b: list[Vector]) -> Iterator[Vector]:
 
 
 def within(a: list[Vector], b: list[Vector], reach: Fraction) -> bool:
-    """Whether two triangles come within a distance of each other."""
+    """Whether the distance between two triangles is at most `reach`."""
     if meet(a, b):
         return True
     if reach == 0:

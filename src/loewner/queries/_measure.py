@@ -27,9 +27,11 @@ class Measures(NamedTuple):
 
     Attributes
     ----------
-    lower, upper, estimate : ndarray, shape (n,) distance : ndarray, shape (n,), or (0,) if only bounds are requested
-    witness_a, witness_b, normal : ndarray, shape (n, 3), or (0, 3) unsettled : ndarray of bool, shape (n,), or (0,)
-        Pairs whose distance could not be computed: distance, witnesses and normal are NaN.
+    lower, upper, estimate : ndarray, shape (n,)
+    distance : ndarray, shape (n,), or (0,) if only bounds are requested
+    witness_a, witness_b, normal : ndarray, shape (n, 3), or (0, 3)
+    unsettled : ndarray of bool, shape (n,), or (0,)
+        Marks pairs whose distance could not be computed: their distance, witnesses and normal are NaN.
     """
 
     lower: Floats

@@ -116,12 +116,12 @@ def overlapping_pairs(
     T_world : array_like, shape (n, 4, 4), or None
         Poses of the bodies; translation in metres. None places all bodies at the identity.
     margin : float
-        In metres; bodies at this distance or less count as colliding.
+        Distance in metres up to which bodies count as colliding.
     method : {"exact", "certified"}
-        "exact": the pairs for which `collide` is true. "certified": the pairs that neither boxes nor ellipsoids prove
-        free, that is, all colliding pairs and some ambiguous ones, which `classify` distinguishes.
+        "exact" finds the pairs for which `collide` is true. "certified" finds the pairs that neither boxes nor
+        ellipsoids prove free: all colliding pairs and some ambiguous pairs, which `classify` distinguishes.
     depth : bool
-        Also compute the distance or depth, normal and witnesses of each pair.
+        Whether to compute the distance or depth, normal and witnesses of each pair as well.
 
     Returns
     -------
@@ -183,7 +183,7 @@ def _met(mode: int, margin: float, crowd: _Crowd) -> Ints:
         BODY_BYTES * n + threads * 16 * (columns.WIDE * n + CANDIDATES), f"candidate pairs of {n} bodies"
     )
     tree = _tree(crowd)
-    counts: list[int] = []  # of the pairs found so far
+    counts: list[int] = []  # numbers of pairs found so far
 
     def settled(first: int, last: int) -> Ints:
         return _settled(mode, margin, first, last, tree, crowd, counts)

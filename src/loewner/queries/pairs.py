@@ -352,7 +352,7 @@ def classify(
     margin: float = 0.0,
     pairs: ArrayLike | None = None,
 ) -> VerdictOrVerdicts:
-    """Compute the certified verdict of two bodies from their ellipsoids alone.
+    """Compute the certified verdict for two bodies from their ellipsoids alone.
 
     Parameters
     ----------
@@ -456,7 +456,7 @@ def collide(
         "estimate" guesses their answers in O(1), from the product of two contact functions, one for the inner and one
         for the outer ellipsoids. The guess is wrong for some pairs (docs/theory/estimate.md).
     margin : float
-        In metres; pairs at this distance or less count as colliding.
+        Distance in metres up to which pairs count as colliding.
     pairs : array_like of int, shape (..., 2), optional
         As for `classify`.
 
@@ -586,7 +586,7 @@ def distance(
     T_world_a, T_world_b : array_like, shape (..., 4, 4), or None
         Poses, broadcast together; translation in metres. None is the identity.
     exact : bool
-        Also compute the distance or penetration depth, witnesses and normal.
+        Whether to compute the distance or penetration depth, witnesses and normal as well.
     pairs : array_like of int, shape (..., 2), optional
         As for `classify`.
 

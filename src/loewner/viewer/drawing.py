@@ -90,7 +90,7 @@ class Points:
     radius: float
 
     def add(self, scene: Any, name: str, look: dict[str, Any]) -> Any:
-        """Add the balls to the page's scene, where the size of a point is its radius."""
+        """Add the balls to the page's scene as points, whose size is the radius."""
         return scene.add_point_cloud(
             name, self.points.astype(np.float32), look["color"], point_size=self.radius, point_shape="circle",
             precision="float32",
@@ -252,7 +252,7 @@ class NearPoints:
         """Show the marks at two points of the world."""
         for dot, at in zip(self._dots, (a, b), strict=True):
             dot.position, dot.visible = at, True
-        # The line's pose moves it with the dots at once; a slow browser draws new ends later.
+        # A new pose moves the line with the dots at once, whereas a slow browser draws new ends later.
         length = float(np.linalg.norm(b - a))
         x, y, z = (b - a) / length if length > 0 else (1.0, 0.0, 0.0)
         wxyz = np.array([1.0 + x, 0.0, -z, y]) if x > -0.999999 else np.array([0.0, 0.0, 0.0, 1.0])
@@ -314,7 +314,7 @@ def _is_cloud(packed: Packed, number: int) -> bool:
 
 
 def outlines(body: Body, which: str) -> list[Part]:
-    """Make the shapes for all inner, or all outer, ellipsoids of a body; inner ones that are points are omitted."""
+    """Make the shapes for all inner, or all outer, ellipsoids of a body, omitting inner ellipsoids that are points."""
     centers, factors = ellipsoids_of(packed_of(body), which)
     if len(centers) > MANY_PIECES:
         drawn = factors.any(axis=(1, 2))

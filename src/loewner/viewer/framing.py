@@ -54,7 +54,7 @@ def aim(server: Any, box: Floats) -> None:
 def add_ground(scene: Any, box: Floats) -> tuple[Any, float]:
     """Add a grid below the scene, and return the edge length of its cells [m].
 
-    The grid is at z = 0 if the scene rests there, otherwise at the scene's lowest point.
+    The grid is at z = 0 if the scene rests there, and at the scene's lowest point if not.
     """
     size = diagonal(box)
     cell = round_length(GRID_SIDE * size / LEAST_CELLS)

@@ -183,7 +183,7 @@ class Guard:
             address = ipaddress.ip_address(name)
         except ValueError:
             return False
-        # A foreign site has a name: a numeric address cannot be redirected.
+        # A numeric address is safe: foreign sites have names, and only a name can be redirected.
         return address.is_loopback or self.where.everywhere
 
     def _cookies(self, headers: Any) -> list[str]:

@@ -126,7 +126,7 @@ class Viewer(ABC):
             self.close()
 
     def refresh(self) -> None:
-        """Update the page now; InputError if it is closed."""
+        """Update the page now; InputError if the page is closed."""
         self._check_open()
         with self.lock:
             self._apply({})
@@ -341,7 +341,7 @@ def cut_short(lines: list[str], most: int) -> list[str]:
 
 
 def length_text(length: float) -> str:
-    """Write a length in metres; in millimetres if it is less than a metre."""
+    """Write a length in metres, or in millimetres if it is less than a metre."""
     return f"{1e3 * length:.4g} mm" if length < 1.0 else f"{length:.4g} m"
 
 

@@ -323,7 +323,7 @@ class RobotViewer(Viewer):
         Parameters
         ----------
         name : str
-            A static body in the world.
+            Name of a static body in the world.
         T_world_body : array_like, shape (4, 4), or None
             The new pose; translation in metres. None is the identity.
 
@@ -397,7 +397,7 @@ class RobotViewer(Viewer):
         for shown in self._shown.values():
             T = shown.mover.T if shown.mover is not None else links[shown.link] @ _identity_or(shown.T_link_body)
             box = shown.drawing.box(T)
-            # Planes of MJCF are links of the robot.
+            # A plane in MJCF is a link of the robot, but very large.
             boxes[shown.mover is None and np.ptp(box, axis=0).max() < WORLD].append(box)
         box = framed(spanned(boxes[True]), boxes[False], WIDEST) if boxes[True] else spanned(boxes[False])
         self._frame_view(box, self._marks["ground"])
