@@ -2,8 +2,8 @@
 
 Dask is imported only when a function here is called: ``pip install "loewner[cluster]"``.
 
-Each task uses one thread. Dask runs as many tasks at a time as a worker has threads. If calls used all processors, as
-they do elsewhere, they would compete with one another.
+Each task uses one thread. Dask runs as many tasks at a time as a worker has threads. If a task used all processors, as
+calls do elsewhere, the tasks would compete with one another.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ PATIENCE = 10
 # Number of files sent to the scheduler in one message.
 AT_A_TIME = 4096
 
-# How often the same work is requested if it is cancelled while the scheduler is alive.
+# How many times the same work is requested if it is cancelled while the scheduler is alive.
 ATTEMPTS = 4
 
 # A record takes a few hundred bytes, and a name of at most 255 letters.
@@ -163,11 +163,11 @@ def fit(
     workers died, repeating the call therefore continues where it stopped. A glTF file that refers to further files is
     always fitted again.
 
-    If a worker dies, Dask gives its files to the remaining workers, including files whose outcome was lost with it.
-    Tasks may be cancelled while the scheduler runs, for instance because its connection breaks or it is restarted; they
-    are then requested again, four times in all. A file counts as failed if four workers died while fitting it, since it
-    may need more memory than they have. While there is no worker at all, the call waits for one. After an interrupt,
-    files in progress are finished and no further file is started.
+    If a worker dies, Dask gives its files to the remaining workers, including finished files whose outcome was lost
+    with the worker. Tasks may be cancelled while the scheduler runs, for instance because its connection breaks or it
+    is restarted; they are then requested again, four times in all. A file counts as failed if four workers died while
+    fitting it, since it may need more memory than they have. While there is no worker at all, the call waits for one.
+    After an interrupt, files in progress are finished and no further file is started.
 
     Examples
     --------
@@ -456,7 +456,7 @@ def collide(checker: CollisionChecker, Q: Any) -> Any:
     checker : CollisionChecker
         A checker whose robot and scene are used in their current state; later changes have no effect.
     Q : dask.array.Array, shape (..., dof)
-        Configurations, in chunks of any shape; about ten thousand per chunk are suitable.
+        Configurations, in chunks of any shape; about ten thousand configurations per chunk are suitable.
 
     Returns
     -------
@@ -501,7 +501,7 @@ def distance(checker: CollisionChecker, Q: Any) -> Any:
     Returns
     -------
     dask.array.Array of float64, shape (...)
-        In metres; a negative value is a depth. The array is lazy.
+        A lazy array of distances in metres; a negative value is a depth.
 
     Raises
     ------
@@ -532,9 +532,9 @@ def certify_edges(checker: CollisionChecker, Q0: Any, Q1: Any, *, tolerance: flo
     ----------
     checker : CollisionChecker
     Q0, Q1 : dask.array.Array, shape (..., dof)
-        Ends of the motions, two arrays of equal shape; `Q1` is cut into the chunks of `Q0`.
+        Starts and ends of the motions, two arrays of equal shape; `Q1` is cut into the chunks of `Q0`.
     tolerance : float
-        In metres; see `CollisionChecker.certify_edges`.
+        Tolerance in metres; see `CollisionChecker.certify_edges`.
 
     Returns
     -------

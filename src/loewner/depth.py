@@ -25,18 +25,18 @@ BYTES = 200
 
 @guarded
 class SeenSpace:
-    """A grid of cells, each of them seen to be empty by a depth camera or unknown.
+    """A grid of cells that a depth camera has either seen to be empty or not seen at all.
 
     A cell is seen if all of it lies in front of the depths of all pixels onto which it projects. All other cells are
-    unknown: behind a surface, in the shadow of the robot, outside the image, or without an echo. Seen cells stay seen
-    until `forget`.
+    unknown, since they are behind a surface, in the shadow of the robot, outside the image, or without an echo. Seen
+    cells stay seen until `forget`.
 
     Parameters
     ----------
     low : array_like, shape (3,)
         The lowest corner of the grid in world coordinates, in metres.
     shape : sequence of int
-        Numbers of cells along the axes.
+        Number of cells along each axis.
     size : float
         Edge of a cell, in metres.
 
@@ -46,7 +46,7 @@ class SeenSpace:
     age : ndarray of int64, shape (p, q, r)
         How many images ago each cell was seen; -1 for cells that are unknown.
     time : float or None
-        The time of the last image that had one, in seconds.
+        The time of the last image that was given a time, in seconds.
 
     Raises
     ------
@@ -100,14 +100,14 @@ class SeenSpace:
         Parameters
         ----------
         image, K, T_world_camera
-            As for `points_of`. Reduce the depths by the noise of the sensor beforehand.
+            As for `points_of`. Subtract the noise of the sensor from the depths beforehand.
         time : float, optional
             When the image was taken, in seconds.
 
         Raises
         ------
         InputError, PoseError
-            As for `points_of`, or if the image is older than the last one with a time, since something may have moved
+            As for `points_of`, or if the image is older than the last image with a time, since a body may have moved
             into its cells in between.
         """
         depths, intrinsics, T = camera_of(image, K, T_world_camera)
@@ -130,7 +130,7 @@ class SeenSpace:
         nearest = z[:-1, :-1, :-1] + np.minimum(steps[2], 0.0).sum()
         farthest = z[:-1, :-1, :-1] + np.maximum(steps[2], 0.0).sum()
         height, width = depths.shape
-        # A pixel sees half a pixel about its middle; the cells have to be inside the image as a whole.
+        # A pixel sees half a pixel on each side of its center; the cells have to be completely inside the image.
         inside = (nearest > 0.0) & (least_u >= 0.0) & (most_u <= width - 1) & (least_v >= 0.0) & (most_v <= height - 1)
         some = np.nonzero(inside)
         ends = [np.floor(x[some]).astype(np.int64) for x in (least_v, least_u)]
@@ -146,12 +146,12 @@ class SeenSpace:
         Parameters
         ----------
         older_than : int
-            Cells stay seen if they were seen in one of this many most recent images, or in the image before them.
+            Number of most recent images: cells that were seen in these images, or in the image before them, stay seen.
 
         Raises
         ------
         InputError
-            If the number is not an integer, or negative.
+            If the number is not an integer, or is negative.
         """
         self.age[self.age > _validate.whole_number(older_than, "older_than", 0)] = -1
 
@@ -168,20 +168,20 @@ class SeenSpace:
         Parameters
         ----------
         checker : CollisionChecker, optional
-            Leave out the cells that contain the robot or a body that it carries, since the robot could not leave them
-            otherwise.
+            Leave out the cells that contain the robot or a body that it carries; otherwise, the robot could not leave
+            these cells.
         q : array_like, shape (dof,), optional
             The robot's configuration.
         clear : float
-            Leave out cells that come within this distance of the robot, and some cells that are up to a cell's diagonal
-            farther away.
+            Leave out cells that come within this distance of the robot [m], and some cells that are farther away by up
+            to the diagonal of a cell.
         closed : bool
-            Put a layer of cells around the grid. Without it, the space outside is free although it is unseen.
+            Put a layer of cells around the grid. Without this layer, the space outside is free although it is unseen.
 
         Returns
         -------
         Body
-            As from `Body.from_voxels`.
+            A body as from `Body.from_voxels`.
 
         Raises
         ------

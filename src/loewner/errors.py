@@ -64,12 +64,12 @@ class PoseError(InputError):
 
 
 class ConvergenceError(LoewnerError, ArithmeticError):
-    """An iteration did not reach its certificate, so this error is raised instead of returning a guess.
+    """An iteration did not reach its certificate, and no guess is returned in its place.
 
     Attributes
     ----------
     indices : ndarray of int
-        For a batch of pairs: the flat indices of the pairs that could not be settled.
+        The flat indices of the pairs in a batch that could not be settled.
     partial : object or None
         The query's result, with the answers for all remaining pairs. For the unsettled pairs, the result of `collide`
         is True, and exact distances, witnesses and normals are NaN.
@@ -98,9 +98,8 @@ class ConvergenceError(LoewnerError, ArithmeticError):
 class MemoryLimitError(InputError, MemoryError):
     """A call would need more memory than is available or than the process may use; split the call.
 
-    The limits are those set by the machine, by the process (``ulimit -v``, that is, RLIMIT_AS) and by its container
-    (control groups). Results that are too large are refused before anything is computed, and the message states their
-    size.
+    The machine, the process (``ulimit -v``, that is, RLIMIT_AS) and its container (control groups) set the limits.
+    Results that are too large are refused before anything is computed, and the message states their size.
 
     Examples
     --------
@@ -115,7 +114,7 @@ class MemoryLimitError(InputError, MemoryError):
 
 
 class PlanningError(LoewnerError, RuntimeError):
-    """Planning failed: start or goal is not free, or no path was found; the message gives the reason.
+    """Planning failed: the start or the goal is not free, or no path was found; the message gives the reason.
 
     Examples
     --------
@@ -157,7 +156,7 @@ class GpuError(LoewnerError, RuntimeError):
 
 
 class FileError(LoewnerError, OSError):
-    """A file is missing, empty, truncated, of the wrong kind, or could not be written.
+    """A file is missing, empty, truncated, of the wrong kind, or cannot be written.
 
     Examples
     --------

@@ -29,19 +29,20 @@ def clearance(checker: CollisionChecker, *, softness: float = 0.005) -> Callable
     checker : CollisionChecker
         Its scene may change between calls; each call, even of a compiled function, uses the scene's current state.
     softness : float
-        In metres; see `CollisionChecker.clearance`.
+        Softness in metres; see `CollisionChecker.clearance`.
 
     Returns
     -------
     function
-        It maps configurations, a JAX or NumPy array of shape (..., dof), to clearances, shape (...), in metres.
+        A function that maps configurations, a JAX or NumPy array of shape (..., dof), to clearances in metres, shape
+        (...).
 
     Raises
     ------
     InputError
-        If `checker` is not a checker, or the softness is not positive and finite. The returned function raises it if
-        configurations are not an array of float32 or float64, their width is not dof, an entry is not finite, there is
-        no pair to check, or a second derivative is requested.
+        If `checker` is not a checker, or the softness is not positive and finite. The returned function raises this
+        error if configurations are not an array of float32 or float64, their width is not dof, an entry is not finite,
+        there is no pair to check, or a second derivative is requested.
     MissingExtraError
         If JAX is not installed.
 
@@ -50,15 +51,15 @@ def clearance(checker: CollisionChecker, *, softness: float = 0.005) -> Callable
     The function works under ``jit``, ``vmap``, ``grad``, ``value_and_grad``, ``jacfwd`` and ``jacrev``, by means of
     ``pure_callback``. A batch is one call of the kernel, even under ``vmap``, and so is a value with its gradient. The
     kernel runs on the CPU; JAX copies configurations on any other device to the CPU, and the results back. There are no
-    second derivatives: ``hessian`` raises.
+    second derivatives: ``hessian`` raises an error.
 
-    Results have the type of the configurations. In float32 the bound belongs to exactly these float32 numbers and is
-    rounded down, so that it remains a lower bound. If 64-bit numbers are off in JAX, which is the default, JAX converts
-    float64 arrays to float32. The function refuses such arrays where it can, since the answer would belong to slightly
-    different configurations. It cannot detect arrays that ``jit`` or ``grad`` has already converted; the answer then
-    belongs to the float32 configuration.
+    Results have the type of the configurations. In float32, the bound holds for exactly the given float32 numbers, and
+    is rounded down so that it remains a lower bound. If 64-bit numbers are disabled in JAX, as they are by default, JAX
+    converts float64 arrays to float32. The function refuses float64 arrays where it can, since the answer would hold
+    for slightly different configurations. It cannot detect arrays that ``jit`` or ``grad`` has already converted; their
+    answers hold for the float32 configurations.
 
-    Inside ``jit`` and ``vmap``, errors about values, such as an entry that is not finite, appear as errors of JAX: a
+    Inside ``jit`` and ``vmap``, errors about values, such as an entry that is not finite, appear as JAX errors: a
     ValueError or a RuntimeError that contains the message.
 
     Examples
@@ -79,7 +80,7 @@ def clearance(checker: CollisionChecker, *, softness: float = 0.005) -> Callable
 
 
 def distance(checker: CollisionChecker) -> Callable[[Any], Any]:
-    """Make a JAX function of the exact distance of `CollisionChecker.distance`, a function with kinks.
+    """Make a JAX function of the exact `CollisionChecker.distance`, which has kinks.
 
     Parameters
     ----------
@@ -88,8 +89,8 @@ def distance(checker: CollisionChecker) -> Callable[[Any], Any]:
     Returns
     -------
     function
-        It maps configurations, a JAX or NumPy array of shape (..., dof), to distances, shape (...), in metres; a
-        negative value is a depth.
+        A function that maps configurations, a JAX or NumPy array of shape (..., dof), to distances in metres, shape
+        (...); a negative value is a depth.
 
     Raises
     ------

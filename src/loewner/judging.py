@@ -25,25 +25,25 @@ from loewner.queries.pairs import Distance, expect_bodies, plan_of
 
 __all__ = ["Finding", "Judgement", "judge_answers"]
 
-# Exact distances are accurate to this share of the lengths involved (docs/certified.md, "Other programs' answers"), and
-# depths of curved pieces to the second one. The first has a hundredth more than `SETTLED` of the kernels, for rounding.
+# Errors of exact distances, and of depths of curved pieces, as shares of the lengths involved (docs/certified.md,
+# "Other programs' answers"). ACCURACY is a hundredth larger than `SETTLED` of the kernels, to allow for rounding.
 ACCURACY, OF_CURVED = 1.01e-9, 1.01e-3
 
 GOLDEN = (1.0 + math.sqrt(5.0)) / 2.0
 
-# Families of kinds of pieces: depths between two pieces of one of them are as accurate as distances. Nothing is like
-# curved pieces that are not balls.
+# Families of pieces: depths between two pieces of the same family are as accurate as distances. Curved pieces that are
+# not balls belong to no family.
 FLAT, BALL, UNLIKE = 0, 1, -1
 
-# Corners of a regular icosahedron on the unit sphere, and a bit less than the radius of the ball in it.
+# Corners of a regular icosahedron on the unit sphere, and slightly less than the radius of its inscribed ball.
 ICOSAHEDRON = np.array([np.roll([0.0, y, z], k) for y in (-1, 1) for z in (-GOLDEN, GOLDEN) for k in range(3)])
 ICOSAHEDRON /= math.sqrt(1.0 + GOLDEN**2)
 IN_ICOSAHEDRON = 0.7946
 
-# Roundings of numbers of any size: of a few operations on given coordinates.
+# Relative rounding error of a few operations on given coordinates.
 FEW_ROUNDINGS = 16 * 2.0**-53
 
-# Radius of the ball that stands for a point, in metres.
+# Radius of the ball that represents a point, in metres.
 POINT = 1e-9
 
 # Bytes per pair: about forty arrays of numbers and a dozen poses.
@@ -55,10 +55,11 @@ PARTS = ("colliding", "distance", "depth", "witness_a", "witness_b", "witnesses"
 # Units in which other programs give lengths, by their number in a metre.
 UNITS = {"millimetres": 1e3, "centimetres": 1e2, "inches": 1 / 0.0254}
 
-# Another convention is named if it explains at least three errors and this share of all, and spoils few right answers
-# in return. It is tried if this share of the answers is wrong, and explains an error if at most a thousandth is left.
-# Half of the answer in a unit must be wrong by several times as much as is left: where the truth is nearly zero, or far
-# below the claim, any unit that is large enough would leave little.
+# Another convention is named if it explains at least LEAST errors and the share EXPLAINED of all errors, and spoils few
+# right answers in return. It is tried if the share TRIED of the answers is wrong, and explains an error if at most the
+# share LEFT remains. In addition, half of an answer in another unit must be wrong by more than HALVED times the
+# remaining error: where the truth is nearly zero, or far below the claim, any unit that is large enough would leave
+# little.
 LEAST, EXPLAINED, SPOILT, TRIED, LEFT, HALVED = 3, 0.75, 0.1, 0.1, 1e-3, 10
 
 
@@ -94,23 +95,24 @@ class Finding(IntEnum):
     WITNESSES_DO_NOT_MATCH = 10
     """The witnesses are not as far from each other as the answer's own distance or depth."""
     NORMAL_WRONG = 11
-    """After b moves along the normal by their true distance, the bodies are proven to be apart, or, after a move by
-    their true depth, to collide; the excess is what is left of the distance or depth."""
+    """The bodies are proven to be apart after b moves along the normal by their true distance, or to collide after b
+    moves by their true depth; the excess is the remaining distance or depth.
+    """
 
     def __str__(self) -> str:
         return self.name
 
 
 class Convention(NamedTuple):
-    """Answers that were interpreted by another convention.
+    """Answers that were interpreted in another convention.
 
     Attributes
     ----------
     about, reading : str
-        The parts of answers concerned, in the plural, and the convention: two parts of a sentence.
+        Two parts of a sentence: the parts of answers concerned, in the plural, and the convention.
     wrong, right, spoilt : int
-        Numbers of parts that are wrong as given, that are then right by the convention, and that are right as given but
-        wrong by the convention.
+        Numbers of parts that are wrong as given, that the convention then makes right, and that are right as given but
+        wrong in the convention.
     """
 
     about: str
@@ -144,12 +146,12 @@ class Judgement(_validate.Brief):
         A `Finding` for each part of each answer. The parts are colliding, distance, depth, witness_a, witness_b,
         witnesses (their distance from each other) and normal.
     excess : ndarray, shape (..., 7)
-        For parts that are proven wrong: a lower bound on the error, in metres. Otherwise 0.
+        A lower bound on the error of each part that is proven wrong, in metres; 0 for all other parts.
     lower, upper : ndarray, shape (...)
         Proven bounds on the signed distance, in metres. A negative value is a depth: the length of the shortest
         translation that separates the bodies. The lower bound is minus infinity if no such translation is known.
     conventions : tuple
-        Other conventions that were tried, because many answers are wrong; see `hints`.
+        Other conventions that were tried because many answers are wrong; see `hints`.
 
     Examples
     --------
@@ -173,7 +175,7 @@ class Judgement(_validate.Brief):
     def hints(self) -> tuple[str, ...]:
         """Sentences about conventions that differ, such as reversed normals, if one explains (nearly) all errors.
 
-        They are guesses from counts, and change no finding.
+        The sentences are guesses from counts, and change no finding.
 
         Examples
         --------
@@ -254,8 +256,8 @@ def judge_answers(
 ) -> Judgement:
     """Judge another program's answers about pairs of bodies.
 
-    Each part of an answer is judged by itself. A part that is called wrong is proven wrong, including all rounding. An
-    answer of NaN is not judged, and neither is a zero normal.
+    Each part of an answer is judged by itself. A part that is called wrong is proven wrong, with all rounding taken
+    into account. Neither an answer of NaN nor a zero normal is judged.
 
     Parameters
     ----------
@@ -274,7 +276,7 @@ def judge_answers(
     witness_a, witness_b : array_like, shape (..., 3), optional
         The points of a and of b, in world coordinates, that realise the distance or depth.
     normal : array_like, shape (..., 3), optional
-        Direction from a to b, of any length: along it, b moves away from a.
+        Direction in which b moves away from a, of any length.
     tolerance : float
         Allowed error in metres.
 
@@ -292,7 +294,8 @@ def judge_answers(
     -----
     Depths and normals of overlapping bodies have a single meaning only for two convex pieces. For other bodies, a depth
     is called too small only if it is less than the depth of two of their pieces, and too large only if a shorter
-    translation separates the bodies. Their normals, and the distances between their witnesses, are not called wrong.
+    translation separates the bodies. For such bodies, normals and the distances between witnesses are never called
+    wrong.
 
     Examples
     --------
@@ -336,7 +339,7 @@ VECTORS = ("witness_a", "witness_b", "normal")
 
 
 def _answers(x: Any, name: str, tail: tuple[int, ...] = (), *, least: float = -np.inf) -> Floats | None:
-    """Check numbers of an answer, in which NaN stands for none."""
+    """Check numbers of an answer, in which NaN means no answer."""
     if x is None:
         return None
     array = _validate.float_array(x, name)
@@ -429,7 +432,7 @@ class _Pairs:
 
 
 def _of_each(body: Body | Bodies, reduced: np.ufunc, values: Any) -> Any:
-    """Reduce values of pieces to one of each body: an array for `Bodies`, and a number for a `Body`."""
+    """Reduce values of pieces to one value per body: an array for `Bodies`, and a number for a `Body`."""
     found = reduced.reduceat(values, packed_of(body).piece_start[:-1])
     return found[0] if isinstance(body, Body) else found
 

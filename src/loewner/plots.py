@@ -39,7 +39,8 @@ SPANS = {
     Verdict.AMBIGUOUS: ("ambiguous in this piece", "#e4e4e4"),
 }
 
-# In pictures of covers: the largest triangle of a link, as a share of its diagonal, and the radius of a point [m].
+# For pictures of covers: the size of the largest triangle of a link, as a share of the link's diagonal, and the radius
+# of a point [m].
 SMALL, POINT = 0.03, 1e-9
 
 # Colours of curves, in turn; they also differ in lightness, and each has its own marker.
@@ -118,7 +119,8 @@ def pair(
     ellipsoids: bool = True,
     near: bool = True,
 ) -> Any:
-    """Draw two bodies with their ellipsoids, titled with the certified verdict and, if ambiguous, the exact one.
+    """Draw two bodies with their ellipsoids, titled with the certified verdict and, if it is ambiguous, the exact
+    verdict.
 
     Parameters
     ----------
@@ -128,7 +130,7 @@ def pair(
     ax : matplotlib 3-D axes, optional
     ellipsoids : bool
     near : bool
-        Also draw the near points, or the ends of the penetration depth, and the line between them.
+        Also draw the near points, or the ends of the penetration depth, and the line that joins them.
 
     Returns
     -------
@@ -160,7 +162,7 @@ def pair(
     _draw(ax, a, Ta, COLOURS[0], ellipsoids)
     _draw(ax, b, Tb, COLOURS[1], ellipsoids)
     _frame(ax, np.concatenate([_corners(a, Ta), _corners(b, Tb)]))
-    # View perpendicular to the line between the two, so that neither hides the other.
+    # View perpendicular to the line between the two bodies, so that neither hides the other.
     way = _corners(b, Tb).mean(axis=0) - _corners(a, Ta).mean(axis=0)
     ax.view_init(elev=15, azim=np.degrees(np.arctan2(way[1], way[0])) - 90)
     verdict = Verdict(int(classify(a, Ta, b, Tb)))
@@ -227,10 +229,10 @@ def configuration(checker: CollisionChecker, q: ArrayLike, *, ax: Any = None) ->
 
 
 def cover(robot: Robot, model: Robot, q: ArrayLike | None = None, *, ax: Any = None) -> Any:
-    """Draw a robot and the shapes that should contain its links, in red where a link is outside them.
+    """Draw a robot, in red where a link is outside the shapes that should contain it, and these shapes.
 
-    Colours belong to triangles of about 3 % of each link's size, so smaller holes may be missed; `Robot.covered_by`
-    proves where they are.
+    Links are coloured in triangles of about 3 % of each link's size, so that smaller holes may be missed;
+    `Robot.covered_by` proves where there are holes.
 
     Parameters
     ----------
@@ -238,7 +240,7 @@ def cover(robot: Robot, model: Robot, q: ArrayLike | None = None, *, ax: Any = N
     model : Robot
         A robot whose links have the same names, for instance from `Robot.with_cover`.
     q : array_like, shape (dof,), optional
-        Default: the state with the most joints, or zero.
+        The configuration. Default: the state of the robot that sets the most joints, or zero.
     ax : matplotlib 3-D axes, optional
 
     Returns
@@ -330,9 +332,9 @@ def _add_triangles(ax: Any, corners: Floats, colour: str, alpha: float) -> None:
 def trajectory(checker: CollisionChecker, curve: Any, *, joint_error: ArrayLike = 0.0, ax: Any = None) -> Any:
     """Draw the distances of the nearest pairs along a curve, its worst moment, and where it is not proven free.
 
-    A line shows the distance of a pair in millimetres, measured at equal steps in time; below zero it is a depth. In
-    addition to the nearest pairs, each pair at which the proof of a piece ended has a line. Such a piece has a coloured
-    background, since a pair collides or is ambiguous. A dot marks the least measured distance.
+    A line shows the distance between a pair in millimetres, measured at equal steps in time; a negative distance is a
+    depth. There are lines for the nearest pairs, and for each pair at which the proof of a piece ended. Such a piece
+    has a coloured background, since a pair collides or is ambiguous. A dot marks the least measured distance.
 
     Parameters
     ----------
@@ -341,14 +343,15 @@ def trajectory(checker: CollisionChecker, curve: Any, *, joint_error: ArrayLike 
         As for `CollisionChecker.certify_trajectory`; or a path, whose straight motions are proven by
         `CollisionChecker.certify_edges`. A path is drawn over the indices of its configurations, since it has no times.
     joint_error : float or array_like, shape (dof,)
-        Radians or metres, as for `CollisionChecker.certify_trajectory`.
+        As for `CollisionChecker.certify_trajectory`, in radians or metres.
     ax : matplotlib axes, optional
         Axes to draw into; a new figure by default.
 
     Returns
     -------
     matplotlib axes
-        The axes, titled with the verdict of the whole curve. Lines end above the largest distance of a nearest pair.
+        The axes, titled with the verdict of the whole curve. Lines are cut off above the largest distance of a nearest
+        pair.
 
     Raises
     ------
@@ -504,7 +507,7 @@ def costs(
     Raises
     ------
     InputError
-        If there are no sizes or no times, they differ in number, or one is not above zero.
+        If there are no sizes or no times, if their numbers differ, or if a value is not above zero.
     MissingExtraError
         If matplotlib is not installed.
 
@@ -625,7 +628,7 @@ def save(figure: Any, path: str | os.PathLike[str]) -> Path:
     Raises
     ------
     InputError
-        If there is no figure, or the path is not a path.
+        If `figure` is not a figure or axes, or `path` is not a path.
     FileError
         If the file cannot be written.
 

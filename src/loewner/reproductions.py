@@ -24,7 +24,7 @@ Answers = Mapping[str, Any]
 # Decimals to which corners are rounded, in the order in which this is tried.
 DECIMALS = (1, 2, 3, 4, 6)
 
-# The largest number of differences of corners of two bodies that are searched.
+# Limit on the number of differences between corners of two bodies that are searched.
 MOST_DIFFERENCES = 1_000_000
 
 # The end of each program. Lengths are bounded by roots to 15 decimals, rounded up or down.
@@ -106,23 +106,24 @@ def reproduction(
     """Write a one-page program that proves an answer to be wrong, using only the fractions in Python's standard
     library.
 
-    It contains the corners, the poses and the answer, as decimals that are read back without loss, and a proof of each
-    part that is wrong: a plane between the bodies, two of their points, or a surface around the differences of their
-    corners. It prints a lower bound on the error of the answer. Include it in a report to the other program's authors.
+    The program contains the corners, the poses and the answer, as decimals that are read back without loss, and a proof
+    of each part that is wrong: a plane between the bodies, two of their points, or a surface around the differences
+    between their corners. It prints a lower bound on the error of the answer. Include the program in a report to the
+    other program's authors.
 
     Parameters
     ----------
     a, b : Body
-        Convex hulls: bodies that each consist of one polytope.
+        Convex hulls, that is, bodies with a single polytope each.
     T_world_a, T_world_b : array_like, shape (4, 4), or None
         Poses; translation in metres. None is the identity.
     colliding, distance, depth, witness_a, witness_b, normal, tolerance
         One answer, as for `judging.judge_answers`.
     engine : callable, optional
         Called as engine(corners_a, corners_b) with arrays of shapes (n, 3); returns the other program's answers about
-        these hulls at the same poses, in a dict with names of parts as keys. As long as the worst part remains wrong in
-        the same way, the coordinates are rounded, and corners are removed one by one. The argument for answers is then
-        not given.
+        these hulls at the same poses, in a dict with names of parts as keys. The coordinates are rounded, and corners
+        are removed one by one, as long as the worst part remains wrong in the same way. The answers themselves must not
+        be given as well.
 
     Returns
     -------

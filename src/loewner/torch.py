@@ -29,19 +29,19 @@ def clearance(checker: CollisionChecker, *, softness: float = 0.005) -> Callable
     checker : CollisionChecker
         Its scene may change between calls; each call uses the scene's current state.
     softness : float
-        In metres; see `CollisionChecker.clearance`.
+        Softness in metres; see `CollisionChecker.clearance`.
 
     Returns
     -------
     function
-        It maps configurations, a tensor of shape (..., dof), to clearances, shape (...), in metres.
+        A function that maps configurations, a tensor of shape (..., dof), to clearances in metres, shape (...).
 
     Raises
     ------
     InputError
-        If `checker` is not a checker, or the softness is not positive and finite. The returned function raises it if
-        configurations are not a dense tensor of float32 or float64 on the CPU, their width is not dof, an entry is not
-        finite, there is no pair to check, or a second derivative is requested.
+        If `checker` is not a checker, or the softness is not positive and finite. The returned function raises this
+        error if configurations are not a dense tensor of float32 or float64 on the CPU, their width is not dof, an
+        entry is not finite, there is no pair to check, or a second derivative is requested.
     MissingExtraError
         If PyTorch is not installed.
 
@@ -52,8 +52,8 @@ def clearance(checker: CollisionChecker, *, softness: float = 0.005) -> Callable
     together with the values if they may be needed. There are no second derivatives: differentiating twice raises an
     error.
 
-    Results have the type of the configurations. In float32 the bound belongs to exactly these float32 numbers and is
-    rounded down, so that it remains a lower bound.
+    Results have the type of the configurations. In float32, the bound holds for exactly the given float32 numbers, and
+    is rounded down so that it remains a lower bound.
 
     Examples
     --------
@@ -73,7 +73,7 @@ def clearance(checker: CollisionChecker, *, softness: float = 0.005) -> Callable
 
 
 def distance(checker: CollisionChecker) -> Callable[[Any], Any]:
-    """Make a PyTorch function of the exact distance of `CollisionChecker.distance`, a function with kinks.
+    """Make a PyTorch function of the exact `CollisionChecker.distance`, which has kinks.
 
     Parameters
     ----------
@@ -82,8 +82,8 @@ def distance(checker: CollisionChecker) -> Callable[[Any], Any]:
     Returns
     -------
     function
-        It maps configurations, a tensor of shape (..., dof), to distances, shape (...), in metres; a negative value is
-        a depth.
+        A function that maps configurations, a tensor of shape (..., dof), to distances in metres, shape (...); a
+        negative value is a depth.
 
     Raises
     ------

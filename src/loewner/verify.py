@@ -1,10 +1,10 @@
-"""Check a file that proves motions free of collisions, in whole numbers and fractions, without the rest of the library.
+"""Check a file that proves motions free of collisions, in integers and fractions, without the rest of the library.
 
-It also checks proofs that pairs of bodies are free over ranges of the joints between them, or that two bodies collide.
-This file needs only Python's standard library, and can be run by itself: ``python verify.py plan.proof``. The page
+This module also checks proofs that pairs of bodies are free over ranges of the joints between them, or that two bodies
+collide. It needs only Python's standard library, and can be run by itself: ``python verify.py plan.proof``. The page
 docs/proof-format.md describes the files and shows why a file that passes is a proof. Lengths, sines and matrices are
-whole numbers of units of 2^-72. Rounding has these bounds, in units, for the norms of vectors and matrices (the root of
-the sum of squares); lengths that multiply them are in metres.
+integers in units of 2^-72. The following bounds on rounding errors are in these units, and hold for the norms of
+vectors and matrices (the root of the sum of squares); lengths that multiply them are in metres.
 
 - In each entry, the rounding error of a double, a fixed rotation and an axis is less than 1. The error of a sine or
   cosine is less than 2: a tenth for the angle, a thousandth for the series, and 1 for the result. In a joint's rotation
@@ -66,29 +66,30 @@ class Report:
     Attributes
     ----------
     model, sizes : str, and dict of str to int
-        SHA-256 of the model; then numbers of links, values, bodies, pieces, pairs proven apart, planes, and intervals
-        of pairs.
+        The SHA-256 of the model, and the numbers of links, values, bodies, pieces, pairs proven apart, planes, and
+        intervals of pairs.
     margins, deviations : (float, int), and tuple of (str, float)
-        The usual margin, and the number of pairs with another margin; each value's name, and how far the value may
-        deviate.
+        `margins` has the usual margin, and the number of pairs with another margin. `deviations` has the name of each
+        value, and how far the value may deviate.
     left_out, uncovered : tuple of (str, str), and of str
-        Pairs that the model exempts; bodies whose pieces do not cover their interior, so that the interior is not
-        excluded.
+        `left_out` lists pairs that the model exempts, and `uncovered` bodies with an interior that their pieces do not
+        cover, so that the planes do not exclude it.
     points, motions : tuple of tuple of tuple of float, and tuple of (int, bool, bool, int)
-        For each motion: its control points; its degree; whether it starts where the previous motion ends; whether its
-        control points are within the limits of the values; and the number of its configurations at which planes were
-        checked.
+        `points` has the control points of each motion. `motions` has the degree of each motion, whether it starts where
+        the previous motion ends, whether its control points are within the limits of the values, and the number of its
+        configurations at which planes were checked.
     tightest, common : (str, str, int, Fraction, Fraction, float, Fraction) or None, and (str, str) or None
-        The check with the least room to spare: two bodies, a motion, an interval, the margin, and the remaining room.
-        If the file claims a common point, `common` names the two bodies that have it.
+        `tightest` is the check with the least room to spare: two bodies, a motion, an interval, the margin, and the
+        remaining room. If the file claims a common point, `common` names the two bodies that have this point.
     rules, contacts : tuple of (str, str, int), and of (str, str, int, Fraction, Fraction, float)
-        Pairs that may be in contact at the start (1) or at the end (2) of motions, or at both (3). For each contact:
-        two bodies, a motion, an interval, and their least distance in metres, negative for an overlap.
+        `rules` lists pairs that may be in contact at the start (1) or at the end (2) of motions, or at both (3).
+        `contacts` lists two bodies, a motion, an interval, and the least distance between the bodies in metres,
+        negative for an overlap.
     ranges : tuple of (str, str, float, tuple of (str, float, float, bool))
-        For a file with this claim: two bodies; their margin in metres; and for each value between them its name, the
-        ends of the range over which they are farther apart, and whether the range covers everything that the value can
-        be. The last five entries of `tightest` are then the index of the pair, 0, 1, the margin, and the remaining
-        room.
+        If the file claims ranges: two bodies, their margin in metres, and for each value between them its name, the
+        ends of the range over which the bodies are farther apart than the margin, and whether the range covers
+        everything that the value can be. The last five entries of `tightest` are then the index of the pair, 0, 1, the
+        margin, and the remaining room.
     """
 
     model: str
@@ -107,7 +108,9 @@ class Report:
 
     @property
     def stretches(self) -> tuple[Stretch, ...]:
-        """Contacts, joined if they continue in the next motion: two bodies, a motion and t for both ends, distance."""
+        """Contacts, joined if they continue in the next motion: two bodies, a motion and t for each end, and the
+        distance.
+        """
         found, last = list[Stretch](), dict[tuple[str, str, float], int]()
         for a, b, number, since, until, least in self.contacts:
             k = last.get((a, b, least), -1)
@@ -751,7 +754,7 @@ def verify(data: bytes) -> Report:
     Parameters
     ----------
     data : bytes
-        Content of the file.
+        The contents of the file.
 
     Returns
     -------
@@ -794,7 +797,7 @@ def verify(data: bytes) -> Report:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Check a file and print its claim; return 0 if it is verified to be free, 1 if not, and 2 if it cannot be read."""
+    """Check a file and print its claim; return 0 if the file proves it free, 1 if not, and 2 if it cannot be read."""
     parser = argparse.ArgumentParser(description="Check a proof: motions, ranges or bodies are free, or two collide.")
     parser.add_argument("file", type=Path)
     path = parser.parse_args(argv).file

@@ -1,8 +1,8 @@
 """Plan for mobile bases: search a lattice of poses whose arcs are proven, connect it to the goal, and shorten the path.
 
 The search is A* over cells of position and heading (hybrid A*: Dolgov et al., IJRR 2010). Its estimate is the distance
-to the goal on a grid of the map; places that are blocked at all tried headings count several times. Poses are taken
-from the queue in batches, since a call of the kernel takes as long as the proof of forty arcs.
+to the goal on a grid of the map; cells that are blocked at all tried headings count several times. Poses are taken from
+the queue in batches, since the overhead of a kernel call equals the proof of forty arcs.
 """
 
 from __future__ import annotations
@@ -43,8 +43,8 @@ Kind = Literal["differential", "car"]
 # Steps of the lattice: the turn of one arc or of a turn in place [rad]; and the longest line, in steps.
 STEP, LONG = math.pi / 8.0, 4.0
 
-# Number of searches with finer and finer motions, one after another when all poses were tried; and the factor between
-# them.
+# Number of searches, each with finer motions than the one before, which has tried all its poses; and the factor between
+# their motions.
 LEVELS, FINER = 3, 4.0
 
 # Cells of the lattice: edges in steps, and headings in a whole turn.
@@ -57,8 +57,8 @@ BATCH, SHOTS = 16, 4
 # cell counts.
 GRID, TRIED, BLOCKED = 2**13, 4, 5.0
 
-# Weight of the estimate in the order of the queue: a larger one makes searches shorter, and ways longer before
-# shortening.
+# Weight of the estimate in the order of the queue: a larger weight makes searches shorter, and ways longer before they
+# are shortened.
 GREED = 1.5
 
 # A change between forwards and backwards costs as much as this share of a step.
@@ -68,10 +68,10 @@ CHANGE = 1.0
 # times the straight one plus SHOOTING radii.
 MOST_SHOOTING, DETOUR, SHOOTING = 4, 1.15, 2
 
-# Number of passes over a way that shorten it, and of poses on it.
+# Number of passes that shorten a way, and of poses on the way.
 PASSES, PLACES = 3, 32
 
-# Largest radius, and largest distance of limits [m].
+# Largest radius, and largest distance between limits [m].
 LARGEST = 1e6
 
 # Lengths and turns up to this are rounding errors of formulas [m, rad].
@@ -139,7 +139,7 @@ class Base:
     def free(self, poses: Floats, ways: Floats) -> Bools:
         """Return which ways, shape (N, motions, 2), from poses, shape (N, 3), are proven free and within the limits.
 
-        Middles and ends of motions are tried first, since a way that collides there needs no further proof.
+        Midpoints and ends of motions are tried first, since a way that collides there needs no further proof.
         """
         places = driven(poses, ways[..., 0], ways[..., 1])
         begins, ends = places[:, :-1], places[:, 1:]
@@ -193,16 +193,17 @@ def plan_drive(
     Parameters
     ----------
     checker : CollisionChecker
-        Its robot has a base of `Robot.footprint` or `Robot.add_base`; at theta = 0, forwards is along x. The point that
-        drives is the origin of the base: put it midway between the driven wheels of a differential base, and in the
-        middle of the rear axle of a car.
+        Its robot has a base from `Robot.footprint` or `Robot.add_base`, whose forward direction is x at theta = 0. The
+        origin of the base is the point that follows arcs and lines: put it midway between the driven wheels of a
+        differential base, or in the middle of a car's rear axle.
     start, goal : array_like, shape (dof,)
-        Only the base moves, so the goal must have the start's values of all other joints.
+        Only the base moves, so all other joints must have the same values at the start and the goal.
     base : {"differential", "car"}
     radius : float, optional
         Least radius of a car's turns, in metres; required for a car.
     reverse : bool
-        Whether the base may drive backwards. Without it, a car's arcs may turn by more than half a turn.
+        Whether the base may drive backwards. A car that may drive only forwards may turn by more than half a turn on an
+        arc.
     joint_error
         As for `plan`.
     search : Search, optional
@@ -221,14 +222,15 @@ def plan_drive(
     PlanningError, InputError
         As for `plan`.
     ConvergenceError
-        As for `certify_trajectory`, if a proof is requested. The drive without it is the error's `partial`.
+        As for `certify_trajectory`, if a proof is requested. The attribute `partial` of the error is the drive without
+        a proof.
 
     Notes
     -----
     A* searches a lattice of arcs, lines and turns in place (hybrid A*: Dolgov et al., IJRR 2010) until one of its poses
-    is connected to the goal by a way of Reeds and Shepp, of Dubins if the base may not reverse, or by a turn, a line
-    and a turn. Then such ways replace parts of the path where they are shorter. Contact that `Scene.leave` or
-    `Scene.reach` would permit counts as a collision.
+    is connected to the goal by a Reeds-Shepp path (a Dubins path if the base may not reverse), or by a turn, a line and
+    a turn. Parts of the path are then replaced with shorter ways of the same kinds. A contact counts as a collision
+    even if `Scene.leave` or `Scene.reach` permits it elsewhere.
 
     Examples
     --------
@@ -364,9 +366,9 @@ def _search(
 ) -> tuple[Path | None, int, tuple[float, float, float]]:
     """Search the lattice from the start until a way from one of its poses to the goal is proven.
 
-    Finer motions, by powers of `FINER`, lead to finer cells, and cost as much as others. Besides the way, the result
-    has the number of poses from which the search continued, and the pose nearest to the goal: the cost of its distance
-    and turn from the goal, and these two.
+    Finer motions, by powers of `FINER`, lead to finer cells, and cost as much as coarse ones. The result is the way,
+    the number of poses from which the search continued, and for the pose nearest to the goal: the cost of its distance
+    and turn from the goal, the distance, and the turn.
     """
     fine, coarse = FINER ** np.arange(finest + 1.0), base.lattice()
     steps, costs = np.concatenate([coarse / scale for scale in fine]), np.tile(_costs(coarse), finest + 1)
@@ -465,7 +467,7 @@ def _costs(ways: Floats) -> Floats:
 
 
 def _changes(ways: Floats) -> Floats:
-    """Mark the motions, shape (..., k, 2), that reverse the direction of the last one before them that has any."""
+    """Mark the motions, shape (..., k, 2), that reverse the direction of the last motion before them with a direction."""
     signs = np.sign(ways[..., 0])
     for k in range(1, signs.shape[-1]):
         signs[..., k] = np.where(signs[..., k] == 0.0, signs[..., k - 1], signs[..., k])

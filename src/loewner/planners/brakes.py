@@ -21,16 +21,16 @@ from loewner.planners.joint_limits import JointLimits, limits_by_name
 # distance at these velocities.
 STRAIGHT = 1e-9
 
-# A line that is too short to stop by this share is long enough: the trajectory itself stops at its end.
+# A line that is too short to stop on by only this share counts as long enough: the trajectory itself stops at its end.
 ROUNDED = 1e-9
 
-# Limits that are lower than the trajectory's own by this share are equal to them.
+# Limits that are lower than the trajectory's own limits by only this share count as equal.
 EQUAL = 1e-6
 
 # On a line that is too short to stop, the robot keeps at least this share of its speed: it must not creep on a blend.
 SLOWEST = 0.5
 
-# Halvings of the range in which the lowest speed at the end of a line is.
+# Number of halvings of the range that contains the lowest speed at the end of a line.
 HALVINGS = 64
 
 
@@ -65,7 +65,9 @@ class Brakes(NamedTuple):
     def on_path(
         cls, rows: Floats, at: Floats, begins: Floats, strongest: Floats, jerk: Floats | None, *, beyond: bool
     ) -> Brakes:
-        """Stop on straight motions between rows, shape (k, dof), at the times `at`, beginning at each of some times."""
+        """Stop on straight motions between rows, shape (k, dof), at the times `at`, beginning at each of several
+        times.
+        """
         made, steep = cls._empty(len(begins), len(rows) + 4, rows.shape[1]), _steep(strongest, jerk)
         entries.brakes_on_path(*(np.array(x) for x in (rows, at, begins, strongest, steep)), beyond, *made)
         return made
@@ -81,7 +83,7 @@ class Brakes(NamedTuple):
         return np.asarray(self.times[np.arange(len(self.times)), np.maximum(self.counts - 1, 0)])
 
     def only(self, chosen: Ints) -> Brakes:
-        """Some of the brakes."""
+        """The chosen brakes."""
         return Brakes(self.times[chosen], self.states[chosen], self.counts[chosen], self.needed[chosen])
 
     def courses(self, cubic: bool) -> tuple[Floats, Floats, Ints]:
@@ -125,7 +127,7 @@ class Brakes(NamedTuple):
         Raises
         ------
         InputError
-            If it is too long for numbers.
+            If the brake takes longer than a number can hold.
         """
         times, states = self.times[n, : self.counts[n]].copy(), self.states[n, : self.counts[n]]
         if not (np.isfinite(times).all() and np.isfinite(states).all()):

@@ -13,7 +13,7 @@ from loewner.planners.space import Space
 from loewner.robots.checking import distances
 from loewner.robots.checking.problem import Problem
 
-# In contact, a motion costs this much more than its length, as a multiple of it.
+# Additional cost of a motion in contact, as a multiple of its length.
 RISE = 9.0
 
 # Least number of motions into which a path is divided, and the most motions of a path that is still divided.
@@ -34,9 +34,9 @@ SHARE = 1 / 128
 class Clearing:
     """The cost of a path near obstacles.
 
-    The cost of a motion is the integral of its weighted length times 1 + 9 (1 - d / wanted)², with the distance d of
-    the robot from the scene's bodies that are not attached to it, as long as it is less than `wanted`. It is computed
-    by the trapezoidal rule.
+    The cost of a motion is the integral of its weighted length times 1 + 9 (1 - d / wanted)². Here, d is the distance
+    of the robot from the scene's bodies that are not attached to it, but at most `wanted`. The integral is computed by
+    the trapezoidal rule.
 
     Attributes
     ----------
@@ -55,7 +55,7 @@ class Clearing:
 
     @classmethod
     def of(cls, judge: Judge, weights: Floats, wanted: float) -> Clearing:
-        """Make it for the state of the scene to which a judge refers."""
+        """Make the cost for the state of the scene to which a judge refers."""
         ready = judge.ready
         return cls(judge, ready.only(np.flatnonzero((ready.pairs >= len(ready.link)).any(axis=1))), weights, wanted)
 
@@ -96,7 +96,7 @@ class Clearing:
         return (moved if cheaper else path), rounds
 
     def _move(self, path: Floats, rows: Ints, steps: Floats, space: Space, lower: Floats, upper: Floats) -> None:
-        """Move points that are no neighbours down the gradient of the cost, where this lowers it and is free."""
+        """Move points that are not neighbours down the gradient of the cost, where this lowers the cost and is free."""
         if len(rows) == 0:
             return
         before, here, after = path[rows - 1], path[rows], path[rows + 1]
@@ -108,7 +108,7 @@ class Clearing:
         apart = np.maximum(lengths, np.finfo(float).tiny)[:, :, None]
         pull = means[:, :, None] * ((here - np.stack([before, after])) / apart)  # a quotient of two zeros is 0 here
         down = -(0.5 * lengths.sum(axis=0)[:, None] * slopes / squares + pull.sum(axis=0))
-        # Sideways only: along the path, points would gather where it is cheap.
+        # Points move only sideways: along the path, they would gather where it is cheap.
         along = (after - before) * self.weights
         along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), np.finfo(float).tiny)
         down *= self.weights

@@ -1,4 +1,4 @@
-"""Read a trajectory's points for controllers, and make the curve that controllers execute between the points."""
+"""Read the points of a trajectory for a controller, and make the curve that the controller executes between them."""
 
 from __future__ import annotations
 
@@ -34,14 +34,14 @@ from loewner.robots.proofs.curves import Curve, form_of
 ENDINGS = (".csv", ".json", ".yaml", ".yml")
 MOST_BYTES = 2**28
 
-# A robot may be this far from the first point when a trajectory starts, in each value [rad or m]: MoveIt's default.
+# Allowed distance of each value from the first point when a trajectory starts [rad or m]: MoveIt's default.
 START_TOLERANCE = 0.01
 
-# Times of the joints and of a base may differ by rounding [s]; so may a planar motion from its plane [m or 1], and the
-# norm of a quaternion, in a file of few digits, from 1.
+# Allowed rounding errors: between the times of the joints and of a base [s]; of a planar motion, from its plane [m or
+# 1]; and of the norm of a quaternion in a file with few digits, from 1.
 SAME_TIME, IN_PLANE, NORMS = 1e-9, 1e-6, 1e-2
 
-# A pose that does not move, as position and quaternion x, y, z, w.
+# The identity as a position and a quaternion x, y, z, w.
 IDENTITY = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
 
 # Advice where a message places a base that the robot does not have.
@@ -60,13 +60,13 @@ class Origin:
     place : str
         The keys that lead to the points.
     stated : dict
-        Values from the message's start state, by columns.
+        Values from the message's start state, by column.
     sources : dict
-        Where these values come from, by columns: keys of the message.
+        Keys of the message from which these values come, by column.
     assumed : tuple of str
         Columns for which neither the file nor `others` has values: they keep the robot's defaults, which are mostly 0.
     touching : dict
-        Links that a carried body may touch, by its name.
+        Links that a carried body may touch, by the name of the body.
     free : tuple of str
         Bodies that the robot carries in another part of the message, but not here; queries raise an error if the scene
         has attached them.
@@ -108,8 +108,8 @@ class ControllerPoints:
     origin : Origin
         Other contents of the message from which the points were read.
     carried : dict
-        Links by the names of the bodies that the robot carries, according to a message; empty otherwise. Queries refuse
-        the points unless the scene has attached these bodies to these links.
+        For each body that the robot carries according to a message, the name of the body and the link that carries it.
+        Queries refuse the points unless the scene has attached these bodies to these links.
 
     Raises
     ------
@@ -177,8 +177,8 @@ class ControllerPoints:
             optionally ``NAME velocity`` and ``NAME acceleration`` for each joint. Files written by `Trajectory.save`
             can be read as well.
         robot : Robot, optional
-            Add columns for the values of this robot that the file does not name; they do not change. The motion of a
-            base (a multi-DOF trajectory) is read for a floating or planar joint of this robot.
+            Columns are added for the values of this robot that the file does not name; these values do not change. The
+            motion of a base (a multi-DOF trajectory) is read for a floating or planar joint of this robot.
         others : array_like, shape (dof,), optional
             A configuration of the robot, with the values for these columns. Default: the message's start state, and
             `Robot.configuration()` for all other values.
@@ -192,7 +192,7 @@ class ControllerPoints:
         FileError
             If the file does not exist, or contains no such points or several trajectories (see `load_all`); if it has a
             duplicate key, a key that its message does not have, or a value of the wrong kind; or if a message contains
-            values of joints or motions that could not be used, with the given robot or without one.
+            values of joints, or motions, that cannot be used with the given robot, or without a robot.
         InputError
             If the file has any other extension, or `others` is given without `robot` or is not its configuration.
         MissingExtraError
@@ -201,9 +201,9 @@ class ControllerPoints:
         Warns
         -----
         UserWarning
-            If the message contains bodies in a world of its own, which are not read; if it is for a robot of another
-            name; if a goal lets the controller deviate; or if the trajectory does not begin at the message's start
-            state.
+            If the message contains bodies in a world of its own, which are not read; if the message is for a robot with
+            another name; if a goal lets the controller deviate from the path; or if the trajectory does not begin at
+            the message's start state.
 
         Examples
         --------
@@ -221,8 +221,8 @@ class ControllerPoints:
     ) -> list[ControllerPoints]:
         """Read all trajectories of a file, in their order; errors and warnings as for `load`.
 
-        Joints that a trajectory does not name keep their values from the trajectory before, or from the message's
-        states. The bodies that the robot then carries are in the `carried` of each.
+        Joints that a trajectory does not name keep their values from the previous trajectory, or from the message's
+        states. The attribute `carried` of each trajectory has the bodies that the robot carries at that time.
 
         Parameters
         ----------
@@ -256,14 +256,14 @@ class ControllerPoints:
     ) -> None:
         """Write the points to a file, which `load` reads back.
 
-        The file does not contain `start_time` unless it is a ``.csv`` file, nor `carried`, nor `origin`.
+        The file contains neither `carried` nor `origin`, and only a ``.csv`` file contains `start_time`.
 
         Parameters
         ----------
         path : path
             A ``.csv`` file contains all numbers in full precision. A ``.json`` or ``.yaml`` file contains a ROS
-            ``trajectory_msgs/JointTrajectory``, whose times are rounded to nanoseconds; if this changes times, prove
-            the points of the file.
+            ``trajectory_msgs/JointTrajectory``, whose times are rounded to nanoseconds; if rounding changes a time,
+            prove the points in the file.
         joints, names, controllers
             As for `Trajectory.save`. Points without names need `names`.
 
@@ -667,7 +667,7 @@ def _stated(
 
 
 def _doubt_mimics(state: dict[str, float], robot: Robot, name: str) -> None:
-    """Warn if a state has values of a joint and of one that mimics it that do not fit together."""
+    """Warn if a state has contradictory values of a joint and of a joint that mimics it."""
     tree, rows = robot.tree, {joint: k for k, joint in enumerate(joints_above(robot))}
     for joint, (followed, factor) in robot.mimics.items():
         if joint in state and followed in state:
@@ -680,7 +680,7 @@ def _doubt_mimics(state: dict[str, float], robot: Robot, name: str) -> None:
 
 
 def _refuse_beside(beside: dict[str, float], places: dict[str, Floats], sources: dict[str, str], name: str) -> None:
-    """Refuse values of a state that nothing uses, as no robot is given, unless they are 0."""
+    """Refuse values of a state that are unused because no robot is given, unless they are 0."""
     told = [f"{joint} = {value:g}" for joint, value in beside.items() if value != 0]
     told += [f"{joint} away from the identity" for joint in places]
     if told:

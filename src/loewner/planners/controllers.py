@@ -1,4 +1,4 @@
-"""Columns that controllers take, with the names that controllers use for them, and the files that list controllers."""
+"""Columns for controllers, with the names that controllers use for them, and the files that list controllers."""
 
 from __future__ import annotations
 
@@ -133,7 +133,7 @@ def files_of(listing: Any, target: Path, names: Sequence[str], moves: Sequence[b
     target : path
         The name without the controller's: ``moved.yaml`` becomes ``moved.arm_controller.yaml``.
     names, moves : sequence
-        Names of columns, and whether their values change; only columns that change must be taken by a controller.
+        Names of columns, and whether their values change; only columns that change need a controller.
     """
     controllers = _read(_validate.path(listing, "controllers"))
     taking = {name: one for name, one in controllers.items() if not one.type or one.type.endswith(TRAJECTORY)}

@@ -1,4 +1,4 @@
-"""Let several robots follow given paths such that they never meet: which robot waits, and when."""
+"""Let several robots follow given paths without ever meeting: decide which robot waits, and when."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from loewner.robots import CollisionChecker
 from loewner.robots.description.assembly import parts_of
 from loewner.robots.description.robot import interpolated
 
-# States of all robots together that may be visited: some minutes of proofs.
+# Limit on the states of all robots together that are visited: several minutes of proofs.
 MOST_STATES = 2**20
 
 # Two motions whose directions differ by less than this share are parts of one straight motion.
@@ -79,7 +79,7 @@ def coordinate(
     ndarray, shape (k, dof)
         Configurations of all robots together, with straight motions between them, all proven free. This path is the
         fastest of all paths with these steps, at the joints' maximum velocities; a value without a limit moves at 1
-        rad/s or 1 m/s. `planners.trajectory` times it.
+        rad/s or 1 m/s. `planners.trajectory` assigns times to the path.
 
     Raises
     ------
@@ -93,8 +93,8 @@ def coordinate(
 
     Notes
     -----
-    The states of all robots form a grid: one robot takes a step along an edge, and several take steps along a diagonal.
-    A* finds the fastest way, and proves the edges that it encounters. Robots never go back.
+    The states of all robots form a grid: one robot takes a step along an edge, and several robots take steps along a
+    diagonal. An A* search finds the fastest way, and proves the edges that it encounters. Robots never go back.
 
     References
     ----------

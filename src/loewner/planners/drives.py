@@ -2,7 +2,7 @@
 
 The engine proves polynomials, but an arc is not a polynomial. Each piece of an arc becomes the polynomial of degree 7
 that agrees with it at both ends in position and three derivatives. The proof covers all configurations that deviate
-from the polynomial by as much as the arc does; docs/certified.md derives the bound.
+from the polynomial by no more than the arc does; docs/certified.md derives the bound.
 """
 
 from __future__ import annotations
@@ -28,19 +28,19 @@ from loewner.planners.steering import driven, moved
 from loewner.robots import Proof, Robot
 from loewner.robots.proofs.curves import Curve, form_of
 
-# Largest distance of an arc from the polynomial that stands for it [m], and the largest turn of one piece [rad].
+# Largest distance between an arc and the polynomial that represents it [m], and the largest turn of one piece [rad].
 DEVIATION, LARGEST_TURN = 1e-6, math.pi / 2.0
 
 # Limit on the pieces of a drive, so that a turn by millions of radians takes no memory.
 MOST_PIECES = 100_000
 
-# The remainder of such a polynomial is at most the eighth derivative over this number: 8! 2^8.
+# The remainder of this polynomial is at most the eighth derivative divided by this number, 8! 2^8.
 REMAINDER = 40320.0 * 256.0
 
 # Bound on the rounding of courses and of positions on arcs, in units of positions, and of lengths times 1 + turns.
 ARC_ROUNDINGS = 64.0 * tolerances.UNIT_ROUNDOFF  # certified.md B70
 
-# The base's link moves in a plane up to this [m, or a cosine].
+# Largest deviation of the motion of the base's link from a plane [m, or a cosine].
 PLANAR = 1e-9
 
 
@@ -66,24 +66,24 @@ class Arcs(NamedTuple):
 class Drive(KeepsReadOnly):
     """Arcs of circles, lines and turns in place that a mobile base drives; made by `plan` with `base`, or by `of`.
 
-    `CollisionChecker.certify_trajectory` takes it as a curve, and proves the arcs themselves.
+    `CollisionChecker.certify_trajectory` accepts a drive as a curve, and proves the arcs themselves.
 
     Attributes
     ----------
     names : tuple of str
         Names of the columns, as in `Robot.configuration_names`.
     path : ndarray, shape (k + 1, dof)
-        Configurations at which motions begin, and the last one. Between two of them the base does not move straight, so
-        use `positions`.
+        Configurations at which motions begin, and the last configuration. The base does not move straight between two
+        configurations, so use `positions`.
     motions : ndarray, shape (k, 2)
         Length of each motion [m], negative for backwards, and its turn [rad], positive to the left. An arc has both, a
         straight line no turn, and a turn in place no length.
     columns : tuple of int
         The columns of x, y and theta.
     times : ndarray, shape (k + 1,)
-        Seconds; within a motion, the base drives and turns at constant rates. Drives from `plan` and `of` are as fast
-        as possible without exceeding 1 m/s and 1 rad/s; ``dataclasses.replace(drive, times=drive.times / 0.5)`` drives
-        half as fast.
+        When motions begin, and when the last one ends, in seconds. Within a motion, the base drives and turns at
+        constant rates. Drives from `plan` and `of` are as fast as possible without exceeding 1 m/s and 1 rad/s;
+        ``dataclasses.replace(drive, times=drive.times / 0.5)`` drives half as fast.
     iterations : int
         Number of poses from which the search continued.
     seconds : float
@@ -113,15 +113,15 @@ class Drive(KeepsReadOnly):
     @classmethod
     @guarded
     def of(cls, robot: Robot, start: ArrayLike, motions: ArrayLike) -> Drive:
-        """Drive given motions.
+        """Make a drive from given motions.
 
         Parameters
         ----------
         robot : Robot
-            With a planar base, see `Robot.footprint` and `Robot.add_base`; all other joints keep their values.
+            A robot with a planar base (see `Robot.footprint` and `Robot.add_base`); all other joints keep their values.
         start : array_like, shape (dof,)
         motions : array_like, shape (k, 2)
-            As the attribute.
+            As for the attribute `motions`.
 
         Returns
         -------
@@ -189,7 +189,7 @@ class Drive(KeepsReadOnly):
         Parameters
         ----------
         t : array_like, shape (...)
-            Seconds, between the first and the last of `times`.
+            Times in seconds, from the first to the last of `times`.
 
         Returns
         -------

@@ -33,25 +33,25 @@ from loewner.robots.proofs.motions import Limit
 from loewner.robots.proofs.proof_models import model_of
 from loewner.robots.proofs.written_proofs import Proof, proof_of
 
-# Scales of time that are tried if a chunk is not free at its own: half, a quarter and an eighth of its speed.
+# Time scales that are tried if a chunk is not free at its own speed: a half, a quarter and an eighth.
 SCALES = (0.5, 0.25, 0.125)
 
-# Times that agree to this share of a period belong to the same tick.
+# Times that agree within this share of a period belong to the same tick.
 SAME_TICK = 1e-6
 
 # More periods than any chunk has, in place of quotients that may be infinite.
 MANY = 2.0**31
 
-# Metres, radians and shares by which bounds must be narrower than older ones to lie within these.
+# Metres, radians and shares by which bounds must be narrower than older bounds to lie within them.
 WITHIN = 1e-12
 
-# What rounding takes from a turn between two quaternions [rad]: cosines near 1 are off by some roundings.
+# Rounding error of the angle between two quaternions [rad], whose cosines near 1 have errors of several roundings.
 TURNED = 1e-6
 
-# How many steps a brake as a whole may take at least: more than one interval does with one pair.
+# Least limit on the steps of proving a brake as a whole: more than one interval takes with one pair.
 LEAST_STEPS = 64
 
-# By how much brakes on straight motions may be off them, as a share of their values.
+# Largest deviation of brakes from the straight motions on which they are, as a share of their values.
 ROUNDED = 64.0 * tolerances.UNIT_ROUNDOFF  # 40 of them are derived in certified.md, "Brakes"
 
 # Measured positions and velocities.
@@ -61,8 +61,8 @@ State: TypeAlias = tuple[Floats, Floats]
 class GateState(IntEnum):
     """How much of a chunk may be executed.
 
-    GO: all targets. PREFIX: the first `GateAnswer.steps` targets. BRAKE: no targets, only the brake. INSIDE: the robot
-    is already in contact, or nearer to something than its margin, so nothing can be proven.
+    GO: all targets. PREFIX: the first `GateAnswer.steps` targets. BRAKE: no targets, only the brake. INSIDE: no targets
+    either, since the robot is already in contact, or nearer to a body than its margin, so that nothing can be proven.
 
     Examples
     --------
@@ -84,24 +84,25 @@ class GateAnswer(_validate.Brief):
     ----------
     state : GateState
     steps : int
-        How many targets may be executed. The motions to them, and a brake from each of them, are proven free.
+        Number of targets that may be executed. The motions to these targets, and a brake from each target, are proven
+        free.
     scale : float
         1 if all targets may be executed. Otherwise, the largest time scale among 1/2, 1/4 and 1/8 with which they may
-        be executed, that is, with periods of dt / scale. Without such a scale, or without work left to find it, it is
-        0.
+        be executed, that is, with periods of dt / scale. The scale is 0 if none of them suffices, or if no work is left
+        to find it.
     reason : str
-        Why not all targets may be executed. "contact": the robot collides on the way to a target. "brake": it collides
-        while it brakes, or there are no more targets than the latency has periods. "may be hit": it collides only with
-        bodies away from their given poses, or nothing is proven near contact. "limits": a target is outside the limits
-        or too fast. "budget": the work was used up. Empty for GO.
+        Why not all targets may be executed. "contact": the robot collides on the way to a target. "brake": the robot
+        collides while it brakes, or there are no more targets than the latency has periods. "may be hit": the robot
+        collides only with bodies that are away from their given poses, or nothing is proven near contact. "limits": a
+        target is outside the limits or too fast. "budget": the work was used up. The reason is empty for GO.
     names : tuple of str
         The pair of bodies in question, or the joint; empty if there is none.
     distance, normal : float, ndarray of shape (3,)
-        Where the proof fails, with all bodies at their given poses: the distance [m] of the two, negative if they
-        overlap, and the direction towards the second one; NaN if there is no pair.
+        The distance [m] between the two bodies where the proof fails, negative if they overlap, and the direction
+        towards the second body, with all bodies at their given poses; NaN if there is no pair.
     brake : Trajectory
-        To be executed after `steps` targets (and the gate's `latency`) if no new answer arrives by then, or at once if
-        the state is BRAKE.
+        The brake to execute after `steps` targets (and the gate's `latency`) if no new answer arrives by then, or at
+        once if the state is BRAKE.
     is_proven : bool
         Whether this brake is proven free. It is proven unless nothing was proven before, the robot has left the proven
         tube, or the world has left its bounds.
@@ -132,7 +133,7 @@ class GateAnswer(_validate.Brief):
 
 
 class _World(NamedTuple):
-    """All about bodies of the scene that may change without making the scene another one."""
+    """The data of the scene's bodies that may change without making the scene a different one."""
 
     structure: int
     poses: Floats
@@ -218,37 +219,37 @@ class _Chunk(NamedTuple):
 class Gate:
     """Judge chunks of joint targets in a control loop: how far may they run such that the robot can still brake?
 
-    A chunk is FREE to run up to a target if the straight motions to it are proven free, and a brake from each target,
+    A chunk is FREE to run up to a target if the straight motions to it, and a brake from each target, are proven free,
     for all deviations within the errors below and all places of bodies within their bounds (`Scene.follow`,
-    `Scene.move`). The claim is that nothing collides before the robot is at rest; a body may run into it afterwards.
-    This is no safety function in the sense of IEC 61508 or ISO 13849.
+    `Scene.move`). The claim is that nothing collides before the robot is at rest; a body may run into the robot
+    afterwards. A gate is not a safety function in the sense of IEC 61508 or ISO 13849.
 
     Parameters
     ----------
     checker : CollisionChecker
         Its scene may change between checks.
     limits : planners.JointLimits, optional
-        Limits of velocity, acceleration and jerk. Default: the robot's.
+        Limits of velocity, acceleration and jerk. Default: the limits of the robot.
     brake : {"joints", "path"}
         How the robot brakes. "joints": each joint brakes as fast as its limits allow, off the path, as with most
         controllers. "path": the robot stays on the path, along which time runs more slowly.
     horizon : float, optional
-        Seconds: only targets within this time are examined. Default: all.
+        Only targets within this time [s] are examined. Default: all targets.
     interpolation : {"linear"}
         How the controller moves from one target to the next.
     joint_error : float or array_like, shape (dof,)
         Radians or metres by which the robot may deviate from the straight motions and from the brakes.
     velocity_error : float or array_like, shape (dof,)
-        Rad/s or m/s by which its velocity may differ from the chunk's when it begins to brake.
+        Rad/s or m/s by which the robot's velocity may differ from the chunk's velocity when the robot begins to brake.
     latency : float
-        Seconds from the order to brake until the robot brakes; until then, it continues along the chunk. It is rounded
-        up to whole periods.
+        Seconds from the order to brake until the robot brakes; until then, it continues along the chunk. The latency is
+        rounded up to whole periods.
     steps : int, optional
-        How much work a check may take, in steps of the proofs (`CollisionChecker.certify_edges`). Default: no limit.
+        Limit on the work of a check, in steps of the proofs (`CollisionChecker.certify_edges`). Default: no limit.
     acceleration, jerk : float or array_like, shape (dof,), optional
         Limits that replace the ones in `limits`; without a jerk limit, accelerations jump.
     tolerance : float
-        Metres, as for `CollisionChecker.certify_edges`.
+        As for `CollisionChecker.certify_edges`, in metres.
 
     Raises
     ------
@@ -256,7 +257,7 @@ class Gate:
         If an argument has the wrong type, shape or value, a joint has no acceleration limit, or the robot has a
         floating or ball joint.
     UnknownNameError
-        If `brake` or `interpolation` is another word.
+        If `brake` or `interpolation` is none of the words above.
 
     Examples
     --------
@@ -326,14 +327,14 @@ class Gate:
         q, dq : array_like, shape (dof,)
             Measured positions and velocities.
         targets : array_like, shape (n, dof)
-            The robot should be at the first target after `dt`, at the second one after 2 dt, and so on. A tick later, a
-            chunk that continues begins with the second target; only new motions and brakes are then proven.
+            The robot should be at the first target after `dt`, at the second one after 2 dt, and so on. At the next
+            tick, a chunk that continues begins with the second target; only new motions and brakes are then proven.
         dt : float
             Seconds.
         time : float, optional
-            Seconds on the clock of the scene's moving bodies: the time of this tick, which must not run backwards.
-            Required if bodies move or are known by growing bounds. With a latency, it also decides where a slow robot
-            is, whose state may fit several ticks; without the time, no brake of an earlier answer is then proven.
+            The time of this tick, in seconds on the clock of the scene's moving bodies; it must not run backwards.
+            Required if bodies move or are known by growing bounds. With a latency, the time also decides where a slow
+            robot is, whose state may fit several ticks; without the time, no brake of an earlier answer is then proven.
 
         Returns
         -------
@@ -376,13 +377,13 @@ class Gate:
     def proof(self) -> Proof:
         """Write the proof of the last chunk that may run, for a log; other programs can verify it without this library.
 
-        It takes far longer than a check, so do this outside the control loop.
+        This takes far longer than a check, so do it outside the control loop.
 
         Returns
         -------
         Proof
-            Its motions are the ones up to the last target with a proven brake, followed by all pieces of the brakes, in
-            the order of the ticks. All of them may deviate by as much as the brakes.
+            Its motions are the chunk's motions up to the last target with a proven brake, followed by all pieces of the
+            brakes in the order of the ticks. Every motion may deviate by as much as the brakes.
 
         Raises
         ------
@@ -423,7 +424,7 @@ class Gate:
         return proof_of(model, ready, courses, error, None)
 
     def _present(self) -> tuple[Problem, _World]:
-        """Return the pairs and the world of one moment, also if another thread changes the scene meanwhile."""
+        """Return the pairs and the world at one moment, even if another thread changes the scene meanwhile."""
         while True:
             ready = prepared_of(self._checker, timed=True)
             scene = self._checker.scene
@@ -611,7 +612,7 @@ class Gate:
             return chunk._replace(braked=chunk.motions), block, work
         block, tick = other._replace(reason="brake") if other.reason == "contact" else other, int(ticks[k])
         needed = int(brakes.needed[k]) - 1 if self._on_path else tick
-        # Behind the last target, a brake would go another way with more targets.
+        # Beyond the last target, a brake would take a different way if there were more targets.
         stop = _stop(tick, needed, block) if needed <= n else None
         return chunk._replace(braked=tick - 1, brake_stop=stop), block, work
 

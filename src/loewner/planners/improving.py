@@ -1,4 +1,4 @@
-"""Improve paths in rounds: each searches again within a bound on the cost, then polishes; the cheapest path is kept."""
+"""Improve paths in rounds: each round searches within a bound on the cost, and polishes; the cheapest path is kept."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ from loewner.planners.searches import Search
 from loewner.planners.space import Space
 from loewner.robots import Proof, Robot
 
-# Searches draw from the ellipsoid whose excess over the straight way is this multiple of the best path's excess: their
-# paths become shorter when they are polished.
+# Searches sample the ellipsoid whose excess over the straight path is this multiple of the best path's excess, since
+# polishing shortens the paths that they find.
 SLACK = 1.5
 
 # Iterations of a search, at first and at most; and the factors of this number after a failure and after a success.
@@ -45,7 +45,7 @@ PROMISING = 1.2
 # Rows that a path may gain.
 ROOM = 64
 
-# A path that costs at most this share more than the straight way is not improved.
+# A path that costs at most this share more than the straight path is not improved.
 NOTHING_LEFT = 1e-9
 
 # Weights outside this range, or their inverses, would make squares of costs overflow in the worst case.
@@ -57,7 +57,7 @@ LEAST_CLEARANCE = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class Improve:
-    """How `plan_full` improves a path: until one of two limits, or not at all if neither is given.
+    """How `plan_full` improves a path: until it reaches one of two limits, or not at all if neither limit is given.
 
     Parameters
     ----------
@@ -65,15 +65,15 @@ class Improve:
         Improve until this time has passed since the call began; the first path is returned in any case. Default: the
         timeout of the search.
     iterations : int, optional
-        Limit on the number of rounds. Equal numbers and seeds give equal paths, unless the time is over before.
+        Limit on the number of rounds. Equal numbers and seeds give equal paths, unless time runs out first.
     weights : array_like, shape (dof,), optional
         Factors of the joint values in the cost, which improvement lowers: the cost of a motion is the Euclidean norm of
         the weighted changes. They make metres and radians comparable; a joint with a large weight moves little.
-        Default: one for each value.
+        Default: 1 for each value.
     clearance : float, optional
         Distance [m] that the path should keep from the bodies of the scene where possible. This is a preference, not a
-        constraint: nearer to them, a motion costs up to ten times its length, and half of the rounds move the path away
-        from them. For a distance that must be kept everywhere, use `Scene.margin`.
+        constraint: at smaller distances, a motion costs up to ten times its length, and half of the rounds move the
+        path away from the bodies. For a distance that must be kept everywhere, use `Scene.margin`.
 
     Raises
     ------
@@ -123,12 +123,12 @@ class Plan(KeepsReadOnly):
     """A path with its cost and a lower bound on the cost of every such path: the result of `plan_full`.
 
     The cost is the sum over all motions of the Euclidean norm of the weighted changes of joint values. If a clearance
-    was given, it is higher near obstacles.
+    was given, the cost is higher near obstacles.
 
     Attributes
     ----------
     path : ndarray, shape (k, dof)
-        As `plan` returns it.
+        The path, as `plan` returns it.
     cost : float
         Cost of the path.
     bound : float
@@ -147,7 +147,7 @@ class Plan(KeepsReadOnly):
     approach : int or None
         The row of the path at which the approach of a `PoseGoal` begins, if it has one.
     retreat : ndarray, shape (k, dof), or None
-        The path of its retreat, from the end of the path.
+        The path of the goal's retreat, which begins at the end of `path`.
 
     Examples
     --------
@@ -171,7 +171,7 @@ class Plan(KeepsReadOnly):
 
     @property
     def gap(self) -> float:
-        """The excess of the cost over the bound, as a share; the best path may be cheaper by at most cost - bound."""
+        """The excess of the cost over the bound, as a share of the bound; no path is cheaper by more than the excess."""
         if self.cost == self.bound:
             return 0.0
         return float((self.cost - self.bound) / self.bound) if self.bound > 0.0 else math.inf
@@ -257,7 +257,7 @@ def cost_of(weights: Floats, path: Floats) -> float:
 
 
 def least_cost(space: Space, weights: Floats, start: Floats, goals: Floats) -> float:
-    """Compute the cost of the straight way from the start to the nearest goal."""
+    """Compute the cost of the straight path from the start to the nearest goal."""
     ways = weights * (space.unwound(start, goals) - start)
     return float(np.sqrt((ways * ways).sum(axis=1).min()))
 
@@ -318,7 +318,7 @@ class Rounds:
         Numbers of joints with equal values at the start and at all goals, in order of decreasing weight; none if all
         values are equal.
     least : float
-        Cost of the straight way.
+        Cost of the straight path.
     longest : float
         The longest motion of a tree when there is no bound.
     seed : int
@@ -343,7 +343,7 @@ class Rounds:
     def run(self, number: int) -> None:
         """Run one round."""
         growth, box = self.growth, self.box.copy()
-        # Odd rounds do not move the idle joints, then the heavier half of them, and so on.
+        # Odd rounds keep idle joints still: at first all of them, then the heavier half, and so on.
         halvings = number // 2 % len(self.idle).bit_length() if len(self.idle) else 0
         resting = self.idle[: len(self.idle) >> halvings] if number % 2 else self.idle[:0]
         search, columns = growth.search, growth.space.columns[resting]
@@ -358,7 +358,7 @@ class Rounds:
         self.best = self._resting(self.best)
 
     def _search(self, number: int, box: Floats) -> None:
-        """Search for another path, and keep it if it is cheaper when it is polished."""
+        """Search for another path, and keep it if it is cheaper after polishing."""
         growth, best, seed = self.growth.rooted(self.seed + number), self.best, self.seed + number
         growth.search.reach[[STEP, BOUND]] = (
             min(self.longest, SHARE * best.cost),

@@ -2,8 +2,8 @@
 
 A state is a configuration followed by a time [s], which counts from the start of the plan. First the direct motion is
 tried, and then a path planned without the moving bodies, with several starts and speeds. After that, two trees grow,
-forward in time from the start and backward from the goals. Motions are proven in batches, since a call takes as long as
-the proof of ten of them.
+forward in time from the start and backward from the goals. Motions are proven in batches, since the overhead of a call
+equals the proof of ten motions.
 """
 
 from __future__ import annotations
@@ -40,38 +40,41 @@ from loewner.robots.proofs.proofs import refuse_starts
 # Share of a velocity that is left to the rounding of times.
 SLACK = 1e-9
 
-# The horizon, unless it is given: this many times the time to cross all ranges, and of the periods of motions.
+# The default horizon is CROSSINGS times the time to cross all ranges, after PERIODS periods of motions that repeat.
 CROSSINGS, PERIODS = 4.0, 2.0
 
-# Longest time to cross all ranges [s], thirty years: a slip in a unit.
+# Longest time to cross all ranges [s]: more than thirty years are due to a wrong unit.
 SLOWEST = 1e9
 
 # Largest spacing of times near the start, as a share of the time to cross all ranges.
 COARSEST = 1e-6
 
-# Times of a body that repeats its motion, during a plan: each of them cuts the robot's motions.
+# Largest number of times at which the repeated motion of a body changes during a plan: each divides the robot's
+# motions.
 MOST_KNOTS = 2**14
 
-# Starts of the path through the still scene within the horizon, and its other durations.
+# Number of later starts within the horizon for the path through the static scene; and its longer durations, in
+# multiples of the shortest.
 STARTS, SLOWER = 12, (1.5, 2.0, 3.0)
 
-# Per round: configurations that are drawn, motions of a branch towards one, and new times of arrival.
+# Numbers per round: configurations that are sampled, motions of a branch towards each of them, and new times of
+# arrival.
 DRAWN, MOTIONS, ARRIVALS = 8, 3, 4
 
-# The longest motion of a tree, as a share of the time to cross all ranges; the factor by which the horizon grows in a
-# round, up to the given one; the share of configurations that are drawn near the path, and how near; and the share of
-# branches at full speed.
+# SHARE: the longest motion of a tree, as a share of the time to cross all ranges. GROWTH: the factor by which the
+# horizon grows in a round, up to the given horizon. ALONG and NEAR: the share of configurations that are sampled near
+# the path, and how near. HASTY: the share of branches at full speed.
 SHARE, GROWTH, ALONG, NEAR, HASTY = 1 / 6, 1.2, 0.5, 0.1, 0.5
 
-# Shortening: rounds at most, rounds without success, and the least gain, as a share; and for each change of a round,
-# the share of the possible gain in time.
+# Limits of shortening: the number of rounds, the number of rounds without success, and the least relative gain; and for
+# each change in a round, the share of the possible gain in time.
 ROUNDS, IDLE, GAIN = 6, 2, 1e-3
 SAVED = (1.0, 1.0, 1.0, 1.0, 0.5, 0.5, 0.0, 0.0)
 
 # Motions of a candidate that are proven before the others.
 FEW = 3
 
-# Numbers that a search for nearest states takes at a time: some 100 MB.
+# How many numbers a search for nearest states handles at a time: about 100 MB.
 LARGE = 2**22
 
 # Times at which waiting is proven for a message.
@@ -170,7 +173,7 @@ def plan_in_time(
     search: Search | None = None,
     seed: int = 0,
 ) -> Trajectory:
-    """Find a trajectory from start to goal among bodies that follow motions, as a whole proven free of collisions.
+    """Find a trajectory among bodies that follow motions, from start to goal, proven free of collisions as a whole.
 
     Parameters
     ----------
@@ -179,14 +182,15 @@ def plan_in_time(
     goal : array_like, shape (dof,) or (goals, dof), or PoseGoal
         As for `plan`; a `PoseGoal` has no approach or retreat.
     start_time : float
-        Begin at this number of seconds on the clock of the motions (`Scene.follow`).
+        When the trajectory begins, in seconds on the clock of the bodies' motions (`Scene.follow`).
     velocity : float or array_like, shape (dof,), optional
         The largest velocity of each value [rad/s or m/s]. Default: the URDF's limits (`Robot.velocity`).
     arrive_by : float, optional
-        The latest arrival [s], on the same clock as `start_time`. Default, and at most: four times as long as the
-        joints need to cross their ranges, after the end of all motions; of motions that repeat, two periods count.
+        The latest arrival [s], on the same clock as `start_time`. The default, which is also the upper limit, leaves
+        four times the time that the joints need to cross their ranges, after the end of all motions, or after two
+        periods of a motion that repeats.
     search : Search, optional
-        Its `max_iterations`, `timeout` and `simplify` count; it has no `planner` and proves its motions.
+        Its `max_iterations`, `timeout` and `simplify` apply; `planner` must not be set, and motions are always proven.
 
     Returns
     -------
@@ -209,10 +213,11 @@ def plan_in_time(
 
     Notes
     -----
-    The direct motion is tried first, and then the path through the scene without the moving bodies, at several starts
-    and speeds. If none of them is proven, two trees grow, forward in time from the start and backward from the goals at
-    several times of arrival (Grothe et al., "ST-RRT*", ICRA 2022). The result is shortened, but need not arrive as
-    early as possible. Contact that `Scene.leave` or `Scene.reach` would permit counts as a collision.
+    The direct motion is tried first, and then the path through the scene without the moving bodies, at several starting
+    times and speeds. If no attempt is proven, two trees grow, forward in time from the start and backward from the
+    goals at several times of arrival (Grothe et al., "ST-RRT*", ICRA 2022). The result is shortened, but need not
+    arrive as early as possible. A contact counts as a collision even if `Scene.leave` or `Scene.reach` permits it
+    elsewhere.
 
     Examples
     --------
@@ -311,14 +316,14 @@ def _judge(
 
 
 def horizon_of(ready: Problem, begin: float) -> float:
-    """Return how long bodies still move after the start of a plan; for motions that repeat, some periods."""
+    """Return how long bodies still move after the start of a plan; for motions that repeat, `PERIODS` periods."""
     paths = () if ready.paths is None else ready.paths.paths
     spans = [PERIODS * path.period if path.repeat else max(float(path.times[-1]) - begin, 0.0) for path in paths]
     return max(spans, default=0.0)
 
 
 def _started(judge: TimedJudge, path: Floats) -> Floats | None:
-    """Follow a path, at several starts and speeds; return the states of the earliest arrival that is proven."""
+    """Follow a path at several starting times and speeds; return the states of the earliest arrival that is proven."""
     path = path[np.append(True, (np.diff(path, axis=0) != 0).any(axis=1))]
     states = np.column_stack([path, np.zeros(len(path))])
     states[1:, -1] = np.cumsum(judge.seconds(states[:-1], states[1:]))
@@ -387,7 +392,7 @@ class _Tree:
         tips : ndarray of int64
             The last node of each branch.
         reached : ndarray of bool
-            Whether the state itself was reached; it is no node of its own then.
+            Whether the branch reached the state itself.
         """
         a = self.states[at]
         counts = np.maximum(np.ceil(self.judge.seconds(a, states) / self.longest), 1).astype(np.int64)
@@ -414,7 +419,7 @@ class _Tree:
 
 
 class _Trees(NamedTuple):
-    """Two trees that are to meet.
+    """Two trees that grow until they meet.
 
     Attributes
     ----------

@@ -18,10 +18,11 @@ from loewner.errors import InputError
 from loewner.planners.profiles import Limits, Phase, phases, ramp, reached, turned
 from loewner.planners.straights import LARGEST_RATIO, Straights, smallest
 
-# Share of each limit that is left to rounding. The shortest phase is chosen so that rounding stays within it.
+# Share of each limit that is reserved for rounding. The shortest phase is chosen so that rounding stays within this
+# share.
 TO_ROUNDING = 1e-6
 
-# Bound on the error of a velocity, an acceleration or a jerk on one phase, in units of the largest position, plus the
+# Bound on the error of a velocity, an acceleration or a jerk on one phase, in units of the largest position plus the
 # distance at the highest speed in the whole time, divided by a power of the phase's duration; see docs/certified.md.
 NOISE = 1024.0 * tolerances.UNIT_ROUNDOFF
 
@@ -94,7 +95,7 @@ class JerkLimited(NamedTuple):
         return cls(straights, along, across)
 
     def part(self, first: int, last: int) -> JerkLimited:
-        """Select the motions at the corners from `first` up to, but without, `last`."""
+        """Select the motions at the corners from `first` up to but not including `last`."""
         return JerkLimited(self.straights.part(first, last), self.along[first : last + 1], self.across[first:last])
 
     @property

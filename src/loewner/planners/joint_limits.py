@@ -23,7 +23,7 @@ from loewner.robots import Robot
 # Seconds in which a joint reaches its velocity limit, if no acceleration limit is given.
 UP_IN = 1.0
 
-# How far a configuration may be outside a limit and still count as on it: what OMPL allows, for rounding.
+# How far outside a limit a configuration still counts as on the limit, because of rounding; OMPL allows the same.
 ON_LIMIT = float(np.finfo(np.float64).eps)
 
 # The largest file [bytes].
@@ -32,8 +32,8 @@ MOST_BYTES = 2**24
 # Kinds of limits in a file, and the attribute that each of them bounds.
 KINDS = {"velocity": "velocity", "acceleration": "acceleration", "deceleration": "acceleration", "jerk": "jerk"}
 
-# Keys of a joint. MoveIt and ros2_control have the last ones, which do not affect trajectories: forces, gains, and
-# whether an angle is a turn more or less.
+# Keys of a joint. The last ones, from MoveIt and ros2_control, do not affect trajectories: forces, gains, and whether
+# an angle wraps around.
 KEYS = (
     *(key for kind in KINDS for key in (f"max_{kind}", f"has_{kind}_limits")),
     *("min_position", "max_position", "has_position_limits"),
@@ -53,11 +53,11 @@ class JointLimits(KeepsReadOnly):
     Attributes
     ----------
     names : tuple of str
-        As `Robot.configuration_names`.
+        Names of the columns, as in `Robot.configuration_names`.
     lower, upper : ndarray, shape (dof,)
         Limits of position [rad or m].
     velocity, acceleration, jerk : ndarray, shape (dof,)
-        In rad or m per second, per second squared and per second cubed. A limit is infinite if there is none.
+        Limits in rad or m per second, per second squared and per second cubed; infinite where there is no limit.
 
     Examples
     --------
@@ -84,12 +84,12 @@ class JointLimits(KeepsReadOnly):
         Parameters
         ----------
         path : path
-            A YAML file with the key ``joint_limits``, possibly within ROS's parameters, and possibly several times for
-            different joints. For each joint, ``has_velocity_limits: true`` and ``max_velocity`` give a limit, and
-            ``has_velocity_limits: false`` means that there is none. Accelerations, decelerations and jerk have this
-            form, too, and so do ``min_position`` and ``max_position``, which soft limits narrow. A limit of a joint
-            that mimics another bounds the other joint; its positions cause a warning. Angles may be tagged
-            ``!degrees``.
+            A YAML file with the key ``joint_limits``, which may be within ROS's parameters, and may occur several times
+            for different joints. For each joint, ``has_velocity_limits: true`` and ``max_velocity`` give a limit, and
+            ``has_velocity_limits: false`` means that there is none. Limits of acceleration, deceleration and jerk have
+            the same form, and so do ``min_position`` and ``max_position``, which soft limits narrow. If a joint mimics
+            another, its limits bound the other joint, except for its positions, which cause a warning. Angles may be
+            tagged ``!degrees``.
         robot : Robot
         scaled : bool
             Multiply velocities and accelerations by the file's default scaling factors, which are at most 1.
@@ -111,8 +111,8 @@ class JointLimits(KeepsReadOnly):
         Warns
         -----
         UserWarning
-            Once, if limits of a joint that turns are probably in degrees; once, if the file contains other tables next
-            to ``joint_limits``, or positions of joints that mimic others.
+            If limits of a joint that turns are probably in degrees; or if the file contains other tables next to
+            ``joint_limits``, or positions of joints that mimic others. Each warning is issued once.
 
         Examples
         --------
@@ -176,7 +176,8 @@ def limits_of(
 def _expect_within(robot: Robot, rows: Floats, given: JointLimits) -> None:
     """Raise an InputError for a position outside the limits; blends and profiles stay within the hull of the rows.
 
-    Where the file does not change a limit, the hard limit of the joint counts: a plan may start outside the soft ones.
+    Where the file does not change a limit, the hard limit of the joint counts: a plan may start outside the soft
+    limits.
     """
     lower = np.where(given.lower == robot.lower, robot.hard_lower, given.lower)
     upper = np.where(given.upper == robot.upper, robot.hard_upper, given.upper)
@@ -188,7 +189,7 @@ def _expect_within(robot: Robot, rows: Floats, given: JointLimits) -> None:
 
 
 def limits_by_name(name: str, limit: ArrayLike | None, sources: Iterable[Any], otherwise: Floats) -> Floats:
-    """Return one limit per joint: the given one, or the last finite one of a joint in some sources."""
+    """Return one limit per joint: the given limit, or the last finite limit of the joint in the sources."""
     if limit is not None:
         return per_joint(limit, name, len(otherwise))
     for known in (getattr(source, name) for source in sources if source is not None):
@@ -197,7 +198,7 @@ def limits_by_name(name: str, limit: ArrayLike | None, sources: Iterable[Any], o
 
 
 def per_joint(limit: ArrayLike, name: str, dof: int) -> Floats:
-    """Check positive numbers, one or one per joint, and return one per joint."""
+    """Check one positive number, or one per joint, and return one per joint."""
     array = _validate.positive_array(limit, name, ("...",))
     if array.shape not in ((), (dof,)):
         raise InputError(f"{name}: expected one number or shape ({dof},), found {_validate.shape_text(array.shape)}")
@@ -205,7 +206,7 @@ def per_joint(limit: ArrayLike, name: str, dof: int) -> Floats:
 
 
 def _holders(top: Node, beside: list[Node]) -> list[dict[str, Node]]:
-    """Find the mappings with a table of joints, however wrapped; `beside` gets all that leads to none."""
+    """Find the mappings with a table of joints at any depth; `beside` receives the nodes that lead to no table."""
     leads: dict[int, bool] = {}  # whether a place leads to a table; aliases lead to the same place, even from within
 
     def leading(node: Node) -> bool:

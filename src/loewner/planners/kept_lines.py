@@ -35,10 +35,10 @@ PARTS, MOST_CONFIGURATIONS = (4, 16, 64, 256, 1024), 2**14
 
 @dataclass(frozen=True)
 class Line:
-    """Rows of a path on which a link follows a straight line: `trajectory` then keeps the link on it.
+    """Rows of a path on which a link follows a straight line: `trajectory` then keeps the link on this line.
 
-    The line leads from the pose of the link at the first row to its pose at the last: the origin of the link
-    moves along a straight line, and its rotation about a fixed axis, by the shorter way around, as for `straight`.
+    The line leads from the pose of the link at the first row to its pose at the last: the origin of the link moves
+    along a straight line, and the link turns about a fixed axis by the shorter way around, as for `straight`.
 
     Parameters
     ----------

@@ -19,10 +19,10 @@ from loewner.robots.proofs.curves import Curve
 
 QUANTITIES = ("position", "velocity", "acceleration", "jerk")
 
-# Fractions of pieces at which values are compared before roots are sought, only where these may give more.
+# Fractions of a piece at which values are compared first; roots are sought only where they may give larger values.
 TRIED = np.arange(9) / 8
 
-# Extremes and jumps below this share of the largest value are rounding.
+# Extremes and jumps below this share of the largest value count as rounding errors.
 ROUNDED = 1e-9
 
 # Times are doubted if the largest velocity, times a factor of a unit of time, is between two shares of its limit.
@@ -54,9 +54,9 @@ class Use(NamedTuple):
         if there is none.
     ratio : float
         For a position, the distance from the middle of the range divided by half the range; otherwise, the absolute
-        value divided by the limit. 0 if there is no limit.
+        value divided by the limit. The ratio is 0 if there is no limit.
     time : float
-        Seconds; when it happens.
+        When the value occurs, in seconds.
     unit : str
         rad or m, the unit of the joint's positions.
     """

@@ -40,7 +40,7 @@ def straight(
     joints: str | Iterable[str] | None = None,
     keep: tuple[str | ArrayLike, ArrayLike, float] | None = None,
 ) -> Floats:
-    """Move a link along a straight line to a pose, provably at every instant and free of collisions.
+    """Move a link along a straight line to a pose, provably straight and free of collisions at every instant.
 
     The line leads from the pose of the link at `start` to `T`: the origin of the link moves along a straight line, and
     the link turns at a constant rate about a fixed axis, by the shorter way around.
@@ -53,18 +53,18 @@ def straight(
     T : array_like, shape (4, 4)
         T_world_link at the end, in metres.
     position, rotation : float
-        Largest deviations of the link from the pose that belongs to the same fraction of the line, in metres and
-        radians, at least 1e-9.
+        Largest deviations of the link from the pose at the same fraction of the line, in metres and radians, at least
+        1e-9.
     joints : str or iterable of str, optional
         A group, or names of joints: only these joints move. Default: all joints that move the link.
     keep : (axis, direction, angle), optional
         Additionally, an axis of the link ("x", "y", "z" or a vector) must stay within an angle [rad] of a direction of
-        the world, for example to avoid spilling a cup. It holds at every instant, including the deviations.
+        the world, for example to avoid spilling a cup. The angle is kept at every instant, deviations included.
 
     Returns
     -------
     ndarray, shape (k, dof)
-        Configurations, beginning with `start`. Each joint value changes linearly from one to the next.
+        Configurations, beginning with `start`. Each joint value changes linearly from one configuration to the next.
 
     Raises
     ------

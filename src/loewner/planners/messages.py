@@ -18,9 +18,9 @@ from loewner._base._nodes import JsonNode, Node, some
 from loewner._base._validate import Floats
 from loewner.errors import FileError, InputError
 
-# What becomes of a field that is no message of a type below: read by the code for its type; without an effect on the
-# joints and the bodies of a robot; or mentioned in a warning if it is not empty. A field may be of any type but these
-# that have such a field.
+# Treatment of a field that is not a message of a type below. The code for its type reads the field; or the field has no
+# effect on the joints and the bodies of a robot; or a warning mentions the field unless it is empty; or the field is a
+# message of any type that has no such field itself.
 USED, HARMLESS, TOLD, ANY = "used", "harmless", "told", "any"
 
 
@@ -28,8 +28,8 @@ def _harmless(*keys: str) -> dict[str, str]:
     return dict.fromkeys(keys, HARMLESS)
 
 
-# Fields by type; all but the harmless ones are in the order in which they take effect. Fields of a list have the type
-# of its entries.
+# Fields by type; all but the harmless ones are in the order in which they take effect. For a field that is a list, the
+# type is the type of its entries.
 TYPES: dict[str, dict[str, str]] = {
     "JointTrajectory": {"header": HARMLESS, "joint_names": USED, "points": USED},
     "MultiDOFJointTrajectory": {"header": HARMLESS, "joint_names": USED, "points": USED},
@@ -43,8 +43,8 @@ TYPES: dict[str, dict[str, str]] = {
     "PlanningScene": {
         "robot_state": "RobotState", "robot_model_name": USED, "link_padding": TOLD, "link_scale": TOLD,
         "world": "PlanningSceneWorld",
-        # Frames are of bodies in the message's world, which is not read; more pairs are checked here than the matrix
-        # lists; and is_diff is of the world, since a state has its own.
+        # Frames belong to bodies in the message's world, which is not read; more pairs are checked here than the matrix
+        # lists; and is_diff refers to the world, since a state has its own.
         **_harmless("name", "fixed_frame_transforms", "allowed_collision_matrix", "object_colors", "is_diff"),
     },
     "DisplayTrajectory": {"model_id": USED, "trajectory_start": "RobotState", "trajectory": "RobotTrajectory"},
@@ -215,7 +215,7 @@ def _type_of(node: Node, among: Collection[str]) -> str:
 
 
 def _fits(node: Node, name: str) -> bool:
-    """Return whether a message may be of a type: it has none but the type's keys, and so have its parts."""
+    """Return whether a message may be of a type: the message and its parts have only keys of their types."""
     if node.kind != "mapping":
         return False
     fields = TYPES[name]
@@ -477,7 +477,7 @@ def _text_of_seconds(node: Node) -> float:
 
 
 def _transform(node: Node) -> list[float]:
-    """Read a geometry_msgs/Transform: position, and quaternion x, y, z, w; without a rotation, or with 0, it is 1."""
+    """Read a geometry_msgs/Transform: position, quaternion x, y, z, w; a missing or zero rotation is the identity."""
     keys = node.mapping(("translation", "rotation"))
     position, quaternion = [0.0] * 3, [0.0, 0.0, 0.0, 0.0]
     if "translation" in keys and not keys["translation"].empty:
@@ -532,7 +532,7 @@ def written(names: Collection[str], times: Floats, rows: dict[str, Floats], suff
     Raises
     ------
     InputError
-        If two times are the same after rounding, or one is negative or too long for a message.
+        If two times are the same after rounding, or a time is negative or too long for a message.
     """
     rounded = nanoseconds(times)
     for k in np.flatnonzero(~(np.diff(rounded) > 0))[:1].tolist():

@@ -22,7 +22,7 @@ from loewner.planners.judge import Judge, checked_checker, free_now, refuse_unfr
 from loewner.planners.space import Space
 from loewner.robots import CollisionChecker
 
-# OMPL takes shares of the extent strictly between 0 and 1.
+# OMPL accepts only shares of the extent strictly between 0 and 1.
 SMALLEST_SHARE = 1e-12
 
 
@@ -40,7 +40,7 @@ def space_information(
     Parameters
     ----------
     checker : CollisionChecker
-        Changes of its scene take effect at the next checked state.
+        Changes to its scene take effect at the next checked state.
     joints : str or iterable of str, optional
         A group, or names of joints. These joints are the dimensions of the state space, in the order of the robot's
         `configuration_names`. Default: all joints.

@@ -1,4 +1,4 @@
-"""Define `plan`, `plan_full` and `shorten`, which use the compiled planner, or one of OMPL's if it is named."""
+"""Define `plan`, `plan_full` and `shorten`, which use the compiled planner or a named planner of OMPL."""
 
 from __future__ import annotations
 
@@ -139,35 +139,35 @@ def plan(
     joints : str or iterable of str, optional
         A group, or names of joints. These joints move; all remaining joints keep the values of `start`. Default: all.
     keep : (link, axis, direction, angle), optional
-        An axis of the link ("x", "y", "z" or a vector) must stay within an angle [rad] of a direction of the world, as
-        of a cup that must not be spilt. This is proven for every motion of the path itself, without joint errors. Only
-        the compiled planner supports this.
+        An axis of the link ("x", "y", "z" or a vector) must stay within an angle [rad] of a direction of the world, for
+        example to avoid spilling a cup. The angle is proven for every motion of the path itself, without joint errors.
+        Only the compiled planner supports this option.
     joint_error : float or array_like, shape (dof,)
         Radians or metres by which each value may deviate from the path: every motion is proven for all such deviations,
-        also of the joints that do not move. With a joint error, contact at the ends is not allowed.
+        including deviations of joints that do not move. With a joint error, contact at the ends is not allowed.
     search : Search, optional
         The planner, its limits, and whether it proves its motions. Default: ``Search()``.
     seed : int
         Equal seeds give equal paths, unless the timeout ends the search. With an OMPL planner, this sets OMPL's seed,
-        which applies to the whole process. The search for drives draws nothing, so it has no effect there.
+        which applies to the whole process. The seed has no effect on drives, whose search is not random.
     planner, certified, resolution, max_iterations, timeout, simplify : optional
-        A field of `search` by itself, which replaces it there.
+        Single fields of `search`, which replace the values in `search`.
     full, proof, improve_for, improve_iterations, weights, clearance : optional
         Improve the path as `plan_full` does; ``improve_for`` and ``improve_iterations`` are the `seconds` and the
         `iterations` of `Improve`. With ``full=True``, the result is a `Plan`.
     start_time, velocity, arrive_by : optional
-        Plan in time: `plan_in_time`.
+        Plan among moving bodies, as `plan_in_time` does.
     base, radius, reverse : optional
-        Plan for a mobile base: `plan_drive`.
+        Plan for a mobile base, as `plan_drive` does.
 
     Returns
     -------
     ndarray, shape (k, dof)
         Configurations from `start` to a goal; each joint value changes linearly from one configuration to the next. A
-        joint that turns without limits takes the shorter way around, so it ends at the goal's value or whole turns from
-        it (with OMPL's planners, always at the goal's value). It ends with the approach of a `PoseGoal`.
+        joint that turns without limits takes the shorter way around, so that it ends at the goal's value or whole turns
+        away (with OMPL's planners, always at the goal's value). The path ends with the approach of a `PoseGoal`.
     Plan, Trajectory or Drive
-        With the options of another function, its result.
+        The result of another function, if its options are given.
 
     Raises
     ------
@@ -268,9 +268,9 @@ def plan_full(
     checker, start, goal, joints, keep, joint_error, search
         As for `plan`.
     improve : Improve, optional
-        The time for it, and the cost of motions. Default: do not improve the path.
+        The time for improving the path, and the cost of motions. Default: do not improve the path.
     seed : int
-        Equal seeds and iterations give equal paths, unless the time is over before.
+        Equal seeds and iterations give equal paths, unless time runs out first.
     proof : bool
         Also write a `Proof` of the path, as `CollisionChecker.certify_edges` does.
 
@@ -286,14 +286,15 @@ def plan_full(
     InputError
         As for `plan`, and as for `certify_edges` if a proof is requested.
     ConvergenceError
-        As for `certify_edges`, if a proof is requested. The plan without it is the error's `partial`.
+        As for `certify_edges`, if a proof is requested. The attribute `partial` of the error is the plan without a
+        proof.
 
     Notes
     -----
     Each round of improvement searches the configurations through which a cheaper path may lead (Gammell et al., IROS
     2014), and polishes the new path and the best one: corners are cut or moved, and single joints are straightened.
-    With a clearance, the cost of a motion is its weighted length times the mean of 1 + 9 (1 - d / clearance)² along it,
-    with the distance d of the robot from the scene's bodies that are not attached to it, where this is less than the
+    With a clearance, the cost of a motion is its weighted length times the mean of 1 + 9 (1 - d / clearance)² along the
+    motion. Here, d is the distance of the robot from the scene's bodies that are not attached to it, but at most the
     clearance.
 
     Examples

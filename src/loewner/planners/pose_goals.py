@@ -40,11 +40,11 @@ class PoseGoal:
     ----------
     link : str
     T : array_like, shape (..., 4, 4)
-        One pose or several, such as candidates for a grasp; reaching any of them is enough. T_world_link, in metres.
+        One pose T_world_link or several, in metres, such as candidates for a grasp; reaching any of them is enough.
     tolerance : array_like, shape (6,), optional
         Largest deviations from a pose, as for `Robot.reach`.
     seeds : int
-        As for `Robot.reach`: more find more of the configurations.
+        As for `Robot.reach`: more seeds find more of the configurations.
     approach, retreat : float, array_like, shape (3,), or (str, array_like), optional
         Straight lines of the link to the goal and away from it. Each is given by the link's displacement in metres: a
         vector in the frame of the link at the goal, or ``("world", vector)`` in the frame of the world. A number is a
@@ -112,14 +112,14 @@ class PoseGoal:
         Returns
         -------
         ndarray, shape (goals, dof)
-            At most sixteen; they include configurations that collide only if there are too few free ones. An approach
-            and a retreat, if the goal has them, are free for all of them.
+            At most sixteen configurations, including colliding ones only if there are too few free ones. If the goal
+            has an approach or a retreat, it is free for all these configurations.
 
         Raises
         ------
         PlanningError
-            If no pose is reached, the message states how near the link came; if no configuration has a free approach
-            and retreat, it counts the reasons.
+            If no pose is reached (the message states how near the link came), or if no configuration has a free
+            approach and retreat (the message counts the reasons).
         InputError, UnknownNameError
             As for `Robot.reach`.
         """
@@ -144,7 +144,7 @@ class PoseGoal:
         Returns
         -------
         ndarray, shape (k, dof)
-            Configurations that end with `q`.
+            Configurations, ending with `q`.
 
         Raises
         ------
@@ -182,7 +182,7 @@ class PoseGoal:
         Returns
         -------
         ndarray, shape (k, dof)
-            Configurations that begin with `q`.
+            Configurations, beginning with `q`.
 
         Raises
         ------

@@ -31,7 +31,8 @@ from loewner.planners.space import NAMED, Space, Task
 from loewner.robots import CollisionChecker
 from loewner.robots.checker import prepared_of
 
-# Motions that are proven, and nodes whose neighbours are sought, at a time; an interrupt is noticed in between.
+# Number of motions that are proven at a time, and of nodes whose neighbours are sought; an interrupt is noticed in
+# between.
 AT_A_TIME, NODES_AT_A_TIME = 16_384, 1024
 
 # Limit on the motions that a query tries between start, goals and their nearest nodes.
@@ -287,7 +288,7 @@ class Roadmap(KeepsReadOnly):
             One goal or several, or poses of a link; with several goals, the path leads to the goal that is nearest
             along the roadmap. Goals that are outside the limits or collide are ignored, as long as one remains.
         joint_error : float or array_like, shape (dof,)
-            As for `plan`. Motions of the roadmap are proven within it when a path needs them.
+            As for `plan`. Motions of the roadmap are proven for this error when a path needs them.
         simplify : bool
             Shorten the path, as `shorten` does.
 
@@ -295,8 +296,8 @@ class Roadmap(KeepsReadOnly):
         -------
         ndarray, shape (k, dof)
             Configurations from `start` to a goal; each joint value changes linearly from one configuration to the next.
-            A joint that turns without limits takes the shorter way around between nodes, so it ends at the goal's value
-            or whole turns from it.
+            A joint that turns without limits takes the shorter way around between nodes, so that it ends at the goal's
+            value or whole turns away.
 
         Raises
         ------
@@ -345,7 +346,7 @@ class Roadmap(KeepsReadOnly):
         Raises
         ------
         InputError
-            If `path` is not a path, or has any other extension.
+            If `path` is not a path, or has another extension.
         FileError
             If the file cannot be written.
 
@@ -384,9 +385,9 @@ class Roadmap(KeepsReadOnly):
         -------
         Roadmap
             The roadmap, which belongs to this checker. A verdict depends on the robot's joints and bodies, the checked
-            pairs, margins, attachments, and the poses of the scene's bodies. If all this is the same as when the
-            roadmap was saved, the motions marked as free in the file count as free in the search for a path; otherwise
-            the first query proves all motions again. The path itself is proven in either case.
+            pairs, margins, attachments, and the poses of the scene's bodies. If all this is unchanged since the roadmap
+            was saved, the motions marked as free in the file count as free in the search for a path; otherwise the
+            first query proves all motions again. The path itself is proven in either case.
 
         Raises
         ------
@@ -555,19 +556,19 @@ def roadmap(
         Bodies attached in its scene move with the robot. If bodies come and go, make the roadmap while the scene has
         few bodies, since configurations that collide now are excluded permanently.
     samples : int or array_like, shape (n, dof)
-        The number of configurations to draw, uniformly within the limits; or the configurations themselves. All free
+        The number of configurations to sample uniformly within the limits, or the configurations themselves. All free
         configurations become nodes.
     joints : str or iterable of str, optional
         A group, or names of joints. These joints move; all remaining joints keep their values. Default: all.
     fixed : array_like, shape (dof,), optional
         Values that the remaining joints keep. Default: the values in the first given configuration or, if none is
-        given, in `Robot.configuration`, where all are 0. A joint that turns without limits is drawn within half a turn
-        of its value here.
+        given, in `Robot.configuration`, where all are 0. The values of a joint that turns without limits are sampled
+        within half a turn of its value here.
     neighbours : int, optional
         Number of nearest neighbours to which each node is connected if possible. Default: e (1 + 1/d) ln n for n nodes
         and d joints, as in PRM*, so that the paths converge to the shortest ones as the number of samples grows.
     seed : int
-        Equal seeds give equal roadmaps, and equal paths.
+        Equal seeds give equal roadmaps and equal paths.
 
     Returns
     -------
@@ -580,7 +581,7 @@ def roadmap(
     InputError
         If an argument has the wrong shape or value; if a given configuration is outside the limits, or differs from the
         others in a joint that is not among `joints`; or if one of `joints` is a planar, floating or ball joint, which
-        has no limits to draw within.
+        has no limits to sample within.
     UnknownNameError
         If there is no such group or joint.
 

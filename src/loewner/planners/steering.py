@@ -1,7 +1,7 @@
-"""Connect poses (x, y, heading) by ways that a base can drive: Reeds and Shepp's, Dubins's, or turns in place.
+"""Connect poses (x, y, heading) by ways that a base can drive: Reeds-Shepp paths, Dubins paths, or turns in place.
 
-A way is a sequence of motions. Each has a length [m], negative for backwards, and a turn [rad], both at constant rates:
-it is an arc of a circle, a straight line, or a turn in place.
+A way is a sequence of motions. Each motion has a length [m], negative for backwards, and a turn [rad], both at constant
+rates, so that it is an arc of a circle, a straight line, or a turn in place.
 
 References
 ----------
@@ -22,13 +22,13 @@ from loewner._base._validate import Floats
 
 HALF, TURN = math.pi, 2.0 * math.pi
 
-# Angles and lengths up to this [rad, radii] count as none, where a forward arc would otherwise become a whole circle.
+# Angles and lengths up to this [rad, radii] count as 0, where a forward arc would otherwise become a whole circle.
 NO_TURN = 1e-9
 
-# Circles that touch up to this [radii] touch.
+# Circles count as touching if they miss each other by no more than this [radii].
 TOUCH = 1e-12
 
-# The same problem driven backwards, mirrored, and both: signs of lengths, and of turns to the left.
+# Signs of lengths and of turns to the left, for a problem itself, driven backwards, mirrored, and both.
 SIGNS = ((1.0, 1.0), (-1.0, 1.0), (1.0, -1.0), (-1.0, -1.0))
 
 
@@ -52,7 +52,7 @@ class Ways(NamedTuple):
 
 
 class Polar(NamedTuple):
-    """The centre of the last circle, relative to the centre of a first circle to the left, for circles of radius 1."""
+    """The center of the last circle, relative to the center of a first circle to the left, for circles of radius 1."""
 
     x: Floats
     y: Floats
@@ -115,8 +115,9 @@ def _seen_from(a: Floats, b: Floats) -> tuple[Floats, Floats, Floats]:
 def _words(x: Floats, y: Floats, turn: Floats, reverse: bool) -> tuple[Floats, Floats]:
     """Return signed lengths (N, words, 5) and steering (words, 5) of the words, for circles of radius 1.
 
-    Each formula is for a word that begins to the left and forwards. It is applied to four problems with other signs,
-    and, where the word read backwards is another one, also to the problem from the goal to the start.
+    Each formula is for a word that begins to the left and forwards. The formula is applied to four problems with
+    different signs and, where the word read backwards is a different word, also to the problem from the goal to the
+    start.
     """
     signs = np.array(SIGNS if reverse else SIGNS[::2])
     X, Y, P = signs[:, :1] * x, signs[:, 1:] * y, signs.prod(axis=1)[:, None] * turn
@@ -211,7 +212,7 @@ def _all_forward(x: Floats, y: Floats, turn: Floats, sine: Floats, cosine: Float
 
 
 def _inside(x: Floats, least: float = -1.0) -> Floats:
-    """Return NaN for numbers outside a range up to 1."""
+    """Replace numbers outside a range that ends at 1 with NaN."""
     return np.where((x >= least) & (x <= 1.0 + TOUCH), np.minimum(x, 1.0), np.nan)
 
 

@@ -81,7 +81,7 @@ class Straights(NamedTuple):
             return np.asarray(1 / (2 * self._room()))
 
     def part(self, first: int, last: int) -> Straights:
-        """Select the motions at the corners from `first` up to, but without, `last`."""
+        """Select the motions at the corners from `first` up to but not including `last`."""
         motions = slice(first, last + 1)
         return Straights(
             self.rows[first : last + 2], self.lengths[motions], self.full[motions], self.gains[motions], self.strongest

@@ -38,21 +38,22 @@ from loewner.robots.checking.edges import checked_path
 from loewner.robots.description.robot import exported_rates
 from loewner.robots.proofs.curves import Curve, form_of
 
-# A blend that is not proven is halved this many times; then the robot stops at the corner.
+# How many times an unproven blend is halved before the robot stops at the corner instead.
 HALVINGS = 5
 
-# Shortest duration of half a blend [s], unless a motion is shorter: nearly straight corners would need none.
+# Shortest duration of half a blend [s], unless a motion is shorter: nearly straight corners would need almost none.
 LEAST_BLEND = 1e-3
 
-# A row counts as lying on the straight line between its neighbours within this share of their values.
+# Largest deviation, relative to the values, of a row that counts as lying on the straight line between its neighbours.
 ROUNDED = 1e-15
 
-# Rows at a constant rate are no nearer to others than these multiples of the shortest phase that rounding permits: with
-# limited jerk, since controllers interpolate quintics there; without, since rows have less noise. A trajectory that was
-# read from a file has no limits; then they are no nearer to knots than this share of the period.
+# Least time between a row at a constant rate and any other row, in multiples of the shortest phase that rounding
+# permits: SPACED if the jerk is limited, since controllers then interpolate quintics; SPACED_WITHOUT_JERK if not, since
+# these rows have less noise. The limits of a trajectory from a file are not known: its rows are at least CLOSEST
+# periods from any knot.
 SPACED, SPACED_WITHOUT_JERK, CLOSEST = 1.3, 0.5, 0.05  # certified.md, "Rounding of limits"
 
-# Rows at less than this distance in time are one [s]; a message cannot hold both.
+# Rows that are closer in time than this [s] are merged, since a message cannot hold both.
 NANOSECOND = 1e-9
 
 # Number of corners whose blends are chosen together: the effort grows quadratically, and distant corners hardly matter.
@@ -64,8 +65,8 @@ LARGEST_SHARE = 0.49
 # Largest number of rows on a straight line that are merged into one motion.
 MOST_MERGED = 4096
 
-# Allowed deviation of a file's pieces from constant acceleration, for each joint: as a share of its range, and in units
-# of its largest value and of the distance at its largest velocity in the whole time.
+# Allowed deviation of a file's rows from constant acceleration, for each joint: FILE_TOLERANCE times the joint's range,
+# plus FILE_ROUNDINGS times its largest value and the distance at its largest velocity in the whole time.
 FILE_TOLERANCE, FILE_ROUNDINGS = 1e-9, 64.0 * tolerances.UNIT_ROUNDOFF
 
 
@@ -90,10 +91,11 @@ class Trajectory(KeepsReadOnly):
     blended : ndarray of bool, shape (n - 1,)
         Whether the robot cuts a corner during each interval; in all other intervals it is on the path.
     bends : ndarray, shape (n, dof), or None
-        Accelerations at these times [rad/s² or m/s²] if the jerk is limited; otherwise None, since they jump.
+        Accelerations at these times [rad/s² or m/s²] if the jerk is limited; otherwise None, since accelerations jump.
     jumps : bool
-        Whether velocities jump at these times. They are constant in between if there are no bends. Otherwise, bends are
-        accelerations from these times on, and change linearly, as on a brake through joint targets (`stop_at`).
+        Whether velocities jump at these times. If `bends` is None, velocities are constant in between. Otherwise,
+        `bends` are the accelerations just after these times, and accelerations change linearly in between, as on a
+        brake through joint targets (`stop_at`).
     start_time : float
         When the trajectory starts, in seconds on the clock of bodies that follow motions (`Scene.follow`); the default
         `t0` of `CollisionChecker.certify_trajectory`. ``dataclasses.replace(moved, start_time=4.0)`` starts it later.
@@ -132,7 +134,7 @@ class Trajectory(KeepsReadOnly):
 
     @classmethod
     def of_targets(cls, robot: Robot, targets: ArrayLike, dt: float, *, start_time: float = 0.0) -> Trajectory:
-        """Move straight from one joint target to the next, as a controller does that receives a target each period.
+        """Move straight from one joint target to the next, as a controller that receives one target per period does.
 
         Parameters
         ----------
@@ -142,7 +144,7 @@ class Trajectory(KeepsReadOnly):
         dt : float
             Seconds from each target to the next.
         start_time : float
-            As the attribute.
+            Value of the attribute `start_time`.
 
         Returns
         -------
@@ -317,7 +319,7 @@ class Trajectory(KeepsReadOnly):
     def sample(self, rate: float, *, full: Literal[True]) -> tuple[Floats, Floats, Floats, Floats]: ...
 
     def sample(self, rate: float, *, full: bool = False) -> tuple[Floats, ...]:
-        """Sample the trajectory at a constant rate: times, and positions at these times.
+        """Sample the trajectory at a constant rate: return times, and the positions at these times.
 
         Parameters
         ----------
@@ -360,18 +362,19 @@ class Trajectory(KeepsReadOnly):
         Parameters
         ----------
         robot : Robot
-            Its joints have one value each.
+            A robot whose joints have one value each.
 
         Returns
         -------
         pydrake.trajectories.PiecewisePolynomial
-            Exact up to rounding. For other libraries, ``robot.exported(trajectory.positions(t))`` are configurations.
+            Exact up to rounding. For other libraries, ``robot.exported(trajectory.positions(t))`` returns
+            configurations.
 
         Raises
         ------
         InputError
-            If the trajectory is for another robot; if the robot was made in another way, or has quaternions; or if
-            velocities jump and change in between, as on a brake through joint targets.
+            If the trajectory is for another robot; if the robot is not from `Robot.from_drake`, or has quaternions; or
+            if velocities jump and also change between jumps, as on a brake through joint targets.
         MissingExtraError
             If Drake is not installed.
 
@@ -446,11 +449,12 @@ class Trajectory(KeepsReadOnly):
             ``trajectory_msgs/JointTrajectory`` with the positions and velocities at whole nanoseconds: each row is
             moved to the nearest nanosecond, rows at the same nanosecond are merged, and the end is rounded up. If
             accelerations jump, the file contains none, since a controller follows the trajectory if it interpolates
-            only positions and velocities. Messages have no `start_time`; in a ``.csv`` file, it is a comment in the
+            positions and velocities alone. Messages have no `start_time`; in a ``.csv`` file, it is a comment in the
             first line unless it is 0.
         joints : sequence of str, optional
             Names of the columns to write, in this order; by default all. The file does not contain the motion of the
-            other columns, so a proof of the whole trajectory holds only if they also follow it at the same time.
+            other columns, so a proof of the whole trajectory holds only if these columns also follow it at the same
+            time.
         names : mapping or sequence of str, optional
             Names of the columns in the file: a mapping from names of the trajectory, or a list with a name for each
             column that is written.
@@ -458,27 +462,27 @@ class Trajectory(KeepsReadOnly):
             Write a file for each controller of this list, the YAML file of ros2_control or MoveIt:
             ``moved.arm_controller.yaml`` for ``path="moved.yaml"`` and the controller ``arm_controller``. It contains
             the controller's joints, in the controller's order. Each column whose values change must belong to a
-            controller that takes trajectories, and each such controller must find all its joints, unless it finds none
-            or allows partial goals.
+            controller that accepts trajectories. Such a controller must find all its joints, unless it finds none or
+            allows partial goals.
         rate : float, optional
             Also write rows at this rate [1/s], for programs that join rows by straight lines. By default the rows are
             the knots, between which accelerations are constant or change linearly. If velocities jump, the robot moves
-            straight between knots, and files contain only positions. Rows closer than ``spacing`` to others are left
-            out, since their rounding would break limits: with limited jerk, rows near the knots, and at a higher rate
-            all but every second or third row, and so on. `sample` returns all.
+            straight between knots, and files contain only positions. Rows closer than ``spacing`` to other rows are
+            left out, since their rounding would break the limits. With limited jerk, these are rows near the knots; at
+            a higher rate, only every second or third row is written, or fewer. `sample` returns all rows.
         message : bool
-            Write a ``.json`` file as a JointTrajectory message, too; `ControllerPoints.load` reads it.
+            Make a ``.json`` file a JointTrajectory message, too; `ControllerPoints.load` reads the message.
 
         Raises
         ------
         InputError
             If the file has any other extension, the rate is not a number from 0 to 1e9, or a ``.csv`` file is to be a
             message; if names are repeated, or a ``.csv`` file would interpret a name as another kind of column; if the
-            controllers and the columns do not fit together; or if velocities jump and change in between.
+            controllers and the columns do not match; or if velocities jump and also change between jumps.
         UnknownNameError
             If `joints` or `names` has a name that the trajectory lacks.
         FileError
-            If a file cannot be written, which leaves an existing one unchanged; or if the list of controllers cannot be
+            If a file cannot be written (an existing file is left unchanged), or if the list of controllers cannot be
             read.
         MissingExtraError
             If there is a list of controllers, and PyYAML is not installed.
@@ -486,8 +490,8 @@ class Trajectory(KeepsReadOnly):
         Warns
         -----
         UserWarning
-            If a controller in the list has unknown settings, or does not interpolate between points; if the period of
-            `rate` is shorter than ``spacing``.
+            If a controller in the list has unknown settings, or does not interpolate between points; or if the period
+            of `rate` is shorter than ``spacing``.
 
         Examples
         --------
@@ -559,13 +563,13 @@ class Trajectory(KeepsReadOnly):
         Parameters
         ----------
         checker : CollisionChecker
-            A checker for a robot whose joints have these names.
+            A checker for a robot whose columns have the trajectory's names.
         tolerance : float
-            Metres, as for `CollisionChecker.certify_trajectory`.
+            As for `CollisionChecker.certify_trajectory`, in metres.
         joint_error : float or array_like, shape (dof,)
             Radians or metres by which each value may deviate from the trajectory at any time.
         proof : bool
-            Also write a `Proof`, as for `CollisionChecker.certify_trajectory`.
+            Also write a `Proof`, as `CollisionChecker.certify_trajectory` does.
 
         Returns
         -------
@@ -591,19 +595,19 @@ class Trajectory(KeepsReadOnly):
         limits: JointLimits | None = None,
         beyond: bool = False,
     ) -> Trajectory:
-        """Return the brake that begins at a time: on the path, or joint by joint, which leaves the path.
+        """Return the brake that begins at a given time, either on the path or joint by joint, which leaves the path.
 
         Parameters
         ----------
         t : float
-            Seconds, from 0 to `duration`, when the robot begins to brake.
+            When the robot begins to brake, in seconds from 0 to `duration`.
         how : str
             ``"path"``: the robot stays on the path of the trajectory, and stops there as soon as the limits of all
             joints allow; it does not brake on blends. ``"joints"``: each joint brakes by itself; see `brake`.
         acceleration, jerk : float or array_like, shape (dof,), optional
-            Limits [rad/s² and rad/s³, or metres]. Default: from `limits`; without a jerk limit, accelerations jump. On
-            the path of a trajectory from `trajectory`, the limits must be no lower than the trajectory's own; there
-            must be jerk limits if and only if the trajectory has them.
+            Limits [rad/s² and rad/s³, or m/s² and m/s³]. Default: from `limits`. Without a jerk limit, accelerations
+            jump. On the path of a trajectory from `trajectory`, the limits must be no lower than the trajectory's own;
+            there must be jerk limits if and only if the trajectory has them.
         limits : JointLimits, optional
         beyond : bool
             Whether the robot may continue straight after the end of a trajectory that ends in motion.
@@ -611,7 +615,7 @@ class Trajectory(KeepsReadOnly):
         Returns
         -------
         Trajectory
-            From the configuration at t to rest; its `start_time` is later by t.
+            The motion from the configuration at `t` to rest; its `start_time` is later by `t`.
 
         Raises
         ------
@@ -621,7 +625,7 @@ class Trajectory(KeepsReadOnly):
             If the trajectory ends in motion before the robot can stop on its path, and `beyond` is False; or if the
             limits are too low to stay on the path.
         UnknownNameError
-            If `how` is another word.
+            If `how` is neither of the two words.
 
         See Also
         --------
@@ -629,10 +633,10 @@ class Trajectory(KeepsReadOnly):
 
         Notes
         -----
-        Through joint targets, the path's time runs more slowly; with jerk limits, at one rate that suits all motions on
-        which the robot brakes. Velocities still jump at targets, and limits hold between them. Otherwise, the speed
-        falls on straight lines, and blends are passed at the speed that remains there. If no body moves, a brake along
-        a path that is proven free is also proven. All others need a proof of their own (`certify`).
+        On a path through joint targets, a brake slows time down; with jerk limits, the rate suits all motions on which
+        the robot brakes. Velocities still jump at targets, and limits hold between targets. On any other path, the
+        robot slows down on straight lines, and passes blends at its remaining speed. If no body moves, a brake along a
+        path that is proven free is also proven. All other brakes need a proof of their own (`certify`).
 
         Examples
         --------
@@ -684,7 +688,9 @@ class Trajectory(KeepsReadOnly):
         return k, x[..., None], T[..., None]
 
     def _expect_no_turns(self) -> None:
-        """Refuse a trajectory that other formats cannot hold: its velocities jump, and change in between."""
+        """Refuse a trajectory that other formats cannot hold, since its velocities jump and also change between
+        jumps.
+        """
         if self.jumps and self.bends is not None:
             raise InputError(
                 "expected velocities that do not jump, or are constant between jumps, found a brake through joint "
@@ -698,14 +704,18 @@ class Trajectory(KeepsReadOnly):
         return a, a + ahead, a + 2 * ahead + bent, self.knots[k + (T[..., 0] > 0)]
 
     def _bent(self, k: Any, x: Floats, T: Floats) -> Floats:
-        """Return accelerations on such pieces: at their ends, they follow from the positions there."""
+        """Return accelerations on pieces whose velocities jump; at the end of a piece, they follow from the position
+        there.
+        """
         bends: Any = self.bends
         way = self.knots[k + (T[..., 0] > 0)] - self.knots[k] - self.rates[k] * T
         end = np.divide(6 * way, T * T, out=3 * bends[k], where=T > 0) - 2 * bends[k]
         return np.asarray((1 - x) * bends[k] + x * end)
 
     def _cubics(self, k: Any, x: Floats, T: Floats) -> Floats:
-        """Return positions on cubic pieces, from the nearer end, for which rounding leaves a straight line least."""
+        """Return positions on cubic pieces, computed from the nearer end, which makes the least rounding error on
+        straight lines.
+        """
         m, z = k + (T[..., 0] > 0), np.minimum(x, 1 - x)
         near, far, away = 3 * z * (1 - z) ** 2, 3 * z * z * (1 - z), z * z * z
         a, b, first, last = self.knots[k], self.knots[m], self.rates[k] * (T / 3), self.rates[m] * (T / 3)
@@ -725,7 +735,7 @@ class Trajectory(KeepsReadOnly):
         return np.append(times[before], self.duration)
 
     def _with_ticks(self, rate: float) -> Trajectory:
-        """Return the same trajectory with more knots."""
+        """Return the same trajectory with knots added at a constant rate."""
         ticks = self._ticks(rate)[:-1]
         # Between two rows that are almost at the same time, velocities, accelerations or jerks would be noise.
         closest = self.spacing or CLOSEST / rate
@@ -756,7 +766,7 @@ class Trajectory(KeepsReadOnly):
         return replace(self, spacing=spacing)._read_only()
 
     def _of(self, columns: list[int], names: Sequence[str]) -> Trajectory:
-        """Return some columns, by other names."""
+        """Return the given columns under other names."""
         bends = None if self.bends is None else self.bends[:, columns]
         return replace(
             self, names=tuple(names), knots=self.knots[:, columns], rates=self.rates[:, columns], bends=bends
@@ -775,10 +785,10 @@ class Trajectory(KeepsReadOnly):
         return messages.written(self.names, times, rows, suffix)
 
     def _at_nanoseconds(self) -> tuple[Floats, tuple[Any, Floats, Floats]]:
-        """Return the times of a message's rows, and where on which piece each row is, as `_pieces` does.
+        """Return the times of a message's rows, and the piece of each row and the place on it, as `_pieces` does.
 
-        The rows are at the trajectory's times, rounded, so that limits hold although times are rounded. A row is on the
-        longer piece beside a knot, even where the knot is half a nanosecond away: a controller's curve would depart
+        The rows are at the rounded times of the trajectory, so that limits hold although times are rounded. A row is on
+        the longer piece beside a knot, even where the knot is half a nanosecond away: a controller's curve would depart
         from a long piece whose ends have the velocity or acceleration of others. The end is rounded up, to be at rest.
         """
         times = messages.nanoseconds(self.times)
@@ -903,16 +913,17 @@ def trajectory(
     jerk : float or array_like, shape (dof,), optional
         Jerk limits [rad/s³ or m/s³]. Default: from `limits`. Without any, accelerations jump.
     limits : JointLimits, optional
-        Limits from a file; the path must be within the limits of position.
+        Limits from a file; the path must be within the position limits.
     checker : CollisionChecker, optional
         A checker for this robot. The motions of the path must be proven free.
     blend : float
         Fraction of a motion, from 0 (stop at every corner) to 0.49, that the blend at each end of the motion may take.
         It has an effect only with a checker.
     line : str, Line or iterable, optional
-        Links that keep straight lines, as on a path from `straight`: the name of a link that keeps a line on the whole
-        path, within 0.1 mm and 1 mrad; `Line` for rows of the path and other tolerances; or several. The link provably
-        stays within the tolerances at every instant, on blends, too. At the ends of a line, the robot stops.
+        One or several links that keep straight lines, as on a path from `straight`. A name means that the link keeps a
+        line on the whole path, within 0.1 mm and 1 mrad; a `Line` can give rows of the path and other tolerances. The
+        link provably stays within the tolerances at every instant, also on blends. At the ends of a line, the robot
+        stops.
 
     Returns
     -------
@@ -926,8 +937,8 @@ def trajectory(
         `limits`; if the robot has a floating or ball joint, whose orientations do not change linearly; or if the
         checker or the limits belong to another robot.
     PlanningError
-        If there is a checker and a motion of the path is not proven free; the message names the motion and a pair of
-        bodies. If a link does not provably keep its line on a motion of the path; the message states the deviation.
+        If there is a checker and a motion of the path is not proven free (the message names the motion and a pair of
+        bodies); or if a link does not provably keep its line on a motion of the path (the message gives the deviation).
     UnknownNameError
         If there is no such link.
 
@@ -941,7 +952,7 @@ def trajectory(
     If the robot stops at every corner, no trajectory along the path is faster. A blend has constant acceleration, or
     begins and ends without acceleration if the jerk is limited, and is as fast as the limits and the neighbouring
     motions allow. Each joint keeps its limits at every instant, up to rounding. If the jerk is limited, a millionth of
-    each limit is left to rounding, and no phase is shorter than about half a millisecond for an arm.
+    each limit is reserved for rounding errors, and for an arm no phase is shorter than about half a millisecond.
 
     Examples
     --------
@@ -1011,8 +1022,8 @@ def brake(
     q, dq : array_like, shape (dof,)
         Positions [rad or m] and velocities [rad/s or m/s] when the robot begins to brake.
     ddq : array_like, shape (dof,), optional
-        Accelerations at that time [rad/s² or m/s²], at most the limits; they are used only if the jerk is limited.
-        Default: 0.
+        Accelerations at that time [rad/s² or m/s²], no larger than the limits; they are used only if the jerk is
+        limited. Default: 0.
     acceleration : float or array_like, shape (dof,), optional
         Limits of deceleration. Default: from `limits`, or from the URDF; a joint that moves must have one.
     jerk : float or array_like, shape (dof,), optional
@@ -1025,7 +1036,7 @@ def brake(
     Returns
     -------
     Trajectory
-        From q to rest.
+        The motion from `q` to rest.
 
     Raises
     ------
@@ -1124,7 +1135,7 @@ def _on_straight(a: Floats, b: Floats, between: Floats) -> bool:
 
 
 def _halves(motions: Straights | JerkLimited, judge: Judge | None, share: float, kept: Sequence[OnLine]) -> Floats:
-    """Choose the sizes of blends that are proven free and on lines; 0 for stops."""
+    """Choose the sizes of blends that are proven to be free and to keep the lines; 0 for stops."""
     corners = max(len(motions.straights.rows) - 2, 0)
     if judge is None or share == 0 or corners == 0:
         return np.zeros(corners)
@@ -1134,7 +1145,7 @@ def _halves(motions: Straights | JerkLimited, judge: Judge | None, share: float,
 def _proven_blends(
     judge: Judge, motions: Straights | JerkLimited, share: float, kept: Sequence[OnLine]
 ) -> list[Floats]:
-    """Find for each corner the blend sizes that are proven free and on lines, largest first; the last is 0, a stop."""
+    """Find the proven blend sizes for each corner, largest first; the last size is 0, a stop."""
     straights, lengths = motions.straights, motions.straights.lengths
     shorter = np.minimum(lengths[:-1], lengths[1:])
     halves = np.minimum(np.maximum(motions.wanted, LEAST_BLEND), share * shorter)
@@ -1182,7 +1193,9 @@ def _on_line(robot: Robot, line: Line, rows: Floats, numbers: Ints) -> OnLine:
 
 
 def _keeps(on: OnLine, motions: Straights | JerkLimited, halves: Floats, off: Floats) -> Bools:
-    """Return which blends keep a line provably; at its ends the robot stops, and elsewhere all are allowed."""
+    """Return which blends provably keep a line; the robot stops at the ends of the line, and all other blends are
+    allowed.
+    """
     good, (first, last, line) = np.ones(len(halves), dtype=bool), on
     good[[at - 1 for at in (first, last) if 0 < at <= len(halves)]] = False
     if last - first > 1:

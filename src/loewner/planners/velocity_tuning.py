@@ -1,7 +1,7 @@
 """Follow a given path among bodies that move, within limits of velocity, acceleration and jerk.
 
-The path is first timed as fast as possible. Then it is slowed down and halted such that the robot hits no moving body.
-At stations along the trajectory, the robot passes at one of several shares of the highest speed, and from one station
+The path is first timed as fast as possible. Then it is slowed down and halted so that the robot hits no moving body.
+The robot passes each station along the trajectory at one of several shares of the highest speed, and from one station
 to the next its acceleration is constant. A state thus consists of a station, a share and a time; states are searched
 station by station. The positions of bodies are known only at the stations, so the resulting trajectory is proven as a
 whole. If the proof fails, the place and time are blocked, and the search is repeated. With limited jerk, positions are
@@ -31,8 +31,9 @@ from loewner.robots import CertifiedTrajectory, CollisionChecker
 from loewner.robots.checker import prepared_of, without_motions
 from loewner.robots.checking import verdicts
 
-# Stations along a trajectory, and shares of its speed at them: their squares are in equal steps, so that from one
-# station to the next the share can change by a step wherever half of the time is needed to accelerate.
+# Number of stations along a trajectory, and the shares of its speed there. The squares of the shares are in equal
+# steps, so that from one station to the next the share can change by a step wherever half of the time is needed to
+# accelerate.
 STATIONS = 48
 SHARES = np.sqrt(np.arange(13) / 12)
 
@@ -42,20 +43,20 @@ BINS, MOST_BINS = 64, 2**19
 # The first horizon, in durations of the fastest trajectory.
 FIRST = 3.0
 
-# Trajectories that are proven before the search gives up.
+# Number of trajectories that are proven before the search gives up.
 ROUNDS = 64
 
-# Accelerations may be this share above their limit, for rounding.
+# Accelerations may exceed their limits by this share, because of rounding.
 ROUNDING = 1e-12
 
-# A given velocity at the end lies along the last motion to this share.
+# Largest relative deviation of a given end velocity from the direction of the last motion.
 ALONG = 1e-9
 
-# Windows of time with limited jerk: how much longer than necessary, in this number of steps. Some leave no phases that
-# are so short that rounding affects their jerk.
+# With limited jerk, windows of time that are longer than necessary by up to the share LONGER are tried, in TRIED steps.
+# Some windows leave no phases so short that rounding affects their jerk.
 LONGER, TRIED = 0.1, 50
 
-# Configurations that are checked at a time.
+# Number of configurations that are checked at a time.
 MANY = 2**16
 
 
@@ -144,7 +145,7 @@ def time_path(
     joint_error: ArrayLike = 0.0,
     blend: float = 0.4,
 ) -> Trajectory:
-    """Assign times to a path such that a drive can follow it and the robot hits no moving body at any instant.
+    """Assign times to a path so that a drive can follow it and the robot hits no moving body at any instant.
 
     The robot slows down or waits where a body of the scene that follows a motion (`Scene.follow`) would be in the way.
 
@@ -157,18 +158,18 @@ def time_path(
     start_time : float
         Time at which the robot is at rest at the first configuration [s], on the clock of the bodies' motions.
     arrive_by : float, optional
-        The latest arrival [s]. Default, and at most: after all motions of bodies have ended, and two periods of
-        motions that repeat, twice the time that the path takes without them.
+        The latest arrival [s]. The default, which is also the upper limit, leaves twice the time that the path takes
+        without moving bodies, after the end of all their motions, or after two periods of a motion that repeats.
     arrive_at : float, optional
-        The time of arrival [s]. Default: as early as the search finds.
+        The time of arrival [s]. Default: the earliest time that the search finds.
     end_velocity : array_like, shape (dof,), optional
         Velocities at the end [rad/s or m/s], along the last motion of the path, for example to meet a part on a belt.
         Default: at rest.
     velocity, acceleration, jerk, limits
         As for `trajectory`.
     joint_error : float or array_like, shape (dof,)
-        Radians or metres by which each value may deviate from the trajectory at any time; it is proven for all such
-        deviations.
+        Radians or metres by which each value may deviate from the trajectory at any time; the trajectory is proven for
+        all such deviations.
     blend : float
         As for `trajectory`.
 
@@ -198,8 +199,8 @@ def time_path(
     "path-velocity decomposition", IJRR 1986). The search has a finite resolution: it may fail although a timing exists,
     and the result need not arrive as early as possible. If nothing is in the way, the result is the trajectory that
     `trajectory` finds. Otherwise, with limited jerk, the robot follows the average of its positions over a window of
-    time, such as 0.2 s for 10 rad/s² and 100 rad/s³. This average is within the limits of velocity and acceleration. It
-    takes longer by the length of the window, and the robot stays at each stop for the same time.
+    time, such as 0.2 s for 10 rad/s² and 100 rad/s³. The average keeps the limits of velocity and acceleration. It
+    takes longer by the length of the window, and the robot stays at each stop for that long.
 
     Examples
     --------
@@ -270,7 +271,7 @@ def _expect_reached(base: Trajectory, wanted: Floats) -> None:
 def _times(
     begin: float, arrive_by: float | None, arrive_at: float | None, least: float, bodies: float
 ) -> tuple[float, bool]:
-    """Check the times of arrival; return the latest, from the start on, and whether it is the only one."""
+    """Check the times of arrival; return the latest one, counted from the start, and whether it is the only one."""
     if arrive_by is not None and arrive_at is not None:
         raise InputError("arrive_at: expected no arrive_by with it, found both")
     name, given = ("arrive_by", arrive_by) if arrive_at is None else ("arrive_at", arrive_at)
@@ -312,7 +313,7 @@ class _Search(NamedTuple):
     judge : TimedJudge
     stations : _Stations
     base : Trajectory
-        The fastest one, from which the stations are.
+        The fastest trajectory, which the stations divide.
     window : float
         Seconds over which positions are averaged; 0 if the jerk is not limited.
     most : ndarray, shape (dof,), or None
@@ -322,7 +323,7 @@ class _Search(NamedTuple):
     ruled : ndarray of bool, shape (stations,)
         Where static bodies are in a contact that the scene allows; only the proof considers these.
     closed : list of (int, float, int)
-        Sections and times that are not proven free, and by how many bins around.
+        Sections and times that are not proven free, and the number of bins that are closed around them.
     blocking : list of str
         Their descriptions, for messages.
     """
