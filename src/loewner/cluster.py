@@ -123,8 +123,8 @@ def fit(
     client : distributed.Client or str
         Client of the cluster, or the address of its scheduler.
     out : path
-        Folder for the bodies; it is created if it does not exist. The body of ``part.stl`` is ``part.npz``. Beside it,
-        ``part.fit.json`` records its mesh and options.
+        Folder for the bodies; it is created if it does not exist. The body of ``part.stl`` is ``part.npz``, and
+        ``part.fit.json`` beside it records the mesh and the options.
     root : path, optional
         A folder that contains all meshes; bodies are then written to the same subfolders of `out` as their meshes have
         in `root`. Default: all bodies are written to `out` itself.
@@ -136,7 +136,7 @@ def fit(
     Returns
     -------
     Fitted
-        The outcomes; files that could not be fitted are listed and raise no error.
+        The outcomes; files that could not be fitted are listed and cause no error.
 
     Raises
     ------
@@ -148,7 +148,7 @@ def fit(
     MissingExtraError
         If Dask is not installed.
     LoewnerError
-        If the scheduler goes away, or the work is cancelled repeatedly. A later call skips finished files.
+        If the scheduler is lost, or the work is cancelled repeatedly. A later call skips finished files.
 
     See Also
     --------
@@ -156,11 +156,12 @@ def fit(
 
     Notes
     -----
-    Each body equals the body that `Body.from_mesh` makes. It is written under a temporary name and then renamed.
+    Each body equals the body that `Body.from_mesh` makes. The body is written under a temporary name, and the file is
+    then renamed.
 
     A mesh is skipped if its body and record exist, the body has not changed since it was written, and the record has
     the checksum of the mesh file, the same options and the same version of loewner. If a call was interrupted, or its
-    workers died, repeating the call therefore continues where it stopped. A glTF file that refers to further files is
+    workers died, repeating the call therefore continues where it stopped. A glTF file that refers to other files is
     always fitted again.
 
     If a worker dies, Dask gives its files to the remaining workers, including finished files whose outcome was lost
@@ -549,7 +550,7 @@ def certify_edges(checker: CollisionChecker, Q0: Any, Q1: Any, *, tolerance: flo
     Notes
     -----
     As for `collide`. A motion takes tens of times as long as a configuration, so about a thousand motions per chunk are
-    suitable. Here values change linearly, whereas a roadmap moves joints that turn without limits the shorter way
+    suitable. Values change linearly here, whereas a roadmap moves joints that turn without limits the shorter way
     around. For such joints, add the necessary whole turns to `Q1`.
 
     Examples

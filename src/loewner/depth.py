@@ -25,11 +25,11 @@ BYTES = 200
 
 @guarded
 class SeenSpace:
-    """A grid of cells that a depth camera has either seen to be empty or not seen at all.
+    """A grid of cells, which are either seen to be empty by a depth camera or unknown.
 
     A cell is seen if all of it lies in front of the depths of all pixels onto which it projects. All other cells are
     unknown, since they are behind a surface, in the shadow of the robot, outside the image, or without an echo. Seen
-    cells stay seen until `forget`.
+    cells stay seen until `forget` is called.
 
     Parameters
     ----------

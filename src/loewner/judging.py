@@ -173,7 +173,7 @@ class Judgement(_validate.Brief):
 
     @property
     def hints(self) -> tuple[str, ...]:
-        """Sentences about conventions that differ, such as reversed normals, if one explains (nearly) all errors.
+        """Sentences about different conventions, such as reversed normals, that explain (nearly) all errors.
 
         The sentences are guesses from counts, and change no finding.
 
@@ -262,10 +262,10 @@ def judge_answers(
     Parameters
     ----------
     a, b : Body or Bodies
-        The bodies as the other program represents them. A `Bodies` of n broadcasts with the last batch axis of the
-        poses.
+        The bodies as the other program represents them. A `Bodies` of length n broadcasts with the last batch axis of
+        the poses.
     T_world_a, T_world_b : array_like, shape (..., 4, 4), or None
-        Poses, broadcast together and with the answers; translation in metres. None is the identity.
+        Poses, which broadcast together and with the answers; translation in metres. None is the identity.
     colliding : array_like, shape (...), optional
         Whether the bodies collide: True or 1, False or 0, NaN for no answer.
     distance : array_like, shape (...), optional
@@ -276,7 +276,7 @@ def judge_answers(
     witness_a, witness_b : array_like, shape (..., 3), optional
         The points of a and of b, in world coordinates, that realise the distance or depth.
     normal : array_like, shape (..., 3), optional
-        Direction in which b moves away from a, of any length.
+        Vectors of any length along which b moves away from a.
     tolerance : float
         Allowed error in metres.
 

@@ -231,7 +231,7 @@ def configuration(checker: CollisionChecker, q: ArrayLike, *, ax: Any = None) ->
 def cover(robot: Robot, model: Robot, q: ArrayLike | None = None, *, ax: Any = None) -> Any:
     """Draw a robot, in red where a link is outside the shapes that should contain it, and these shapes.
 
-    Links are coloured in triangles of about 3 % of each link's size, so that smaller holes may be missed;
+    Colours are chosen for triangles of about 3 % of each link's size, so that smaller holes may be missed;
     `Robot.covered_by` proves where there are holes.
 
     Parameters
@@ -332,9 +332,9 @@ def _add_triangles(ax: Any, corners: Floats, colour: str, alpha: float) -> None:
 def trajectory(checker: CollisionChecker, curve: Any, *, joint_error: ArrayLike = 0.0, ax: Any = None) -> Any:
     """Draw the distances of the nearest pairs along a curve, its worst moment, and where it is not proven free.
 
-    A line shows the distance between a pair in millimetres, measured at equal steps in time; a negative distance is a
-    depth. There are lines for the nearest pairs, and for each pair at which the proof of a piece ended. Such a piece
-    has a coloured background, since a pair collides or is ambiguous. A dot marks the least measured distance.
+    A line shows the distance between two bodies in millimetres, measured at equal steps in time; a negative distance is
+    a depth. Besides the nearest pairs, each pair at which the proof of a piece ended has a line. Such a piece has a
+    coloured background, since a pair collides or is ambiguous. A dot marks the least measured distance.
 
     Parameters
     ----------
@@ -494,7 +494,7 @@ def costs(
         Positive numbers, in the order in which lines join the points.
     seconds : mapping of str to array_like, shape (k,) or ()
         Times per item in seconds, keyed by their label in the legend; NaN where a time was not measured. A single
-        number is a time independent of size and is drawn as a dashed horizontal line.
+        number is a time that does not depend on the size, and is drawn as a dashed horizontal line.
     size, item : str
         Labels of the axes.
     ax : matplotlib axes, optional

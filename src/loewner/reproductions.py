@@ -103,8 +103,7 @@ def reproduction(
     tolerance: float = 1e-6,
     engine: Callable[[Floats, Floats], Answers] | None = None,
 ) -> str:
-    """Write a one-page program that proves an answer to be wrong, using only the fractions in Python's standard
-    library.
+    """Write a one-page program that proves an answer wrong, using only the fractions in Python's standard library.
 
     The program contains the corners, the poses and the answer, as decimals that are read back without loss, and a proof
     of each part that is wrong: a plane between the bodies, two of their points, or a surface around the differences
@@ -122,8 +121,8 @@ def reproduction(
     engine : callable, optional
         Called as engine(corners_a, corners_b) with arrays of shapes (n, 3); returns the other program's answers about
         these hulls at the same poses, in a dict with names of parts as keys. The coordinates are rounded, and corners
-        are removed one by one, as long as the worst part remains wrong in the same way. The answers themselves must not
-        be given as well.
+        are removed one by one, as long as the worst part remains wrong in the same way. With an engine, no answer may
+        be given as an argument.
 
     Returns
     -------

@@ -797,7 +797,7 @@ def verify(data: bytes) -> Report:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Check a file and print its claim; return 0 if the file proves it free, 1 if not, and 2 if it cannot be read."""
+    """Check a file and print its claim; return 0 if it is proven to be free, 1 if not, and 2 if it cannot be read."""
     parser = argparse.ArgumentParser(description="Check a proof: motions, ranges or bodies are free, or two collide.")
     parser.add_argument("file", type=Path)
     path = parser.parse_args(argv).file

@@ -165,7 +165,7 @@ class Base:
         return free
 
     def best(self, a: Floats, b: Floats, count: int) -> tuple[Floats, Floats]:
-        """Return the cheapest ways, shape (N, count, motions, 2), and their costs, with changes of direction."""
+        """Return the cheapest ways, shape (N, count, motions, 2), and their costs, including changes of direction."""
         ways = self.ways(a, b)
         costs, count = ways.costs, min(count, ways.lengths.shape[1])
         order = np.argpartition(costs, count - 1, axis=1)[:, :count]
@@ -193,8 +193,8 @@ def plan_drive(
     Parameters
     ----------
     checker : CollisionChecker
-        Its robot has a base from `Robot.footprint` or `Robot.add_base`, whose forward direction is x at theta = 0. The
-        origin of the base is the point that follows arcs and lines: put it midway between the driven wheels of a
+        A checker whose robot has a base from `Robot.footprint` or `Robot.add_base`; the base faces along x at theta =
+        0. The origin of the base is the point that follows arcs and lines: put it midway between the driven wheels of a
         differential base, or in the middle of a car's rear axle.
     start, goal : array_like, shape (dof,)
         Only the base moves, so all other joints must have the same values at the start and the goal.
@@ -467,7 +467,7 @@ def _costs(ways: Floats) -> Floats:
 
 
 def _changes(ways: Floats) -> Floats:
-    """Mark the motions, shape (..., k, 2), that reverse the direction of the last motion before them with a direction."""
+    """Mark the motions, shape (..., k, 2), that reverse the direction of the last preceding motion with a direction."""
     signs = np.sign(ways[..., 0])
     for k in range(1, signs.shape[-1]):
         signs[..., k] = np.where(signs[..., k] == 0.0, signs[..., k - 1], signs[..., k])

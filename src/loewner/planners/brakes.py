@@ -79,7 +79,7 @@ class Brakes(NamedTuple):
 
     @property
     def durations(self) -> Floats:
-        """Seconds, shape (n,)."""
+        """Durations in seconds, shape (n,)."""
         return np.asarray(self.times[np.arange(len(self.times)), np.maximum(self.counts - 1, 0)])
 
     def only(self, chosen: Ints) -> Brakes:
@@ -87,7 +87,7 @@ class Brakes(NamedTuple):
         return Brakes(self.times[chosen], self.states[chosen], self.counts[chosen], self.needed[chosen])
 
     def courses(self, cubic: bool) -> tuple[Floats, Floats, Ints]:
-        """Return the pieces in the form that the proof of motions takes, and the index at which each brake begins.
+        """Return the pieces in the form that proofs of motions use, and the index at which each brake begins.
 
         Returns
         -------
@@ -109,7 +109,7 @@ class Brakes(NamedTuple):
         cubic : bool
             As for `courses`.
         until : ndarray, shape (n,)
-            Seconds after the beginning of each brake until which it rests, if this is longer than it takes.
+            Seconds after the beginning of each brake up to which the robot rests, if it stops earlier.
 
         Returns
         -------
@@ -176,7 +176,7 @@ def braked_on_motions(
     Raises
     ------
     PlanningError
-        If the robot cannot stop on them.
+        If the robot cannot stop on these motions.
     """
     brakes = Brakes.on_path(rows, at, np.array([begin]), strongest, jerk, beyond=beyond)
     if brakes.counts[0] == 0:
@@ -192,7 +192,7 @@ def braked_on_curve(rest: Timed, strongest: Floats, jerk: Floats | None, beyond:
     Raises
     ------
     PlanningError
-        If the robot cannot stop on it.
+        If the robot cannot stop on this trajectory.
     """
     bends = None if rest.bends is None else rest.bends[:1]
     parts = [Timed(np.zeros(1), rest.knots[:1], rest.rates[:1], rest.blended[:0], bends)]
@@ -358,7 +358,7 @@ def brake_limits(
     ----------
     moves : ndarray of bool, shape (dof,)
     known : Robot or None
-        Its acceleration and jerk limits are used for joints without other limits.
+        A robot whose acceleration and jerk limits are used for joints without other limits.
     """
     if limits is not None and not (isinstance(limits, JointLimits) and limits.names == names):
         found = ", ".join(limits.names) if isinstance(limits, JointLimits) else type(limits).__name__

@@ -45,7 +45,7 @@ class Clearing:
         The pairs that consist of a body moved by the robot and another body.
     weights : ndarray, shape (dof,)
     wanted : float
-        In metres.
+        The wanted distance, in metres.
     """
 
     judge: Judge

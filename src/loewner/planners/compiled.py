@@ -47,7 +47,7 @@ MOST_ROOM = 4096
 
 @dataclass(eq=False)
 class Growth:
-    """Two trees that kernels let grow.
+    """Two trees that kernels grow.
 
     Attributes
     ----------
@@ -55,7 +55,7 @@ class Growth:
     judge : Judge
     goals : ndarray, shape (goals, dof)
     search : Search
-        All that the kernels read and write.
+        The data that the kernels read and write.
     """
 
     space: Space
@@ -71,7 +71,7 @@ class Growth:
     def of(
         cls, space: Space, judge: Judge, start: Floats, goals: Floats, seed: int, weights: Floats | None = None
     ) -> Growth:
-        """Plant the trees; `weights` are factors for differences of the joints that move."""
+        """Plant the trees; `weights` are factors for differences between values of the joints that move."""
         joints = len(space.columns)
         search = Search(
             np.empty(7, dtype=np.int64), np.empty(2), space.columns, space.turning.astype(np.int64),
@@ -133,7 +133,7 @@ def connect(
     timeout: float,
     seed: int,
 ) -> Floats:
-    """Find a path from a configuration to one of several, shape (k, dof), by RRT-Connect.
+    """Find a path, shape (k, dof), from a configuration to one of several goals by RRT-Connect.
 
     Raises
     ------

@@ -94,7 +94,7 @@ class ControllerPoints:
     times : array_like, shape (n,)
         Increasing times, in seconds.
     positions : array_like, shape (n, dof)
-        Radians or metres.
+        Positions in radians or metres.
     velocities, accelerations : array_like, shape (n, dof), optional
         Rates at the same times, in radians or metres per second and per second squared; accelerations require
         velocities.
@@ -180,7 +180,7 @@ class ControllerPoints:
             Columns are added for the values of this robot that the file does not name; these values do not change. The
             motion of a base (a multi-DOF trajectory) is read for a floating or planar joint of this robot.
         others : array_like, shape (dof,), optional
-            A configuration of the robot, with the values for these columns. Default: the message's start state, and
+            A configuration of the robot that has the values for these columns. Default: the message's start state, and
             `Robot.configuration()` for all other values.
 
         Returns
@@ -194,9 +194,10 @@ class ControllerPoints:
             duplicate key, a key that its message does not have, or a value of the wrong kind; or if a message contains
             values of joints, or motions, that cannot be used with the given robot, or without a robot.
         InputError
-            If the file has any other extension, or `others` is given without `robot` or is not its configuration.
+            If the file has another extension, or `others` is given without `robot` or is not a configuration of the
+            robot.
         MissingExtraError
-            If PyYAML is needed and not installed.
+            If PyYAML is needed but not installed.
 
         Warns
         -----
@@ -219,7 +220,7 @@ class ControllerPoints:
     def load_all(
         cls, path: str | os.PathLike[str], *, robot: Robot | None = None, others: ArrayLike | None = None
     ) -> list[ControllerPoints]:
-        """Read all trajectories of a file, in their order; errors and warnings as for `load`.
+        """Read all trajectories of a file, in their order, with the same errors and warnings as `load`.
 
         Joints that a trajectory does not name keep their values from the previous trajectory, or from the message's
         states. The attribute `carried` of each trajectory has the bodies that the robot carries at that time.

@@ -124,14 +124,14 @@ def write(
 
 
 def files_of(listing: Any, target: Path, names: Sequence[str], moves: Sequence[bool]) -> dict[Path, list[int]]:
-    """Return, for each controller in a list that takes trajectories, its file and its columns in the trajectory.
+    """Return the file and the columns in the trajectory for each controller in a list that accepts trajectories.
 
     Parameters
     ----------
     listing : path
         A file of ros2_control or MoveIt.
     target : path
-        The name without the controller's: ``moved.yaml`` becomes ``moved.arm_controller.yaml``.
+        The name of the file without the name of the controller: ``moved.yaml`` becomes ``moved.arm_controller.yaml``.
     names, moves : sequence
         Names of columns, and whether their values change; only columns that change need a controller.
     """

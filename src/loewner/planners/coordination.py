@@ -60,12 +60,12 @@ def coordinate(
     steps: int = 50,
     joint_error: ArrayLike = 0.0,
 ) -> Floats:
-    """Find a common path of several robots on which each robot follows its own path and they never meet.
+    """Find a common path of several robots on which each robot follows its own path and no robots meet.
 
     Parameters
     ----------
     checker : CollisionChecker
-        Its robot was made by `Robot.join`.
+        A checker whose robot was made by `Robot.join`.
     paths : mapping from str to array_like, shape (k, dof of the part) or (dof of the part,)
         For each part (`Robot.part`), the configurations of its path, with straight motions between them, or the single
         configuration at which it waits.
@@ -86,7 +86,7 @@ def coordinate(
     InputError
         If a path is missing or has the wrong shape, or there would be more than 2^20 states of all robots together.
     UnknownNameError
-        If there is no such part.
+        If the robot has no part of this name.
     PlanningError
         If the starts or the ends are not free, or the robots cannot pass each other on these paths; the message names
         the two bodies that meet at the farthest point reached.

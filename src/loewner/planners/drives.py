@@ -169,12 +169,12 @@ class Drive(KeepsReadOnly):
 
     @property
     def length(self) -> float:
-        """Length of the way, in metres."""
+        """Length of the drive, in metres."""
         return float(np.abs(self.motions[:, 0]).sum())
 
     @property
     def turn(self) -> float:
-        """Sum of the turns in both directions, in radians."""
+        """Sum of all turns to the left and to the right, in radians."""
         return float(np.abs(self.motions[:, 1]).sum())
 
     @property
@@ -292,7 +292,7 @@ def base_columns(robot: Robot) -> tuple[int, int, int]:
     Raises
     ------
     InputError
-        If there is none.
+        If the robot has no such base.
     """
     tree = robot.tree
     moving = tree.kind != kernel_columns.FIXED

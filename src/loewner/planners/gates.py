@@ -88,8 +88,8 @@ class GateAnswer(_validate.Brief):
         free.
     scale : float
         1 if all targets may be executed. Otherwise, the largest time scale among 1/2, 1/4 and 1/8 with which they may
-        be executed, that is, with periods of dt / scale. The scale is 0 if none of them suffices, or if no work is left
-        to find it.
+        be executed, that is, with periods of dt / scale. The scale is 0 if none of the three suffices, or if no work is
+        left to find it.
     reason : str
         Why not all targets may be executed. "contact": the robot collides on the way to a target. "brake": the robot
         collides while it brakes, or there are no more targets than the latency has periods. "may be hit": the robot
@@ -217,7 +217,7 @@ class _Chunk(NamedTuple):
 
 
 class Gate:
-    """Judge chunks of joint targets in a control loop: how far may they run such that the robot can still brake?
+    """Judge chunks of joint targets in a control loop: how far may they run so that the robot can still brake?
 
     A chunk is FREE to run up to a target if the straight motions to it, and a brake from each target, are proven free,
     for all deviations within the errors below and all places of bodies within their bounds (`Scene.follow`,
@@ -227,7 +227,7 @@ class Gate:
     Parameters
     ----------
     checker : CollisionChecker
-        Its scene may change between checks.
+        A checker whose scene may change between checks.
     limits : planners.JointLimits, optional
         Limits of velocity, acceleration and jerk. Default: the limits of the robot.
     brake : {"joints", "path"}
@@ -247,7 +247,7 @@ class Gate:
     steps : int, optional
         Limit on the work of a check, in steps of the proofs (`CollisionChecker.certify_edges`). Default: no limit.
     acceleration, jerk : float or array_like, shape (dof,), optional
-        Limits that replace the ones in `limits`; without a jerk limit, accelerations jump.
+        Limits that replace the values in `limits`; without a jerk limit, accelerations jump.
     tolerance : float
         As for `CollisionChecker.certify_edges`, in metres.
 
@@ -330,7 +330,7 @@ class Gate:
             The robot should be at the first target after `dt`, at the second one after 2 dt, and so on. At the next
             tick, a chunk that continues begins with the second target; only new motions and brakes are then proven.
         dt : float
-            Seconds.
+            Seconds between targets.
         time : float, optional
             The time of this tick, in seconds on the clock of the scene's moving bodies; it must not run backwards.
             Required if bodies move or are known by growing bounds. With a latency, the time also decides where a slow
@@ -343,8 +343,8 @@ class Gate:
         Raises
         ------
         InputError
-            If an argument has the wrong shape or is not finite, or if the time runs backwards or is missing. The brake
-            of the last answer is then the safe motion.
+            If an argument has the wrong shape or is not finite, or if the time runs backwards or is missing. In these
+            cases, the brake of the last answer is the safe motion.
 
         Notes
         -----
@@ -388,9 +388,10 @@ class Gate:
         Raises
         ------
         InputError
-            If no chunk may run, the scene has changed since then, or bodies in it move or are known by growing bounds.
+            If no chunk may run, if the scene has changed since the last check, or if its bodies move or are known by
+            growing bounds.
         ConvergenceError
-            If the format's bounds do not suffice.
+            If the bounds of the proof format do not suffice.
 
         See Also
         --------

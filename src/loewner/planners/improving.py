@@ -68,7 +68,7 @@ class Improve:
         Limit on the number of rounds. Equal numbers and seeds give equal paths, unless time runs out first.
     weights : array_like, shape (dof,), optional
         Factors of the joint values in the cost, which improvement lowers: the cost of a motion is the Euclidean norm of
-        the weighted changes. They make metres and radians comparable; a joint with a large weight moves little.
+        the weighted changes. Weights make metres and radians comparable; a joint with a large weight moves little.
         Default: 1 for each value.
     clearance : float, optional
         Distance [m] that the path should keep from the bodies of the scene where possible. This is a preference, not a
@@ -132,9 +132,9 @@ class Plan(KeepsReadOnly):
     cost : float
         Cost of the path.
     bound : float
-        No path from the start to one of the goals costs less: the least cost of a straight motion to a goal that is
-        free and within the limits, whether or not this motion is free. For a `PoseGoal` it is 0, since configurations
-        that were not tried may reach the pose at a lower cost.
+        Lower bound on the cost of every path from the start to one of the goals: the least cost of a straight motion to
+        a goal that is free and within the limits, whether or not the motion itself is free. For a `PoseGoal` the bound
+        is 0, since configurations that were not tried may reach the pose at a lower cost.
     iterations : int
         Number of rounds that tried to improve the path.
     seconds : float
@@ -145,7 +145,7 @@ class Plan(KeepsReadOnly):
         Least distance [m] of the robot from the scene's bodies that are not attached to it, at 128 or more points of
         the path; infinite if there are no such bodies. None unless a clearance was requested.
     approach : int or None
-        The row of the path at which the approach of a `PoseGoal` begins, if it has one.
+        The row of the path at which the approach of a `PoseGoal` begins, if there is an approach.
     retreat : ndarray, shape (k, dof), or None
         The path of the goal's retreat, which begins at the end of `path`.
 
@@ -171,7 +171,7 @@ class Plan(KeepsReadOnly):
 
     @property
     def gap(self) -> float:
-        """The excess of the cost over the bound, as a share of the bound; no path is cheaper by more than the excess."""
+        """The excess of the cost over the bound, divided by the bound; no path is cheaper by more than the excess."""
         if self.cost == self.bound:
             return 0.0
         return float((self.cost - self.bound) / self.bound) if self.bound > 0.0 else math.inf
@@ -207,7 +207,7 @@ class Improvement:
 
     @classmethod
     def of(cls, robot: Robot, improve: Improve, search: Search) -> Improvement:
-        """Check the options that depend on the robot and the search; time counts from now on."""
+        """Check the options that depend on the robot and the search; the time starts now."""
         began, most, seconds = time.monotonic(), improve.iterations, improve.seconds
         if improve._wanted and search.planner is not None:
             raise InputError(
@@ -284,7 +284,7 @@ class Polish:
         return cls(judge, box, rows, len(path), state, np.array([0.5]), cost_of(box[2], path))
 
     def on(self, most: int) -> int:
-        """Polish until this total number of steps has been reached; MET if only a straight motion is left."""
+        """Polish up to this total number of steps; return MET if only a straight motion is left."""
         if self.count > 2:
             ends, points = np.empty((2, self.rows.shape[1])), np.empty_like(self.rows)
             self.count = entries.polish_path(
@@ -315,12 +315,12 @@ class Rounds:
     box : ndarray, shape (3, dof)
         See `_kernels.robots.polishing.Work`.
     idle : ndarray of int64, shape (k,)
-        Numbers of joints with equal values at the start and at all goals, in order of decreasing weight; none if all
-        values are equal.
+        Indices of the joints with equal values at the start and at all goals, in order of decreasing weight; empty if
+        all values are equal.
     least : float
         Cost of the straight path.
     longest : float
-        The longest motion of a tree when there is no bound.
+        The longest motion of a tree without a bound.
     seed : int
     deadline : float
     searches : int
@@ -413,8 +413,8 @@ def improved(
 ) -> tuple[Floats, int]:
     """Improve a path to one of several free goals; return it with the number of rounds.
 
-    All motions of both paths are free for the judge. With a clearance, half of the rounds and of the time shorten the
-    path, and the rest moves it away from obstacles.
+    All motions of both paths are free for the judge. With a clearance, half of the rounds and of the time serve to
+    shorten the path, and the rest to move it away from obstacles.
     """
     if clearing is None or asked.most == 0:
         return _shorter(space, judge, path, goals, asked, seed)

@@ -88,7 +88,7 @@ class TimedJudge:
     Attributes
     ----------
     robot : Robot
-        Without moving bodies.
+        The robot alone, without moving bodies.
     ready : Problem
         One consistent state of the scene, with the motions of bodies.
     begin : float
@@ -136,7 +136,7 @@ class TimedJudge:
         return in_time.free_at(self.ready, self._with_bodies(states), self.begin + states[:, -1])
 
     def touching(self, state: Floats) -> str:
-        """Describe the contacts in a state; "" for none."""
+        """Describe the contacts in a state; return "" if there are none."""
         contacts, doubt = verdicts.contacts(self.ready, self._with_bodies(state[None])[0], self.begin + state[-1])
         return doubt or touching(contacts)
 
@@ -173,14 +173,14 @@ def plan_in_time(
     search: Search | None = None,
     seed: int = 0,
 ) -> Trajectory:
-    """Find a trajectory among bodies that follow motions, from start to goal, proven free of collisions as a whole.
+    """Find a trajectory from start to goal among moving bodies, proven free of collisions as a whole.
 
     Parameters
     ----------
     checker, start, joints, joint_error, seed
         As for `plan`.
     goal : array_like, shape (dof,) or (goals, dof), or PoseGoal
-        As for `plan`; a `PoseGoal` has no approach or retreat.
+        As for `plan`; a `PoseGoal` must not have an approach or a retreat.
     start_time : float
         When the trajectory begins, in seconds on the clock of the bodies' motions (`Scene.follow`).
     velocity : float or array_like, shape (dof,), optional
@@ -195,15 +195,15 @@ def plan_in_time(
     Returns
     -------
     Trajectory
-        Between its times the robot moves straight at a constant rate, or waits. Its times count from its own
-        `start_time`, at which ``checker.certify_trajectory(found)`` proves it FREE. Every velocity is at most its
-        limit, up to two units of rounding.
+        Between the trajectory's times, the robot moves straight at a constant rate, or waits. The times count from the
+        trajectory's `start_time`, for which ``checker.certify_trajectory(found)`` proves it FREE. No velocity exceeds
+        its limit by more than two units of rounding.
 
     Raises
     ------
     PlanningError
-        As for `plan`; also if the start collides at the start time (the message names pairs and depths), or no goal can
-        be reached by the latest arrival within the velocities.
+        As for `plan`; also if the start collides at the start time (the message names pairs and depths), or if no goal
+        can be reached by the latest arrival within the velocity limits.
     InputError, UnknownNameError
         As for `plan`.
 

@@ -88,8 +88,8 @@ class JointLimits(KeepsReadOnly):
             for different joints. For each joint, ``has_velocity_limits: true`` and ``max_velocity`` give a limit, and
             ``has_velocity_limits: false`` means that there is none. Limits of acceleration, deceleration and jerk have
             the same form, and so do ``min_position`` and ``max_position``, which soft limits narrow. If a joint mimics
-            another, its limits bound the other joint, except for its positions, which cause a warning. Angles may be
-            tagged ``!degrees``.
+            another, its limits bound the other joint, except for position limits, which cause a warning instead. Angles
+            may be tagged ``!degrees``.
         robot : Robot
         scaled : bool
             Multiply velocities and accelerations by the file's default scaling factors, which are at most 1.
@@ -112,7 +112,7 @@ class JointLimits(KeepsReadOnly):
         -----
         UserWarning
             If limits of a joint that turns are probably in degrees; or if the file contains other tables next to
-            ``joint_limits``, or positions of joints that mimic others. Each warning is issued once.
+            ``joint_limits``, or positions of joints that mimic others. Each of the two warnings is issued at most once.
 
         Examples
         --------

@@ -49,7 +49,7 @@ class Judge:
     ready : Problem
         The pairs of one consistent state of the scene, for all motions.
     resolution : float
-        0 if motions are proven.
+        Step of samples; 0 if motions are proven.
     samples : int
         Number of samples that the longest motion takes.
     joint_error : ndarray, shape (dof,), or None
@@ -74,7 +74,7 @@ class Judge:
         Raises
         ------
         InputError
-            If the joint error has the wrong shape or is negative, or if motions are to be sampled within one.
+            If the joint error has the wrong shape or is negative, or is given for motions that are sampled.
         """
         errors = joint_errors(checker.robot, joint_error)
         if resolution and errors.any():
@@ -124,7 +124,8 @@ class Judge:
         return free if self.kept is None else free & self.kept.on(Q0, Q1)
 
     def certified(self, a: Floats, b: Floats) -> CertifiedMotions:
-        """Prove one motion between configurations, by the scene's contact rules as well, whether or not it is sampled.
+        """Prove one motion between configurations, also by the scene's contact rules, whether or not the judge samples
+        motions.
 
         Raises
         ------

@@ -39,7 +39,7 @@ class KeptAxis:
     record : Record, optional
         The arrays of the kernels, for a chain of joints to the link.
     table : ndarray of int64, optional
-        Their table.
+        The table of the arrays.
     """
 
     axis: Floats
@@ -113,7 +113,7 @@ class KeptAxis:
 
 
 def parts_of(keep: Any, wanted: str) -> list[Any]:
-    """Return the parts of an argument `keep`, which must be as many as those named in `wanted`."""
+    """Return the parts of an argument `keep`, which must be as many as the parts named in `wanted`."""
     listed = _validate.listed(keep, "keep", wanted=wanted)
     if len(listed) != len(wanted.split(",")):
         raise InputError(f"keep: expected {wanted}, found {_validate.short(keep)}")

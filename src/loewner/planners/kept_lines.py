@@ -47,7 +47,7 @@ class Line:
         Rows of the path, counted from the end if negative. Default: the whole path.
     position, rotation : float
         Largest deviations of the link from the line, in metres and radians, at least 1e-9: at every instant, the link's
-        pose differs from some pose of the line by no more than both.
+        pose differs from a pose of the line by at most these deviations.
 
     Raises
     ------
@@ -101,7 +101,7 @@ class Step(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class KeptLine:
-    """A line of poses, and the chain of joints to the link that is to keep it.
+    """A line of poses, and the chain of joints to the link that is to keep the line.
 
     At the fraction u, the position is `start` + u `way`, and the rotation is `rotation` + sin(u `angle`) `sine` +
     (1 - cos(u `angle`)) `cosine`.
@@ -110,7 +110,7 @@ class KeptLine:
     ----------
     robot : Robot
     line : Line
-        Its `first` and `last` are at least 0.
+        The line, whose `first` and `last` are at least 0.
     steps : list of Step
     joints : int
         Number of links of the chain plus one.
@@ -172,7 +172,7 @@ class KeptLine:
         -------
         ndarray of bool, shape (N,)
         ndarray, shape (N, 2)
-            In metres, and in the Frobenius norm of rotation matrices.
+            Bounds in metres, and in the Frobenius norm of rotation matrices.
         """
         most = np.array([self.line.position, chord_of(self.line.rotation)])
         kept, found = np.zeros(len(courses), dtype=bool), np.full((len(courses), 2), np.inf)
@@ -259,7 +259,7 @@ def chord_of(angle: float) -> float:
 
 
 def angle_of(chord: float) -> float:
-    """Return the angle of a rotation at a distance from the identity, see `chord_of`."""
+    """Return the angle of a rotation at a given distance from the identity; see `chord_of`."""
     return float(2 * _elementary.arcsin(min(chord / (2 * np.sqrt(2)), 1.0)))
 
 

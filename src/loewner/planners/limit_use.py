@@ -51,14 +51,14 @@ class Use(NamedTuple):
     joint : str
     value, limit : float
         The value that comes nearest to its limit or exceeds it most, and this limit, in SI units. The limit is infinite
-        if there is none.
+        if the joint has none.
     ratio : float
         For a position, the distance from the middle of the range divided by half the range; otherwise, the absolute
         value divided by the limit. The ratio is 0 if there is no limit.
     time : float
         When the value occurs, in seconds.
     unit : str
-        rad or m, the unit of the joint's positions.
+        Unit of the joint's positions, rad or m.
     """
 
     quantity: str
@@ -81,7 +81,7 @@ class Jump(NamedTuple):
 
 
 def used(robot: Robot, curve: Curve, limits: JointLimits | None, timed: bool) -> list[Use]:
-    """Return the use of all limits of all joints on a curve with the robot's columns; only positions if not timed.
+    """Return the use of all limits of all joints on a curve with the robot's columns; without times, only of positions.
 
     Position limits are the hard limits, unless the file of `limits` gives others.
     """

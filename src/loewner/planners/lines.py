@@ -75,7 +75,7 @@ def straight(
         If an argument has the wrong shape or value, if the line turns the link by half a turn, or if a floating or ball
         joint would have to move.
     UnknownNameError
-        If there is no such link, joint or group.
+        If the robot has no such link, joint or group.
 
     See Also
     --------
@@ -129,7 +129,7 @@ def followed(
     Q : ndarray, shape (k, dof)
         Configurations at these fractions.
     fault : (str, str) or None
-        If the link cannot follow the line: the expectation and the fault, for a message.
+        The expectation and the fault, for a message, if the link cannot follow the line.
     """
     target = targets_of(target[None])[0]
     refuse_far(chain, target, q)
@@ -201,8 +201,7 @@ def _stopped(robot: Robot, chain: Chain, u: float, q: Floats, link: str) -> tupl
 
 
 def block_of(judge: Judge, u: Floats, Q: Floats) -> str:
-    """Explain which motion of a line is not free; mention the scene's contact rules at the ends if necessary; otherwise
-    ""."""
+    """Explain which motion of a line is not free, by the scene's contact rules as well; return "" if all are free."""
     left = np.flatnonzero(~judge.free(Q[:-1], Q[1:]))
     if len(left) == 0:
         return ""

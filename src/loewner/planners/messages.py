@@ -122,9 +122,10 @@ class State:
     places : dict
         For a joint with several values: position [m] and quaternion x, y, z, w, as one array of 7 numbers.
     carried : dict
-        For each body that the robot carries, by name: the link that carries it, and links that it may touch.
+        For each body that the robot carries, by name: the link that carries the body, and links that the body may
+        touch.
     sources : dict
-        The source of the values of joints and places, by joint: keys of a state, or of an earlier trajectory.
+        The keys of a state, or of an earlier trajectory, from which the values of joints and places come, by joint.
     """
 
     joints: dict[str, float] = field(default_factory=dict)

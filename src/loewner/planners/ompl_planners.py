@@ -35,7 +35,7 @@ def space_information(
     certified: bool = False,
     resolution: float = 0.05,
 ) -> Any:
-    """Make an OMPL ``SpaceInformation`` for your own planners; the checker judges its states and motions.
+    """Make an OMPL ``SpaceInformation`` for your own planners; the checker judges the states and motions.
 
     Parameters
     ----------
@@ -47,16 +47,16 @@ def space_information(
     fixed : array_like, shape (dof,), optional
         Values that all remaining joints keep. Default: the values of `Robot.configuration`, all 0.
     certified : bool
-        Prove the motions that OMPL checks, as `plan` does; otherwise sample them in steps.
+        Prove the motions that OMPL checks, as `plan` does; otherwise sample the motions in steps.
     resolution : float
         As for `plan`, in the units of the joints.
 
     Returns
     -------
     ompl.base.SpaceInformation
-        Set up over a ``RealVectorStateSpace`` whose dimensions have the names of the joints, bounded by their limits. A
-        joint that turns without limits is bounded to half a turn on either side of its value in `fixed`. A joint whose
-        limits are equal does not move and is not a dimension.
+        An object over a ``RealVectorStateSpace`` whose dimensions have the names of the joints and are bounded by their
+        limits. A joint that turns without limits is bounded to half a turn on either side of its value in `fixed`. A
+        joint whose limits are equal does not move and is not a dimension.
 
     Raises
     ------

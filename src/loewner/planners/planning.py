@@ -131,7 +131,7 @@ def plan(
     Parameters
     ----------
     checker : CollisionChecker
-        Bodies attached in its scene move with the robot.
+        Bodies that are attached in the checker's scene move with the robot.
     start : array_like, shape (dof,)
     goal : array_like, shape (dof,) or (goals, dof), or PoseGoal
         One goal or several, or poses of a link; reaching any of them is enough. Goals that are obviously unreachable
@@ -165,7 +165,8 @@ def plan(
     ndarray, shape (k, dof)
         Configurations from `start` to a goal; each joint value changes linearly from one configuration to the next. A
         joint that turns without limits takes the shorter way around, so that it ends at the goal's value or whole turns
-        away (with OMPL's planners, always at the goal's value). The path ends with the approach of a `PoseGoal`.
+        away (with OMPL's planners, always at the goal's value). If a `PoseGoal` has an approach, the path ends with the
+        approach.
     Plan, Trajectory or Drive
         The result of another function, if its options are given.
 
@@ -182,9 +183,9 @@ def plan(
         If an argument has the wrong shape or value, a goal moves a joint that is not among `joints`, or one of `joints`
         is a planar, floating or ball joint, which has no limits to search within; or if options exclude each other.
     UnknownNameError
-        If there is no such group, joint or planner.
+        If a group, a joint or the planner is unknown.
     MissingExtraError
-        If one of OMPL's planners is requested and OMPL is not installed.
+        If an OMPL planner is requested but OMPL is not installed.
 
     See Also
     --------
@@ -198,7 +199,7 @@ def plan(
     straight towards the other body.
 
     The compiled planner is the balanced RRT-Connect of Kuffner and LaValle (ICRA 2000) with the dynamic domain of
-    Yershova et al. (ICRA 2005). A motion of a tree is at most as long as a twelfth of the diagonal of the limits.
+    Yershova et al. (ICRA 2005). No motion of a tree is longer than a twelfth of the diagonal of the limits.
 
     Examples
     --------
@@ -388,7 +389,7 @@ def shorten(
     certified, joint_error, resolution
         As for `plan`; `resolution` is in the units of the joints.
     max_iterations : int
-        Number of cuts to try, each between two points drawn at random.
+        Number of cuts to try, each between two random points.
     seed : int
         Equal seeds give equal paths.
 

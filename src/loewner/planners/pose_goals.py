@@ -46,16 +46,17 @@ class PoseGoal:
     seeds : int
         As for `Robot.reach`: more seeds find more of the configurations.
     approach, retreat : float, array_like, shape (3,), or (str, array_like), optional
-        Straight lines of the link to the goal and away from it. Each is given by the link's displacement in metres: a
-        vector in the frame of the link at the goal, or ``("world", vector)`` in the frame of the world. A number is a
-        distance along the link's z axis: an approach goes forward, a retreat goes back. The link keeps its rotation.
+        Straight lines of the link to the goal and away from it. Each line is given by the link's displacement in
+        metres: a vector in the frame of the link at the goal, or ``("world", vector)`` in the frame of the world. A
+        number is a distance along the link's z axis: an approach goes forward, a retreat goes back. The link keeps its
+        rotation.
 
     Notes
     -----
     A configuration is accepted only if both lines can be followed from it, as by `straight`, and are proven free. The
     path of `plan` ends with the approach; with ``full=True``, ``Plan.approach`` is the row at which it begins, and
-    ``Plan.retreat`` is the path of the retreat. Lines are proven in the scene in which the path is planned: after a
-    change of the scene, such as `Scene.attach`, `retreat_path` proves the retreat again.
+    ``Plan.retreat`` is the path of the retreat. Lines are proven in the scene in which the path is planned. After a
+    change to the scene, such as `Scene.attach`, `retreat_path` proves the retreat again.
 
     Examples
     --------
@@ -151,7 +152,7 @@ class PoseGoal:
         InputError
             If the goal has no approach; or as for `straight`.
         PlanningError
-            If the link cannot follow the line, or it is not free.
+            If the link cannot follow the line, or the line is not free.
         UnknownNameError
             As for `straight`.
 
@@ -189,7 +190,7 @@ class PoseGoal:
         InputError
             If the goal has no retreat; or as for `straight`.
         PlanningError
-            If the link cannot follow the line, or it is not free.
+            If the link cannot follow the line, or the line is not free.
         UnknownNameError
             As for `straight`.
 
@@ -301,7 +302,7 @@ class PoseGoal:
 
 
 class Approaches(NamedTuple):
-    """Straight lines that follow paths to the goals of a `PoseGoal`.
+    """Straight lines at the ends of paths to the goals of a `PoseGoal`.
 
     Attributes
     ----------
@@ -310,7 +311,7 @@ class Approaches(NamedTuple):
     rows : list of ndarray, shape (k, dof)
         For each goal, the approach; a single configuration if there is none.
     retreats : list of ndarray, shape (k, dof), or None
-        Likewise, the retreats.
+        For each goal, the retreat.
     """
 
     judge: Judge

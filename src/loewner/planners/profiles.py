@@ -24,9 +24,9 @@ class Limits(NamedTuple):
     Attributes
     ----------
     gain : float
-        Largest rate of the speed [1/s].
+        Largest rate of change of the speed [1/s].
     jerk : float
-        Largest rate of that rate [1/s²]; may be infinite.
+        Largest rate of change of that rate [1/s²]; may be infinite.
     least : float
         Shortest duration of a phase [s].
     """
@@ -73,7 +73,7 @@ def reached(length: float, limits: Limits, speed: float) -> float:
 
 @lru_cache(KEPT)
 def turned(half: float, limits: Limits) -> float:
-    """Return the highest speed, up to 1, at which a blend can be passed that begins and ends at a distance."""
+    """Return the highest speed, up to 1, at which a blend that begins and ends at a distance can be passed."""
     return _largest(lambda speed: ramp_way(0.0, speed, limits), 0.0, 1.0, half)
 
 

@@ -209,10 +209,10 @@ class Roadmap(KeepsReadOnly):
 
     Notes
     -----
-    A roadmap belongs to one checker. After a change of the scene, the next query first proves all motions again in one
+    A roadmap belongs to one checker. After a change to the scene, the next query first proves all motions again in one
     batch, including the motions that were not free before. `len` returns the number of nodes.
 
-    Any thread may use a roadmap. An interrupted call leaves it unchanged.
+    Any thread may use a roadmap. An interrupted call leaves the roadmap unchanged.
 
     Examples
     --------
@@ -341,7 +341,7 @@ class Roadmap(KeepsReadOnly):
         Parameters
         ----------
         path : path
-            Its name must end in ``.npz``. An existing file is replaced atomically.
+            The name of the file must end in ``.npz``. An existing file is replaced atomically.
 
         Raises
         ------
@@ -553,8 +553,8 @@ def roadmap(
     Parameters
     ----------
     checker : CollisionChecker
-        Bodies attached in its scene move with the robot. If bodies come and go, make the roadmap while the scene has
-        few bodies, since configurations that collide now are excluded permanently.
+        Bodies that are attached in the checker's scene move with the robot. If bodies come and go, make the roadmap
+        while the scene has few bodies, since configurations that collide now are excluded permanently.
     samples : int or array_like, shape (n, dof)
         The number of configurations to sample uniformly within the limits, or the configurations themselves. All free
         configurations become nodes.
@@ -563,7 +563,7 @@ def roadmap(
     fixed : array_like, shape (dof,), optional
         Values that the remaining joints keep. Default: the values in the first given configuration or, if none is
         given, in `Robot.configuration`, where all are 0. The values of a joint that turns without limits are sampled
-        within half a turn of its value here.
+        within half a turn of its value in `fixed`.
     neighbours : int, optional
         Number of nearest neighbours to which each node is connected if possible. Default: e (1 + 1/d) ln n for n nodes
         and d joints, as in PRM*, so that the paths converge to the shortest ones as the number of samples grows.
@@ -583,7 +583,7 @@ def roadmap(
         others in a joint that is not among `joints`; or if one of `joints` is a planar, floating or ball joint, which
         has no limits to sample within.
     UnknownNameError
-        If there is no such group or joint.
+        If the robot has no such group or joint.
 
     See Also
     --------

@@ -19,24 +19,24 @@ OF_ITS_OWN = {"start_time": "plans in time are proven and shortened", "base": "d
 
 @dataclass(frozen=True)
 class Search:
-    """How `plan`, `plan_full`, `plan_in_time` and `plan_drive` search.
+    """Options for the searches of `plan`, `plan_full`, `plan_in_time` and `plan_drive`.
 
     Parameters
     ----------
     planner : str or callable, optional
-        Default: the compiled RRT-Connect. Otherwise the name of a class of ``ompl.geometric``, such as "BITstar" or
-        "PRM"; or a function that takes the ``SpaceInformation`` and returns an OMPL planner that you have set up.
+        The name of a class of ``ompl.geometric``, such as "BITstar" or "PRM", or a function that takes the
+        ``SpaceInformation`` and returns an OMPL planner that you have set up. Default: the compiled RRT-Connect.
     certified : bool
         Prove every motion free with `CollisionChecker.certify_edges`; otherwise sample motions in steps.
     resolution : float
         For motions that are not proven, the largest Euclidean distance between two successive checked configurations,
-        in the units of the joints. OMPL planners that divide motions themselves always use it.
+        in the units of the joints. OMPL planners that divide motions themselves always use this resolution.
     max_iterations : int, optional
-        Number of random configurations that the compiled planner draws before it gives up; for a drive, the number of
+        Number of random configurations that the compiled planner tries before it gives up; for a drive, the number of
         poses from which the search continues. Default: no limit, so that only the timeout ends the search.
     timeout : float
         Time limit of the search, in seconds; simplifying takes additional time. OMPL planners that seek a shortest path
-        always use the whole time.
+        always use all of this time.
     simplify : bool
         Shorten the path. Paths of OMPL planners are also smoothed, by OMPL's path simplifier.
 
@@ -47,7 +47,7 @@ class Search:
     UnknownNameError
         If OMPL has no such planner.
     MissingExtraError
-        If one of OMPL's planners is requested and OMPL is not installed.
+        If an OMPL planner is requested but OMPL is not installed.
 
     Examples
     --------

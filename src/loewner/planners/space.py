@@ -44,7 +44,7 @@ class Space:
     still : ndarray, shape (dof,)
         A configuration with the values of the joints that do not move.
     lower, upper : ndarray, shape (joints,)
-        Range to search: the limits, or for joints without limits half a turn beyond start and goals.
+        Range to search: the limits, or half a turn beyond start and goals for joints without limits.
     turning : ndarray of bool, shape (joints,)
         Whether a joint has no limits and returns to the same place after a whole turn.
     """
@@ -149,7 +149,7 @@ class Space:
         return named + (f", and {len(outside) - NAMED} more" if len(outside) > NAMED else "")
 
     def free(self, q: Floats) -> bool:
-        """Return whether a configuration is proven free; an unsettled one counts as not free."""
+        """Return whether a configuration is proven free; an unsettled configuration counts as not free."""
         return verdicts.is_free(prepared_of(self.checker), q)
 
     def free_among(self, Q: Floats) -> Bools:
@@ -234,7 +234,7 @@ def touching(contacts: Sequence[Contact]) -> str:
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """A start and a goal to plan for, as a user gave them, checked.
+    """The checked start and goal of a plan, as a user gave them.
 
     Attributes
     ----------

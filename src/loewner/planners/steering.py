@@ -38,7 +38,7 @@ class Ways(NamedTuple):
     Attributes
     ----------
     lengths, turns : ndarray, shape (N, ways, motions)
-        NaN where there is no such way. Motions that a way does not need are 0.
+        NaN where there is no way of this kind. Motions that a way does not need are 0.
     """
 
     lengths: Floats
@@ -46,7 +46,7 @@ class Ways(NamedTuple):
 
     @property
     def costs(self) -> Floats:
-        """Length of each way, and its turns in place times a metre, shape (N, ways); infinite if there is none."""
+        """Length of each way, plus its turns in place times a metre, shape (N, ways); infinite if there is no way."""
         costs = np.where(self.lengths == 0.0, np.abs(self.turns), np.abs(self.lengths)).sum(axis=2)
         return np.where(np.isfinite(costs), costs, np.inf)
 

@@ -66,7 +66,7 @@ class Straights(NamedTuple):
 
     @property
     def straights(self) -> Straights:
-        """Itself, for a common interface with other motions."""
+        """These motions themselves, for a common interface with other motions."""
         return self
 
     @property

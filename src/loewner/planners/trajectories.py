@@ -76,18 +76,18 @@ class Trajectory(KeepsReadOnly):
 
     Between two consecutive `times`, accelerations are constant, or change linearly if the jerk is limited. In a
     trajectory from `plan` with `start_time`, or through joint targets (`of_targets`), velocities are constant instead,
-    and jump at these times.
+    and jump at `times`.
 
     Attributes
     ----------
     names : tuple of str
         Names of the columns, as in `Robot.configuration_names`.
     times : ndarray, shape (n,)
-        Seconds from the start; the first is 0.
+        Times in seconds from the start; the first is 0.
     knots, rates : ndarray, shape (n, dof)
         Positions [rad or m] and velocities [rad/s or m/s] at these times. The robot starts and ends at rest, except in
-        plans in time, at the start of a brake, and at an `end_velocity` of `time_path`. Where velocities jump, the
-        values are the ones after the jump.
+        plans in time, at the start of a brake, and at an `end_velocity` of `time_path`. Where velocities jump, `rates`
+        has the values after the jump.
     blended : ndarray of bool, shape (n - 1,)
         Whether the robot cuts a corner during each interval; in all other intervals it is on the path.
     bends : ndarray, shape (n, dof), or None
@@ -98,10 +98,11 @@ class Trajectory(KeepsReadOnly):
         brake through joint targets (`stop_at`).
     start_time : float
         When the trajectory starts, in seconds on the clock of bodies that follow motions (`Scene.follow`); the default
-        `t0` of `CollisionChecker.certify_trajectory`. ``dataclasses.replace(moved, start_time=4.0)`` starts it later.
+        `t0` of `CollisionChecker.certify_trajectory`. ``dataclasses.replace(moved, start_time=4.0)`` starts the
+        trajectory later.
     spacing : float
-        Least time [s] between the rows that `save` adds for ``rate=`` and other rows: because of rounding, closer rows
-        would break the limits. It is 0 if the limits are not known, as for a trajectory from a file.
+        Least time [s] between other rows and the rows that `save` adds for ``rate=``: because of rounding, closer rows
+        would break the limits. The spacing is 0 if the limits are not known, as for a trajectory from a file.
 
     Examples
     --------
@@ -245,7 +246,7 @@ class Trajectory(KeepsReadOnly):
         return found
 
     def velocities(self, t: ArrayLike) -> Floats:
-        """Compute the velocities at given times; at a jump, the value after the jump.
+        """Compute the velocities at given times; at a jump, return the velocity after it.
 
         Parameters
         ----------
@@ -255,7 +256,7 @@ class Trajectory(KeepsReadOnly):
         Returns
         -------
         ndarray, shape (..., dof)
-            In radians or metres per second.
+            Velocities in radians or metres per second.
 
         Examples
         --------
@@ -278,7 +279,7 @@ class Trajectory(KeepsReadOnly):
         return found if self.bends is None else found + x * (1 - x) * (T / 2) * (self.bends[k] - self.bends[m])
 
     def accelerations(self, t: ArrayLike) -> Floats:
-        """Compute accelerations at given times; at a jump, the value after the jump.
+        """Compute the accelerations at given times; at a jump, return the acceleration after it.
 
         Parameters
         ----------
@@ -288,7 +289,7 @@ class Trajectory(KeepsReadOnly):
         Returns
         -------
         ndarray, shape (..., dof)
-            In radians or metres per second squared.
+            Accelerations in radians or metres per second squared.
 
         Examples
         --------
@@ -334,7 +335,7 @@ class Trajectory(KeepsReadOnly):
             Multiples of 1 / rate, and the end of the trajectory, which replaces a multiple less than 1 ns before it.
         positions : ndarray, shape (m, dof)
         velocities, accelerations : ndarray, shape (m, dof)
-            Only if `full`; they are the arrays that `velocities` and `accelerations` return.
+            The arrays that `velocities` and `accelerations` return, only if `full`.
 
         Raises
         ------
@@ -400,7 +401,7 @@ class Trajectory(KeepsReadOnly):
         Parameters
         ----------
         name : str
-            Its name in `Robot.join`; for a robot that was joined twice, "outer/inner".
+            The robot's name in `Robot.join`, or "outer/inner" for a robot that was joined twice.
 
         Returns
         -------
@@ -448,22 +449,22 @@ class Trajectory(KeepsReadOnly):
             and the next. `load` reads ``.csv`` and ``.json`` files. A ``.yaml`` file contains a ROS
             ``trajectory_msgs/JointTrajectory`` with the positions and velocities at whole nanoseconds: each row is
             moved to the nearest nanosecond, rows at the same nanosecond are merged, and the end is rounded up. If
-            accelerations jump, the file contains none, since a controller follows the trajectory if it interpolates
-            positions and velocities alone. Messages have no `start_time`; in a ``.csv`` file, it is a comment in the
+            accelerations jump, the file contains none, since a controller that interpolates only positions and
+            velocities follows the trajectory. A message has no `start_time`; a ``.csv`` file has it in a comment in the
             first line unless it is 0.
         joints : sequence of str, optional
-            Names of the columns to write, in this order; by default all. The file does not contain the motion of the
+            Names of the columns to write, in this order. Default: all. The file does not contain the motion of the
             other columns, so a proof of the whole trajectory holds only if these columns also follow it at the same
             time.
         names : mapping or sequence of str, optional
             Names of the columns in the file: a mapping from names of the trajectory, or a list with a name for each
             column that is written.
         controllers : path, optional
-            Write a file for each controller of this list, the YAML file of ros2_control or MoveIt:
-            ``moved.arm_controller.yaml`` for ``path="moved.yaml"`` and the controller ``arm_controller``. It contains
-            the controller's joints, in the controller's order. Each column whose values change must belong to a
-            controller that accepts trajectories. Such a controller must find all its joints, unless it finds none or
-            allows partial goals.
+            A list of controllers, in the YAML file of ros2_control or MoveIt. A file is written for each controller,
+            such as ``moved.arm_controller.yaml`` for ``path="moved.yaml"`` and the controller ``arm_controller``. The
+            file contains the controller's joints, in the controller's order. Each column whose values change must
+            belong to a controller that accepts trajectories. Such a controller must find all its joints, unless it
+            finds none or allows partial goals.
         rate : float, optional
             Also write rows at this rate [1/s], for programs that join rows by straight lines. By default the rows are
             the knots, between which accelerations are constant or change linearly. If velocities jump, the robot moves
@@ -471,12 +472,12 @@ class Trajectory(KeepsReadOnly):
             left out, since their rounding would break the limits. With limited jerk, these are rows near the knots; at
             a higher rate, only every second or third row is written, or fewer. `sample` returns all rows.
         message : bool
-            Make a ``.json`` file a JointTrajectory message, too; `ControllerPoints.load` reads the message.
+            Write a JointTrajectory message to a ``.json`` file, too; `ControllerPoints.load` reads the message.
 
         Raises
         ------
         InputError
-            If the file has any other extension, the rate is not a number from 0 to 1e9, or a ``.csv`` file is to be a
+            If the file has another extension, the rate is not a number from 0 to 1e9, or a ``.csv`` file is to be a
             message; if names are repeated, or a ``.csv`` file would interpret a name as another kind of column; if the
             controllers and the columns do not match; or if velocities jump and also change between jumps.
         UnknownNameError
@@ -625,7 +626,7 @@ class Trajectory(KeepsReadOnly):
             If the trajectory ends in motion before the robot can stop on its path, and `beyond` is False; or if the
             limits are too low to stay on the path.
         UnknownNameError
-            If `how` is neither of the two words.
+            If `how` is neither ``"path"`` nor ``"joints"``.
 
         See Also
         --------
@@ -908,10 +909,10 @@ def trajectory(
     velocity : float or array_like, shape (dof,), optional
         Velocity limits [rad/s or m/s]. Default: from `limits`, or from the URDF (`Robot.velocity`).
     acceleration : float or array_like, shape (dof,), optional
-        Acceleration limits [rad/s² or m/s²]. Default: from `limits`. A URDF has none; a joint without a limit
-        reaches its velocity limit in one second.
+        Acceleration limits [rad/s² or m/s²]. Default: from `limits`. A URDF has no acceleration limits; a joint without
+        a limit reaches its velocity limit in one second.
     jerk : float or array_like, shape (dof,), optional
-        Jerk limits [rad/s³ or m/s³]. Default: from `limits`. Without any, accelerations jump.
+        Jerk limits [rad/s³ or m/s³]. Default: from `limits`. Without jerk limits, accelerations jump.
     limits : JointLimits, optional
         Limits from a file; the path must be within the position limits.
     checker : CollisionChecker, optional
@@ -928,7 +929,8 @@ def trajectory(
     Returns
     -------
     Trajectory
-        The robot is at rest at both ends. `Trajectory.stops` and `Trajectory.blends` describe how it takes the corners.
+        The robot is at rest at both ends. `Trajectory.stops` and `Trajectory.blends` describe how the robot takes the
+        corners.
 
     Raises
     ------
@@ -940,7 +942,7 @@ def trajectory(
         If there is a checker and a motion of the path is not proven free (the message names the motion and a pair of
         bodies); or if a link does not provably keep its line on a motion of the path (the message gives the deviation).
     UnknownNameError
-        If there is no such link.
+        If the robot has no link of this name.
 
     See Also
     --------
@@ -1025,9 +1027,10 @@ def brake(
         Accelerations at that time [rad/s² or m/s²], no larger than the limits; they are used only if the jerk is
         limited. Default: 0.
     acceleration : float or array_like, shape (dof,), optional
-        Limits of deceleration. Default: from `limits`, or from the URDF; a joint that moves must have one.
+        Limits of deceleration. Default: from `limits`, or from the URDF; a joint that moves must have a limit.
     jerk : float or array_like, shape (dof,), optional
-        Limits of jerk [rad/s³ or m/s³]. Default: from `limits`, or from the URDF. Without any, accelerations jump.
+        Limits of jerk [rad/s³ or m/s³]. Default: from `limits`, or from the URDF. Without jerk limits, accelerations
+        jump.
     limits : JointLimits, optional
         Limits from a file. Limits of velocity and position have no effect.
     start_time : float
@@ -1051,8 +1054,8 @@ def brake(
     Notes
     -----
     With n joints that move, a brake has at most n pieces of constant acceleration, or 3 n pieces if the jerk is
-    limited. A joint whose velocity rises at first, since its acceleration cannot jump, may exceed its velocity limit by
-    as much as any motion within its jerk limit would.
+    limited. Since its acceleration cannot jump, the velocity of a joint may rise at first, and exceed its limit by as
+    much as in any motion within the jerk limit.
 
     Examples
     --------

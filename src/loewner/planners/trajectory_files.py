@@ -80,7 +80,7 @@ def read(source: Path) -> Rows:
 
 
 def header_of(names: Sequence[str], kinds: int) -> list[str]:
-    """Return the header of a table: the time, and positions, velocities and accelerations, or the first of them."""
+    """Return the header of a table: the time, and the first `kinds` of positions, velocities and accelerations."""
     return [TIMES[0], *(name + kind for kind in ("", VELOCITY, ACCELERATION)[:kinds] for name in names)]
 
 

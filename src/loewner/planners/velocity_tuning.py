@@ -176,15 +176,16 @@ def time_path(
     Returns
     -------
     Trajectory
-        It begins at its `start_time`, with a wait if necessary. Accelerations are constant between its times, or change
-        linearly if the jerk is limited. ``found.certify(checker)`` is FREE, with the same joint error.
+        The trajectory begins at its `start_time`, with a wait if necessary. Between its times, accelerations are
+        constant, or change linearly if the jerk is limited. ``found.certify(checker)`` is FREE, with the same joint
+        error.
 
     Raises
     ------
     PlanningError
         If a motion of the path is not proven free without the moving bodies; if the start collides at the start time;
-        if the arrival time is too early; or if no timing is found: the message then names a pair of bodies, the place
-        and the time.
+        if the arrival time is too early; or if no timing is found (the message names a pair of bodies, the place and
+        the time).
     InputError
         As for `trajectory`; if the path is only one configuration; or if the velocity at the end is not along the last
         motion, cannot be reached on the path, or is given together with jerk limits.
@@ -195,7 +196,7 @@ def time_path(
 
     Notes
     -----
-    The path is timed as by `trajectory`, and its speed is then tuned to the motions of the bodies (Kant and Zucker,
+    The path is timed as by `trajectory`, and its speed is then tuned to the bodies' motions (Kant and Zucker,
     "path-velocity decomposition", IJRR 1986). The search has a finite resolution: it may fail although a timing exists,
     and the result need not arrive as early as possible. If nothing is in the way, the result is the trajectory that
     `trajectory` finds. Otherwise, with limited jerk, the robot follows the average of its positions over a window of
