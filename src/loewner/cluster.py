@@ -49,7 +49,7 @@ ATTEMPTS = 4
 # A record takes a few hundred bytes, and a name of at most 255 letters.
 LARGEST_RECORD = 2**16
 
-# Such a file may refer to other files for its mesh, so its own bytes do not identify the mesh.
+# Files with these endings may refer to other files for their meshes, so that their own bytes do not identify the mesh.
 LINKING = (".gltf", ".glb")
 
 # Types of options in a record.
@@ -160,9 +160,9 @@ def fit(
     then renamed.
 
     A mesh is skipped if its body and record exist, the body has not changed since it was written, and the record has
-    the checksum of the mesh file, the same options and the same version of loewner. If a call was interrupted, or its
-    workers died, repeating the call therefore continues where it stopped. A glTF file that refers to other files is
-    always fitted again.
+    the checksum of the mesh file, the same options and the same version of loewner. Repeating a call that was
+    interrupted, or whose workers died, therefore continues where the first call stopped. A glTF file that refers to
+    other files is always fitted again.
 
     If a worker dies, Dask gives its files to the remaining workers, including finished files whose outcome was lost
     with the worker. Tasks may be cancelled while the scheduler runs, for instance because its connection breaks or it
@@ -549,8 +549,8 @@ def certify_edges(checker: CollisionChecker, Q0: Any, Q1: Any, *, tolerance: flo
 
     Notes
     -----
-    As for `collide`. A motion takes tens of times as long as a configuration, so about a thousand motions per chunk are
-    suitable. Values change linearly here, whereas a roadmap moves joints that turn without limits the shorter way
+    As for `collide`. A motion takes dozens of times as long as a configuration, so about a thousand motions per chunk
+    are suitable. Values change linearly here, whereas a roadmap moves joints that turn without limits the shorter way
     around. For such joints, add the necessary whole turns to `Q1`.
 
     Examples

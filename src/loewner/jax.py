@@ -27,7 +27,8 @@ def clearance(checker: CollisionChecker, *, softness: float = 0.005) -> Callable
     Parameters
     ----------
     checker : CollisionChecker
-        Its scene may change between calls; each call, even of a compiled function, uses the scene's current state.
+        A checker whose scene may change between calls; each call, even of a compiled function, uses the scene's current
+        state.
     softness : float
         Softness in metres; see `CollisionChecker.clearance`.
 
@@ -101,8 +102,7 @@ def distance(checker: CollisionChecker) -> Callable[[Any], Any]:
 
     Notes
     -----
-    As for `clearance`; float32 distances are rounded down as well. The gradient is the gradient of
-    `CollisionChecker.distance`.
+    As for `clearance`; float32 distances are rounded down as well. Gradients are as for `CollisionChecker.distance`.
 
     Examples
     --------

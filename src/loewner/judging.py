@@ -199,7 +199,7 @@ class Judgement(_validate.Brief):
         Returns
         -------
         dict
-            Numbers of parts, by `Finding`.
+            The number of parts with each `Finding`.
 
         Examples
         --------
@@ -287,7 +287,7 @@ def judge_answers(
     Raises
     ------
     PoseError, InputError
-        As for `distance`; if the shapes of answers do not broadcast with the poses; if an answer is infinite, or a
+        As for `distance`; also if the shapes of answers do not broadcast with the poses; if an answer is infinite, or a
         depth is negative; or if no answer is given.
 
     Notes

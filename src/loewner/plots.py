@@ -229,7 +229,7 @@ def configuration(checker: CollisionChecker, q: ArrayLike, *, ax: Any = None) ->
 
 
 def cover(robot: Robot, model: Robot, q: ArrayLike | None = None, *, ax: Any = None) -> Any:
-    """Draw a robot, in red where a link is outside the shapes that should contain it, and these shapes.
+    """Draw a robot with the shapes that should contain its links; parts of links outside their shapes are red.
 
     Colours are chosen for triangles of about 3 % of each link's size, so that smaller holes may be missed;
     `Robot.covered_by` proves where there are holes.
@@ -556,7 +556,7 @@ def accuracy(counts: Mapping[str, Mapping[str, tuple[int, int]]], *, ax: Any = N
     Returns
     -------
     matplotlib axes
-        The axes, with families from top to bottom, each with a line and a dot for every rule that has answers.
+        The axes, with families from top to bottom; each family has a line and a dot for every rule with answers.
 
     Raises
     ------

@@ -21,7 +21,7 @@ from loewner.queries import pairs as queries
 # Answers of another program, by the names of arguments of `judging.judge_answers`.
 Answers = Mapping[str, Any]
 
-# Decimals to which corners are rounded, in the order in which this is tried.
+# Numbers of decimals to which corners are rounded, in the order in which they are tried.
 DECIMALS = (1, 2, 3, 4, 6)
 
 # Limit on the number of differences between corners of two bodies that are searched.

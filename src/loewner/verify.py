@@ -56,7 +56,7 @@ STILL: Pose = (ONE, 0, 0, 0, ONE, 0, 0, 0, ONE), (0, 0, 0)
 
 
 class Refused(Exception):
-    """A file that is not a proof, with the reason."""
+    """The file is not a proof; the message gives the reason."""
 
 
 @dataclass(frozen=True)

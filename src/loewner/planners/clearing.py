@@ -16,14 +16,14 @@ from loewner.robots.checking.problem import Problem
 # Additional cost of a motion in contact, as a multiple of its length.
 RISE = 9.0
 
-# Least number of motions into which a path is divided, and the most motions of a path that is still divided.
+# Least number of motions into which a path is divided, and largest number of motions of a path that is divided.
 MOTIONS, MOST_MOTIONS = 48, 400
 
 # The first step of a point, as a share of a motion's length; factors of the step after a success and after a failure;
 # and the step below which a point rests.
 FIRST_STEP, LONGER, SHORTER, LEAST_STEP = 1.0, 1.5, 0.5, 1e-3
 
-# Points are left out where the cost rises by at most this share.
+# Points are left out where this raises the cost by at most this share.
 TOLERATED = 1e-3
 
 # Motions are measured at points that are at most this share of the path's length apart.

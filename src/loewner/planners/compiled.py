@@ -27,15 +27,15 @@ KEPT = 2.0
 # Initial capacity of trees, in configurations.
 CAPACITY = 2048
 
-# Iterations and cuts between two checks of the clock and for an interrupt, initially and at most; there are fewer
-# iterations if they would take longer than this [s].
+# Number of iterations and cuts between two checks of the clock and for an interrupt, initially and at most. There are
+# fewer iterations if they would take longer than A_WHILE [s].
 FIRST, AT_A_TIME = 64, 512
 A_WHILE = 0.01
 
 # More iterations than any search makes.
 UNLIMITED = 2**40
 
-# Default number of cuts to try: more find little, and take longer than the search itself.
+# Default number of cuts to try: more cuts gain little, and take longer than the search itself.
 CUTS = 60
 
 # Number of motions between the trees that are examined for the message of a search that found nothing.

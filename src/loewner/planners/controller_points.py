@@ -71,7 +71,7 @@ class Origin:
         Bodies that the robot carries in another part of the message, but not here; queries raise an error if the scene
         has attached them.
     straight : tuple of str
-        Columns that are interpolated by straight lines although others have velocities: motions of a base.
+        Columns of a base, which are interpolated by straight lines although other columns have velocities.
     """
 
     place: str = ""

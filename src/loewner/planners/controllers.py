@@ -21,13 +21,13 @@ MOST_BYTES = 2**24
 TIMES = ("time", "time_from_start")
 VELOCITY, ACCELERATION, BLEND = " velocity", " acceleration", "blend"
 
-# Controllers that take trajectories, by the end of their types in ros2_control and ROS 1, and by MoveIt's type.
+# Controllers that accept trajectories, by the end of their types in ros2_control and ROS 1, and by MoveIt's type.
 TRAJECTORY = ("JointTrajectoryController", "FollowJointTrajectory")
 
-# Keys that lead to controllers and are no part of their names.
+# Keys that lead to controllers and are not part of their names.
 AROUND = ("", "**", "ros__parameters", "controller_manager", "moveit_simple_controller_manager")
 
-# Keys of a controller that takes trajectories: used here; and without an effect on the points that it takes.
+# Keys of a controller that accepts trajectories: the keys that are used here, and keys without an effect on the points.
 USED = ("joints", "type", "allow_partial_joints_goal", "interpolation_method", "name")
 HARMLESS = (
     *("action_ns", "default", "ros__parameters", "command_joints", "command_interfaces", "state_interfaces"),

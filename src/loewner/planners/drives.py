@@ -76,8 +76,8 @@ class Drive(KeepsReadOnly):
         Configurations at which motions begin, and the last configuration. The base does not move straight between two
         configurations, so use `positions`.
     motions : ndarray, shape (k, 2)
-        Length of each motion [m], negative for backwards, and its turn [rad], positive to the left. An arc has both, a
-        straight line no turn, and a turn in place no length.
+        Length of each motion [m], negative for backwards, and its turn [rad], positive to the left. An arc has a length
+        and a turn; a straight line has no turn, and a turn in place has no length.
     columns : tuple of int
         The columns of x, y and theta.
     times : ndarray, shape (k + 1,)

@@ -91,10 +91,11 @@ class GateAnswer(_validate.Brief):
         be executed, that is, with periods of dt / scale. The scale is 0 if none of the three suffices, or if no work is
         left to find it.
     reason : str
-        Why not all targets may be executed. "contact": the robot collides on the way to a target. "brake": the robot
-        collides while it brakes, or there are no more targets than the latency has periods. "may be hit": the robot
-        collides only with bodies that are away from their given poses, or nothing is proven near contact. "limits": a
-        target is outside the limits or too fast. "budget": the work was used up. The reason is empty for GO.
+        The reason why not all targets may be executed. "contact": the robot collides on the way to a target. "brake":
+        the robot collides while it brakes, or there are no more targets than the latency has periods. "may be hit": the
+        robot collides only with bodies that are away from their given poses, or nothing is proven near contact.
+        "limits": a target is outside the limits or too fast. "budget": the work was used up. The reason is empty for
+        GO.
     names : tuple of str
         The pair of bodies in question, or the joint; empty if there is none.
     distance, normal : float, ndarray of shape (3,)
@@ -104,8 +105,8 @@ class GateAnswer(_validate.Brief):
         The brake to execute after `steps` targets (and the gate's `latency`) if no new answer arrives by then, or at
         once if the state is BRAKE.
     is_proven : bool
-        Whether this brake is proven free. It is proven unless nothing was proven before, the robot has left the proven
-        tube, or the world has left its bounds.
+        Whether `brake` is proven free. The brake is proven unless nothing was proven before, the robot has left the
+        proven tube, or the world has left its bounds.
     work : int
         Number of steps that the proofs took; see `CollisionChecker.certify_edges`.
 
@@ -350,7 +351,7 @@ class Gate:
         -----
         Proofs of earlier checks are used again under three conditions: the targets continue unchanged; the scene has
         not changed, or each body is within its earlier bounds; and the measured state is within `joint_error` and
-        `velocity_error` of the proven motion. Otherwise everything is proven again.
+        `velocity_error` of the proven motion. If a condition does not hold, everything is proven again.
         """
         robot = self._checker.robot
         period, now = _validate.positive_scalar(dt, "dt"), self._time(time)
@@ -382,8 +383,8 @@ class Gate:
         Returns
         -------
         Proof
-            Its motions are the chunk's motions up to the last target with a proven brake, followed by all pieces of the
-            brakes in the order of the ticks. Every motion may deviate by as much as the brakes.
+            The motions of the proof are the chunk's motions up to the last target with a proven brake, followed by all
+            pieces of the brakes in the order of the ticks. Every motion may deviate by as much as the brakes.
 
         Raises
         ------

@@ -30,28 +30,29 @@ from loewner.robots import Proof, Robot
 # polishing shortens the paths that they find.
 SLACK = 1.5
 
-# Iterations of a search, at first and at most; and the factors of this number after a failure and after a success.
+# Number of iterations of a search, at first and at most; and the factors of this number after a failure and after a
+# success.
 FIRST_SEARCH, MOST_SEARCH = 100, 512
 AFTER_FAILURE, AFTER_SUCCESS = 1.5, 0.7
 
 # The longest motion of a tree, as a share of the best cost.
 SHARE = 1 / 4
 
-# Steps of polishing: for a new path; for one that then costs less than this multiple of the best cost; and for the best
-# path in each round.
+# Number of polishing steps: for a new path; for a path that then costs less than PROMISING times the best cost; and for
+# the best path in each round.
 QUICK_STEPS, MORE_STEPS, BEST_STEPS = 24, 60, 24
 PROMISING = 1.2
 
-# Rows that a path may gain.
+# Number of rows that a path may gain.
 ROOM = 64
 
 # A path that costs at most this share more than the straight path is not improved.
 NOTHING_LEFT = 1e-9
 
-# Weights outside this range, or their inverses, would make squares of costs overflow in the worst case.
+# Weights above this, or whose inverses are above this, would make squares of costs overflow in the worst case.
 LARGEST_WEIGHT = 1e9
 
-# Below this, the gradient of the cost near obstacles might overflow [m].
+# Smallest clearance [m]: for smaller ones, the gradient of the cost near obstacles might overflow.
 LEAST_CLEARANCE = 1e-9
 
 

@@ -186,9 +186,9 @@ def plan_in_time(
     velocity : float or array_like, shape (dof,), optional
         The largest velocity of each value [rad/s or m/s]. Default: the URDF's limits (`Robot.velocity`).
     arrive_by : float, optional
-        The latest arrival [s], on the same clock as `start_time`. The default, which is also the upper limit, leaves
-        four times the time that the joints need to cross their ranges, after the end of all motions, or after two
-        periods of a motion that repeats.
+        The latest arrival [s], on the same clock as `start_time`. The default, which is also the upper limit, is four
+        times the time that the joints need to cross their ranges, counted from the end of all motions; a motion that
+        repeats counts with two periods.
     search : Search, optional
         Its `max_iterations`, `timeout` and `simplify` apply; `planner` must not be set, and motions are always proven.
 

@@ -26,10 +26,11 @@ LEAST_TOLERANCE = 1e-9
 # The largest angle of a line [rad]: at half a turn, rounding decides which way around is the shorter one.
 LARGEST_ANGLE = np.pi - 1e-6
 
-# Rounding of a deviation from a line on a curve, for each joint, times the lengths and the largest value.
+# Rounding error of a deviation from a line on a curve, for each joint, in units of the lengths and the largest value.
 ROUNDINGS = 128.0 * tolerances.UNIT_ROUNDOFF  # certified.md B68
 
-# Equal parts into which a course is divided, until its bound is within the tolerance; and configurations at a time.
+# Numbers of equal parts into which a course is divided, in turn, until its bound is within the tolerance; and the
+# number of configurations at a time.
 PARTS, MOST_CONFIGURATIONS = (4, 16, 64, 256, 1024), 2**14
 
 

@@ -25,15 +25,16 @@ TRIED = np.arange(9) / 8
 # Extremes and jumps below this share of the largest value count as rounding errors.
 ROUNDED = 1e-9
 
-# Times are doubted if the largest velocity, times a factor of a unit of time, is between two shares of its limit.
+# Times are doubted if the largest velocity, multiplied by the factor of a unit of time, would be between the two LIKELY
+# shares of its limit.
 UNITS = {1e3: "milliseconds", 1e6: "microseconds", 1e9: "nanoseconds"}
 LIKELY = (0.05, 2.0)
 
-# Without a limit of velocity, this one is assumed for that doubt [rad/s or m/s].
+# Velocity limit that is assumed for this check of a joint without a limit [rad/s or m/s].
 USUAL = 2.0
 
-# Velocities at both ends of a monotone cubic are within this multiple of its mean velocity; and the share of a joint's
-# way on other pieces from which velocities are doubted.
+# Velocities at both ends of a monotone cubic are at most STEEPEST times its mean velocity. Velocities are doubted if
+# pieces with other velocities cover more than the share DOUBTED of a joint's way.
 STEEPEST, DOUBTED = 3.0, 0.5
 
 

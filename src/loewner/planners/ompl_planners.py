@@ -40,7 +40,7 @@ def space_information(
     Parameters
     ----------
     checker : CollisionChecker
-        Changes to its scene take effect at the next checked state.
+        The checker; changes to its scene take effect at the next checked state.
     joints : str or iterable of str, optional
         A group, or names of joints. These joints are the dimensions of the state space, in the order of the robot's
         `configuration_names`. Default: all joints.

@@ -48,8 +48,8 @@ class PoseGoal:
     approach, retreat : float, array_like, shape (3,), or (str, array_like), optional
         Straight lines of the link to the goal and away from it. Each line is given by the link's displacement in
         metres: a vector in the frame of the link at the goal, or ``("world", vector)`` in the frame of the world. A
-        number is a distance along the link's z axis: an approach goes forward, a retreat goes back. The link keeps its
-        rotation.
+        number is a distance along the link's z axis: an approach goes forward, and a retreat goes back. The link keeps
+        its rotation.
 
     Notes
     -----

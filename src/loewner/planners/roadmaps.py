@@ -566,7 +566,7 @@ def roadmap(
         within half a turn of its value in `fixed`.
     neighbours : int, optional
         Number of nearest neighbours to which each node is connected if possible. Default: e (1 + 1/d) ln n for n nodes
-        and d joints, as in PRM*, so that the paths converge to the shortest ones as the number of samples grows.
+        and d joints, as in PRM*, so that the paths converge to shortest paths as the number of samples grows.
     seed : int
         Equal seeds give equal roadmaps and equal paths.
 

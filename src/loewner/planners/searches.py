@@ -38,7 +38,7 @@ class Search:
         Time limit of the search, in seconds; simplifying takes additional time. OMPL planners that seek a shortest path
         always use all of this time.
     simplify : bool
-        Shorten the path. Paths of OMPL planners are also smoothed, by OMPL's path simplifier.
+        Shorten the path. Paths of OMPL planners are also smoothed by OMPL's path simplifier.
 
     Raises
     ------

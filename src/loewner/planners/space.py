@@ -22,13 +22,13 @@ from loewner.robots.proofs import tracking
 from loewner.robots.proofs.proofs import prove_by_rules
 from loewner.scenes.scene import Contact
 
-# A smaller deviation, in the units of the joints, is probably due to rounding.
+# A deviation below this, in the units of the joints, is probably due to rounding.
 A_HAIR = 1e-4
 
 # Limit on the configurations and pairs that a message names.
 NAMED = 5
 
-# The largest joint error that is tried for a message [rad or m]: where nothing is near, larger ones only overflow.
+# The largest joint error that is tried for a message [rad or m]: where nothing is near, larger errors only overflow.
 MOST_ERROR = 1e9
 
 

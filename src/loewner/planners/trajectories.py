@@ -909,17 +909,18 @@ def trajectory(
     velocity : float or array_like, shape (dof,), optional
         Velocity limits [rad/s or m/s]. Default: from `limits`, or from the URDF (`Robot.velocity`).
     acceleration : float or array_like, shape (dof,), optional
-        Acceleration limits [rad/s² or m/s²]. Default: from `limits`. A URDF has no acceleration limits; a joint without
-        a limit reaches its velocity limit in one second.
+        Acceleration limits [rad/s² or m/s²]. Default: from `limits`, or from a URDF of version 1.2; a joint without a
+        limit reaches its velocity limit in one second.
     jerk : float or array_like, shape (dof,), optional
-        Jerk limits [rad/s³ or m/s³]. Default: from `limits`. Without jerk limits, accelerations jump.
+        Jerk limits [rad/s³ or m/s³]. Default: from `limits`, or from a URDF of version 1.2. Without jerk limits,
+        accelerations jump.
     limits : JointLimits, optional
         Limits from a file; the path must be within the position limits.
     checker : CollisionChecker, optional
         A checker for this robot. The motions of the path must be proven free.
     blend : float
         Fraction of a motion, from 0 (stop at every corner) to 0.49, that the blend at each end of the motion may take.
-        It has an effect only with a checker.
+        Without a checker, `blend` has no effect.
     line : str, Line or iterable, optional
         One or several links that keep straight lines, as on a path from `straight`. A name means that the link keeps a
         line on the whole path, within 0.1 mm and 1 mrad; a `Line` can give rows of the path and other tolerances. The
@@ -992,7 +993,8 @@ def fastest_along(
     last_speed: float = 0.0,
     kept: Sequence[OnLine] = (),
 ) -> Trajectory:
-    """Follow motions as fast as possible; with a judge, use proven blends that take up to a share of the motions.
+    """Follow motions as fast as possible; with a judge, use proven blends that take up to the given share of the
+    motions.
 
     Without jerk limits, the path has the given speed at its end, as a share of full speed, or the highest speed below
     it that can be reached. Blends on `kept` lines stay on them.

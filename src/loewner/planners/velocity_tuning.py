@@ -37,7 +37,7 @@ from loewner.robots.checking import verdicts
 STATIONS = 48
 SHARES = np.sqrt(np.arange(13) / 12)
 
-# Bins of time in the duration of the fastest trajectory, and the largest number of bins at all stations.
+# Number of bins of time in the duration of the fastest trajectory, and the largest number of bins at all stations.
 BINS, MOST_BINS = 64, 2**19
 
 # The first horizon, in durations of the fastest trajectory.
@@ -153,13 +153,13 @@ def time_path(
     ----------
     checker : CollisionChecker
     path : array_like, shape (k, dof)
-        Two or more configurations, for example from `plan` with a scene without the moving bodies. Its motions must be
-        proven free in this scene.
+        Two or more configurations, for example from `plan` with a scene without the moving bodies. The motions of the
+        path must be proven free in this scene.
     start_time : float
         Time at which the robot is at rest at the first configuration [s], on the clock of the bodies' motions.
     arrive_by : float, optional
-        The latest arrival [s]. The default, which is also the upper limit, leaves twice the time that the path takes
-        without moving bodies, after the end of all their motions, or after two periods of a motion that repeats.
+        The latest arrival [s]. The default, which is also the upper limit, is twice the time that the path takes
+        without moving bodies, counted from the end of all their motions; a motion that repeats counts with two periods.
     arrive_at : float, optional
         The time of arrival [s]. Default: the earliest time that the search finds.
     end_velocity : array_like, shape (dof,), optional
@@ -200,8 +200,8 @@ def time_path(
     "path-velocity decomposition", IJRR 1986). The search has a finite resolution: it may fail although a timing exists,
     and the result need not arrive as early as possible. If nothing is in the way, the result is the trajectory that
     `trajectory` finds. Otherwise, with limited jerk, the robot follows the average of its positions over a window of
-    time, such as 0.2 s for 10 rad/s² and 100 rad/s³. The average keeps the limits of velocity and acceleration. It
-    takes longer by the length of the window, and the robot stays at each stop for that long.
+    time, such as 0.2 s for 10 rad/s² and 100 rad/s³. The average keeps the limits of velocity and acceleration. The
+    averaged trajectory takes longer by the length of the window, and stays at each stop for that long.
 
     Examples
     --------
