@@ -228,9 +228,9 @@ def plan_drive(
     Notes
     -----
     A* searches a lattice of arcs, lines and turns in place (hybrid A*: Dolgov et al., IJRR 2010) until one of its poses
-    is connected to the goal by a Reeds-Shepp path (a Dubins path if the base may not reverse), or by a turn, a line and
-    a turn. Parts of the path are then replaced with shorter ways of the same kinds. A contact counts as a collision
-    even if `Scene.leave` or `Scene.reach` permits it elsewhere.
+    is connected to the goal. The connection is a Reeds-Shepp path, or a Dubins path if the base may not reverse, or a
+    turn, a line and a turn. Parts of the path are then replaced with shorter ways of the same kinds. A contact counts
+    as a collision even if `Scene.leave` or `Scene.reach` permits it elsewhere.
 
     Examples
     --------

@@ -220,10 +220,10 @@ class _Chunk(NamedTuple):
 class Gate:
     """Judge chunks of joint targets in a control loop: how far may they run so that the robot can still brake?
 
-    A chunk is FREE to run up to a target if the straight motions to it, and a brake from each target, are proven free,
-    for all deviations within the errors below and all places of bodies within their bounds (`Scene.follow`,
-    `Scene.move`). The claim is that nothing collides before the robot is at rest; a body may run into the robot
-    afterwards. A gate is not a safety function in the sense of IEC 61508 or ISO 13849.
+    A chunk is FREE to run up to a target if the straight motions to it, and a brake from each target, are proven free.
+    The proofs cover all deviations within the errors below, and all places of bodies within their bounds
+    (`Scene.follow`, `Scene.move`). The claim is that nothing collides before the robot is at rest; a body may run into
+    the robot afterwards. A gate is not a safety function in the sense of IEC 61508 or ISO 13849.
 
     Parameters
     ----------

@@ -176,9 +176,10 @@ def plan(
         If a pose cannot be reached, or has no free approach or retreat; if the start or all goals are outside the
         limits, collide, do not keep the axis, or are not proven free within the joint error; if no short motion along
         the contact normal ends a contact at the start, or begins a contact at the goal; if no path was found within the
-        iterations or in time; or if OMPL's path fails the final check. The message gives the reason with its numbers:
-        how near the link came, joints or pairs and depths, the largest error that is proven, how far the search got and
-        which pairs prevent motions between the trees, or the motion that fails.
+        iterations or in time; or if OMPL's path fails the final check. The message gives the reason with its numbers,
+        such as how near the link came to the pose, which joints or pairs are at fault and how deep the pairs are, the
+        largest error that is proven, how far the search got and which pairs prevent motions between the trees, or which
+        motion fails.
     InputError
         If an argument has the wrong shape or value, a goal moves a joint that is not among `joints`, or one of `joints`
         is a planar, floating or ball joint, which has no limits to search within; or if options exclude each other.
