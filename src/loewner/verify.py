@@ -69,27 +69,27 @@ class Report:
         The SHA-256 of the model, and the numbers of links, values, bodies, pieces, pairs proven apart, planes, and
         intervals of pairs.
     margins, deviations : (float, int), and tuple of (str, float)
-        `margins` has the usual margin, and the number of pairs with another margin. `deviations` has the name of each
-        value, and how far the value may deviate.
+        ``margins`` has the usual margin, and the number of pairs with another margin. ``deviations`` has the name of
+        each value, and how far the value may deviate.
     left_out, uncovered : tuple of (str, str), and of str
-        `left_out` lists pairs that the model exempts, and `uncovered` bodies with an interior that their pieces do not
-        cover, so that the planes do not exclude it.
+        ``left_out`` lists pairs that the model exempts, and ``uncovered`` bodies with an interior that their pieces do
+        not cover, so that the planes do not exclude it.
     points, motions : tuple of tuple of tuple of float, and tuple of (int, bool, bool, int)
-        `points` has the control points of each motion. `motions` has the degree of each motion, whether it starts where
-        the previous motion ends, whether its control points are within the limits of the values, and the number of its
-        configurations at which planes were checked.
+        ``points`` has the control points of each motion. ``motions`` has the degree of each motion, whether it starts
+        where the previous motion ends, whether its control points are within the limits of the values, and the number
+        of its configurations at which planes were checked.
     tightest, common : (str, str, int, Fraction, Fraction, float, Fraction) or None, and (str, str) or None
-        `tightest` is the check with the least room to spare: two bodies, a motion, an interval, the margin, and the
-        remaining room. If the file claims a common point, `common` names the two bodies that have this point.
+        ``tightest`` is the check with the least room to spare: two bodies, a motion, an interval, the margin, and the
+        remaining room. If the file claims a common point, ``common`` names the two bodies that have this point.
     rules, contacts : tuple of (str, str, int), and of (str, str, int, Fraction, Fraction, float)
-        `rules` lists pairs that may be in contact at the start (1) or at the end (2) of motions, or at both (3).
-        `contacts` lists two bodies, a motion, an interval, and the least distance between the bodies in metres,
+        ``rules`` lists pairs that may be in contact at the start (1) or at the end (2) of motions, or at both (3).
+        ``contacts`` lists two bodies, a motion, an interval, and the least distance between the bodies in metres,
         negative for an overlap.
     ranges : tuple of (str, str, float, tuple of (str, float, float, bool))
         If the file claims ranges: two bodies, their margin in metres, and the values between them. Each value has a
         name, the ends of the range over which the bodies are farther apart than the margin, and whether the range
-        covers everything that the value can be. The last five entries of `tightest` are then the index of the pair, 0,
-        1, the margin, and the remaining room.
+        covers everything that the value can be. The last five entries of ``tightest`` are then the index of the pair,
+        0, 1, the margin, and the remaining room.
     """
 
     model: str

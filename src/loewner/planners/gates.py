@@ -105,7 +105,7 @@ class GateAnswer(_validate.Brief):
         The brake to execute after `steps` targets (and the gate's `latency`) if no new answer arrives by then, or at
         once if the state is BRAKE.
     is_proven : bool
-        Whether `brake` is proven free. The brake is proven unless nothing was proven before, the robot has left the
+        Whether ``brake`` is proven free. The brake is proven unless nothing was proven before, the robot has left the
         proven tube, or the world has left its bounds.
     work : int
         Number of steps that the proofs took; see `CollisionChecker.certify_edges`.

@@ -86,15 +86,15 @@ class Trajectory(KeepsReadOnly):
         Times in seconds from the start; the first is 0.
     knots, rates : ndarray, shape (n, dof)
         Positions [rad or m] and velocities [rad/s or m/s] at these times. The robot starts and ends at rest, except in
-        plans in time, at the start of a brake, and at an `end_velocity` of `time_path`. Where velocities jump, `rates`
-        has the values after the jump.
+        plans in time, at the start of a brake, and at an `end_velocity` of `time_path`. Where velocities jump,
+        ``rates`` has the values after the jump.
     blended : ndarray of bool, shape (n - 1,)
         Whether the robot cuts a corner during each interval; in all other intervals it is on the path.
     bends : ndarray, shape (n, dof), or None
         Accelerations at these times [rad/s² or m/s²] if the jerk is limited; otherwise None, since accelerations jump.
     jumps : bool
-        Whether velocities jump at these times. If `bends` is None, velocities are constant in between. Otherwise,
-        `bends` are the accelerations just after these times, and accelerations change linearly in between, as on a
+        Whether velocities jump at these times. If ``bends`` is None, velocities are constant in between. Otherwise,
+        ``bends`` are the accelerations just after these times, and accelerations change linearly in between, as on a
         brake through joint targets (`stop_at`).
     start_time : float
         When the trajectory starts, in seconds on the clock of bodies that follow motions (`Scene.follow`); the default
