@@ -6,7 +6,7 @@ motions. `checker` defines `CollisionChecker`, which users call. `sampling` gues
 `gradients` prepares queries for JAX and PyTorch.
 """
 
-from loewner.robots import covers as _covers  # noqa: F401 - it answers methods of Robot, and so do the next two
+from loewner.robots import covers as _covers  # noqa: F401 - implements methods of Robot, as do the next two
 from loewner.robots import swept as _swept  # noqa: F401
 from loewner.robots.checker import CollisionChecker
 from loewner.robots.checking.distances import PairDistances, StateDistance

@@ -42,10 +42,10 @@ from loewner.scenes.scene import drawn as drawn_scene
 # Pairs are reordered after this many configurations, and again each time their number has doubled.
 FIRST_LOOK = 32
 
-# Random configurations in which a pair has to collide, too, to be suspected of colliding in all.
+# Number of random configurations in which a pair must also collide before it is suspected of colliding in all.
 SUSPECTED = 64
 
-# Version of the scene, queries of one configuration, and the problem behind them: one tuple, for threads and for speed.
+# Version of the scene, queries of one configuration, and their problem, in one tuple for thread safety and for speed.
 UNPREPARED: tuple[int, Any, Any] = (-1, None, None)
 
 
@@ -57,7 +57,7 @@ class CollisionChecker:
     ----------
     robot : Robot
     scene : Scene, optional
-        The scene may be changed afterwards; the next query uses its new state. Default: no scene, only the robot.
+        The scene may be changed afterwards; the next query uses its new state. By default only the robot is checked.
     allowed : iterable of pairs of str, optional
         Pairs of links that may touch, in addition to the robot's `disabled_pairs`; for instance the keys of the dict
         that `pairs_by_sampling` returns.
@@ -74,14 +74,15 @@ class CollisionChecker:
 
     Notes
     -----
-    The checker tests all pairs of links that can move against each other, and all pairs of a link (or a body attached
-    to it) and a body of the scene, except for allowed pairs. Rigidly joined bodies are never checked against each
-    other. Bodies of the scene are not checked against each other either; `Scene.pairs` does that.
+    The checker tests all pairs of links that can move relative to each other, and all links and attached bodies against
+    all bodies of the scene, except for allowed pairs. Rigidly joined bodies are never checked against each other.
+    Bodies of the scene are not checked against each other either: use `Scene.pairs`.
 
     The scene's margin applies to pairs with a body of the scene; a pair of links has a margin only if
     `Scene.set_margin` sets one for all links, for one of the two, or for the pair (see `Scene.margin_of`).
 
-    If no pair is checked (only one link; all pairs allowed), every configuration is free: see `checked_pairs`.
+    If no pair is checked (for example, because all pairs are allowed), every configuration is free: see
+    `checked_pairs`.
 
     Several threads may use a checker at once, and others may change its scene: each answer refers to one consistent
     state of the scene.
@@ -163,8 +164,8 @@ class CollisionChecker:
 
         Notes
         -----
-        The file contains prepared data, which only the same version of loewner can read. Contacts that `Scene.leave`
-        and `Scene.reach` permit at the ends of motions are not permitted there.
+        The file contains prepared data, which only the same version of loewner can read. Programs that read the file do
+        not permit the contacts of `Scene.leave` and `Scene.reach` at the ends of motions.
 
         Examples
         --------
@@ -177,7 +178,7 @@ class CollisionChecker:
 
     # -- queries ------------------------------------------------------------------------------
 
-    # Read-only: the prepared arrays belong to this robot and scene; another one would silently get their answers.
+    # Read-only: the prepared arrays are only valid for this robot and scene; others would silently get wrong answers.
     @property
     def robot(self) -> Robot:
         """The robot that is checked. A different robot, or a different pose of its base, needs a new checker."""
@@ -196,9 +197,9 @@ class CollisionChecker:
 
     @property
     def model_hash(self) -> str:
-        """SHA-256 of the model of the robot and the scene's present state, as in proofs: `Proof.model_hash`.
+        """SHA-256 of the model, that is, of the robot and the scene's present state: see `Proof.model_hash`.
 
-        Equal hashes mean equal numbers, to the last bit: links, joints, shapes, poses, pairs and margins. An InputError
+        Equal hashes mean that links, joints, shapes, poses, pairs and margins are equal to the last bit. An InputError
         is raised if proofs cannot express the robot or the scene.
         """
         return model_of(self._ready(timed=True)).hash
@@ -209,9 +210,9 @@ class CollisionChecker:
         Parameters
         ----------
         Q : array_like, shape (..., dof)
-            Entries as in `Robot.configuration_names`. Limits are not enforced: see `Robot.lower`.
+            Entries in the order of `Robot.configuration_names`. Limits are not enforced: see `Robot.lower`.
         t : float or array_like, shape (...), optional
-            Seconds, broadcast with the configurations; required if bodies of the scene follow motions.
+            Times in seconds, broadcast with the configurations; required if bodies of the scene follow motions.
 
         Returns
         -------
@@ -221,17 +222,17 @@ class CollisionChecker:
         Raises
         ------
         InputError
-            If the width is not dof, an entry is not finite, there are more than 2^24 pairs to check, or bodies of the
-            scene follow motions (`Scene.follow`) and no time is given.
+            If the width of Q is not dof, an entry is not finite, there are more than 2^24 pairs to check, or bodies of
+            the scene follow motions (`Scene.follow`) and no time is given.
         UnknownNameError
             If an attachment, an allowed pair or a margin of the scene names a link that the robot does not have.
         ConvergenceError
-            If a configuration could not be settled. It never counts as free instead.
+            If a configuration could not be settled. An unsettled configuration never counts as free.
 
         Warns
         -----
         UserWarning
-            Given once per robot, if a configuration is far outside the limits: see `Robot.checked`.
+            Once per robot, if a configuration is far outside the limits: see `Robot.checked`.
         """
         version, single, ready = self._prepared
         if t is None:
@@ -285,7 +286,7 @@ class CollisionChecker:
         return Verdict(int(out[0])) if checked.ndim == 1 else out.reshape(checked.shape[:-1])
 
     def tiers(self, Q: ArrayLike) -> Settled:
-        """Decide exactly, and count the configurations that each kind of test settled.
+        """Count the configurations that each kind of test settles in an exact decision.
 
         Parameters
         ----------
@@ -319,7 +320,7 @@ class CollisionChecker:
         return verdicts.collisions(found.verdicts, checked), found.counted()
 
     def valid_edges(self, Q0: ArrayLike, Q1: ArrayLike, resolution: float) -> OneOrMany:
-        """Decide which straight motions are free of collisions, from samples in steps no longer than `resolution`.
+        """Decide which straight motions are free of collisions, from samples at most `resolution` apart.
 
         Parameters
         ----------
@@ -383,24 +384,25 @@ class CollisionChecker:
         Q0, Q1 : array_like, shape (..., dof)
             Ends, broadcast together.
         tolerance : float
-            In metres. A motion that comes within this distance of colliding may be AMBIGUOUS; every other motion is
-            FREE or COLLIDING.
+            Distance in metres. A motion that comes within this distance of colliding may be AMBIGUOUS; every other
+            motion is FREE or COLLIDING.
         joint_error : float or array_like, shape (dof,)
             Radians or metres by which each value may deviate from the motion; FREE covers all such deviations. A motion
             that collides only for deviating values is AMBIGUOUS. With a joint error, contact at the ends is not
             allowed.
         t0, t1 : float or array_like, shape (...), optional
-            Seconds at which the motions begin and end, broadcast with them; required if bodies of the scene follow
-            motions (`Scene.follow`). The fraction f of a motion is then at the time t0 + f (t1 - t0).
+            Times in seconds at which the motions begin and end, broadcast with the motions; required if bodies of the
+            scene follow motions (`Scene.follow`). A motion reaches its fraction f at the time t0 + f (t1 - t0).
         steps : int, optional
-            Limit on the work for each motion: configurations placed, pairs of bodies and of pieces compared, searches,
-            and boxes of trees opened. A motion that takes more is given up as AMBIGUOUS, at the fraction and the pair
-            where its proof stopped. docs/certified.md, "Bounded work", gives the time of a step. Default: no limit.
+            Largest number of steps of work for each motion. Steps are placed configurations, compared pairs of bodies
+            or pieces, searches, and opened boxes of trees. A motion that needs more steps is AMBIGUOUS, at the fraction
+            and the pair at which its proof stopped. docs/certified.md, "Bounded work", gives the time of a step.
+            Default: no limit.
         proof : bool
-            Also write a `Proof` that all motions are free, in the order of the flattened batch, if they are. Such a
-            proof exists for joints that turn or slide, unless bodies follow motions. It states where bodies are in
+            If all motions are free, also write a `Proof` of this, in the order of the flattened batch. Such a proof
+            requires joints that turn or slide, and no bodies that follow motions. The proof states where bodies are in
             contact at the ends of motions (`Scene.leave`, `Scene.reach`), and how deeply they may overlap there.
-            Motions that start exactly where the previous one ends count as one curve, with a single depth.
+            Successive motions without gaps count as one curve, with a single depth.
 
         Returns
         -------
@@ -409,15 +411,15 @@ class CollisionChecker:
         Raises
         ------
         InputError
-            If the width is not dof, an entry is not finite, the shapes do not broadcast, the tolerance is not positive
-            and finite, or a joint error is negative; if a motion is so long that it would take more than 458,752
-            intervals; if bodies of the scene follow motions and a time is missing, or t1 is before t0; if `steps` is
-            not an integer >= 1; or if a proof of such a robot or scene cannot be written.
+            If the width of Q0 or Q1 is not dof, an entry is not finite, the shapes do not broadcast, the tolerance is
+            not positive and finite, or a joint error is negative; if a motion is so long that it would take more than
+            458,752 intervals; if bodies of the scene follow motions and a time is missing, or t1 is before t0; if
+            `steps` is not an integer >= 1; or if a proof of such a robot or scene cannot be written.
         UnknownNameError
             As for `collide`.
         ConvergenceError
             If the motions are free, but a proof cannot be written. Possible reasons are that the proof's bound on the
-            effect of joint errors is coarser, that a pair comes within some micrometres of its margin, or that the
+            effect of joint errors is too coarse, that a pair comes within a few micrometres of its margin, or that the
             planes of a contact do not suffice. The message names the pair.
 
         See Also
@@ -428,13 +430,13 @@ class CollisionChecker:
         -----
         Joint values change linearly, and orientations turn at a constant rate along the shorter arc, as in
         `Robot.between`. The proof takes no samples: a plane that separates two bodies proves a whole interval of the
-        motion, and an interval without such a plane is halved. docs/certified.md derives it. Surfaces and clouds are
-        replaced by convex hulls of a few parts and, where these meet, by their triangles or points. The first call with
-        a new surface takes longer, since it computes the parts.
+        motion, and an interval without such a plane is halved. docs/certified.md gives the derivation. Surfaces and
+        clouds are replaced with the convex hulls of a few parts and, where these hulls meet, with the triangles or
+        points in them. The first call with a new surface takes longer, since it computes the parts.
 
         Pairs named by `Scene.leave` may be in contact at the start of a motion, and pairs named by `Scene.reach` at its
         end. A contact at the start becomes deeper along the motion by no more than the tolerance; a contact at the end
-        is no deeper than the tolerance. This also holds for bodies that follow motions.
+        is no deeper than the tolerance. Both bounds also hold for bodies that follow motions.
 
         Examples
         --------
@@ -513,7 +515,7 @@ class CollisionChecker:
         ----------
         curve : PPoly, BPoly, BSpline, planners.Trajectory, ControllerPoints or Drive, or a list of curves
             A continuous piecewise polynomial of time, of degree at most 7, with values of shape (dof,). Subclasses of
-            SciPy's types are accepted, such as ``CubicSpline(times, path)``. The columns are in the order of
+            SciPy's types, such as ``CubicSpline(times, path)``, are accepted. The columns are in the order of
             `Robot.configuration_names`, unless the curve itself names its columns. Quaternions are scaled to norm 1.
         tolerance : float
             Metres, as for `certify_edges`.
@@ -521,13 +523,13 @@ class CollisionChecker:
             Radians or metres by which each value may deviate from the curve; FREE covers all such deviations. With an
             error, contact at the ends is not allowed.
         t0 : float, optional
-            Seconds that are added to the curve's times, for example the time at which a trajectory that begins at 0 is
-            started. It is relevant only for bodies that follow motions, and the times in the result include it.
+            Offset in seconds that is added to the curve's times, for example the time at which a trajectory that begins
+            at 0 is started. The offset matters only for bodies that follow motions; the times in the result include it.
             Default: the `start_time` of a `planners.Trajectory` or of `planners.ControllerPoints`, and 0 for other
             curves.
         steps : int, optional
-            How much work each curve may take, as for `certify_edges`. Its segments share this limit: when nothing is
-            left, the remaining segments are AMBIGUOUS.
+            Largest number of steps of work for each curve, as for `certify_edges`. The segments of a curve share this
+            limit: when it is used up, the remaining segments are AMBIGUOUS.
         proof : bool
             Also write a `Proof` of each free curve, as for `certify_edges`.
 
@@ -540,7 +542,7 @@ class CollisionChecker:
         ------
         InputError
             If the curve has the wrong type, is for different joints, jumps, has a degree above 7, or has numbers that
-            are not finite or times that do not increase; if the values of a SciPy curve are not the ones that its
+            are not finite or times that do not increase; if the values of a SciPy curve differ from the values that its
             coefficients define; or as for `certify_edges` if a proof is requested.
         ConvergenceError
             As for `certify_edges`.
@@ -548,11 +550,11 @@ class CollisionChecker:
         Notes
         -----
         Each polynomial piece is proven over intervals; on each interval, a plane separates two bodies. The proof uses
-        bounds on the first and second derivatives, which docs/certified.md derives.
+        bounds on the first and second derivatives; docs/certified.md derives these bounds.
 
         Pairs named by `Scene.leave` may be in contact where the curve begins, and pairs named by `Scene.reach` where it
-        ends, as for `certify_edges`; the ends of its segments do not count. A segment is FREE if it is proven with the
-        contact that these rules allow. With a joint error, contact is not allowed.
+        ends, as for `certify_edges`; the ends of the curve's segments do not count. A segment is FREE if it is proven
+        with the contact that these rules allow. With a joint error, contact is not allowed.
 
         Examples
         --------
@@ -592,7 +594,7 @@ class CollisionChecker:
         Returns
         -------
         tuple of Contact
-            Each with the exact distance or depth, witness points and normal.
+            One entry per pair, with its exact distance or depth, witness points and normal.
         """
         time = None if t is None else _validate.finite_array(t, "t", ())
         checked, ready = self._at(self.robot.checked_one(q), time)
@@ -656,7 +658,7 @@ class CollisionChecker:
         Returns
         -------
         StateDistance
-            Distances in metres, and names: single values for one configuration, arrays for a batch.
+            Distances in metres and names of bodies, as single values for one configuration and as arrays for a batch.
 
         Raises
         ------
@@ -669,8 +671,8 @@ class CollisionChecker:
         -----
         The gradient is n · (J_b x_b - J_a x_a), with the normal n from a to b and the Jacobians J of the witnesses,
         regarded as points fixed to their links. Where the nearest pair or its witnesses are not unique (two pairs tie,
-        or faces or edges are parallel), the distance has a kink; the derivative for one of the choices is then
-        returned. The derivative with respect to a quaternion is taken through its rotation, so its component along the
+        or faces or edges are parallel), the distance has a kink, and the gradient is the derivative for one of the
+        choices. The derivative with respect to a quaternion is taken through its rotation, so its component along the
         quaternion is 0.
 
         Examples
@@ -729,13 +731,13 @@ class CollisionChecker:
 
         Notes
         -----
-        The gap of two ellipsoids is the distance between their supporting planes perpendicular to their contact normal,
-        n·r (1 - 1/√F) / ‖n‖ with the contact function F of Perram and Wertheim. It is at most their signed distance,
-        and analytic except where centers coincide. The result is -softness log Σ exp(-g / softness) over the gaps g
-        between the outer ellipsoids of all pairs of pieces, minus a bound on rounding. Each static surface or cloud
-        contributes up to 128 ellipsoids around its parts, unless it is a solid. Where the centers of
-        two ellipsoids coincide, the pair contributes nothing to the gradient; where they nearly coincide, the gradient
-        is finite but may be huge. The derivative with respect to a quaternion is as in `distance`.
+        The gap between two ellipsoids is the distance between their supporting planes perpendicular to their contact
+        normal, n·r (1 - 1/√F) / ‖n‖ with the contact function F of Perram and Wertheim. It is at most their signed
+        distance, and analytic except where centers coincide. The result is -softness log Σ exp(-g / softness) over the
+        gaps g between the outer ellipsoids of all pairs of pieces, minus a bound on rounding. Each static surface or
+        cloud contributes up to 128 ellipsoids around its parts, unless it is a solid. Where the centers of two
+        ellipsoids coincide, the pair contributes nothing to the gradient; where they nearly coincide, the gradient is
+        finite but may be huge. The derivative with respect to a quaternion is as in `distance`.
 
         Examples
         --------
@@ -861,7 +863,7 @@ class CollisionChecker:
             )
 
     def _keep(self, ready: Problem) -> None:
-        # Fast queries of one configuration take no time.
+        # Fast queries of one configuration have no argument for the time.
         timed = ready.paths is not None
         self._prepared = (-1, None, ready) if timed else (ready.version, ready.single, ready)
 
@@ -915,12 +917,12 @@ def _warn_of_refuted(robot: Robot) -> None:
 
 
 def _times_of(Q: Floats, t: Any) -> Floats:
-    """Return a time for each of some configurations."""
+    """Return one time per configuration."""
     return np.broadcast_to(np.asarray(t, dtype=np.float64), Q.shape[:-1]).ravel()
 
 
 def _begin_and_end(t0: Any, t1: Any) -> tuple[Floats, Floats] | None:
-    """Check the times at which motions begin and end; None for none."""
+    """Check the times at which motions begin and end; return None if there are none."""
     if t0 is None and t1 is None:
         return None
     if t0 is None or t1 is None:

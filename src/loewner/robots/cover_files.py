@@ -34,21 +34,22 @@ from loewner.scenes.scene import Scene
 
 FORMATS = ("curobo", "vamp", "foam", "pyroki", "urdf", "mjcf", "scene")
 
-# Formats of spheres alone. Their programs compute in float32, so numbers are rounded to it, outwards in writing.
+# Formats with spheres only. Their programs compute in float32, so numbers are rounded to float32, outwards when
+# written.
 OF_SPHERES = ("curobo", "vamp", "foam", "pyroki")
 
-# The format of a file by its suffix; keys decide between formats of one suffix.
+# Formats by suffix of the file; the keys of a file decide between formats with the same suffix.
 BY_SUFFIX = {".yml": "curobo", ".yaml": "curobo", ".xrdf": "curobo", ".json": "pyroki", ".urdf": "urdf"}
 BY_SUFFIX |= {".xml": "mjcf", ".mjcf": "mjcf"}
 
-# The largest file [bytes]: ten thousand spheres take one megabyte.
+# Size of the largest file that is read [bytes]: ten thousand spheres take one megabyte.
 MOST_BYTES = 2**25
 
-# By how much shapes other than spheres are enlarged on each side when they are written [m]: far more than the rounding
-# of angles and sizes of robots, whose parts are smaller than a kilometre.
+# How far shapes other than spheres are enlarged on each side when they are written [m]: far more than the rounding
+# errors of angles and sizes in a robot with parts smaller than a kilometre.
 WIDENED = 1e-9
 
-# Keys of cuRobo's files, of Lula's robot descriptions and of XRDF without shapes or rules on pairs.
+# Keys without shapes or rules on pairs, in cuRobo's files, Lula's robot descriptions and XRDF files.
 OF_CUROBO = frozenset((
     "acceleration_limits", "add_object_link", "api_version", "asset_root_path", "base_link", "composite_task_spaces",
     "cspace", "cspace_to_urdf_rules", "debug", "default_joint_positions", "default_q", "dynamics", "ee_link",
@@ -60,12 +61,12 @@ OF_CUROBO = frozenset((
 ))  # fmt: skip
 OF_FOAM = ("mean", "best", "worst", "spheres")
 
-# How notes call the spheres of pyroki and foam that are left out.
+# Name in notes for the spheres that are left out of files of pyroki and foam.
 WITHOUT_SIZE = "spheres with a radius of 0 or less"
 
 
 class _Balls(NamedTuple):
-    """Spheres of one link: shapes (n, 3) and (n,), in metres."""
+    """Spheres of one link: centers, shape (n, 3), and radii, shape (n,), in metres."""
 
     centers: Floats
     radii: Floats
@@ -78,7 +79,7 @@ class Model:
     Attributes
     ----------
     bodies : dict
-        Link name to body, in the frame of the link.
+        Bodies by link name, each in the frame of its link.
     ignored : frozenset of pairs of str, or None
         The pairs that the file's program does not check; None if the file has no rules on pairs.
     notes : list of str
@@ -90,13 +91,13 @@ class Model:
     notes: list[str] = field(default_factory=list)
 
     def note(self, what: str, names: Iterable[str]) -> None:
-        """Add a note about something that has these names, if there are any."""
+        """Add a note about the things with these names, if there are any."""
         if listed := list(names):
             self.notes.append(f"{what}: {some(listed)}")
 
 
 def with_cover(self: Robot, path: str | os.PathLike[str], format: str | None = None) -> Robot:
-    """Answer `Robot.with_cover`."""
+    """Implement `Robot.with_cover`."""
     file = _validate.path(path, "path")
     try:
         model = read_model(file, format)
@@ -125,7 +126,7 @@ def _told(notes: list[str]) -> str:
 
 
 def save_cover(self: Robot, path: str | os.PathLike[str], format: str | None = None) -> None:
-    """Answer `Robot.save_cover`."""
+    """Implement `Robot.save_cover`."""
     from loewner.bodies.exports import save_text
     from loewner.robots.description.exports import mjcf_text, save_urdf
 
@@ -161,14 +162,14 @@ def read_model(file: Path, format: str | None = None) -> Model:
     ----------
     file : Path
     format : str, optional
-        One of `FORMATS`. Default: by the suffix of the file and its keys.
+        One of `FORMATS`. By default the suffix and the keys of the file determine the format.
 
     Raises
     ------
     FileError
         If the file is missing or malformed, or a key occurs twice. The message gives the place.
     InputError
-        If the format cannot be known from the name.
+        If the format cannot be determined from the name.
     MissingExtraError
         If PyYAML or MuJoCo is needed and not installed.
     """
@@ -199,7 +200,7 @@ def read_model(file: Path, format: str | None = None) -> Model:
 
 
 def _read(parse: Callable[[bytes, Path, str], Node], file: Path, what: str) -> Node:
-    """Read the top of a file in YAML or JSON."""
+    """Read the top-level node of a YAML or JSON file."""
     return parse(read_regular(file, what, MOST_BYTES), file, what)
 
 
@@ -230,7 +231,7 @@ def _moved(body: Body, T: Floats) -> Body:
 
 
 def _body(centers: Floats, radii: Floats, link: str) -> Body:
-    """Make the body of spheres as a program in float32 has them."""
+    """Make a body of spheres, rounded to float32 as in the program of the file."""
     with np.errstate(over="ignore", under="ignore"):
         single = [np.float32(values).astype(float) for values in (centers, radii)]
     if not (np.isfinite(single[0]).all() and np.isfinite(single[1]).all() and (single[1] > 0.0).all()):
@@ -239,15 +240,15 @@ def _body(centers: Floats, radii: Floats, link: str) -> Body:
 
 
 def _rounded(balls: _Balls) -> _Balls:
-    """Round spheres to float32, so that each contains the given one; spheres in float32 stay as they are."""
+    """Round spheres to float32 so that each contains the given sphere; spheres in float32 stay as they are."""
     with np.errstate(over="ignore"):
         centers = np.float32(balls.centers).astype(float)
         moved = np.linalg.norm(centers - balls.centers, axis=1)
-        # The sum and the norm err by a few roundings, the norm relative to itself.
+        # The sum and the norm have errors of a few roundings; the error of the norm is relative to the norm.
         needed = np.where(moved > 0, np.nextafter(balls.radii + moved * (1 + 1e-12), np.inf), balls.radii)
         single = needed.astype(np.float32)
         radii = np.where(single < needed, np.nextafter(single, np.float32(np.inf)), single).astype(float)
-    if not np.isfinite(radii).all():  # nor are the others, if a center is not
+    if not np.isfinite(radii).all():  # a center that is not finite makes its radius not finite
         raise InputError(f"expected spheres that float32 can express, found a radius of {balls.radii.max():g} m")
     return _Balls(centers, radii)
 
@@ -265,7 +266,7 @@ def _spheres_of(body: Body, link: str, format: str) -> _Balls:
 
 
 def _balls(entries: Iterable[Node], link: str, grow: float, model: Model) -> Body | None:
-    """Read spheres, whose radii grow by a buffer; one with a radius of 0 or less then is how cuRobo disables it."""
+    """Read spheres and add a buffer to their radii; cuRobo disables a sphere by a resulting radius of 0 or less."""
     each = (entry.mapping(("center", "radius"), required=("center", "radius")) for entry in entries)
     balls = [(keys["center"].numbers(3), keys["radius"].number() + grow) for keys in each]
     return _of_positive(balls, link, "disabled spheres (radius of 0 or less)", model)
@@ -294,7 +295,7 @@ def _pairs(ignored: Mapping[str, Node]) -> frozenset[Pair]:
 
 
 def _read_curobo(keys: dict[str, Any], file: Path) -> Model:
-    """Read a configuration of cuRobo or the spheres of one, a robot description of Lula, or an XRDF."""
+    """Read a cuRobo configuration or its spheres, a Lula robot description, or an XRDF file."""
     model, unread = Model(), []
     for outer in ("robot_cfg", "kinematics"):
         if outer in keys:
@@ -305,14 +306,14 @@ def _read_curobo(keys: dict[str, Any], file: Path) -> Model:
     if keys.get("collision_spheres") is None:
         raise FileError(f"{shown(file)}: expected the key collision_spheres, found {some(keys) or 'none'}")
     spheres, buffer = keys.pop("collision_spheres"), keys.pop("collision_sphere_buffer", None)
-    if spheres.kind == "scalar":  # the name of a file beside, or in cuRobo's folder of configurations
+    if spheres.kind == "scalar":  # the name of a file next to this file, or in cuRobo's folder of configurations
         named = file.parent / spheres.text()
         inner = _read(read_yaml, named, "a file of spheres").mapping(None)
         spheres = inner.pop("collision_spheres", None)
         if spheres is None:
             raise FileError(f"{shown(named)}: expected the key collision_spheres, found {some(inner) or 'none'}")
         unread += list(inner)
-    if spheres.kind == "sequence":  # Lula lists mappings of one link each
+    if spheres.kind == "sequence":  # Lula lists one mapping per link
         links = [entry for item in spheres.items() for entry in item.mapping(None).items()]
     else:
         links = list(spheres.mapping(None).items())
@@ -350,7 +351,7 @@ def _read_curobo(keys: dict[str, Any], file: Path) -> Model:
 
 
 def _of_xrdf(keys: dict[str, Any], model: Model) -> dict[str, Any]:
-    """Return the keys that cuRobo's own files have, of an XRDF: the geometry of checks with the world."""
+    """Convert the keys of an XRDF file to keys of cuRobo's own files, with the geometry for checks with the world."""
     keys = dict(keys)
     geometry, world = keys.pop("geometry").mapping(None), keys.pop("collision", None)
     selves = keys.pop("self_collision", None)
@@ -400,7 +401,7 @@ def _curobo_text(robot: Robot, balls: Mapping[str, _Balls]) -> str:
 
 
 def _decimal(x: Any) -> str:
-    """Write a number without an exponent, which YAML 1.1 reads as text unless it has a decimal point."""
+    """Write a number without an exponent, since YAML 1.1 reads a number such as 1e-5 as text."""
     return np.format_float_positional(x + 0.0, trim="0")
 
 
@@ -427,12 +428,12 @@ def _read_pyroki(keys: dict[str, Any], file: Path) -> Model:
 
 
 def _pairs_file(file: Path) -> Path:
-    """Return the file of pairs beside a file of pyroki's spheres, which has no place for them."""
+    """Return the file of pairs next to a file of pyroki's spheres, which has no place for pairs."""
     return file.with_name(f"{file.stem}.ignored.json")
 
 
 def _read_foam(keys: dict[str, Any], file: Path) -> Model:
-    """Read foam's database: for each ``LINK::MESH`` the spheres of each branching factor and depth, finest last."""
+    """Read foam's database: for each ``LINK::MESH``, the spheres by branching factor and depth, finest last."""
     found: dict[str, list[Body]] = {}
     model = Model()
     if set(keys) == set(OF_FOAM):

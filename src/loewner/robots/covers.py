@@ -27,24 +27,24 @@ KINDS: tuple[Kind, ...] = get_args(Kind)
 # How far shapes may stick out of links by default [m].
 USUAL = 0.02
 
-# Number of configurations in which pairs are sought that meet only because of a cover's shapes: a pair that meets in
-# one of a hundred configurations is missed once in thirty thousand robots.
+# Number of configurations in the search for pairs that meet only because of a cover's shapes: a pair that meets in one
+# of a hundred configurations is missed once in thirty thousand robots.
 TRIED = 1000
 
 # Largest number of boxes of configurations for the proofs that these pairs never collide; most pairs take a few
 # thousand.
 BOXES = 200_000
 
-# Number of links that are covered at a time; each takes 100 MB.
+# Number of links that are covered at a time; each link takes 100 MB.
 MOST_THREADS = 4
 
-# For a number of shapes: the range of protrusions [m] that is searched, the first one, and the number of steps; and the
-# share of the number that is enough. Numbers of shapes fall about as the protrusion to the power of -1.25.
+# Search for a number of shapes: the range of protrusions [m], the first protrusion, the number of steps, and the share
+# of the number that suffices. The number of shapes falls about as the protrusion to the power of -1.25.
 LEAST, LARGEST, FIRST, STEPS, ENOUGH, POWER = 1e-4, 10.0, 0.03, 8, 0.92, 0.8
 
 
 def cover(self: Robot, kind: Kind, *, n: int | None, protrusion: float | None, progress: Progress | None) -> Robot:
-    """Compute the result of `Robot.cover`, which has the defaults."""
+    """Implement `Robot.cover`, which has the defaults."""
     _validate.callback(progress, "progress")
     if not self.bodies:
         raise InputError("expected a robot with bodies, found one without")
@@ -79,15 +79,15 @@ def exempt_pairs(robot: Robot) -> frozenset[Pair]:
 
 
 def listed_pairs(robot: Robot) -> frozenset[Pair] | None:
-    """Return the exempt pairs of a robot with rules on pairs; None for one without."""
+    """Return the exempt pairs of a robot with rules on pairs, or None for a robot without rules."""
     return robot.disabled_pairs if robot._lists_pairs else None
 
 
 def new_contacts(robot: Robot, model: Robot) -> list[tuple[Pair, float, float]]:
-    """Find the pairs that meet in some configurations with another robot's bodies, but not with a robot's own.
+    """Find the pairs that meet in sampled configurations with the model's bodies, but not with the robot's own bodies.
 
-    Each pair comes with two shares of random configurations: the share in which this is so, and the share in which the
-    other robot's bodies meet at all.
+    Each pair comes with two shares of random configurations: the share in which only the model's bodies meet, and the
+    share in which the model's bodies meet at all.
     """
     Q = robot.random_configurations(TRIED)
     theirs = CollisionChecker(model)
@@ -103,7 +103,7 @@ def new_contacts(robot: Robot, model: Robot) -> list[tuple[Pair, float, float]]:
 
 
 def _never(robot: Robot, pairs: list[Pair]) -> frozenset[Pair]:
-    """Prove which of some pairs of links never collide."""
+    """Prove which of the given pairs of links never collide."""
     if not pairs:
         return frozenset()
     proven = prove_pairs(
@@ -116,8 +116,8 @@ def _never(robot: Robot, pairs: list[Pair]) -> frozenset[Pair]:
 def _covered(
     robot: Robot, kind: Kind, protrusion: float, progress: Progress | None, before: int, steps: int
 ) -> dict[str, Body]:
-    """Cover all links; `before` of all steps, for the progress, were done earlier."""
-    # Robots have several links of one shape, such as fingers.
+    """Cover all links; the progress counts `before` of the `steps` as done."""
+    # Several links of a robot, such as fingers, may have the same shape.
     shapes: dict[tuple[bytes, ...], int] = {}
     links = {link: shapes.setdefault(_bytes_of(body), len(shapes)) for link, body in robot.bodies.items()}
     different = [next(robot.bodies[link] for link, shape in links.items() if shape == k) for k in range(len(shapes))]
@@ -140,7 +140,7 @@ def _bytes_of(body: Body) -> tuple[bytes, ...]:
 
 
 def _of_number(robot: Robot, kind: Kind, n: int, progress: Progress | None) -> dict[str, Body]:
-    """Cover all links with at most n shapes, but nearly as many, that stick out of all links by the same length."""
+    """Cover all links with nearly n shapes, and at most n, that stick out of all links by the same length."""
     low, high, best, protrusion = LEAST, LARGEST, None, FIRST
     for step in range(STEPS):
         if n < len(robot.bodies):
@@ -163,7 +163,7 @@ def _of_number(robot: Robot, kind: Kind, n: int, progress: Progress | None) -> d
 
 
 def covered_by(self: Robot, model: Robot, tolerance: float | None, progress: Progress | None) -> dict[str, CoverReport]:
-    """Answer `Robot.covered_by`, which has the defaults."""
+    """Implement `Robot.covered_by`, which has the defaults."""
     _validate.instance(model, "model", Robot)
     _validate.callback(progress, "progress")
     found = {}

@@ -1,8 +1,8 @@
 """Clearances and distances of a checker with their gradients, in the caller's number type.
 
-It is the common part of `loewner.jax` and `loewner.torch`: it takes NumPy arrays of float32 or float64 and returns the
-same type. The checker computes in float64, and every float32 number is also a float64 number, so the answer belongs to
-exactly the given configuration.
+This module is the common part of `loewner.jax` and `loewner.torch`: its functions take NumPy arrays of float32 or
+float64 and return arrays of the same type. The checker computes in float64, and every float32 number is also a float64
+number, so the answer is for exactly the given configuration.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from loewner.errors import InputError
 from loewner.robots.checker import CollisionChecker
 from loewner.robots.description.robot import expect_width
 
-# From configurations, and whether gradients are requested, to values and gradients (which are otherwise arbitrary).
+# Maps configurations, and whether gradients are requested, to values and gradients (arbitrary unless requested).
 Ask = Callable[[NDArray[Any], bool], tuple[Any, Any]]
 
 
@@ -32,24 +32,24 @@ class Measure:
     ask: Ask
 
     def __call__(self, Q: NDArray[Any], gradient: bool) -> tuple[NDArray[Any], ...]:
-        """Values in metres, shape (...), of configurations, shape (..., dof), and their derivatives on request."""
+        """Return values [m], shape (...), at configurations, shape (..., dof), and their derivatives on request."""
         values, gradients = self.ask(Q, gradient)
         with np.errstate(over="ignore"):  # overflow of float32 gives infinity
             down = rounded_down(values, Q.dtype)
             return (down, gradients.astype(Q.dtype, copy=False)) if gradient else (down,)
 
     def expect_width(self, shape: tuple[int, ...]) -> None:
-        """Refuse configurations of another robot before they have values."""
+        """Refuse configurations of another robot by their shape, before they have values."""
         expect_width(self.checker.robot, shape, "Q")
 
     def named(self, function: Callable[[Any], Any]) -> Callable[[Any], Any]:
-        """Give a function that computes this measure its name and its description."""
+        """Name and describe a function that computes this measure."""
         function.__name__ = function.__qualname__ = self.name
         function.__doc__ = f"The {self.name} of configurations Q, shape (..., dof), in metres, shape (...)."
         return function
 
     def no_second_derivatives(self) -> InputError:
-        """The error for second derivatives: zeros would be wrong, but would go unnoticed."""
+        """Return the error for second derivatives: zeros would be wrong, but would go unnoticed."""
         return InputError(
             f"{self.name}: expected to be differentiated once, found a second derivative, which it does not have; "
             "use a method that needs gradients alone (L-BFGS, Gauss-Newton), or stop the gradient here"
@@ -57,7 +57,7 @@ class Measure:
 
 
 def clearance(checker: Any, softness: Any) -> Measure:
-    """`CollisionChecker.clearance` with this softness."""
+    """Return `CollisionChecker.clearance` with the given softness as a measure."""
     checked = _validate.instance(checker, "checker", CollisionChecker)
     soft = _validate.positive_scalar(softness, "softness")
 
@@ -70,7 +70,7 @@ def clearance(checker: Any, softness: Any) -> Measure:
 
 
 def distance(checker: Any) -> Measure:
-    """The exact distance of `CollisionChecker.distance`."""
+    """Return the exact distance of `CollisionChecker.distance` as a measure."""
     checked = _validate.instance(checker, "checker", CollisionChecker)
 
     def ask(Q: NDArray[Any], gradient: bool) -> tuple[Any, Any]:
@@ -81,7 +81,7 @@ def distance(checker: Any) -> Measure:
 
 
 def rounded_down(values: Any, dtype: np.dtype[Any]) -> NDArray[Any]:
-    """Values in another type, rounded down, so that a lower bound remains one."""
+    """Convert values to another type and round them down, so that a lower bound remains a lower bound."""
     exact = np.asarray(values, dtype=np.float64)
     rounded = exact.astype(dtype)
     return np.where(rounded > exact, np.nextafter(rounded, np.array(-np.inf, dtype)), rounded)

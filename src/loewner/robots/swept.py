@@ -1,9 +1,9 @@
 """Swept volumes: a body that provably contains links wherever they are on a curve, and how far it sticks out.
 
 The curve is evaluated at knots, which are so close together that all points of a link stay near the chords between
-them. Consider the hull of a convex piece's positions at two knots. Once it is grown by the largest distance from the
-chords between the two, it contains the piece all the way between these knots. docs/certified.md, "Swept volumes",
-derives this and the bound on the excess.
+them. Consider the hull of a convex piece's positions at two knots. Grown by the largest distance of points from the
+chords, this hull contains the piece all the way between the two knots. docs/certified.md, "Swept volumes", derives this
+and the bound on the excess.
 """
 
 from __future__ import annotations
@@ -45,13 +45,13 @@ from loewner.scenes.scene import Scene
 # the distance of points from the chords between knots, and for the turn between two knots.
 PIECES, VERTICES, CHORDS, TURNS = 0.4, 0.05, 1 / 32, 0.25
 
-# Edge of the cells of a cloud, as a share of the room: a hull of points in one sticks out by half of the room at most.
+# Edge of a cloud's cells, as a share of the room: the hull of the points in a cell sticks out by at most half the room.
 CELLS = 0.45
 
-# Vertices are left out of pieces that have more than this.
+# Number of vertices of a piece above which vertices are left out.
 FEW = 26
 
-# Places of links at most.
+# Largest number of places of links.
 MOST_PLACES = 2**21
 
 # The least growth, as a share of the tolerance: otherwise neighbouring corners would coincide.
@@ -69,10 +69,10 @@ ROUNDINGS = 2.0**-53 * 2**20
 # Certified log-volume gap of the ellipsoids.
 TOL = 1e-2
 
-# Convex pieces of meshes, by their trees and the room for sticking out; cutting a mesh takes seconds.
+# Convex pieces of meshes, by tree and by room for sticking out. They are kept since cutting a mesh takes seconds.
 _known: WeakKeyDictionary[SurfaceTree, dict[float, list[tuple[Floats, float]]]] = WeakKeyDictionary()
 
-# Directions in which vertices are taken first: of the corners, edges and faces of a cube.
+# Directions in which the first vertices are chosen: towards the corners, edges and faces of a cube.
 _WAYS = np.indices((3, 3, 3)).reshape(3, -1).T[np.arange(27) != 13] - 1.0
 _CORNERS = np.indices((2, 2, 2)).reshape(3, 8).T
 
@@ -87,10 +87,10 @@ class _Part(NamedTuple):
     vertices : ndarray, shape (n, 3)
         In the frame of the body's link.
     corners : ndarray, shape (8, 3)
-        Corners of a box around them.
+        Corners of a box around the vertices.
     near, out : float
-        The body's points in the piece are within `near` of the hull of the vertices [m], all points of the hull are
-        within `out` of the body [m].
+        Distances in metres. The body's points in the piece are within `near` of the hull of the vertices, and all
+        points of the hull are within `out` of the body.
     """
 
     body: int
@@ -107,7 +107,8 @@ class _Knots(NamedTuple):
     ----------
     poses : ndarray, shape (bodies, N, 4, 4)
     sag, astray, error : ndarray, shape (bodies, N - 1)
-        How far points may be from their chords, how far they may deviate as joints do, and errors of places [m].
+        Bounds in metres: on how far points are from their chords, on how far joint errors move points, and on errors of
+        places.
     """
 
     poses: Floats
@@ -123,9 +124,10 @@ class _Element(NamedTuple):
     ----------
     part, first, last : int
     growth, grown : float
-        How far it has to be grown, and how far it is, with room for rounding its vertices to single precision [m].
+        How far the hull has to be grown, and how far it is grown, with room for rounding its vertices to single
+        precision [m].
     excess : float
-        How far it then sticks out of the body's swept volume, at most [m].
+        Bound on how far the grown hull sticks out of the body's swept volume [m].
     """
 
     part: int
@@ -146,7 +148,7 @@ def swept(
     scene: Scene | None,
     progress: Progress | None,
 ) -> Body:
-    """Answer `Robot.swept`."""
+    """Implement `Robot.swept`."""
     limit = _validate.positive_scalar(tolerance, "tolerance")
     _validate.callback(progress, "progress")
     errors = joint_errors(self, joint_error)
@@ -169,7 +171,7 @@ answers["swept"] = swept
 
 
 def united(bodies: list[Body]) -> tuple[Body, float]:
-    """Return one of several bodies that `swept` made, with its covering, and its excess [m]."""
+    """Join bodies that `swept` made into one body with a covering, and return it with its excess [m]."""
     excess = max(body.covering.max_protrusion for body in bodies if body.covering is not None)
     return Body(packed_of(Body.union(bodies)), Covering("swept", True, 0.0, math.nan, 0, excess)), excess
 
@@ -220,8 +222,8 @@ _SIGNS = np.array([[-1.0], [1.0]])
 def _convex(packed: Packed, i: int, room: float) -> list[tuple[Floats, float]]:
     """Return points whose hulls contain a piece of a body, and how far each hull may stick out of it.
 
-    A curved shape becomes a polytope around it, and a cloud one for each cell of a grid. A solid, or a surface, becomes
-    its hull if that does not stick out farther than `room`, and is cut along planes otherwise.
+    A curved shape becomes a polytope around it, and a cloud becomes one polytope for each cell of a grid. A solid or a
+    surface becomes its hull, or is cut along planes if the hull sticks out farther than `room`.
     """
     row, frame = packed.layout[i], packed.frames[i]
     kind, radius = int(row[columns.KIND]), float(frame[0])
@@ -243,7 +245,7 @@ def _convex(packed: Packed, i: int, room: float) -> list[tuple[Floats, float]]:
 def _of_cloud(points: Floats, radius: float, room: float) -> list[tuple[Floats, float]]:
     """Return points whose hulls contain the balls of a cloud, cell by cell, and how far each hull sticks out.
 
-    A point of the hull of points whose distances are d at most is within √(3/8) d of one of them.
+    If points are at most d apart, each point of their hull is within √(3/8) d of one of them.
     """
     grown, further = _grown_ball(radius, room / 2)
     cell = np.unique(np.floor(points / (CELLS * room)), axis=0, return_inverse=True)[1].ravel()
@@ -255,10 +257,10 @@ def _of_cloud(points: Floats, radius: float, room: float) -> list[tuple[Floats, 
 
 
 def _cut(vertices: Floats, triangles: Ints, solid: bool, room: float) -> list[tuple[Floats, float]]:
-    """Return vertices of hulls that together contain a mesh, with its inside if it is solid, and how far each is out.
+    """Return vertices of hulls that together contain a mesh, or a solid, and how far each hull sticks out.
 
-    The hull of a solid's surface contains it, and so does each hull of a closed part, or of a part on one side of a
-    plane, what of the solid is there.
+    The hull of a solid's surface contains the solid. Likewise, the hull of a closed part, or of a part on one side of a
+    plane, contains the portion of the solid that is there.
     """
     vertices, triangles = meshes.welded(vertices, triangles)
     closed = closed_parts(vertices, triangles) if solid else None
@@ -297,7 +299,7 @@ def _around(kind: int, radius: float, center: Floats, factor: Floats, room: floa
 
 
 def _thinned(points: Floats, room: float) -> tuple[Floats, float]:
-    """Choose vertices of the points' hull, and return how far the points are from the chosen ones' hull, at most."""
+    """Choose vertices of the points' hull; return them with a bound on the points' distances from their hull."""
     vertices = Polytope.from_points(points).vertices
     size = float(np.abs(vertices).max())
     if len(vertices) <= FEW:
@@ -319,7 +321,7 @@ def _thinned(points: Floats, room: float) -> tuple[Floats, float]:
 
 
 def _knots(robot: Robot, curve: Curve, parts: list[_Part], link: Ints, tolerance: float) -> _Knots:
-    """Place the bodies so often that chords and turns between two knots have their shares of the tolerance."""
+    """Place the bodies at enough knots to keep chords and turns within their shares of the tolerance."""
     packs = [
         packed_of(Body.from_pieces([part.vertices for part in parts if part.body == k], tol=TOL))
         for k in range(len(link))
@@ -377,7 +379,7 @@ def _off_chords(ways: Floats) -> float:
     Parameters
     ----------
     ways : ndarray, shape (8, 3)
-        From one place to the other, for the corners of a box around the part.
+        Vectors from one place to the other, for the corners of a box around the part.
     """
     off, middle = _diameter(ways) / 4, np.add.reduce(ways, axis=0)
     size = float(lengths(middle))
@@ -391,7 +393,7 @@ def _off_chords(ways: Floats) -> float:
 
 
 def _elements(parts: list[_Part], number: int, knots: _Knots, tolerance: float) -> Iterator[_Element]:
-    """Divide the knots into the longest ways between which the hull of a part's places sticks out within tolerance."""
+    """Divide the knots into the longest steps over which the hull of a part's places sticks out within tolerance."""
     part = parts[number]
     places = _placed(knots.poses[part.body], part.corners)
     sag, astray, error = (bound[part.body] for bound in knots[1:])
@@ -412,7 +414,8 @@ def _elements(parts: list[_Part], number: int, knots: _Knots, tolerance: float) 
 
     i, last, step = 0, len(places) - 1, 1
     while i < last:
-        # The farthest knot: in larger steps first, then between the last one that fits and the first that does not.
+        # Find the farthest knot: first in growing steps, then between the last knot that fits and the first that does
+        # not.
         best, beyond = None, last + 1
         while beyond - (i if best is None else best.last) > 1:
             j = min(i + step, last) if beyond > last else ((i if best is None else best.last) + beyond) // 2
@@ -439,12 +442,12 @@ def _elements(parts: list[_Part], number: int, knots: _Knots, tolerance: float) 
 
 
 def _hull(part: _Part, knots: _Knots, one: _Element) -> Polytope:
-    """Make the hull of two places of a part, grown; its vertices are numbers of single precision.
+    """Make the grown hull of a part's two places, with vertices in single precision.
 
     Raises
     ------
     GeometryError
-        If the hull of the stored vertices is not proven to reach so far.
+        If the hull of the stored vertices is not proven to reach far enough.
     """
     ends = _placed(knots.poses[part.body, [one.first, one.last]], part.vertices).reshape(-1, 3)
     corners = (np.unique(ends, axis=0)[:, None] + one.grown * OCTAHEDRON).reshape(-1, 3)

@@ -31,7 +31,7 @@ def save(path: str | os.PathLike[str], robot: Robot, scene: Scene, ready: Proble
     Raises
     ------
     InputError
-        If bodies of the scene follow motions, since these programs have no time; if the robot has no joints; if a
+        If bodies of the scene follow motions, since these programs cannot take a time; if the robot has no joints; if a
         margin is larger than `MOST_MARGIN`; or if a name contains a NUL.
     """
     if ready.margins.max(initial=scene.margin) > MOST_MARGIN or robot.dof == 0:
@@ -62,7 +62,7 @@ def save(path: str | os.PathLike[str], robot: Robot, scene: Scene, ready: Proble
 
 
 def _rules(scene: Scene, ready: Problem) -> dict[str, Any]:
-    """Margins of single bodies, and rules for pairs of static bodies, which apply as soon as one of them moves."""
+    """Return margins of single bodies, and rules for pairs of static bodies, which apply once one of them moves."""
     margins, place = scene.margins, {name: k for k, name in enumerate(ready.names) if k >= len(ready.link)}
     rules: dict[tuple[int, ...], list[float]] = {}
     for a, b in scene.allowed - scene.leaving - scene.reaching:

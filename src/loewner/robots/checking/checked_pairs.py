@@ -20,7 +20,7 @@ from loewner.robots.description.assembly import with_moving_bodies
 from loewner.robots.description.robot import Robot
 from loewner.scenes.scene import Attachment, Scene, in_world
 
-# Pairs that are worth preparing: some two gigabytes of arrays, and minutes for each configuration that is not free.
+# Largest number of pairs: their arrays take about two gigabytes, and each configuration that is not free takes minutes.
 MOST_PAIRS = 2**24
 
 

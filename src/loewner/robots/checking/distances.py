@@ -1,4 +1,4 @@
-"""Compute distances of a robot from obstacles and from itself, of the nearest or all near pairs, with gradients."""
+"""Compute a robot's distances from obstacles and from itself, for the nearest or all near pairs, with gradients."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ class StateDistance(_validate.Brief, Generic[Exact, Vector]):
     Attributes
     ----------
     lower, upper : float or ndarray
-        Certified bounds from the ellipsoids, each the minimum over all checked pairs.
+        Certified bounds from the ellipsoids; each is the minimum over all checked pairs.
     distance : float or ndarray, or None
         With ``exact=True``: the distance of the nearest pair, or minus the depth of the deepest pair.
     names : tuple of str, or ndarray of str, shape (..., 2), or None
-        Names of the bodies of this pair.
+        Names of the two bodies of the nearest (or deepest) pair.
     witness_a, witness_b, normal : ndarray, shape (..., 3), or None
-        Witnesses and normal of this pair; see `Distance`.
+        Witnesses and normal of the same pair; see `Distance`.
     gradient : ndarray, shape (..., dof), or None
         With ``gradient=True``: the derivative of the distance with respect to the configuration.
 
@@ -105,7 +105,7 @@ def nearest(ready: Problem, configurations: Floats, exact: bool, gradient: bool)
     row = 16 + exact * (8 + 3 * 24 + 2 * 4 * max(map(len, ready.names))) + gradient * 8 * ready.robot.dof
     _validate.fits_memory(2 * len(Q) * row, f"distances of {len(Q)} configurations")
     columns = nearest_columns(ready, Q, exact)
-    if ready.given is not None:  # for all poses within the errors; the distance belongs to the given ones
+    if ready.given is not None:  # bounds for all poses within the errors; the distance is for the given poses
         bounds = [np.add(nearest_columns(one, Q, False), [[-error], [error]]) for error, one in ready.by_error]
         columns[0], columns[1] = np.min(bounds, axis=0)
     if gradient:
@@ -120,7 +120,7 @@ def nearest(ready: Problem, configurations: Floats, exact: bool, gradient: bool)
 
 
 def expect_pairs(ready: Problem, query: str) -> None:
-    """Refuse a query about no pairs."""
+    """Refuse a query if there are no pairs to check."""
     if len(ready.pairs) == 0:
         raise InputError(f"{query}: expected a robot and a scene with pairs to check, found none")
 
@@ -128,7 +128,7 @@ def expect_pairs(ready: Problem, query: str) -> None:
 def _run(
     kernel: Callable[..., Any], options: tuple[float, ...], ready: Problem, Q: Floats, memory: int, *out: Any
 ) -> None:
-    """Let a kernel write about all configurations, in shares for threads, each with scratch memory of its own."""
+    """Run a kernel on all configurations, divided among threads that have their own scratch memory."""
 
     def share(first: int, last: int) -> None:
         kernel(*options, first, last, Q, ready.packed.handle, ready.handle, workspace(memory), *out)
@@ -228,7 +228,7 @@ def clearances(ready: Problem, Q: Floats, softness: float, gradient: bool) -> tu
 
 
 def _for_all_errors(ready: Problem, Q: Floats, softness: float, gradient: bool) -> tuple[Floats, Floats]:
-    """Compute `clearances` for all poses within the errors: of pairs with each error, less the error, and together."""
+    """Compute `clearances` for all poses within the errors: for each group of pairs, less its error, and combined."""
     parts = [(error, clearances(one.as_given, Q, softness, gradient)) for error, one in ready.by_error]
     each = np.array([lower - error for error, (lower, _) in parts])
     least = each.min(axis=0)

@@ -23,10 +23,10 @@ AT_LEAST = 64
 # Configurations of edges that are made at a time, unless there are more edges: for ten joints, they take 80 MB.
 MOST_AT_ONCE = 2**20
 
-# A quotient of a length and a step this near to a whole number may be rounded to either side of it.
+# A quotient of a length and a step that is this close to an integer may be rounded to either side of it.
 NEARLY_WHOLE = 1e-9
 
-# Results of a motion: a verdict, a fraction, a pair, and the work that was done, in bytes.
+# Bytes of a motion's results: a verdict, a fraction, a pair, and the work that was done.
 BYTES_OF_A_MOTION = 40
 
 # What a motion may be divided into; more is a slip in a unit.
@@ -64,7 +64,7 @@ def rounds(parts: Ints, valid: NDArray[np.bool_]) -> Iterator[tuple[Ints, Floats
     parts : ndarray of int64
         Number of steps into which each edge is divided.
     valid : ndarray of bool
-        Whether each edge is still to be checked; the caller may change it between two rounds.
+        Whether each edge is still to be checked; the caller may change this array between two rounds.
     """
     done, more = 0, max(2, AT_LEAST // max(1, len(parts)))
     while True:

@@ -54,14 +54,14 @@ def refuted(robot: Any) -> list[ProvenPair]:
 
 
 def _start(robot: Any) -> str:
-    """The part of a file's name that is computed fast."""
+    """Return the part of a file's name that is computed fast."""
     names = robot.name, *robot.link_names, *robot.configuration_names
     return hashlib.sha256("\0".join(names).encode()).hexdigest()[:16]
 
 
 @cache
 def _code() -> str:
-    """Hash of the code that finds the answers."""
+    """Return a hash of the code that finds the answers."""
     return hash_of_code([Path(__file__).parents[1]])
 
 

@@ -1,6 +1,6 @@
 """Prepare the pairs of bodies to check, at one state of the scene, as arrays for the kernels.
 
-Work that is the same for every query is done once, here: balls about moving bodies, bounds and ellipsoids of static
+Work that is the same for every query is done here once: balls about moving bodies, bounds and ellipsoids of static
 bodies in world coordinates, and the additional data for proofs of motions.
 """
 
@@ -27,10 +27,10 @@ from loewner.bodies.parts import in_open_parts, in_parts, in_small_parts
 from loewner.queries.pose_paths import OFF_ROUNDINGS, PackedPaths, PoseBounds, PosePath
 from loewner.robots.description.robot import Robot, link_poses
 
-# Least number of configurations that a thread takes at a time: about half a millisecond of work.
+# Smallest number of configurations that a thread takes at a time: about half a millisecond of work.
 LEAST_SHARE = 512
 
-# Number of configurations whose poses are made at a time: with a hundred bodies, they take 13 MB.
+# Number of configurations whose poses are computed at a time: with a hundred bodies, the poses take 13 MB.
 IN_TURN = 1024
 
 # Largest number of poses of bodies in all these configurations together: 100 MB.
@@ -43,13 +43,13 @@ class OfMargin(NamedTuple):
     """Pairs with the same margin, in the form that `loewner.queries._settle.settle` takes."""
 
     margin: float
-    at: Ints  # their places among all
+    at: Ints  # indices of the pairs among all pairs
     plan: Ints
     rows: Ints
 
 
 class Standing(NamedTuple):
-    """What kernels write about bodies for their present poses: `standing`, `standing_rows` and `standing_poses`."""
+    """The arrays that kernels write for the bodies' present poses: `standing`, `standing_rows` and `standing_poses`."""
 
     bounds: NDArray[np.float32]
     rows: NDArray[np.float32]
@@ -82,12 +82,12 @@ class Problem:
     lasting : ndarray
         Memory of the other arrays of `records.Problem` and `records.MotionTables` that depend on no pose (`lay_out`).
     block : ndarray
-        The table of addresses of the arrays of `records.Problem`, and then of `records.MotionTables`; behind it the
-        arrays of `standing`. Another state of the scene has a block of its own (`place_static`).
+        The table of addresses of the arrays of `records.Problem` and then of `records.MotionTables`, followed by the
+        arrays of `standing`. Each state of the scene has its own block (`place_static`).
     handle : int
         Address of the table; valid as long as this object lives.
     paths : PackedPaths or None
-        The motions that bodies follow; None if none does.
+        The motions that bodies follow; None if no body follows a motion.
     given : ndarray, shape (pairs,), or None
         The margins without the errors of static bodies' poses, which `margins` include; None if there are no errors.
     off : ndarray or None
@@ -154,7 +154,7 @@ class Problem:
     def with_pairs(
         self, pairs: Ints, margins: Floats, leaving: Bools | None = None, reaching: Bools | None = None, **changes: Any
     ) -> Problem:
-        """Set other pairs, and change more attributes."""
+        """Set other pairs, and further attributes on request."""
         made = Problem.of(
             self.robot, (self.version, self.structure_version), self.names, self.packs, self.link, pairs, margins,
             leaving, reaching, self.moving, self.packed,
@@ -185,7 +185,7 @@ class Problem:
         return self._changed(paths=PackedPaths.of(paths, tuple(bounds.values()), numbers))
 
     def with_errors(self, given: Floats, errors: Floats) -> Problem:
-        """Set the margins without errors of poses, and these errors of all bodies [m]."""
+        """Set the margins without pose errors, and the pose errors of all bodies [m]."""
         at, raised = np.flatnonzero(errors), errors[errors > 0.0] * (1.0 + OFF_ROUNDINGS)
         return self._changed(given=given, off=np.stack([at, raised, raised], axis=1).ravel())
 
@@ -196,7 +196,7 @@ class Problem:
         return made
 
     def with_poses(self, poses: Floats, version: int) -> Problem:
-        """Place the static bodies at the poses that they have in a version of the scene, shape (bodies, 4, 4)."""
+        """Place the static bodies at their poses, shape (bodies, 4, 4), in a version of the scene."""
         moved = self._placed(poses, version=version)
         if self.given is not None:
             Problem._without_errors.hand_on(self, moved, lambda known: known.with_poses(poses, version))
@@ -228,7 +228,7 @@ class Problem:
 
     @property
     def handle_of_motions(self) -> int:
-        """Address of the table of `records.MotionTables`, likewise."""
+        """Address of the table of `records.MotionTables`; valid as long as this object lives."""
         return self.handle + records.MOTIONS
 
     @property
@@ -250,7 +250,7 @@ class Problem:
 
     @kept
     def standing(self) -> Standing:
-        """What kernels wrote for the present poses."""
+        """The arrays that kernels wrote for the present poses."""
         return Standing(*map(self._view, list(PROBLEM_ROWS.values())[-3:], ("S2", "S2", "F2")))
 
     @kept
@@ -315,7 +315,7 @@ class Problem:
 
     @kept
     def open_cut(self) -> Problem | None:
-        """The problem with surfaces of static bodies without solids in small parts, if there are any."""
+        """The problem with the surfaces of static bodies without solids cut into small parts, if there are any."""
         return self._of_parts(in_open_parts(self.packs, self._stand))
 
     @property
@@ -356,7 +356,7 @@ class Problem:
         return self.grouped(self.margins)
 
     def grouped(self, margins: Floats) -> list[OfMargin]:
-        """All pairs, grouped by other margins."""
+        """All pairs, grouped by the given margins."""
         found = []
         for margin in np.unique(margins).tolist():
             at = np.flatnonzero(margins == margin)
@@ -371,7 +371,7 @@ class Problem:
 
     @kept
     def unruled(self) -> Problem:
-        """The problem without these pairs."""
+        """The problem without the pairs that may be in contact."""
         return self.only(np.flatnonzero(~(self.leaving | self.reaching)))
 
     @kept
@@ -407,7 +407,7 @@ class Problem:
         return self.off_at_start(self.paths.off(at, at)[0])
 
     def off_at_start(self, off: Floats) -> Floats:
-        """Compute this at the start of a motion, from the numbers of bodies in `in_time.Pieces.off`."""
+        """Compute the result of `off_at` for the start of a motion, from the entries of `in_time.Pieces.off`."""
         of_bodies = np.zeros(len(self.names) + 1)
         of_bodies[off[::3].astype(np.int64)] = off[1::3]
         of_bodies[-1] = 0.0
@@ -428,7 +428,7 @@ class Problem:
         moving = link_poses(self.robot, Q)[:, self.link]
         standing = self.standing.poses.reshape(-1, 4, 4)
         standing = np.broadcast_to(standing, (len(Q), *standing.shape))
-        # In C order, which the kernels take for granted; NumPy may choose another.
+        # In C order, which the kernels assume; NumPy may choose another order.
         return np.ascontiguousarray(np.concatenate([moving, standing], axis=1))
 
     def poses_in_turn(self, Q: Floats) -> Iterator[tuple[int, Floats]]:
@@ -444,7 +444,7 @@ def rigid_with(robot: Robot) -> Ints:
     return np.asarray(np.where(kind == columns.FIXED, parent, np.arange(len(parent))))
 
 
-# What depends neither on poses nor on the order of pairs.
+# The attributes that depend neither on poses nor on the order of pairs.
 _LASTING = (
     *Problem.__dataclass_fields__, "bodies", "names_of_pairs", "memory", "memory_of_nearest", "memory_of_clearances",
     "memory_of_motions", "piece_pairs", "by_margin", "ruled",

@@ -46,11 +46,11 @@ def off_the_robot(
 def off_the_robot(
     self: Any, points: ArrayLike, q: ArrayLike, *, clear: float = 0.03, time: float | None = None, mask: bool = False
 ) -> Floats | Bools:  # fmt: skip
-    """Keep the points of a sensor that are neither on the robot nor on a body that it carries.
+    """Keep a sensor's points that are neither on the robot nor on a body that the robot carries.
 
     A point is removed if it is inside, or within `clear` of, a link's body or a body that is attached to a link. With
-    ``time``, this also applies to a body of the scene that follows a motion, at its pose at that time. All others stay,
-    exactly.
+    ``time``, this also applies to a body of the scene that follows a motion, at its pose at that time. All other points
+    are kept; the test is exact.
 
     Parameters
     ----------
@@ -58,13 +58,13 @@ def off_the_robot(
         In world coordinates, in metres: a list of points, or an organised cloud. Points that are not finite are
         dropped.
     q : array_like, shape (dof,)
-        The configuration when the points were measured.
+        The configuration at which the points were measured.
     clear : float
         Distance in metres, > 0. It has to exceed the noise of the sensor and the error of the robot's own pose.
     time : float, optional
-        In seconds, on the clock of the scene's motions. Default: bodies that follow motions keep their points.
+        In seconds, on the clock of the scene's motions. By default, points on bodies that follow motions are kept.
     mask : bool
-        Return which points stay.
+        Return a mask of the points that are kept.
 
     Returns
     -------
@@ -114,7 +114,7 @@ def off_the_robot(
 
 
 def _moving(checker: Any, q: Floats, time: float | None) -> Iterator[tuple[Body, Floats]]:
-    """Yield the bodies that are no obstacles to be seen, with their poses."""
+    """Yield the bodies that a sensor does not see as obstacles, with their poses."""
     robot, scene = checker.robot, checker.scene
     poses = dict(zip(robot.link_names, robot.forward_kinematics(q), strict=True))
     for link, body in robot.bodies.items():

@@ -59,7 +59,7 @@ class Settled:
 
     @property
     def total(self) -> int:
-        """Number of all configurations."""
+        """Total number of configurations."""
         return self.free + self.colliding
 
     @property
@@ -180,7 +180,7 @@ def sampled(ready: Problem, a: Floats, b: Floats, step: float) -> tuple[NDArray[
     free = np.ones(len(a), dtype=bool)
     for edge, at in edges.rounds(parts, free):
         out = classified(ready, codes.EXACT, interpolated(ready.robot, a[edge], b[edge], at[:, None])).verdicts
-        for verdict in (codes.AMBIGUOUS, codes.COLLIDING):  # what collides counts more
+        for verdict in (codes.AMBIGUOUS, codes.COLLIDING):  # a collision takes precedence
             found = np.flatnonzero(out == verdict)
             verdicts[edge[found]], fractions[edge[found]] = verdict, at[found]
         free[:] = verdicts == codes.FREE
@@ -222,7 +222,7 @@ def collisions_by_pair(ready: Problem, Q: Floats, t: Floats | None = None) -> Bo
 
 
 def always(ready: Problem, Q: Floats) -> Bools:
-    """Return which pairs collide at each of some configurations, shape (pairs,), as far as arithmetic settles them."""
+    """Return which pairs collide at all given configurations, shape (pairs,), as far as arithmetic settles them."""
     found = np.ones(len(ready.pairs), dtype=bool)
     for _, poses in ready.poses_in_turn(Q):
         for T in poses:
@@ -292,5 +292,5 @@ _NOWHERE = np.empty(0, dtype=np.int64)
 
 
 def collisions(out: NDArray[np.int8], Q: Floats) -> OneOrMany:
-    """Convert verdicts of configurations to whether each collides."""
+    """Convert verdicts of configurations to booleans that are true for collisions."""
     return bool(out[0]) if Q.ndim == 1 else (out == codes.COLLIDING).reshape(Q.shape[:-1])
