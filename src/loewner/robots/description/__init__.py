@@ -1,7 +1,7 @@
 """Links, joints, and the files, models and bodies from which they come.
 
 `robot` defines `Robot`, `assembly` joins several robots, `links` and `tree` describe joints, and `reaching` solves
-inverse kinematics. `urdf`, `srdf`, `xacro_files`, `mjcf`, `drake` and `pinocchio` read; `exports` writes.
+inverse kinematics. `urdf`, `srdf`, `xacro_files`, `mjcf`, `drake` and `pinocchio` read robots; `exports` writes them.
 `link_bodies`, `link_meshes` and `coal_shapes` make bodies of links. `pair_verdicts` records whether each pair of links
 can ever collide, `watch` reports odd values, `other_models` contains the orders of values in other libraries, and
 `xml_elements` reads elements of XML and remembers their lines.

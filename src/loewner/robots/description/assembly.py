@@ -24,13 +24,13 @@ from loewner.robots.description.tree import constant_pose, placed_tree
 from loewner.robots.description.urdf import RATES, VALUES, Description, Joint
 from loewner.robots.description.watch import Watch
 
-# Corners of a footprint, whose sides are compared with all others.
+# Largest number of corners of a footprint, since each side is compared with all other sides.
 MOST_CORNERS = 5_000
 
-# Areas of a footprint are equal, or nothing, to this share.
+# Relative difference up to which areas of a footprint count as equal, or an area as zero.
 FLAT = 1e-9
 
-# A robot; its class is above this module.
+# A robot; its class is in a higher module.
 R = TypeVar("R")
 
 # Attributes of robots with one number for each value of a configuration.
@@ -46,7 +46,7 @@ class Source(NamedTuple):
     Attributes
     ----------
     prefix : str
-        Prefix of its names.
+        Prefix of the names from this source.
     format : str
         "URDF" or "MJCF".
     path : Path
@@ -72,10 +72,10 @@ class Part(Generic[R]):
     robot : Robot
         The robot that was joined, at its pose in the world or, on a moving base, at its pose in the frame of the base.
     columns : slice
-        The columns of its values in a configuration of the joined robot: ``Q[..., part.columns]`` are configurations of
-        `robot`, and assigning to them moves only this robot.
+        The columns of the part's values in a configuration of the joined robot: ``Q[..., part.columns]`` are
+        configurations of `robot`, and assigning to them moves only this robot.
     joint_names, link_names : tuple of str
-        Its joints and links, by their names in the joined robot.
+        The part's joints and links, by their names in the joined robot.
 
     Examples
     --------
@@ -132,7 +132,7 @@ def part(self: R, name: str) -> Part[R]:
     Parameters
     ----------
     name : str
-        Its name in `Robot.join`; for a robot that was joined twice, "outer/inner".
+        The part's name in `Robot.join`; for a robot that was joined twice, "outer/inner".
 
     Returns
     -------
@@ -165,24 +165,24 @@ def add_base(self: R, kind: Literal["planar", "floating"], bounds: ArrayLike | N
     Parameters
     ----------
     kind : {"planar", "floating"}
-        "planar": joints that slide along x and along y and a joint that turns about z; planners move them like all
-        others. "floating": one joint with a position and a quaternion.
+        "planar": two joints that slide along x and y, and a joint that turns about z; planners move them like all other
+        joints. "floating": one joint with a position and a quaternion.
     bounds : array_like, shape (2, 2) for a planar base or (3, 2) for a floating one, optional
-        Lowest and highest position along each axis, in metres; without them there are no limits.
+        Lowest and highest position along each axis, in metres. By default there are no limits.
     name : str
         Prefix of the new joints and links.
 
     Returns
     -------
     Robot
-        Its configurations begin with ``name/x``, ``name/y`` and ``name/theta``, or with the seven values of a floating
-        joint. Its root link is ``name/world``, which does not move.
+        Configurations of the new robot begin with ``name/x``, ``name/y`` and ``name/theta``, or with the seven values
+        of a floating joint. The new root link is ``name/world``, which does not move.
 
     Raises
     ------
     InputError
-        If the bounds have the wrong shape, or a lower one is above the upper one, or a name is taken; or if `with_body`
-        has added a body in the world, which would move with the base.
+        If the bounds have the wrong shape, a lower bound is above the upper bound, or a name is taken; or if
+        `with_body` has added a body in the world, which would move with the base.
     UnknownNameError
         If there is no such kind.
 
@@ -219,7 +219,7 @@ def add_base(self: R, kind: Literal["planar", "floating"], bounds: ArrayLike | N
 
 
 def footprint_body(polygon: ArrayLike, height: float) -> Body:
-    """Make the body of a footprint: the space above a polygon, in one piece if it is convex, else in prisms.
+    """Make the body of a footprint: the space above a polygon, as one piece if it is convex, otherwise as prisms.
 
     Raises
     ------
@@ -230,7 +230,7 @@ def footprint_body(polygon: ArrayLike, height: float) -> Body:
     top = _validate.positive_scalar(height, "height")
     if len(corners) > MOST_CORNERS:
         raise InputError(f"polygon: expected at most {MOST_CORNERS} corners, found {len(corners)}")
-    corners = corners[(corners != np.roll(corners, 1, axis=0)).any(axis=1)]  # each once if it is repeated
+    corners = corners[(corners != np.roll(corners, 1, axis=0)).any(axis=1)]  # without repeated corners
     x, y = corners.T - corners.mean(axis=0)[:, None] if len(corners) else corners.T
     area = abs(float((x * np.roll(y, -1) - y * np.roll(x, -1)).sum())) / 2.0
     if len(corners) < 3 or not area > FLAT * float(np.square(np.ptp(corners, axis=0)).sum()):
@@ -257,7 +257,7 @@ def footprint_body(polygon: ArrayLike, height: float) -> Body:
 
 
 def _is_simple(corners: Floats) -> bool:
-    """Return whether the sides of a polygon meet only at common corners; to come near counts as meeting."""
+    """Return whether the sides of a polygon meet only at common corners; sides that come near count as meeting."""
     ends, size = np.roll(corners, -1, axis=0), float(np.ptp(corners, axis=0).max())
     sides, count = ends - corners, len(corners)
     before = np.roll(sides, 1, axis=0)
@@ -276,7 +276,7 @@ def _is_simple(corners: Floats) -> bool:
         apart |= np.maximum(*across) < -near
         apart |= np.minimum(*over) > near
         apart |= np.maximum(*over) < -near
-        # Sides in one line are apart if their extents along it are.
+        # Sides on one line are apart if their extents along the line are apart.
         along = [dot(to, way) for to in (to_start, to_end)]
         apart |= (np.maximum(*along) < -near) | (np.minimum(*along) > float(dot(way, way)) + near)
         if not apart.all():
@@ -297,10 +297,10 @@ def with_body(
     velocity: float | None = None,
     mimic: tuple[str, float, float] | None = None,
 ) -> R:
-    """Return the same robot with a body as another link, on a joint of its own.
+    """Return the same robot with a body as an additional link, on its own joint.
 
     A door, a drawer or a moving obstacle thus becomes part of the configuration, and its motions are proven together
-    with the robot's. If the parent has a body, the two are an adjacent pair.
+    with the robot's. If the parent has a body, the parent and the new link are an adjacent pair.
 
     Parameters
     ----------
@@ -320,7 +320,7 @@ def with_body(
     limits : (float, float), optional
         Least and greatest value, in metres or radians; required for a prismatic or a revolute joint.
     velocity : float, optional
-        Largest rate of a joint of one value [rad/s or m/s], for trajectories. Default: none known.
+        Largest rate of a joint with one value [rad/s or m/s], for trajectories. By default the rate is unknown.
     mimic : (str, float, float), optional
         Makes a joint with one value follow a joint of the robot: the other joint's name, a multiplier and an offset.
         The limits of the other joint are narrowed to values at which this joint is within its own limits.
@@ -328,7 +328,7 @@ def with_body(
     Returns
     -------
     Robot
-        Its new values are the last ones in configurations.
+        The values of the new joint come last in configurations.
 
     Raises
     ------
@@ -339,7 +339,8 @@ def with_body(
     PoseError
         If the pose is not a rigid motion.
     UnknownNameError
-        If there is no such kind of joint, no such link, or no joint to follow that has a value of its own.
+        If there is no such kind of joint or no such link, or if the joint to follow does not exist or has no value of
+        its own.
 
     Examples
     --------
@@ -385,7 +386,7 @@ def with_body(
 
 
 def _coupled(robot: Any, followed: str, multiplier: float, offset: float) -> Any:
-    """Let the last joint, which has one value, follow another joint of one value."""
+    """Let the last joint, which has one value, follow another joint with one value."""
     name = robot.joint_names[-1]
     one_value = [joint for joint, at in robot._columns.items() if at.stop - at.start == 1 and joint != name]
     _validate.known(followed, "joint of one value of its own in mimic", one_value)
@@ -426,7 +427,7 @@ def _coupled(robot: Any, followed: str, multiplier: float, offset: float) -> Any
 
 
 def with_moving_bodies(self: R, names: Sequence[str]) -> R:
-    """Return the same robot with a floating joint and a link without a body for each name, after its own ones."""
+    """Add a floating joint and a link without a body for each name, after the robot's own joints and links."""
     joints = [f"{name} in the scene" for name in names]
     chains = [_chain(self, f"{joint}/world", [(joint, "floating", [0.0, 0.0, 1.0])]) for joint in joints]
     robot: Any = self
@@ -443,7 +444,7 @@ def refuse_bodies_in_world(robot: Any, what: str) -> None:
 
 
 def parts_of(robot: Any) -> Mapping[str, Part[Any]]:
-    """Return the robots that were joined, by their names; empty for other robots."""
+    """Return the robots that were joined, by their names; the mapping is empty for other robots."""
     parts: Mapping[str, Part[Any]] = robot._parts
     return parts
 
@@ -462,7 +463,7 @@ def placed_parts(parts: Mapping[str, Part[Any]], T: Floats) -> dict[str, Part[An
 class _Piece(NamedTuple):
     """A robot that is combined with others: the prefix of its names, and the link to which its root is fixed.
 
-    The root is fixed to the world if `on` is None; it is left out with `without_root`.
+    The root is fixed to the world if `on` is None, and left out if `without_root` is true.
     """
 
     prefix: str
@@ -476,7 +477,7 @@ def _prefixed(prefix: str, names: Sequence[str]) -> tuple[str, ...]:
 
 
 def _chain(robot: Any, root: str, joints: list[tuple[str, str, list[float]]]) -> Any:
-    """Make a robot of links without bodies from joints given by name, kind and axis; a link has the joint's name."""
+    """Make a robot of links without bodies from joints given by name, kind and axis; each link has its joint's name."""
     made, above = {}, root
     for name, kind, axis in joints:
         made[name] = Joint(name, kind, above, name, np.eye(4), np.array(axis))

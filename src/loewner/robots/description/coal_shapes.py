@@ -11,10 +11,10 @@ from loewner.bodies import Body
 from loewner.errors import InputError
 from loewner.robots.description.link_meshes import mesh_body
 
-# Terrain of Coal may have no thickness at its lowest points; here it has this one [m].
+# Least thickness of a terrain at its lowest points [m]; in Coal it may be zero.
 LEAST_DEPTH = 1e-6
 
-# Bodies of a shape and the radius of its swept sphere.
+# Functions that make a body from a shape and the radius of its swept sphere.
 PRIMITIVES: dict[str, Callable[[Any, float], Body]] = {
     "Box": lambda shape, _: Body.box(2 * shape.halfSide),
     "Sphere": lambda shape, swept: Body.sphere(shape.radius + swept),

@@ -88,7 +88,7 @@ def _joints(
     columns: dict[str, tuple[int, ...]],
     constants: dict[int, float],
 ) -> Iterator[Joint]:
-    """List the joints; add the columns of their values, and the values of joints that are locked, to the last two."""
+    """List the joints; add the columns of their values to `columns`, and the values of locked joints to `constants`."""
     q = plant.GetPositions(state)
     for element, name in zip(elements, _names(plant, elements), strict=True):
         parent, child = element.parent_body(), element.child_body()
@@ -109,13 +109,13 @@ def _joints(
 
 
 def _names(plant: Any, elements: Sequence[Any]) -> list[str]:
-    """Return the names of bodies or joints, with the name of their model instance where one occurs twice."""
+    """Return the names of bodies or joints, with the name of the model instance if a name occurs twice."""
     scopes = [plant.GetModelInstanceName(element.model_instance()) for element in elements]
     return unique([element.name() for element in elements], scopes)
 
 
 def _moves(plant: Any, joint: Any, name: str) -> Iterator[tuple[Joint, tuple[int, ...]]]:
-    """List joints of one value, or a floating one, that together are a joint of Drake, and their columns in it."""
+    """List the joints with one value, or the floating joint, that represent a joint of Drake, with their columns."""
     kind = joint.type_name()
     lower, upper = joint.position_lower_limits(), joint.position_upper_limits()
     rates = (
@@ -156,7 +156,7 @@ def _moves(plant: Any, joint: Any, name: str) -> Iterator[tuple[Joint, tuple[int
 
 
 def _screw_axis(plant: Any, joint: Any) -> Floats:
-    """Return the axis of a screw joint, from poses, since Drake's Python has no function for it."""
+    """Compute the axis of a screw joint from poses, since Drake's Python has no function that returns the axis."""
     state = plant.CreateDefaultContext()
     q = plant.GetPositions(state)
     q[joint.position_start()] = 1.0

@@ -37,7 +37,7 @@ ONE_VALUE = (columns.REVOLUTE, columns.PRISMATIC)
 
 
 def save_urdf(robot: Any, path: Path, mesh_prefix: str, wider: float = 0.0) -> None:
-    """Write the meshes of a robot next to a URDF, then the URDF, and an SRDF with the same stem.
+    """Write the meshes of a robot, then its URDF next to them, and an SRDF with the same stem.
 
     Shapes other than spheres and meshes are enlarged by `wider` [m] on each side.
     """
@@ -127,7 +127,7 @@ def _shapes(link: ElementTree.Element, robot: Any, path: Path, mesh_prefix: str,
 
 
 def _stays_solid(mesh: Mesh) -> bool:
-    """Whether `from_urdf` makes a solid of a mesh again, and not its hull."""
+    """Return whether `from_urdf` makes a solid of a mesh again, and not its hull."""
     return hull_or_solid(*mesh)[0] == "solid"
 
 
@@ -166,7 +166,7 @@ def _joints(robot: Any, top: str | None) -> Iterator[Joint]:
 def _pose_and_axis(constants: Floats, kind: int, offset: float) -> tuple[Floats, Floats]:
     """Return the pose of a joint, and its axis in its own frame; see `tree.tree_of`.
 
-    The child of a joint from MJCF is at the origin of the joint at another value than 0, by `offset`.
+    A joint from MJCF may have its child at the joint's origin at a value other than 0, which differs by `offset`.
     """
     pose, axis = constant_pose(constants), np.array([1.0, 0.0, 0.0])
     if kind == columns.PRISMATIC:
@@ -186,7 +186,7 @@ def _limits(robot: Any, column: int, mimic: Mimic | None) -> dict[str, Any]:
     if mimic is not None:
         _, multiplier, offset = mimic
         lower, upper = sorted(multiplier * end + offset for end in hard) if multiplier else (offset, offset)
-        # No limits, if these values, which the joint has within the other one's limits, would narrow that one's.
+        # Leave the limits out if they would narrow the other joint's limits: that joint's limits imply them.
         back = sorted((end - offset) / multiplier for end in (lower, upper)) if multiplier else hard
         rounded = abs(back[0] - hard[0]) > LEAST_CUT / 2 or abs(back[1] - hard[1]) > LEAST_CUT / 2
         if rounded or max(-lower, upper) > FARTHEST_LIMIT:
@@ -214,7 +214,7 @@ def _add_joint(root: ElementTree.Element, joint: Joint) -> None:
     if joint.kind not in ("fixed", "floating"):
         add("axis", xyz=numbers(joint.axis))
     if VALUES[joint.kind] == ("",):
-        # Readers expect an effort and a velocity; 0 is how programs write that there is none.
+        # Readers expect an effort and a velocity; 0 means that there is no limit.
         limits = {"effort": 0.0, "velocity": 0.0}
         if joint.kind != "continuous":
             limits |= {"lower": joint.lower, "upper": joint.upper}
@@ -232,8 +232,7 @@ def _add_joint(root: ElementTree.Element, joint: Joint) -> None:
 
 
 def mjcf_text(robot: Any, wider: float) -> str:
-    """Write a robot as MJCF: its shapes, its joints with one value, and the pairs that are exempt from checking as
-    excluded.
+    """Write a robot as MJCF: its shapes, its joints with one value, and its exempt pairs as excluded pairs.
 
     Shapes other than spheres and meshes are enlarged by `wider` [m] on each side.
     """

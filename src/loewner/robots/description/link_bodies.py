@@ -31,8 +31,8 @@ from loewner.robots.description.urdf import Description, Shape
 # glTF files may keep their points in other files, so their own bytes do not determine their content.
 NOT_CACHED = (".gltf", ".glb")
 
-# Representations of a link's mesh: its convex hull, convex pieces, the triangles themselves, or its hull or the solid
-# that it encloses, as `link_meshes.hull_or_solid` chooses; and the default.
+# Representations of a link's mesh, and the default. A mesh becomes its convex hull, convex pieces, its triangles, or
+# the choice of `link_meshes.hull_or_solid` between the hull and the solid that the mesh encloses.
 MeshModel = Literal["hull", "pieces", "surface", "auto"]
 MODELS: tuple[MeshModel, ...] = get_args(MeshModel)
 USUAL_MODEL: Final = "auto"
@@ -93,7 +93,7 @@ def link_bodies(
     Warns
     -----
     UserWarning
-        If a body is probably not in metres; given once. With "auto", if meshes are not closed; one warning names them
+        Once, if a body is probably not in metres. With "auto", also if meshes are not closed; one warning names them
         all.
     """
     folders = list(package_dirs)
@@ -205,7 +205,7 @@ def _code() -> str:
 
 
 def hash_of_code(places: Iterable[Path]) -> str:
-    """Hash the kernels, and the Python modules at some places: files, or folders with all that is in them."""
+    """Hash the kernels, and the Python modules at the given places: files, or folders with all their contents."""
     import hashlib  # it loads OpenSSL, which only robots with meshes need
 
     digest = hashlib.sha256((_sources.source_hash() or "").encode())
@@ -288,7 +288,7 @@ def _homes(urdf: Path) -> list[Path]:
 
 
 def _expect_one(shape: Shape, link: str, urdf: Path, places: Iterable[Iterable[Path]]) -> None:
-    """Refuse a name that means one file beside a symbolic link to a URDF, and another one beside the target."""
+    """Refuse a name that means different files next to a symbolic link to a URDF and next to the link's target."""
     paths = [path for path in (next(filter(os.path.isfile, listed), None) for listed in places) if path is not None]
     if len(paths) == 2 and not filecmp.cmp(paths[0], paths[1], shallow=False):
         raise FileError(

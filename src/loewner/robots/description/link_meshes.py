@@ -22,8 +22,8 @@ from loewner.meshes.protrusion import Solid, protrusions
 # A hull is near its mesh if it sticks out by at most this length [m], or this share of the mesh's diameter.
 NEAR, NEAR_SHARE = 1e-3, 0.01
 
-# The accuracy at which bounds count for nothing: a hull that is found to stick out too far is examined no further. No
-# bound exceeds such a distance by as much, and no distance times this overflows.
+# Relative accuracy of bounds, coarse enough that a hull is examined no further once it is found to stick out too far.
+# No bound exceeds such a distance by this factor, and no distance times this factor overflows.
 AT_ONCE = 1e12
 
 # A part that encloses less than this share of the cube of the mesh's diameter has no inside: far above rounding.
@@ -102,10 +102,10 @@ def hull_or_solid(vertices: Floats, triangles: Ints) -> tuple[Choice, tuple[Floa
     -------
     choice : {"hull", "solid", "open"}
         "hull": the mesh is closed, and its hull is proven to stick out by at most `NEAR`, or by at most `NEAR_SHARE`.
-        "solid": the mesh is closed, and this is not proven. "open": it has no inside.
+        "solid": the mesh is closed, but its hull is not proven to be so close. "open": the mesh has no inside.
     mesh : tuple of ndarray
-        Vertices and triangles, closed if the mesh was nearly closed. Each closed part is turned outward, unless all of
-        its points that were tried lie in a larger part: it is then a cavity of that part.
+        Vertices and triangles, closed if the mesh was nearly closed. Each closed part is turned outward, unless all
+        tested points of the part lie in a larger part: such a part is a cavity of the larger part.
     edges : int
         The number of edges at which the mesh was open.
     """
@@ -129,7 +129,7 @@ def hull_or_solid(vertices: Floats, triangles: Ints) -> tuple[Choice, tuple[Floa
 
 
 def _boundary(triangles: Ints) -> tuple[Ints, Ints]:
-    """Find the edges that triangles traverse more often from `start` to `end` than back, as often as they do so."""
+    """Find the edges that triangles traverse more often from `start` to `end` than back, once per excess traversal."""
     start, end = triangles.ravel(), np.roll(triangles, -1, axis=1).ravel()
     count = int(triangles.max()) + 1
     edge, of = np.unique(np.minimum(start, end) * count + np.maximum(start, end), return_inverse=True)
@@ -142,8 +142,8 @@ def _boundary(triangles: Ints) -> tuple[Ints, Ints]:
 def _capped(vertices: Floats, triangles: Ints, start: Ints, end: Ints) -> tuple[Floats, Ints]:
     """Close a mesh by triangles from each connected part of its boundary to the middle of that part.
 
-    As often as the boundary enters a vertex, it leaves it, so the new triangles are closed among themselves. They lie
-    in the hull of the mesh. The mesh's own triangles remain.
+    The boundary leaves each vertex as often as it enters the vertex, so the new triangles close the mesh. They lie in
+    the hull of the mesh. The mesh's own triangles remain.
     """
     # Imported late: SciPy's graph routines are needed for meshes only.
     from scipy.sparse import coo_array
@@ -159,7 +159,7 @@ def _capped(vertices: Floats, triangles: Ints, start: Ints, end: Ints) -> tuple[
 
 
 def _has_inside(vertices: Floats, part: ClosedPart, least: float) -> bool:
-    """Return whether a closed part has a volume, or is flat and needs none; a sheet with two sides does not."""
+    """Return whether a closed part has a volume, or is flat and needs none; a two-sided sheet has no inside."""
     if part.volume > least:
         return True
     try:

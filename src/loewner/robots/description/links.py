@@ -22,7 +22,7 @@ from loewner.robots.description.xml_elements import LARGEST
 
 JointKind = Literal["fixed", "revolute", "continuous", "prismatic", "planar", "floating", "ball"]
 
-# Numbers of values with limits, where it is not one: positions and angle, and positions without the quaternion.
+# Number of values with limits, if it is not one: two positions and an angle, or a position without its quaternion.
 LIMITED_VALUES = {"planar": 3, "floating": 3}
 
 
@@ -44,17 +44,17 @@ class Joint:
     T_parent_joint : array_like, shape (4, 4), optional
         Pose of the joint in the frame of the parent; translation in metres. Default: the identity.
     T_joint_child : array_like, shape (4, 4), optional
-        Pose of the child in the frame that the joint moves. If it is given for a joint that moves, that frame becomes a
-        link without a body, CHILD/NAME. Default: the identity.
+        Pose of the child in the frame that the joint moves. If it is given for a joint that moves, the joint's frame
+        becomes a link without a body, CHILD/NAME. Default: the identity.
     axis : array_like, shape (3,)
-        In the frame of the joint, of any length.
+        Axis in the frame of the joint; its length does not matter.
     lower, upper : float or array_like, shape (3,)
         Limits [rad or m]; for planar joints, the limits of x, y and the angle; for floating joints, the limits of the
-        position. "revolute" without limits is "continuous".
+        position. A "revolute" joint without limits is "continuous".
     velocity, acceleration, jerk : float, optional
-        Largest rates of a joint with one value [rad or m per s, s² and s³], above 0. Default: none known.
+        Largest rates of a joint with one value [rad or m per s, s² and s³], above 0. By default they are unknown.
     mimic : (str, float, float), optional
-        Makes a joint with one value follow another: its name, a multiplier and an offset.
+        Makes a joint with one value follow another joint: the other joint's name, a multiplier and an offset.
     reference : float
         The value [rad or m] at which the motion of a revolute or prismatic joint is the identity.
 
@@ -98,7 +98,7 @@ def described(
     -------
     description : Description
     bodies : dict
-        Link name to body.
+        Maps link names to bodies.
     """
     expect_name(name)
     if not isinstance(links, Mapping) or not links:
@@ -141,7 +141,7 @@ def _fault(expected: str, found: str) -> NoReturn:
 
 
 def expect_name(name: Any, wanted: str = "name: expected a name") -> str:
-    """Refuse anything but a text that is not empty."""
+    """Refuse anything except a string that is not empty."""
     if not isinstance(name, str) or not name:
         raise InputError(f"{wanted}, found {_validate.short(name)}")
     return name
@@ -155,7 +155,7 @@ def unused(name: str, taken: Container[str]) -> str:
 
 
 def _body(link: Any, shapes: Any) -> Body | None:
-    """Make the body of a link of one body, or of several at their poses."""
+    """Make the body of a link from one body, or from several bodies at their poses."""
     expect_name(link, "expected a name of a link")
     if shapes is None or isinstance(shapes, Body):
         return shapes
@@ -170,7 +170,7 @@ def _body(link: Any, shapes: Any) -> Body | None:
 
 
 def _joint(joint: Joint) -> tuple[urdf.Joint, Floats | None]:
-    """Check one joint; return also the pose of its child on it, None for the identity."""
+    """Check one joint; return it with the pose of its child in the joint's frame, None for the identity."""
     what = f"joint {joint.name!r}"
     kind = _validate.choice(joint.kind, f"kind of {what}", VALUES)
     origin = _pose(joint.T_parent_joint, f"T_parent_joint of {what}")
@@ -198,7 +198,7 @@ def _joint(joint: Joint) -> tuple[urdf.Joint, Floats | None]:
 
 
 def _pose(T: ArrayLike | None, name: str) -> Floats:
-    """Check a pose that is multiplied with others: its numbers must not overflow."""
+    """Check a pose that is multiplied by other poses: the products must not overflow."""
     pose = _validate.pose(T, name)
     if np.abs(pose).max() > LARGEST:
         raise InputError(f"{name}: expected numbers within ±{LARGEST:g}, found {np.abs(pose).max():g}")
@@ -206,7 +206,7 @@ def _pose(T: ArrayLike | None, name: str) -> Floats:
 
 
 def _rate(given: float | None, kind: str, name: str) -> float:
-    """Check the largest rate of a joint of one value; NaN for none."""
+    """Check the largest rate of a joint with one value; return NaN if there is none."""
     if given is None:
         return math.nan
     if len(VALUES[kind]) != 1:

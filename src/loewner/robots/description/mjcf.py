@@ -17,7 +17,7 @@ from loewner.robots.description.urdf import VALUES, Description, Joint, Mimic, n
 from loewner.robots.description.xml_elements import some
 from loewner.scenes.mjcf_models import MjcfBody, MjcfJoint, MjcfModel
 
-# Values of keyframes may deviate by this much from where couplings put a joint [rad or m].
+# Largest deviation of a keyframe's value from the value that couplings give a joint [rad or m].
 UNCOUPLED = 1e-6
 
 KINDS = {"slide": "prismatic", "ball": "ball", "free": "floating"}
@@ -26,8 +26,9 @@ KINDS = {"slide": "prismatic", "ball": "ball", "free": "floating"}
 def description_of(model: MjcfModel) -> tuple[Description, dict[str, Body]]:
     """Read the links and joints of a model, and the bodies of the links.
 
-    Each body of the model is a link in its own frame. If several joints move it, or its joint's anchor is not its
-    origin, a chain of links without bodies is inserted above it. Each additional part of a body is a link fixed to it.
+    Each body of the model is a link in its own frame. If several joints move a body, or its joint's anchor is not its
+    origin, a chain of links without bodies is inserted above the body. Each additional part of a body is a link fixed
+    to it.
     """
     above: dict[str, Joint] = {}
     joints: dict[str, Joint] = {}
@@ -51,7 +52,7 @@ def description_of(model: MjcfModel) -> tuple[Description, dict[str, Body]]:
 
 
 def semantics_of(model: MjcfModel, robot: Description) -> Semantics:
-    """Return keyframes as states, and the pairs of links that MuJoCo skips as disabled pairs."""
+    """Return keyframes as states and, as disabled pairs, the pairs of links that MuJoCo skips."""
     states, theirs = {}, qpos_columns(robot)
     uncoupled = []
     for name, qpos in model.keyframes.items():

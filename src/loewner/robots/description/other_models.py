@@ -1,4 +1,4 @@
-"""Make robots of other libraries' models: their shapes as bodies of links, and the order of their configurations."""
+"""Make robots from other libraries' models: their shapes as bodies of links, and the order of their configurations."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class Model(NamedTuple):
     ----------
     name : str
     links : tuple of str
-        The first is the world.
+        The first link is the world.
     joints : tuple of Joint
     shapes : list of Shape
     checked : ndarray of bool, shape (n, n)
@@ -64,7 +64,8 @@ class Order(NamedTuple):
     width : int
         Number of values of a configuration.
     columns : mapping
-        Maps each joint to the columns of its values, in our order; two columns for one value are its cosine and sine.
+        Maps each joint to the columns of its values, in our order; if one value has two columns, they are its cosine
+        and sine.
     constants : mapping
         Maps each column whose value does not change to this value.
     """
@@ -81,11 +82,11 @@ class Layout(KeepsReadOnly):
     Attributes
     ----------
     names : tuple of str
-        For messages: the joint of each column of the model.
+        The joint of each column of the model, for messages.
     source, factors, offsets : ndarray, shape (width,)
         Each column of the model is a multiple of one of our columns, plus a constant; columns beyond ours are zero.
     own : ndarray, shape (dof,)
-        The column of the model that equals each of ours.
+        The column of the model that equals each of our columns.
     turning : ndarray, shape (k, 3)
         Our columns that the model represents by a cosine and a sine, and the columns of the cosine and the sine.
     """
@@ -98,19 +99,19 @@ class Layout(KeepsReadOnly):
     turning: Ints
 
     def exported(self, Q: Floats) -> Floats:
-        """Return the model's configurations for ours, shape (..., dof)."""
+        """Convert our configurations, shape (..., dof), to the model's configurations."""
         q = self.exported_rates(Q) + self.offsets
         for column, cosine, sine in self.turning.tolist():
             q[..., cosine], q[..., sine] = _elementary.cos(Q[..., column]), _elementary.sin(Q[..., column])
         return q
 
     def exported_rates(self, rates: Floats) -> Floats:
-        """Return the rates of the model's values for ours; they contain no cosines and sines."""
+        """Convert rates of our values to rates of the model's values, which must contain no cosines and sines."""
         padded = np.concatenate([rates, np.zeros((*rates.shape[:-1], 1))], axis=-1)
         return np.asarray(self.factors * padded[..., self.source])
 
     def imported(self, q: Floats, tolerance: float) -> Floats:
-        """Return our configurations for the model's, shape (..., width), which must satisfy its couplings."""
+        """Convert the model's configurations, shape (..., width), to ours; they must satisfy the model's couplings."""
         Q = q[..., self.own]
         for column, cosine, sine in self.turning.tolist():
             Q[..., column] = _elementary.arctan2(q[..., sine], q[..., cosine])
@@ -191,8 +192,9 @@ def with_shapes(
 ) -> tuple[dict[str, list[tuple[Body, Floats]] | None], list[Joint], list[Pair]]:
     """Assign to links the shapes of a model whose rules on pairs apply to shapes instead of links.
 
-    Shapes of a link that are checked against the same other shapes form its body; each further class of shapes becomes
-    a link fixed to it. Each shape of the first link, the world, becomes a link of its own.
+    Shapes of a link are grouped by the other shapes against which they are checked: the first group becomes the link's
+    body, and each further group becomes a link fixed to it. Each shape of the first link, the world, becomes a separate
+    link.
 
     Returns
     -------
@@ -238,7 +240,7 @@ def warn_of_fixed_contacts(
 
 
 def unique(names: Sequence[str], scopes: Sequence[str]) -> list[str]:
-    """Return the names, with their scopes if a name occurs twice, and with underscores if that is not enough."""
+    """Return the names, with their scopes if a name occurs twice, and with underscores if scopes are not enough."""
     found: list[str] = []
     for name, scope in zip(names, scopes, strict=True):
         made = name if names.count(name) == 1 else f"{scope}::{name}"

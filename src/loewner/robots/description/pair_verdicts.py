@@ -21,7 +21,7 @@ from loewner.robots.description.xml_elements import MOST_BYTES, read_xml
 
 
 class PairVerdict(StrEnum):
-    """Whether a pair can collide, at any configuration of a range."""
+    """Whether a pair can collide at any configuration of a range."""
 
     NEVER = "NEVER"
     ALWAYS = "ALWAYS"
@@ -95,7 +95,7 @@ class ProvenPair(_validate.Brief):
 
 @dataclass(frozen=True, eq=False)
 class ProvenPairs:
-    """Which pairs of bodies can ever collide; a sequence of `ProvenPair`.
+    """Answers to which pairs of bodies can ever collide, as a sequence of `ProvenPair`.
 
     Attributes
     ----------
@@ -106,7 +106,7 @@ class ProvenPairs:
     rigid : tuple of pairs of str
         The requested pairs whose bodies are on the same rigid part. They are never checked.
     proof : Proof or None
-        A proof of all rows, if these are NEVER, for other programs to verify; None if no proof was requested.
+        A proof of all rows, if all are NEVER, for other programs to verify; None if no proof was requested.
 
     Examples
     --------
@@ -164,8 +164,8 @@ class ProvenPairs:
     def to_srdf(self, path: str | os.PathLike[str], *, narrower: bool = False) -> tuple[Pair, ...]:
         """Add the proven pairs to an SRDF, as pairs that are exempt from checking.
 
-        A pair that is proven never to collide gets the reason "Never", one that always collides the reason "Always",
-        each with the range of the proof as a comment. The existing contents of the file stay unchanged.
+        A pair that is proven never to collide gets the reason "Never", and a pair that always collides gets the reason
+        "Always". A comment gives the range of each proof. The existing contents of the file stay unchanged.
 
         Parameters
         ----------
@@ -207,7 +207,7 @@ class ProvenPairs:
             f'reason="{REASONS[row.verdict]}"/>  <!-- proven: {_comment(row.range_text)} -->\n'
             for row in new
         )
-        # Not in a comment.
+        # The last end tag outside comments.
         at = re.sub(r"<!--.*?-->", lambda comment: " " * len(comment[0]), before, flags=re.DOTALL).rindex("</robot")
         after = before[:at] + lines.replace("\n", "\r\n" if "\r\n" in before else "\n") + before[at:]
         if not {frozenset(row.names) for row in new} <= _listed(target, after):
@@ -218,12 +218,12 @@ class ProvenPairs:
 
 
 def _comment(text: str) -> str:
-    """Text as it may be in a comment of XML."""
+    """Return text in a form that an XML comment may contain."""
     return text.replace("--", "- -")
 
 
 def _srdf(path: Path, robot: str) -> tuple[str, set[frozenset[str]]]:
-    """Return the text of an SRDF, a new one if there is none, and the pairs that it lists."""
+    """Return the text of an SRDF, or of a new SRDF if there is none, and the pairs that it lists."""
     if not path.exists():
         return f'<?xml version="1.0"?>\n<robot name={quoteattr(robot)}>\n</robot>\n', set()
     root, data = read_xml(path, "an SRDF"), read_regular(path, "an SRDF", MOST_BYTES)
@@ -238,7 +238,7 @@ def _srdf(path: Path, robot: str) -> tuple[str, set[frozenset[str]]]:
 
 
 def _listed(path: Path, text: str) -> set[frozenset[str]]:
-    """Return the pairs that the text of an SRDF lists, also as pairs to check."""
+    """Return the pairs that the text of an SRDF lists, including pairs to check."""
     root = read_xml(path, "an SRDF", text.removeprefix("\ufeff"))
     elements = [*root.all("disable_collisions"), *root.all("enable_collisions")]
     return {frozenset((one.attributes.get("link1", ""), one.attributes.get("link2", ""))) for one in elements}

@@ -73,9 +73,10 @@ def pinocchio_model(model: Any, geometry_model: Any, meshes: str, tol: float) ->
 
 
 def _links(model: Any) -> tuple[dict[int, str], dict[int, str]]:
-    """Name the links of body frames, by the numbers of the frames, and the links that joints move.
+    """Name the links of body frames, keyed by the numbers of the frames, and the links that joints move.
 
-    A joint moves the first body that has its frame; another one has a link with its own name, like the world.
+    A joint moves the first body that has the joint's frame. A joint without such a body, like the world, moves a link
+    with the joint's name.
     """
     bodies = [k for k, frame in enumerate(model.frames) if frame.type.name == "BODY"]
     of_body = dict(zip(bodies, unique([model.frames[k].name for k in bodies], ["BODY"] * len(bodies)), strict=True))
@@ -95,7 +96,7 @@ def _links(model: Any) -> tuple[dict[int, str], dict[int, str]]:
 def _shape(
     model: Any, shape: Any, of_body: Mapping[int, str], at_joint: Mapping[int, str], meshes: str, tol: float
 ) -> Shape:
-    """Read a collision shape; it is placed in the frame of its joint."""
+    """Read a collision shape, which is placed in the frame of its joint."""
     joint, frame = int(shape.parentJoint), int(shape.parentFrame)
     if joint >= model.njoints:
         raise InputError(f"geometry {shape.name!r}: expected a joint of the model, found joint {joint}")
@@ -110,7 +111,7 @@ def _shape(
 
 
 def _moves(model: Any, joint: Any, name: str) -> Moves:
-    """List joints that together are a joint of pinocchio, and the columns of their values."""
+    """List the joints that together represent a joint of pinocchio, and the columns of their values."""
     kind, q = joint.shortname(), int(joint.idx_q)
     lower, upper = model.lowerPositionLimit, model.upperPositionLimit
 
@@ -136,7 +137,7 @@ def _moves(model: Any, joint: Any, name: str) -> Moves:
     elif kind == "JointModelTranslation":
         yield from (single(f"/{'xyz'[k]}", "prismatic", axis, k) for k, axis in enumerate((X, Y, Z)))
     elif kind == "JointModelPlanar":
-        # Limits of its velocity are for the axes that turn with the child.
+        # Velocity limits of a planar joint are for the axes that turn with the child.
         yield from (single(f"/{'xy'[k]}", "prismatic", axis, k, rated=False) for k, axis in enumerate((X, Y)))
         turn, _ = single("/theta", "revolute", Z, 2, limited=False)
         yield turn, (q + 2, q + 3)
@@ -160,7 +161,7 @@ def _moves(model: Any, joint: Any, name: str) -> Moves:
 
 
 def _screw(model: Any, joint: Any) -> tuple[Floats, Floats]:
-    """Return the velocity and the angular velocity of a joint of one value, at the rate 1."""
+    """Return the velocity and the angular velocity of a joint with one value, at the rate 1."""
     data = joint.createData()
     joint.calc(data, np.eye(1, model.nq, joint.idx_q)[0])  # it reads beyond shorter arrays
     motion = np.asarray(data.S, dtype=np.float64).reshape(6)

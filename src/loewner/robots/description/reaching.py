@@ -19,18 +19,18 @@ from loewner._kernels.records import Tree
 from loewner._native import entries
 from loewner.errors import InputError
 
-# A pose starts from the answer for the one before it, unless it is the first of a chain. Chains are shorter with more
-# seeds, so that an interrupt need not wait for long.
+# The search for a pose starts from the answer for the previous pose, unless the pose is the first of a chain. With more
+# seeds, chains are shorter, so that an interrupt does not wait long.
 CHAINED, SEEDS_OF_A_CHAIN = 64, 2**14
 
-# Limit on the seeds, and on the size of a table of seeds that is kept.
+# Largest number of seeds, and largest size of a table of seeds that is kept.
 MOST_SEEDS, KEPT = 2**16, 1024
 
-# Largest length or value: squares of products of two do not overflow. With errors that are not finite, the kernel's
-# search would not end.
+# Largest length or value: the square of the product of two such numbers does not overflow. If errors were not finite,
+# the kernel's search would not end.
 LARGEST = 1e50
 
-# If the first solution is not free, a free one is sought among this many; then all seeds are tried.
+# If the first solution is not free, this many solutions are tried; if none is free, all seeds are tried.
 FEW = 4
 
 IDENTITY = np.eye(3)
@@ -55,15 +55,16 @@ class Reached(_validate.Brief):
     Attributes
     ----------
     configuration : ndarray, shape (..., dof)
-        A solution, or otherwise the configuration that came nearest. With a checker, it is free if any solution is.
+        A solution or, if none was found, the nearest configuration. With a checker, the solution is free if any
+        solution is.
     reached : bool or ndarray, shape (...)
-        Whether it is a solution; with a checker, only a free configuration counts.
+        Whether the configuration is a solution; with a checker, only a free configuration counts.
     residual : ndarray, shape (..., 2)
-        Distance [m] and angle [rad] by which the configuration exceeds the tolerance. If it is at most 1e-9 although
+        Distance [m] and angle [rad] by which the configuration exceeds the tolerance. If both are at most 1e-9 although
         `reached` is False, the pose can be reached, but the solutions found collide.
     solutions : ndarray, shape (k, dof), or tuple of such arrays, or None
-        With ``all=True``: all distinct solutions found, free ones first, then those near the start first. For many
-        poses, a tuple with one array for each pose in C order.
+        With ``all=True``: all distinct solutions found, free solutions first and then in order of distance from the
+        start. For many poses, a tuple with one array for each pose in C order.
     free : int or ndarray, shape (...), or None
         With ``all=True`` and a checker: the number of solutions that are free.
 
@@ -112,7 +113,7 @@ class Chain(NamedTuple):
 
     @property
     def moving(self) -> Bools:
-        """Which of the values move."""
+        """Mark the values that move."""
         return np.asarray(self.ranges[columns.HOW] != columns.HELD)
 
 
@@ -155,7 +156,7 @@ def chain(tree: Tree, link: int, moves: Bools, limits: Floats, usual: Floats) ->
 
 
 def links_above(tree: Tree, link: int) -> list[int]:
-    """List a link and all links above it, from below; none for the world, which is -1."""
+    """List a link and all links above it, from the link upwards; the list is empty for the world, which is -1."""
     found = []
     while link >= 0:
         found.append(link)
@@ -175,7 +176,7 @@ def wrapping(tree: Tree, dof: int) -> Bools:
 
 
 def _set_ranges(ranges: Floats, kind: int, limits: Floats, wraps: Bools) -> None:
-    """Fill the columns of a joint that moves."""
+    """Fill the columns of `ranges` for a joint that moves."""
     quaternion = {columns.FLOATING: 3, columns.BALL: 0}.get(kind, WIDTHS[kind])
     lengths = {columns.PRISMATIC: 1, columns.PLANAR: 2, columns.FLOATING: 3}.get(kind, 0)
     how, numbers = ranges[columns.HOW], slice(0, quaternion)
@@ -186,7 +187,7 @@ def _set_ranges(ranges: Floats, kind: int, limits: Floats, wraps: Bools) -> None
 
 
 def turning_axis(constants: Floats) -> Floats:
-    """Axis of a turning joint in the frame that it moves, from the derivative of its rotation at 0."""
+    """Compute the axis of a turning joint in the frame that it moves, from the derivative of its rotation at 0."""
     blocks = [constants[k : k + 9].reshape(3, 3) for k in (columns.ROTATION, columns.COSINE, columns.SINE)]
     skew = product((blocks[0] + blocks[1]).T, blocks[2])
     return np.asarray(skew[[2, 0, 1], [1, 2, 0]])
@@ -215,8 +216,7 @@ def seeded(chain: Chain, count: int) -> Floats:
 
 
 def checked_tolerance(tolerance: ArrayLike) -> Floats:
-    """Check the tolerances of six coordinates, and return them in the form that the kernel takes: 2 sin(angle / 2) for
-    angles."""
+    """Check the tolerances of six coordinates, and convert angles to 2 sin(angle / 2), as the kernel takes them."""
     given = _validate.float_array(tolerance, "tolerance")
     if given.shape != (6,) or not (given >= 0).all():
         raise InputError(
@@ -250,7 +250,7 @@ def refuse_far(chain: Chain, T: Floats, starts: Floats) -> None:
 
 
 def refuse_unsteady(chain: Chain, link: str) -> None:
-    """Refuse joints that move, but not along straight lines."""
+    """Refuse moving joints with a quaternion, whose values do not change along straight lines."""
     moves, kinds = chain.links[:, columns.MOVES_OF_LINK], chain.links[:, columns.KIND_OF_LINK]
     if moves[kinds >= columns.FLOATING].any():
         raise InputError(
@@ -267,9 +267,9 @@ class Answers(NamedTuple):
     nearest: Floats
 
     def residual(self, values: int) -> Floats:
-        """Metres and radians by which the nearest configurations miss the tolerance, shape (n, 2)."""
+        """Return the metres and radians by which the nearest configurations miss the tolerance, shape (n, 2)."""
         tilt, spin = np.minimum((0.5 * self.nearest[:, values + 1 :]) ** 2, 1.0).T
-        # Their axes are at right angles, so that cos(angle / 2) is the product of the cosines of the halves.
+        # The axes of tilt and spin are perpendicular, so cos(angle / 2) is the product of the half angles' cosines.
         angles = 2.0 * _elementary.arcsin(np.sqrt(tilt + spin * (1.0 - tilt)))
         return np.stack([self.nearest[:, values], angles], axis=-1)
 
@@ -279,7 +279,7 @@ def solve(chain: Chain, T: Floats, starts: Floats, seeds: Floats, most: int, tol
 
     The search begins at the point within the limits that is nearest to the start.
     """
-    # The kernel keeps its steps within the limits, but takes the start as it is; a held value has none.
+    # The kernel keeps its steps within the limits, but takes the start as it is; a held value has no limits.
     starts = starts.clip(chain.ranges[columns.LEAST], chain.ranges[columns.MOST])
     count, values = len(T), len(chain.columns)
     _validate.fits_memory(8 * count * (most + 1) * (values + 3), f"{most} solutions for each of {count} poses")
@@ -298,8 +298,7 @@ def solve(chain: Chain, T: Floats, starts: Floats, seeds: Floats, most: int, tol
 
 
 class Solutions(NamedTuple):
-    """All solutions as configurations, the pose of each, and which ones are free, in the order of
-    `Reached.solutions`."""
+    """All solutions as configurations, with their poses and which are free, in the order of `Reached.solutions`."""
 
     Q: Floats
     poses: Ints
@@ -307,7 +306,7 @@ class Solutions(NamedTuple):
 
     @classmethod
     def of(cls, answers: Answers, chain: Chain, starts: Floats, checker: Collides | None) -> Solutions:
-        """Sort the solutions of poses with these starts, shape (n, dof)."""
+        """Sort the solutions of poses with the given starts, shape (n, dof)."""
         poses = np.repeat(np.arange(len(starts)), answers.counts)
         Q = starts[poses]
         Q[:, chain.columns] = answers.solutions[np.arange(answers.solutions.shape[1]) < answers.counts[:, None]]
@@ -316,7 +315,7 @@ class Solutions(NamedTuple):
         return cls(Q[order], poses, free[order])
 
     def choose(self, Q: Floats, reached: Bools) -> None:
-        """Put the first solution of each pose that has one into Q, and put whether it is free into `reached`."""
+        """Write the first solution of each pose that has one into Q, and whether it is free into `reached`."""
         having, first = np.unique(self.poses, return_index=True)
         Q[having], reached[having] = self.Q[first], self.free[first]
 

@@ -70,7 +70,7 @@ MANY_LINKS = 30
 # Smallest number of configurations that a thread takes at a time: about 0.1 ms of work.
 LEAST_SHARE = 1024
 
-# How `Robot.prove_pairs`, `free_range` and the methods on covers are answered: `pair_ranges`, `covers` and
+# Implementations of `Robot.prove_pairs`, `free_range` and the methods on covers: `pair_ranges`, `covers` and
 # `cover_files`, which are above this module, put their functions here.
 answers: dict[str, Callable[..., Any]] = {}
 
@@ -116,13 +116,13 @@ def _model(meshes: str, decompose: bool) -> str:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Robot(KeepsReadOnly):
-    """A tree of links connected by joints; read one with `from_urdf` or `from_mjcf`, or join several with `join`.
+    """A tree of links connected by joints; read a robot with `from_urdf` or `from_mjcf`, or join several with `join`.
 
     Attributes
     ----------
     name : str
     link_names : tuple of str
-        Parents before children; the index is the row of `forward_kinematics`.
+        Parents come before children. The index of a link is its row in `forward_kinematics`.
     joint_names : tuple of str
         Joints with values of their own, that is, movable joints that do not mimic another joint, in the order of the
         URDF.
@@ -133,34 +133,34 @@ class Robot(KeepsReadOnly):
     lower, upper : ndarray, shape (dof,)
         Limits for sampling, planning and `reach`, in radians for joints that turn and metres for joints that slide;
         infinite for values without limits. They are within the limits and the soft limits (``<safety_controller>``) of
-        the file, and they keep joints that mimic the joint within their own limits. All functions accept configurations
-        outside the limits; a configuration far outside causes a single warning (see `checked`).
+        the file, and they keep mimicking joints within their own limits. All functions accept configurations outside
+        the limits; a configuration far outside causes a single warning (see `checked`).
     hard_lower, hard_upper : ndarray, shape (dof,)
-        Limits of the joints as in the file. A plan may start between these limits and the narrower ones.
+        Limits of the joints in the file. A plan may start outside `lower` and `upper`, within these limits.
     velocity, acceleration, jerk : ndarray, shape (dof,)
         The largest rates of each value [rad or m per s, s² and s³]: the URDF's limits, or less if a mimic joint would
         otherwise exceed its own limit. NaN if the URDF gives no positive limit, and for planar and floating joints.
         Only URDF 1.2 has acceleration and jerk limits.
     bodies : dict
-        Link name to `Body`, in the frame of the link, for links with collision geometry. For this and the next three
-        attributes, looking up an unknown name raises an UnknownNameError that lists the known names.
+        Maps the names of links with collision geometry to a `Body` in the frame of the link. For this and the next
+        three attributes, looking up an unknown name raises an UnknownNameError that lists the known names.
     shapes : dict
-        Link name to a description of the body of each collision shape of a URDF, in the order of the file: "box",
-        "hull, sticks out by up to 0.4 mm", "pieces, 3 that stick out by up to 2 mm", "solid, 1,234 triangles",
-        "surface without an inside, 96 triangles", "solid of a nearly closed mesh, 804 triangles", "hull of an open
-        mesh".
+        Maps link names to a description of the body of each collision shape of a URDF, in the order of the file: "box",
+        "hull, sticks out by up to 0.4 mm", "pieces, 3 that stick out by up to 2 mm", "solid, 1,234 triangles", "surface
+        without an inside, 96 triangles", "solid of a nearly closed mesh, 804 triangles", "hull of an open mesh".
     groups : dict
-        Group name to joint names, from the SRDF.
+        Maps group names to joint names, from the SRDF.
     states : dict
-        State name to (group, {joint: value}), from the SRDF; for a joint with several values a tuple in the order of
-        `configuration_names`. If several groups have a state with the same name, the second one is called "group/name".
+        Maps state names to (group, {joint: value}), from the SRDF; a joint with several values has a tuple in the order
+        of `configuration_names`. If several groups have a state with the same name, the second state is called
+        "group/name".
     disabled_pairs : frozenset
         Sorted pairs of links that the SRDF exempts from checking.
     adjacent_pairs : frozenset
         Sorted pairs of links with bodies that are connected directly by a joint, or through links without bodies and at
         most one moving joint.
     mimics : dict
-        Name of a joint that mimics another to the other joint's name and the factor between their rates.
+        Maps the name of each mimicking joint to the other joint's name and the factor between their rates.
     tree : Tree
         The arrays that kernels take; described in ``loewner/_kernels/robots/kinematics.py``.
     urdf : Path
@@ -203,9 +203,10 @@ class Robot(KeepsReadOnly):
     urdf: Path
     package_dirs: tuple[Path, ...]
     _columns: dict[str, slice] = field(repr=False)
-    # For each link but roots, the joint above it, "" for one without a name, and its parent; None is the world.
+    # For each link except roots, the joint above it ("" for a joint without a name), and its parent (None for the
+    # world).
     _above: dict[str, tuple[str, str | None]] = field(repr=False)
-    # For messages: the links that only have visual geometry.
+    # The links that only have visual geometry, for messages.
     _only_visual: tuple[str, ...] = field(repr=False)
     _watch: Watch = field(repr=False)
     # The tree with the root link at the origin.
@@ -213,7 +214,7 @@ class Robot(KeepsReadOnly):
     # Descriptions, and the robots that were joined.
     _sources: tuple[Source, ...] = field(repr=False)
     _parts: dict[str, Part[Robot]] = field(repr=False)
-    # Whether an SRDF or an MJCF has rules on pairs: then no adjacent pair is exempt by default.
+    # Whether an SRDF or an MJCF has rules on pairs. If so, no adjacent pair is exempt by default.
     _ruled: bool = field(repr=False)
     # Bodies that were added in the world, which the robot's pose does not move.
     _in_world: tuple[str, ...] = field(repr=False)
@@ -249,26 +250,26 @@ class Robot(KeepsReadOnly):
             The contents of such a file instead of a path, such as ROS's ``/robot_description``. Relative paths of
             meshes in it are resolved from the working directory.
         xacro_args : mapping of str to str, number or bool, optional
-            Values for the arguments of a xacro file; with these, a file of any name is expanded. ``$(find package)`` is
-            the folder of a package, see `package_dirs`.
+            Values for the arguments of a xacro file. If they are given, a file with any name is expanded. ``$(find
+            package)`` is the folder of a package; see `package_dirs`.
         srdf : path, optional
-            Groups, states and disabled pairs. A file whose name ends in ``.xacro`` is expanded as well.
+            A file with groups, states and disabled pairs. A file whose name ends in ``.xacro`` is expanded as well.
         package_dirs : path or iterable of paths
-            Folders of packages (or packages) for ``package://`` and ``model://``. The folders that ROS names in the
-            environment, and the folders above the URDF, are also searched.
+            Packages, or folders that contain packages, for ``package://`` and ``model://``. The folders that ROS names
+            in the environment, and the folders above the URDF, are also searched.
         meshes : {"auto", "hull", "pieces", "surface"}
             Representation of each collision mesh. "auto", the default: the hull of a closed mesh if it is proven to
             stick out by at most 1 mm or 1 % of the mesh's diameter (the larger of the two counts), and otherwise the
             solid that the mesh encloses. Holes of a nearly closed mesh are closed first; for any other mesh, the hull
-            is used. `shapes` has the results. "hull": the convex hull, which contains the mesh. "pieces": convex pieces
-            (`Body.from_mesh`), into which a non-convex mesh is split once (see `cache`). "surface": its triangles
-            (`Body.from_surface`), including the enclosed space if the mesh is closed.
+            is used. `shapes` describes the results. "hull": the convex hull, which contains the mesh. "pieces": convex
+            pieces (`Body.from_mesh`), into which a non-convex mesh is split once (see `cache`). "surface": its
+            triangles (`Body.from_surface`), including the enclosed space if the mesh is closed.
         decompose : bool
             True means the same as ``meshes="pieces"``.
         pairs : {"adjacent", "proven"}, optional
             Which pairs are exempt from checking if there is no SRDF. "adjacent", the default: links that are connected
-            by a joint. "proven": also the pairs that are proven to collide never, or at all configurations
-            (`prove_pairs`).
+            by a joint. "proven": also the pairs that are proven to collide at no configuration, or at all
+            configurations (`prove_pairs`).
         tol : float
             Certified log-volume gap of all fits.
         cache : bool
@@ -288,8 +289,9 @@ class Robot(KeepsReadOnly):
             names its link and the places searched.
         InputError
             If neither or both of `path` and `text` are given; if `path` is not a path (but XML, for instance); if the
-            SRDF is a URDF; if the links do not form a tree; or if a joint is not well defined. GeometryError if a shape
-            is flat or has no size.
+            SRDF is a URDF; if the links do not form a tree; or if a joint is not well defined.
+        GeometryError
+            If a shape is flat or has no size.
         UnknownNameError
             If a joint refers to a name that does not exist, or the SRDF belongs to a different robot.
         MissingExtraError
@@ -521,15 +523,16 @@ class Robot(KeepsReadOnly):
         polygon : array_like, shape (n, 2)
             Corners in the frame of the base, in metres, in either order. It need not be convex.
         height : float
-            In metres.
+            Height in metres.
         bounds : array_like, shape (2, 2), optional
             Lowest and highest x and y, in metres; planning requires them.
 
         Returns
         -------
         Robot
-            It has the link "footprint" on the joints ``base/x``, ``base/y`` and ``base/theta``, as from `add_base`. It
-            may move in each direction: a proof of its motions is valid for a base that can drive sideways.
+            A robot with the link "footprint" on the joints ``base/x``, ``base/y`` and ``base/theta``, as from
+            `add_base`. The base may move in every direction: a proof of its motions is valid for a base that can drive
+            sideways.
 
         Raises
         ------
@@ -625,23 +628,23 @@ class Robot(KeepsReadOnly):
         Parameters
         ----------
         plant : pydrake.multibody.plant.MultibodyPlant
-            Finalized.
+            A finalized plant.
         scene_graph : pydrake.geometry.SceneGraph
         context : pydrake.systems.framework.Context, optional
             The context of the whole diagram, for geometry, filters, poses of frames, and locked joints, which become
             fixed. Default: as in the model.
         mimic : mapping, optional
-            Joints that follow others, since Drake's Python cannot read couplers: ``{joint: (other, gear ratio,
-            offset)}``, with the robot's names.
+            Joints that follow others, as ``{joint: (other, gear ratio, offset)}`` with the robot's names, since Drake's
+            Python cannot read couplers.
         tol : float
             Certified log-volume gap of the fits of meshes.
 
         Returns
         -------
         Robot
-            Every body of the plant is a link with the same name, or with the name MODEL::NAME if several models have
-            it. Each shape of the world is a link of its own, and so are shapes of a body whose filters differ from its
-            first shape's.
+            Every body of the plant is a link with the same name, or with the name MODEL::NAME if several models use the
+            name. Each shape of the world is a separate link, and so are shapes of a body with other filters than the
+            body's first shape.
 
         Raises
         ------
@@ -687,16 +690,16 @@ class Robot(KeepsReadOnly):
         model : pinocchio.Model
         geometry_model : pinocchio.GeometryModel
         meshes : {"auto", "hull", "pieces", "surface"}
-            Representation of triangle meshes, as for `from_urdf`. By default, as in Coal, they are their triangles; the
-            space that a closed mesh encloses is included as well.
+            Representation of triangle meshes, as for `from_urdf`. By default, as in Coal, a mesh consists of its
+            triangles; the space that a closed mesh encloses is included as well.
         tol : float
             Certified log-volume gap of the fits of meshes.
 
         Returns
         -------
         Robot
-            Every body frame is a link with the same name. Each shape of the universe is a link of its own, and so are
-            shapes of a link that are checked against other shapes than its first one.
+            Every body frame is a link with the same name. Each shape of the universe is a separate link, and so are
+            shapes of a link that are checked against other shapes than the link's first shape.
 
         Raises
         ------
@@ -743,7 +746,8 @@ class Robot(KeepsReadOnly):
         Raises
         ------
         InputError
-            If the robot was made in another way, or has gained values since, for example by `join`; use the parts then.
+            If the robot was made in another way, or has gained values since, for example by `join`; in this case, use
+            the parts.
 
         Examples
         --------
@@ -760,7 +764,7 @@ class Robot(KeepsReadOnly):
         ----------
         q : array_like, shape (..., nq)
         tolerance : float
-            Largest deviation [rad or m] of values that follow others or do not change from the robot's values.
+            Largest deviation [rad or m] from the robot's values, for values that follow others or are constant.
 
         Returns
         -------
@@ -769,8 +773,8 @@ class Robot(KeepsReadOnly):
         Raises
         ------
         InputError
-            If values deviate by more than the tolerance, are not finite, or the width is not the model's. As for
-            `exported`.
+            If values deviate by more than the tolerance or are not finite, or if the width differs from the model's.
+            Also as for `exported`.
 
         Examples
         --------
@@ -832,8 +836,8 @@ class Robot(KeepsReadOnly):
         Parameters
         ----------
         path : path
-            The URDF. The SRDF has the suffix ``.srdf``, and meshes are files next to them, ``STEM-DIGEST.obj``, as for
-            `Body.to_urdf`.
+            The URDF. The SRDF has the suffix ``.srdf``, and meshes are files next to the URDF, ``STEM-DIGEST.obj``, as
+            for `Body.to_urdf`.
         mesh_prefix : str
             Prefix for the names of mesh files in the URDF, for instance ``"package://my_robot/meshes/"``.
 
@@ -861,7 +865,7 @@ class Robot(KeepsReadOnly):
 
     @property
     def _lists_pairs(self) -> bool:
-        """Whether the exempt pairs are listed; otherwise, adjacent pairs are exempt by default."""
+        """Whether the exempt pairs are listed. Otherwise, adjacent pairs are exempt by default."""
         return self._ruled or bool(self.disabled_pairs)
 
     @property
@@ -931,18 +935,17 @@ class Robot(KeepsReadOnly):
         Parameters
         ----------
         parts : mapping from str to Robot
-            The robots by name. This name and a slash become a prefix of the names of their links, joints, groups and
+            The robots by name. A robot's name and a slash become a prefix of the names of its links, joints, groups and
             states: "left/panda_joint1".
         poses : mapping from str to array_like, shape (4, 4), optional
-            Pose in the world of the root link of each part; translation in metres. A part without a pose stays where
-            it is.
+            Pose of each part's root link in the world; translation in metres. A part without a pose stays where it is.
 
         Returns
         -------
         Robot
             Its configurations are the parts' configurations, one after another. Groups, states and disabled pairs are
-            kept; pairs of links of different parts are checked. If only some parts have disabled pairs, the adjacent
-            pairs of the others are disabled, too.
+            kept; pairs of links from different parts are checked. If only some parts have disabled pairs, the adjacent
+            pairs of the other parts are disabled, too.
 
         Raises
         ------
@@ -955,7 +958,7 @@ class Robot(KeepsReadOnly):
 
         See Also
         --------
-        part : Returns the values of one part.
+        part : Returns one of the parts.
 
         Examples
         --------
@@ -1017,17 +1020,17 @@ class Robot(KeepsReadOnly):
             The largest distance in metres by which the body may stick out of the links' swept volume. A larger
             tolerance gives fewer pieces.
         joint_error : float, or array_like of shape (dof,)
-            The body also contains the links if each value deviates from the curve by up to this much [rad or m]. These
-            deviations count as sticking out.
+            Largest deviation of each value from the curve [rad or m]. The body also contains the links at such
+            deviations, which count as sticking out.
         scene : Scene, optional
-            Bodies that are attached there are carried along; its other bodies are ignored.
+            Bodies that are attached in the scene are carried along; other bodies of the scene are ignored.
         progress : callable, optional
             Called as ``progress(done, total)`` with numbers of pieces.
 
         Returns
         -------
         Body
-            In the frame of the world, of convex pieces. Its `Body.covering` contains the proven excess,
+            A body of convex pieces, in the frame of the world. Its `Body.covering` contains the proven excess,
             `max_protrusion`: no point of the body is farther than this from the links' swept volume. The coordinates of
             vertices have single precision, so `Body.to_stl` writes exactly this body.
 
@@ -1035,7 +1038,7 @@ class Robot(KeepsReadOnly):
         ------
         InputError
             As for `CollisionChecker.certify_trajectory`; also if the tolerance is not positive and finite, is too small
-            to be kept, or is so small that the curve has to be divided.
+            to be met, or is so small that the curve has to be divided.
         UnknownNameError
             If there is no such link or body.
         GeometryError
@@ -1048,7 +1051,7 @@ class Robot(KeepsReadOnly):
         Notes
         -----
         Links are represented by their bodies (`bodies`): a solid is cut into convex pieces that stick out by two fifths
-        of the tolerance, as far as ten seconds of work for each suffice. docs/certified.md, "Swept volumes", derives
+        of the tolerance, if ten seconds of work for each solid suffice. docs/certified.md, "Swept volumes", derives
         both bounds.
 
         Examples
@@ -1084,9 +1087,9 @@ class Robot(KeepsReadOnly):
         Parameters
         ----------
         pairs : iterable of pairs of str, optional
-            Names of links with bodies, or of bodies that are attached to links of this robot or at rest in `scene`; one
-            of each pair moves. Default: the pairs that the SRDF or the MJCF exempts from checking, or all pairs of
-            links with bodies if neither has rules on pairs.
+            Names of links with bodies, or of bodies that are attached to links of this robot or at rest in `scene`; at
+            least one body of each pair must move. Default: the pairs that the SRDF or the MJCF exempts from checking,
+            or all pairs of links with bodies if neither has rules on pairs.
         margin : float
             A distance in metres that counts as contact; larger margins of the scene are kept.
         limits : mapping from str to (float, float), optional
@@ -1094,18 +1097,18 @@ class Robot(KeepsReadOnly):
             the hard limits of the file; a joint without limits makes a full turn, or as many turns as the joints that
             follow it need to return.
         scene : Scene, optional
-            Other bodies. Bodies that are attached there move with the robot's links.
+            A scene with other bodies. Bodies that are attached in the scene move with the robot's links.
         boxes : int
-            At most this many boxes of configurations are examined for all pairs together.
+            Largest number of boxes of configurations that are examined, for all pairs together.
         cache : bool
-            Keep answers about the hard limits, without a margin or a scene, on disk under a key of everything on which
-            they depend, so that later calls only read them.
+            Keep answers about the hard limits, without a margin or a scene, on disk, so that later calls only read
+            them. The key of an answer covers everything on which the answer depends.
         progress : callable, optional
             Called as ``progress(done, total)`` with numbers of pairs.
         proof : bool
-            Write a proof of all rows for other programs to verify, `ProvenPairs.proof`. All rows must be NEVER, with
-            bodies of convex pieces, joints that turn or slide, and at most eight values with a range between the two
-            bodies.
+            Write a proof of all rows, `ProvenPairs.proof`, for other programs to verify. All rows must be NEVER, all
+            bodies must consist of convex pieces, and all joints must turn or slide, with at most eight ranges of values
+            between the two bodies.
 
         Returns
         -------
@@ -1126,11 +1129,11 @@ class Robot(KeepsReadOnly):
 
         See Also
         --------
-        loewner.pairs_by_sampling : Guesses by samples.
+        loewner.pairs_by_sampling : Guesses such pairs from samples.
 
         Notes
         -----
-        NEVER and ALWAYS are proofs, like FREE of `CollisionChecker.certify_edges`; docs/certified.md derives the
+        NEVER and ALWAYS are proofs, like FREE in `CollisionChecker.certify_edges`; docs/certified.md derives the
         bounds. Planar joints need ranges for their positions, and pairs with a floating or ball joint between them are
         OPEN. A pair with many joints between its bodies takes many boxes: with six or more, it rarely settles.
 
@@ -1165,17 +1168,17 @@ class Robot(KeepsReadOnly):
         Parameters
         ----------
         joints : str or iterable of str
-            One value by its name in `configuration_names`, or several. The range of a single value ends where contact
-            begins, up to 1e-9 rad or m, or at the value's limit. The range of several values is a box: all of its ends
-            are at the same share of the way to their limits.
+            The name of one value, or of several values, as in `configuration_names`. The range of a single value ends
+            where contact begins, up to 1e-9 rad or m, or at the value's limit. The range of several values is a box:
+            all of its ends are at the same fraction of the way to their limits.
         about : array_like, shape (dof,), optional
-            The configuration; all other values keep their values in it. Default: `configuration`.
+            The configuration about which the range extends; all other values stay fixed. Default: `configuration`.
         pairs : iterable of pairs of str, optional
             As for `prove_pairs`. Default: the pairs that a `CollisionChecker` of this robot checks.
         margin, limits, scene
             As for `prove_pairs`.
         boxes : int
-            At most this many boxes are examined for each box of several values that is tried.
+            Largest number of boxes that are examined for each range of several values that is tried.
 
         Returns
         -------
@@ -1215,17 +1218,17 @@ class Robot(KeepsReadOnly):
     ) -> Robot:
         """Replace the body of each link by a union of simple shapes that is proven to contain it.
 
-        Shapes that stick out of links can meet where the links never do, and a planner would then find no path. Such
-        pairs are found in random configurations. A pair that is proven never to collide (`prove_pairs`) is added to
-        `disabled_pairs`; other pairs stay checked, and a warning lists the ones that always meet.
+        Shapes that stick out of links can meet where the links never do, so that a planner may find no path. Pairs of
+        such links are found in random configurations. A pair that is proven never to collide (`prove_pairs`) is added
+        to `disabled_pairs`; other pairs stay checked, and a warning lists the ones that always meet.
 
         Parameters
         ----------
         kind : {"spheres", "capsules", "boxes", "ellipsoids"}
             As for `Body.cover`.
         n : int, optional
-            The largest number of shapes for the whole robot. All links then have an equal
-            bound on how far shapes stick out. This takes several times as long as a given ``protrusion``.
+            The largest number of shapes for the whole robot. All links then have an equal bound on how far shapes stick
+            out. A cover with `n` takes several times as long as a cover with ``protrusion``.
         protrusion : float, optional
             The largest distance by which shapes may stick out of a link [m]. Default: 0.02, unless `n` is given.
         progress : callable, optional
@@ -1234,13 +1237,13 @@ class Robot(KeepsReadOnly):
         Returns
         -------
         Robot
-            The same tree. The `covering` of each body states how far it sticks out.
+            The same tree with other bodies. The `covering` of each body states how far the body sticks out.
 
         Raises
         ------
         InputError
-            If `n` and ``protrusion`` are both given, the robot has no bodies, or no cover has at most `n` shapes. As
-            for `Body.cover`.
+            If `n` and ``protrusion`` are both given, the robot has no bodies, or no cover has at most `n` shapes. Also
+            as for `Body.cover`.
 
         Warns
         -----
@@ -1265,7 +1268,7 @@ class Robot(KeepsReadOnly):
     def covered_by(
         self, model: Robot, *, tolerance: float | None = None, progress: Progress | None = None
     ) -> dict[str, CoverReport]:
-        """Prove for each link whether the body of the same link of another robot contains it, or where it does not.
+        """Prove for each link that another robot's body for this link contains it, or find where it does not.
 
         Parameters
         ----------
@@ -1279,13 +1282,13 @@ class Robot(KeepsReadOnly):
         Returns
         -------
         dict
-            Link name to `CoverReport`, for each link of this robot that has a body. A link without a body in the model
-            is uncovered, with an infinite depth.
+            Maps link names to a `CoverReport`, for each link of this robot that has a body. A link without a body in
+            the model is uncovered, with an infinite depth.
 
         Raises
         ------
         InputError
-            If `model` is not a robot. As for `Body.covered_by`.
+            If `model` is not a robot. Also as for `Body.covered_by`.
 
         Examples
         --------
@@ -1301,10 +1304,10 @@ class Robot(KeepsReadOnly):
         path: str | os.PathLike[str],
         format: Literal["curobo", "vamp", "foam", "pyroki", "urdf", "mjcf", "scene"] | None = None,
     ) -> Robot:
-        """Return the same robot with the bodies of links from a file, for instance spheres of a planner.
+        """Return the same robot with the bodies of links from a file, for instance a planner's spheres.
 
-        The pairs that the file ignores become the `disabled_pairs`, instead of the robot's own; a file without rules
-        on pairs leaves them as they are. docs/howto/covers.md lists the formats.
+        The pairs that the file ignores replace the robot's `disabled_pairs`; a file without rules on pairs leaves
+        `disabled_pairs` unchanged. docs/howto/covers.md lists the formats.
 
         Parameters
         ----------
@@ -1314,8 +1317,8 @@ class Robot(KeepsReadOnly):
             file whose bodies have the names of the links; or a scene whose bodies have these names, and poses in the
             frames of the links.
         format : str, optional
-            The program for which the file was made. Default: by the suffix and the keys. The numbers of "curobo",
-            "vamp", "foam" and "pyroki" are rounded to float32, as these programs do.
+            The program for which the file was made. By default the suffix and the keys determine the format. The
+            numbers of "curobo", "vamp", "foam" and "pyroki" are rounded to float32, as these programs do.
 
         Returns
         -------
@@ -1358,7 +1361,7 @@ class Robot(KeepsReadOnly):
 
         The shapes in the file contain the bodies of this robot: numbers are rounded outward to float32 for programs
         that use it, and shapes whose angles are rounded are 1 nm larger on each side. `with_cover` reads the file, so
-        that `covered_by` can prove it. Existing files are replaced.
+        that `covered_by` can prove that its shapes contain the links. Existing files are replaced.
 
         Parameters
         ----------
@@ -1367,12 +1370,13 @@ class Robot(KeepsReadOnly):
             "curobo": the keys of a configuration for spheres and pairs (.yml). "vamp" and "foam": a URDF of spheres,
             with an SRDF of the same stem. "pyroki": JSON, with ignored pairs in ``STEM.ignored.json``. "urdf": as
             `to_urdf`, where a capsule becomes a cylinder and two spheres. "mjcf": a model for MuJoCo. "scene": bodies
-            in the frames of links (.yaml). Default: by the suffix.
+            in the frames of links (.yaml). By default the suffix determines the format.
 
         Raises
         ------
         InputError
-            If the format has only other shapes, or the suffix does not determine the format. As for `to_urdf`.
+            If the format does not have the bodies' shapes, or the suffix does not determine the format. Also as for
+            `to_urdf`.
         UnknownNameError
             If there is no such format.
         FileError
@@ -1392,7 +1396,7 @@ class Robot(KeepsReadOnly):
         ----------
         pairs : iterable of pairs of str
         name : str
-            The caller's name for the pairs, for messages.
+            The caller's name for the argument, for messages.
 
         Returns
         -------
@@ -1435,7 +1439,8 @@ class Robot(KeepsReadOnly):
         Raises
         ------
         InputError
-            If the width is not dof, an entry is not finite (or beyond ±1e200), or a quaternion does not have norm 1.
+            If the width of Q is not dof, an entry is not finite (or beyond ±1e200), or a quaternion does not have norm
+            1.
 
         Warns
         -----
@@ -1479,8 +1484,8 @@ class Robot(KeepsReadOnly):
 
         Notes
         -----
-        The columns of a quaternion are derivatives through the rotation it represents: a change of its length alone
-        rotates nothing.
+        The columns of a quaternion are derivatives through the rotation that it represents: a change of its length
+        alone does not turn the link.
 
         Examples
         --------
@@ -1523,9 +1528,9 @@ class Robot(KeepsReadOnly):
         joints : str or iterable of str, optional
             A group, or names of joints. Only these joints move. Default: all joints that move the link.
         start : array_like, shape (..., dof), optional
-            Broadcast with the poses. All other joints keep these values. They are also the first seed, after being
-            moved into the limits. The second seed is the answer for the previous pose, so pass the poses of a line in
-            order. Default: `configuration()`, moved into the limits.
+            Start configurations, broadcast with the poses. All other joints keep their start values. The start is also
+            the first seed, after being moved into the limits. The second seed is the answer for the previous pose, so
+            pass the poses of a line in order. Default: `configuration()`, moved into the limits.
         seeds : int
             Number of further configurations from which to search, spread evenly within the limits; at least 1.
         checker : CollisionChecker, optional
@@ -1533,15 +1538,16 @@ class Robot(KeepsReadOnly):
         all : bool
             Return all distinct solutions found. Otherwise the search for a pose ends with its first solution.
         tolerance : array_like, shape (6,), optional
-            Largest deviations, in the frame of the target, to either side; ``inf`` leaves a direction free. Three
-            lengths along x, y and z [m], the tilt of the link's z axis about x and y [rad], and the spin about its z
-            axis [rad]. ``[0, 0, 0, inf, inf, inf]`` seeks a position only, ``[0, 0, 0, 0, 0, inf]`` a z axis. With both
-            tilts a and b in use, the z axis deviates by arccos(cos a + cos b - 1). Default: zeros.
+            Largest deviations to either side, in the frame of the target: three lengths along x, y and z [m], the tilts
+            of the link's z axis about x and y [rad], and the spin about the z axis [rad]. ``inf`` leaves a direction
+            free. ``[0, 0, 0, inf, inf, inf]`` seeks a position only, and ``[0, 0, 0, 0, 0, inf]`` a position and a z
+            axis. With both tilts a and b in use, the z axis deviates by up to arccos(cos a + cos b - 1). Default:
+            zeros.
 
         Returns
         -------
         Reached
-            One solution for each pose; for poses without a solution, how near the best attempt came.
+            One solution for each pose, or the nearest configuration for a pose without a solution.
 
         Raises
         ------
@@ -1554,14 +1560,14 @@ class Robot(KeepsReadOnly):
 
         Notes
         -----
-        Solutions are within the limits, except for values that are kept from a start outside them. They reach the
+        Solutions are within the limits, except for values that are kept from a start outside them. They meet the
         tolerance to 1e-10 m and rad, times one plus the sum of the absolute values of the pose's coordinates in metres.
-        If no solution was found, this does not prove that there is none; more seeds find more. A joint that can turn by
-        more than a whole turn is returned at the angle nearest to the start. Which solution comes first does not depend
-        on the number of threads.
+        A search that finds no solution does not prove that no solution exists; more seeds find more solutions. A joint
+        that can turn by more than a whole turn is returned at the angle nearest to the start. Which solution comes
+        first does not depend on the number of threads.
 
-        Each seed is improved by damped Newton steps, eight seeds at a time, and is abandoned when these gain too
-        little. A redundant arm has infinitely many solutions, one for each seed or so.
+        Each seed is improved by damped Newton steps, eight seeds at a time, and is abandoned when the steps gain too
+        little. A redundant arm has infinitely many solutions; nearly every seed finds another one.
 
         Examples
         --------
@@ -1599,7 +1605,7 @@ class Robot(KeepsReadOnly):
         Q : array_like, shape (..., dof)
             The columns of a table with column names must be in the order of `configuration_names`.
         name : str
-            The caller's name for it, for messages.
+            The caller's name for the argument, for messages.
 
         Returns
         -------
@@ -1615,10 +1621,9 @@ class Robot(KeepsReadOnly):
         Warns
         -----
         UserWarning
-            Given once for a robot and its copies, if a value is far outside its limits (an angle by more than a turn,
-            or a length by more than a metre and ten times the range of the limits), or if a joint that turns without
-            limits is outside ±50 rad. The warning names the joint, and suggests that values may be in degrees or
-            millimetres.
+            Once for a robot and its copies, if a value is far outside its limits (an angle by more than a turn, or a
+            length by more than a metre and ten times the range of the limits), or if a joint that turns without limits
+            is outside ±50 rad. The warning names the joint, and suggests that values may be in degrees or millimetres.
         """
         # A fast path for a single configuration, whose few entries cost less than NumPy's overhead.
         plain = type(Q) is np.ndarray and Q.dtype == np.float64 and Q.shape == (self.dof,) and self.runs_straight
@@ -1655,7 +1660,7 @@ class Robot(KeepsReadOnly):
         ----------
         q : array_like, shape (dof,)
         name : str
-            The caller's name for it, for messages.
+            The caller's name for the argument, for messages.
 
         Returns
         -------
@@ -1825,7 +1830,7 @@ class Robot(KeepsReadOnly):
 
     @kept
     def runs_straight(self) -> bool:
-        """Whether all values change linearly along motions, since no joint has a quaternion."""
+        """Whether all values change linearly along motions, that is, whether no joint has a quaternion."""
         return not self._quaternions
 
     def between(self, Q0: ArrayLike, Q1: ArrayLike, t: ArrayLike) -> Floats:
@@ -1835,7 +1840,7 @@ class Robot(KeepsReadOnly):
         ----------
         Q0, Q1 : array_like, shape (..., dof)
         t : array_like, shape (...)
-            Fraction of the motion: 0 is Q0, 1 is Q1; broadcast with the configurations.
+            Fraction of the motion, from 0 at Q0 to 1 at Q1; broadcast with the configurations.
 
         Returns
         -------
@@ -1894,7 +1899,7 @@ def chain_to(robot: Robot, link: str, joints: str | Iterable[str] | None = None)
 
 
 def _expect_order(robot: Robot, Q: object, name: str) -> None:
-    """Refuse a table, or a row of one, whose labels are joints in another order: its array has no labels."""
+    """Refuse a table, or a row of a table, whose labels are joints in another order: its array has no labels."""
     labels = getattr(Q, "columns" if hasattr(Q, "columns") else "index", None)
     if labels is None or callable(labels) or isinstance(Q, np.ndarray):
         return
@@ -1984,7 +1989,7 @@ def unlimited(robot: Robot) -> tuple[Bools, Bools, Bools]:
 def _ends(
     robot: Description, columns: Mapping[str, slice], dof: int, of: Callable[[Joint], tuple[float, float]]
 ) -> tuple[Floats, Floats]:
-    """Return the least and the largest configuration values, of ranges of joints."""
+    """Return the least and the largest configuration values from the ranges of joints."""
     lower, upper = np.full(dof, -np.inf), np.full(dof, np.inf)
     for name, column in columns.items():
         joint = robot.joints[name]

@@ -22,7 +22,7 @@ HARMLESS = {
         "@version",
         "contact", "gripper", "handle", "position", "rotor_params", "specificities",  # additions of other programs
         "end_effector",  # which group is a hand: for markers to drag
-        "link_sphere_approximation",  # the shapes of the URDF count
+        "link_sphere_approximation",  # the shapes of the URDF are used
     )),
     "disable_collisions": frozenset(("@reason",)),
     "enable_collisions": frozenset(("@reason",)),
@@ -46,13 +46,13 @@ class Semantics:
     Attributes
     ----------
     groups : dict
-        Group name to the names of its driven joints, in the order of the URDF.
+        Maps group names to the names of the group's driven joints, in the order of the URDF.
     states : dict
-        State name to (group, {driven joint: value or tuple of values}).
+        Maps state names to (group, {driven joint: value or tuple of values}).
     disabled_pairs : frozenset
         Sorted pairs of links that are exempt from checking.
     ruled : bool
-        Whether there are rules on pairs; then adjacent pairs are checked unless a rule disables them.
+        Whether there are rules on pairs; if so, adjacent pairs are checked unless a rule disables them.
     """
 
     groups: dict[str, tuple[str, ...]] = field(default_factory=dict)
@@ -111,7 +111,7 @@ class _Names:
 def read_srdf(path: str | os.PathLike[str], robot: Description, text: str | None = None) -> Semantics:
     """Read an SRDF file for a robot, or a string as if it were the contents of that file.
 
-    It reads groups, group states and the rules on pairs: ``disable_collisions``, ``enable_collisions`` and
+    This function reads groups, group states and the rules on pairs: ``disable_collisions``, ``enable_collisions`` and
     ``disable_default_collisions``. Virtual joints have no values here (`Robot.placed` places the base), and elements
     that other programs add (grippers, rotors, ...) are ignored.
 
@@ -159,7 +159,7 @@ def _oddities(root: Element, names: _Names) -> Iterator[str]:
 
 
 def _of_bases(root: Element, robot: Description) -> Iterator[str]:
-    """Collect warnings about bases that do not move, or move otherwise, here."""
+    """Collect warnings about bases that do not move, or move differently, in the robot."""
     top = next(iter(robot.shapes))
     for element in root.all("virtual_joint"):
         link = element.get("child_link")
@@ -339,7 +339,7 @@ def _of_states(bases: list[str], outside: list[str]) -> Iterator[str]:
 
 
 def _is_away(text: str) -> bool:
-    """Return whether the value of a base is another pose than the identity, in the order x, y, z, qx, qy, qz, qw."""
+    """Return whether the value of a base, in the order x, y, z, qx, qy, qz, qw, differs from the identity."""
     words = text.split()
     try:
         return any(float(word) != 0 for word in words[:6])

@@ -46,7 +46,7 @@ VALUES: dict[str, tuple[str, ...]] = {
 }
 URDF_KINDS = tuple(kind for kind in VALUES if kind != "ball")
 
-# Largest rates of joints of one value.
+# Largest rates of joints with one value.
 RATES = ("velocity", "acceleration", "jerk")
 
 # Number of sizes of the shapes that are not meshes, and the attributes that hold them.
@@ -57,8 +57,8 @@ SIZES: dict[str, tuple[tuple[str, int], ...]] = {
     "capsule": (("radius", 1), ("length", 1)),
 }
 
-# An axis should be a unit vector. The direction of a far shorter one is due to rounding or damage, and squares of
-# lengths below 1e-154 vanish, so readers do not agree on it.
+# An axis should be a unit vector. The direction of a far shorter vector is due to rounding or damage, and squares of
+# lengths below 1e-154 vanish, so readers do not agree on the direction.
 SHORTEST_AXIS = 1e-9
 
 # Parts of URDF files that change neither shapes nor motions nor checks, by the element that contains them. A part whose
@@ -97,17 +97,17 @@ HARMLESS = {
     "safety_controller": frozenset(("@k_position", "@k_velocity")),  # gains
 }  # fmt: skip
 
-# The least share of the range of a joint that the limits of joints that mimic it may leave: less is a slip, or means
-# that the mimicking joints' limits were never used, as in the grippers of the PR2.
+# The least share of a joint's range that the limits of mimicking joints may leave. A smaller share is a mistake, or
+# means that the mimicking joints' limits were never used, as in the grippers of the PR2.
 LEAST_LEFT = 0.1
 
-# Limits of mimicking joints are rounded: they leave out no less than this [rad or m].
+# The shortest part of a range that limits of mimicking joints cut off [rad or m], since these limits are rounded.
 LEAST_CUT = 1e-9
 
-# Limits in extensions are often the joints' own with fewer digits; the share of the range by which they may differ.
+# The share of the range by which limits in extensions may differ: they are often the joints' limits with fewer digits.
 ROUNDED = 0.01
 
-# The versions of URDF that define quaternions, and accelerations and jerk, and the first version that is not known.
+# The first versions of URDF with quaternions and with acceleration and jerk, and the first unknown version.
 WITH_QUATERNIONS, WITH_ACCELERATIONS, UNKNOWN = (1, 1), (1, 2), (1, 3)
 
 # Limit on the number of pairs of links from rules of an SRDF or links without shapes: far more than any robot has.
@@ -155,12 +155,12 @@ class Mimic(NamedTuple):
 class Joint:
     """A joint: `kind` is URDF's type, and the unit vector `axis` and the pose `origin` are in URDF's frames.
 
-    A joint in memory has the line 0, and the axis means nothing for a joint without one.
+    A joint in memory has the line 0. The axis of a joint without an axis has no meaning.
 
     `velocity`, `acceleration` and `jerk` are the largest rates of the joint's value [rad or m per s, s² and s³], or NaN
     if the URDF gives no positive ones. The child is at `origin` when the value is `reference`. `lower` and `upper` are
     the limits in the file; `soft` are narrower limits, from its controller and from the joints that mimic it. `bounds`
-    are the lower and upper limits of the first values of a joint with several, for which URDF has none.
+    are the lower and upper limits of the first values of a joint with several values; URDF has no such limits.
     """
 
     name: str
@@ -214,7 +214,7 @@ class Description:
 
     @property
     def driven(self) -> tuple[str, ...]:
-        """Joints with values of their own: movable joints that do not mimic another."""
+        """Joints with values of their own: movable joints that do not mimic another joint."""
         return tuple(j.name for j in self.joints.values() if VALUES[j.kind] and j.mimic is None)
 
 
@@ -330,7 +330,7 @@ def parents_first(
 
 
 def _version(root: Element) -> tuple[int, int]:
-    """Read the version of URDF; a file without one is of the first."""
+    """Read the version of URDF; a file without a version has the first version."""
     text = root.get("version")
     found = re.fullmatch(r"(\d{1,3})(?:\.(\d{1,3}))?", "1.0" if text is None else text.strip())
     if found is None or int(found[1]) != 1:
@@ -349,7 +349,7 @@ def _joint(element: Element, links: Collection[str], version: tuple[int, int]) -
             expected = f"a link of this robot as {end} of joint {name!r}"
             element.fault(expected, f"{link!r}; {known(links)}", UnknownNameError)
         ends.append(link)
-    if kind == "fixed":  # a reduced model may keep these of joints that moved before
+    if kind == "fixed":  # a reduced model may keep these elements of joints that moved before
         element.drop("axis", "limit", "mimic", "safety_controller")
     return Joint(
         name=name,
@@ -406,7 +406,7 @@ def _range(joint: Element, limit: Element, kind: str) -> tuple[float, float]:
     (lower,), (upper,) = limit.numbers("lower", 1, "0"), limit.numbers("upper", 1, "0")
     if kind == "continuous":
         if -FARTHEST_LIMIT < lower < upper < FARTHEST_LIMIT:
-            limit.disown("@lower", "@upper")  # 0 .. 0 is how programs write that there is no range
+            limit.disown("@lower", "@upper")  # 0 .. 0 means that there is no range
         return -math.inf, math.inf
     if not {"lower", "upper"} & limit.attributes.keys() and joint.one("mimic") is None:
         warn(
@@ -427,14 +427,14 @@ def _rates(limit: Element, version: tuple[int, int]) -> dict[str, float]:
     kinds = ("velocity",), ("acceleration", "deceleration"), ("jerk",)
     for names in kinds if version >= WITH_ACCELERATIONS else kinds[:1]:
         rates = {name: limit.numbers(name, 1, "0")[0] for name in names}
-        # Many files write 0 for "no limit"; a rate below 0 is no limit, and no value either.
+        # Many files write 0 for "no limit"; a rate below 0 is not a limit, and not a value either.
         limit.disown(*("@" + name for name, rate in rates.items() if rate < 0))
         found[names[0]] = min((rate for rate in rates.values() if 0 < rate < math.inf), default=math.nan)
     return found
 
 
 def _soft(joint: Element, kind: str, lower: float, upper: float) -> tuple[float, float]:
-    """Read the limits at which the controller of a joint begins to slow it down; infinite without one."""
+    """Read the limits at which the controller of a joint begins to slow it down; infinite without a controller."""
     none = -math.inf, math.inf
     element = joint.one("safety_controller")
     if element is None:
@@ -443,7 +443,7 @@ def _soft(joint: Element, kind: str, lower: float, upper: float) -> tuple[float,
     (high,) = element.numbers("soft_upper_limit", 1, "inf")
     if kind != "continuous" and max(lower, low) < min(upper, high):
         return low, high
-    if (low, high) not in (none, (0.0, 0.0)):  # 0 .. 0 is how programs write that there is no range
+    if (low, high) not in (none, (0.0, 0.0)):  # 0 .. 0 means that there is no range
         element.disown("@soft_lower_limit", "@soft_upper_limit")
     return none
 
@@ -544,7 +544,7 @@ def place(path: Path, joint: Joint) -> str:
 
 
 def _warn_of_extensions(root: Element, joints: dict[str, Joint]) -> None:
-    """Warn, once, of limits and mimics that only extensions of other programs have."""
+    """Warn once about limits and mimics that only extensions of other programs contain."""
     told = [*_controlled(root, joints), *_simulated(root, joints)]
     if told:
         why = "limits and mimics in extensions are ignored, unless the <joint> has them"
@@ -586,7 +586,7 @@ def _params(element: Element) -> dict[str, str]:
 
 
 def _is_narrower(least: str | None, most: str | None, lower: float, upper: float) -> bool:
-    """Return whether limits in a text leave less than other limits, and not by rounding."""
+    """Return whether limits in a text are narrower than other limits by more than rounding."""
     try:
         low, high = float(least or "-inf"), float(most or "inf")
     except ValueError:

@@ -1,5 +1,4 @@
-"""Detect values in configurations that cannot be used in computations, or that are probably a mistake, such as degrees
-for radians."""
+"""Detect values in configurations that cannot be used in computations, or that are probably mistakes."""
 
 from __future__ import annotations
 
@@ -13,16 +12,16 @@ from loewner._base._plausible import FARTHEST_LIMIT, warn
 from loewner._base._read_only import KeepsReadOnly
 from loewner._base._validate import Floats
 
-# How far outside its limits the value of a joint may be: an angle may have been wrapped by a turn [rad]; a length is
-# compared with the way between the limits, and a metre on top.
+# How far a joint's value may be outside its limits: an angle by a turn [rad], since it may have been wrapped; a length
+# by a metre and a multiple of the distance between the limits.
 ANGLE_OUTSIDE = 2 * math.pi
 LENGTH_OUTSIDE, SPANS_OUTSIDE = 1.0, 10.0
 
-# Where a joint turns without limit, the angle that is more likely one in degrees: some eight turns [rad].
+# The angle of a joint without limits that is more likely in degrees: about eight turns [rad].
 LARGEST_TURN = 50.0
 
-# Values of joints beyond these are refused [rad or m]: times the largest factor of a description, and added up along
-# the longest chain, they are still numbers, so that no pose is NaN.
+# Larger values of joints are refused [rad or m]: values up to this, times the largest factor of a description and added
+# up along the longest chain, are finite, so that no pose is NaN.
 LARGEST_VALUE = 1e200
 
 
@@ -72,7 +71,7 @@ class Watch(KeepsReadOnly):
         span = np.where(from_below & from_above, upper.clip(max=FARTHEST_LIMIT) - lower.clip(min=-FARTHEST_LIMIT), 0.0)
         room = np.where(self.turns, ANGLE_OUTSIDE, LENGTH_OUTSIDE + SPANS_OUTSIDE * span)
         widest = np.where(self.turns, LARGEST_TURN, LARGEST_VALUE)
-        # Where there is one limit only, it may lie beyond the values that a joint without any would be warned about.
+        # A single limit may lie beyond the values at which a joint without limits would cause a warning.
         least = np.where(from_below, lower - room, np.where(from_above, upper, 0.0).clip(max=0.0) - widest)
         most = np.where(from_above, upper + room, np.where(from_below, lower, 0.0).clip(min=0.0) + widest)
         self._look_for(np.where(self.free, -LARGEST_VALUE, least), np.where(self.free, LARGEST_VALUE, most))

@@ -1,6 +1,6 @@
 """Expand xacro files to URDF, with the package xacro.
 
-Such files contain Python expressions. They are evaluated only if the caller names such a file or passes arguments.
+Xacro files contain Python expressions. They are evaluated only if the caller names such a file or passes arguments.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from loewner._base import _validate
 from loewner.errors import FileError, InputError, MissingExtraError, installing
 from loewner.robots.description.link_bodies import package_folder
 
-# End of the names of files that are expanded.
+# Suffix of the names of files that are expanded.
 SUFFIX = ".xacro"
 
 # The package keeps the state of an expansion in its modules.
@@ -56,7 +56,7 @@ def expanded(
     folders : sequence of paths
         Packages, and folders that contain packages, for ``$(find package)``.
     used : set of str
-        Names of arguments that the file declares or reads are added.
+        Receives the names of arguments that the file declares or reads.
 
     Raises
     ------
@@ -65,7 +65,7 @@ def expanded(
     FileError
         If the file does not exist, or xacro cannot expand it.
     InputError
-        If an argument is not a text, a number or a bool.
+        If an argument is not a string, a number or a bool.
     """
     file = _validate.path(path, "path", wanted="a path to a xacro file").absolute()
     given = {name: _text(name, value) for name, value in arguments.items()}
@@ -113,7 +113,7 @@ def _text(name: object, value: object) -> str:
 
 @contextmanager
 def _finding(substitution: Any, file: Path, folders: Sequence[str | os.PathLike[str]]) -> Iterator[None]:
-    """Let ``$(find package)`` look where meshes of packages are looked for; xacro itself has to have ROS for it."""
+    """Let ``$(find package)`` search where meshes of packages are searched for; xacro itself needs ROS for this."""
 
     def find(package: str) -> str:
         return str(package_folder(package, file, folders).absolute())  # xacro resolves paths from the file's folder

@@ -20,8 +20,8 @@ MOST_BYTES = 2**25
 MOST_ELEMENTS = 250_000
 DEEPEST = 100
 
-# Larger numbers in a description are refused: lengths, factors and offsets [m, rad, 1]. Results from thousands of them
-# are then still finite.
+# Larger lengths, factors and offsets in a description are refused [m, rad, 1]: results from thousands of smaller
+# numbers are finite.
 LARGEST = 1e12
 
 # Advice for a text that is passed as a path.
@@ -39,7 +39,7 @@ UNDECLARED = {"xacro": "xacro", "xi": "www.w3.org/2001/xinclude"}
 # Elements of xacro from the time before it had a prefix; as children of <robot>, they have no other meaning.
 WITHOUT_PREFIX = ("include", "macro", "property")
 
-# Elements that describe a robot, also where another program's extension has them.
+# Elements that describe a robot, even inside another program's extension.
 DESCRIBING = frozenset(("link", "joint", "collision", "mimic"))
 
 
@@ -68,7 +68,7 @@ class Element(_xml.Element):
         return found
 
     def numbers(self, attribute: str, count: int, default: str | None = None) -> list[float]:
-        """Read an attribute that must contain a given count of numbers; infinity is allowed, NaN is not."""
+        """Read an attribute that must contain `count` numbers; infinity is allowed, NaN is not."""
         given = self.get(attribute)
         text = default if given is None else given
         if text is None:
@@ -84,7 +84,7 @@ class Element(_xml.Element):
         return values
 
     def finite(self, attribute: str, count: int, default: str | None = None) -> list[float]:
-        """Read an attribute that must contain a given count of numbers, none larger than `LARGEST`."""
+        """Read an attribute that must contain `count` numbers, none larger than `LARGEST`."""
         values = self.numbers(attribute, count, default)
         if not all(abs(v) <= LARGEST for v in values):
             found = cut(self.attributes[attribute])
