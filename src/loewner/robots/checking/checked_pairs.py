@@ -164,8 +164,9 @@ def _of_rules(rules: Iterable[Pair], names: tuple[str, ...], pairs: Ints) -> Boo
 def _check_ruled(
     names: tuple[str, ...], packs: Sequence[Packed], pairs: Ints, bounds: Mapping[str, PoseBounds]
 ) -> None:
-    """Refuse rules about the contact of surfaces, whose depth is not defined as for convex pieces, and of bodies whose
-    poses are not known.
+    """Refuse rules about contacts of surfaces, and about contacts of bodies whose poses are not known.
+
+    The depth of surfaces is not defined as for convex pieces.
     """
     for pair in pairs:
         a, b = (names[n] for n in pair)

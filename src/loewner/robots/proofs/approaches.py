@@ -1,9 +1,9 @@
-"""Bound how near a robot comes to contact on each piece of a curve: from below by a proof, and from above by a moment.
+"""Bound how near a robot comes to contact on each piece of a curve: from below by a proof, and from above by a sample.
 
 A piece is sampled, and a descent starts from the smallest distance. The proof of motions then shows that all pairs keep
-all but a hundredth of this distance; where it cannot, it names a moment that is nearer, and so on. Where the robot
-collides, there are no planes. Such pieces are divided until no point moves farther within a part than the bounds may
-differ.
+all but a hundredth of this distance. If the proof fails, it names a time at which a pair is nearer, and the search
+continues there. No planes exist where the robot collides: such pieces are divided until no point moves farther within a
+part than the bounds may differ.
 """
 
 from __future__ import annotations
@@ -27,19 +27,20 @@ from loewner.robots.proofs import in_time, motions
 from loewner.robots.proofs.courses import CURVE_ROUNDINGS, configurations, parts
 from loewner.robots.proofs.curves import Curve, curves_of, cut_in_time, expect_short, hits, proven
 
-# The two bounds on a distance differ by no more than this share of it, or by this many metres, if possible.
+# The largest difference of the two bounds on a distance, if possible: as a share of the distance, or in metres.
 SHARE, NEAR = 0.01, 1e-5
 
 # Fractions of each piece at which distances are measured first; the last piece also has an end.
 FIRST = np.arange(4) / 4
 
-# A valley is sought this far to both sides of a moment, as a share of the piece, and then nearer, so often.
+# Search for a valley: the first distance to both sides of a time, as a share of the piece, the factor by which the
+# distance shrinks, and the number of steps.
 WIDE, NARROWER, STEPS = 0.125, 0.4, 12
 
 # Fractions of pieces at which collisions are sought.
 TICKS = np.arange(32) / 32
 
-# How often the proof may name a nearer moment of a piece.
+# How often the proof may name a time at which a piece is nearer.
 MOST_ROUNDS = 30
 
 # Parts into which a part is divided, and the largest number of parts of one piece.
@@ -48,8 +49,9 @@ PARTS, MOST_PARTS = 4, 1 << 14
 # Exact distances are accurate to this share of the lengths from which they are computed.
 ROUNDINGS = 1e-9
 
-# A quaternion that differs from one of norm 1 by δ, up to a half, is at an angle of at most arcsin δ from it, which is
-# less than 1.05 δ, and turns by twice this angle. No turn moves a point by more than twice its distance from the axis.
+# If a quaternion differs by δ, at most a half, from a quaternion of norm 1, the angle between the two is at most arcsin
+# δ, which is less than 1.05 δ, and the body turns by twice this angle. No turn moves a point by more than twice its
+# distance from the axis.
 TURNS, NEAR_TURNS, MOST_TURN = 2.1, 0.5, 2.0
 
 
@@ -62,11 +64,12 @@ class ClosestApproach(_validate.Brief):
     times : ndarray, shape (n + 1,)
         Seconds; times at which the pieces begin and end.
     lower : ndarray, shape (n,)
-        Metres. No pair of bodies is nearer than this at any instant of the piece, with proof; a negative value bounds
-        the depth of all overlaps. It is -inf if surfaces overlap, since their depths have no upper bound.
+        Proven lower bounds in metres. No pair of bodies is nearer than this at any instant of the piece; a negative
+        value bounds the depth of all overlaps. The bound is -inf if surfaces overlap, since their depths have no upper
+        bound.
     distance : ndarray, shape (n,)
-        The least distance found: the exact distance at ``time``, or minus the depth. It is at least `lower`, and larger
-        by at most a hundredth or 10 µm, unless a search ended early.
+        The least distance found: the exact distance at ``time``, or minus the depth. The distance is at least `lower`,
+        and larger by at most a hundredth or 10 µm, unless a search ended early.
     time : ndarray, shape (n,)
         Seconds.
     names : ndarray of str, shape (n, 2)
@@ -118,10 +121,10 @@ def closest(self: Any, curve: Any, *, t0: float | None = None) -> ClosestApproac
     Parameters
     ----------
     curve : PPoly, BPoly, BSpline, planners.Trajectory, planners.ControllerPoints, or a list of curves
-        As for `certify_trajectory`. Bodies that follow motions move at the same times; a piece ends where they change
-        their rates.
+        As for `certify_trajectory`. Bodies that follow motions move at the same times; a piece ends where such a body
+        changes its rates.
     t0 : float, optional
-        Seconds that are added to the curve's times, as for `certify_trajectory`.
+        Offset in seconds that is added to the curve's times, as for `certify_trajectory`.
 
     Returns
     -------
@@ -137,11 +140,11 @@ def closest(self: Any, curve: Any, *, t0: float | None = None) -> ClosestApproac
 
     See Also
     --------
-    certify_trajectory : Only whether all pairs keep their margins, in less time. distance : At single configurations.
+    certify_trajectory : Proves only that pairs keep their margins, in less time. distance : At single configurations.
 
     Notes
     -----
-    Pairs that `Scene.leave` and `Scene.reach` name are measured like all others. docs/certified.md, "Closest
+    Pairs that `Scene.leave` and `Scene.reach` name are measured like all other pairs. docs/certified.md, "Closest
     approach", derives the lower bounds.
 
     Examples
@@ -160,7 +163,7 @@ def closest(self: Any, curve: Any, *, t0: float | None = None) -> ClosestApproac
 
 
 def measured(ready: Problem, curve: Curve, number: int = 0) -> ClosestApproach:
-    """Measure one curve whose courses include the poses of the moving bodies; `number` is the curve's."""
+    """Measure the curve with a given number, whose courses include the poses of the moving bodies."""
     expect_pairs(ready, "closest")
     ready, curve = ready.without_margins, curve._replace(off=curve.off[:, : curve.courses.shape[2]])
     search = Search(ready, curve)
@@ -196,10 +199,10 @@ class Measured(NamedTuple):
     Attributes
     ----------
     near : ClosestApproach
-        All pairs, except for pairs that may be in contact at the beginning or the end on proven pieces on which they
-        come within their margins.
+        The approach of all pairs. Pairs that may be in contact at the beginning or the end are left out on proven
+        pieces on which they come within their margins.
     allowed : dict of (str, str) to ClosestApproach
-        Each pair that may be in contact.
+        The approach of each pair that may be in contact.
     contacts : ndarray, shape (m, 2)
         Times at which collisions on unproven pieces begin and end.
     """
@@ -241,13 +244,13 @@ def worst(checker: Any, given: Any) -> ClosestApproach:
 
 
 def contacts(ready: Problem, curve: Curve, pieces: Ints, approach: ClosestApproach) -> Floats:
-    """Find when collisions on some pieces begin and end, as far as samples show; margins count.
+    """Find when collisions on the given pieces begin and end, as far as samples show; margins count as contact.
 
     Returns
     -------
     ndarray, shape (m, 2)
-        Seconds. At both times, which are as near as numbers get to the end of a collision, the robot collides. A
-        collision ends at the latest where the pieces end.
+        Seconds. The robot collides at both times, which are as near to the ends of the collision as floating-point
+        numbers get. A collision ends at the latest where the pieces end.
     """
     found: list[tuple[float, float]] = []
     for group in np.split(pieces, np.flatnonzero(np.diff(pieces) > 1) + 1) if len(pieces) else []:
@@ -276,14 +279,14 @@ def _allowed(distance: Floats) -> Floats:
 
 
 class Search:
-    """The least distance found on each piece of a curve, and its location; at first, of a few fractions of each piece.
+    """The least distance found on each piece of a curve, and its location; at first, from a few samples per piece.
 
     Attributes
     ----------
     distance, share : ndarray, shape (n,)
         The distance in metres, and the fraction of the piece at which it was found.
     bodies : ndarray of int64, shape (n, 2)
-        The nearest pair there.
+        The nearest pair at this fraction.
     """
 
     def __init__(self, ready: Problem, curve: Curve) -> None:
@@ -297,7 +300,7 @@ class Search:
         self.look(lower_at_end, np.ones(len(lower_at_end)))
 
     def look(self, pieces: Ints, shares: Floats) -> Floats:
-        """Measure the distances at fractions of pieces, shape (N,) each, and keep the least ones."""
+        """Measure the distances at fractions of pieces, shape (N,) each, and keep the least distances."""
         curve, ready = self.curve, self.ready
         Q = configurations(ready.robot, curve.courses[pieces], shares)
         if ready.paths is not None:
@@ -334,7 +337,7 @@ class _Motion(NamedTuple):
     moved : ndarray, shape (links, bodies)
         1 where the joint moves the body.
     pairs : ndarray of int64, shape (2, pairs)
-        Bodies; the last number is for all bodies that do not move.
+        Indices of bodies; the last index is for all bodies that do not move.
     slack : float
         Error of exact distances in metres.
     """
@@ -369,7 +372,7 @@ class _Motion(NamedTuple):
 
 
 def _slides(tree: Any, off: Floats) -> Floats:
-    """Bound how far joints slide if values change by `off`, shape (..., dof); shape (..., links)."""
+    """Bound how far joints slide, shape (..., links), if values change by `off`, shape (..., dof)."""
     found = np.zeros((*off.shape[:-1], len(tree.kind)))
     for link, (kind, at, by) in enumerate(zip(tree.kind, tree.column, tree.multiplier, strict=True)):
         if kind == columns.PRISMATIC:
@@ -395,7 +398,7 @@ def _turns(tree: Any, off: Floats) -> Floats:
 
 
 def _changes(robot: Robot, courses: Floats, low: Floats, high: Floats) -> Floats:
-    """Bound how far values get from their values in the middle of a part of a course; shape (N, dof)."""
+    """Bound how far values, shape (N, dof), get from their values in the middle of a part of a course."""
     quaternions = robot._quaternions.values()
     if courses.shape[1] == 2:
         center, *ends = (configurations(robot, courses, share) for share in ((low + high) / 2, low, high))
@@ -407,13 +410,13 @@ def _changes(robot: Robot, courses: Floats, low: Floats, high: Floats) -> Floats
     while center.shape[1] > 1:
         center = (center[:, :-1] + center[:, 1:]) / 2
     changes = np.abs(points - center).max(axis=1)
-    for at in quaternions:  # as if the one in the middle had norm 1
+    for at in quaternions:  # as if the quaternion in the middle had norm 1
         changes[:, at] /= lengths(center[:, 0, at])[:, None]
     return np.asarray(changes)
 
 
 def _by_parts(search: Search, bounds: _Motion, piece: int) -> float:
-    """Bound the distance on a piece from below by the distances in the middle of parts and the ways of points."""
+    """Bound the distance on a piece from below, by distances in the middle of parts and the travel of points."""
     curve = search.curve
     course, off = curve.courses[piece], curve.off[piece] + CURVE_ROUNDINGS * np.abs(curve.courses[piece]).max(axis=0)
     low, width, lower, spent = np.zeros(1), 1.0, np.inf, 0

@@ -1,4 +1,4 @@
-"""Find points that two bodies have in common, well inside both, and vertices that show it: see docs/proof-format.md."""
+"""Find points well inside two bodies, and vertices that prove this: see docs/proof-format.md."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ AWAY, ROUNDS = (4.0, 256.0, 2.0**16), 24
 # Lengths below this share of the pieces' size are rounding.
 LEAST = 1e-15
 
-# Where planes matter that are this near, in multiples of the size, rounding matters as well.
+# If planes that are this near matter, in multiples of the size, rounding matters as well.
 ROUNDED = 1e-9
 
 # A step beside a point, in multiples of its depth: a point in the middle of a hull is in the faces of many tetrahedra.
@@ -57,7 +57,7 @@ def blocks(packs: Sequence[Packed], poses: Floats, near: Floats) -> Iterator[byt
 
 
 def _steps(a: _Piece, b: _Piece, near: Floats) -> Iterator[Floats]:
-    """Make steps, from the middle of the witnesses, to points that may belong to two pieces; first well inside both."""
+    """Make steps from the middle of the witnesses to points that may be in two pieces, first to points well inside."""
     middle, half = near.mean(axis=0), (near[1] - near[0]) / 2
     scale = max(2.0 * float(np.linalg.norm(half)), LEAST * (a.size + b.size))
     if (depth := min(a.depth(middle), b.depth(middle))) > WELL_INSIDE * scale:
@@ -71,10 +71,10 @@ def _steps(a: _Piece, b: _Piece, near: Floats) -> Iterator[Floats]:
 
 
 def _innermost(a: _Piece, b: _Piece, middle: Floats, scale: float, away: float) -> tuple[Floats, float]:
-    """Find about the point that is deepest inside two pieces, as a step from the middle, and its depth; 0 if none is.
+    """Find roughly the deepest point inside two pieces, as a step from the middle, and its depth; 0 if there is none.
 
     The planes around the pieces make a linear program, with lengths in multiples of `scale` from the middle. Curved
-    pieces get more planes where its solutions are.
+    pieces get more planes near the program's solutions.
     """
     from scipy.optimize import linprog
 
@@ -103,7 +103,7 @@ class _Piece:
     """A piece in the world: its kind, radius and size, the points of its core, and faces or the factor of its image.
 
     A surface or a cloud counts as the ball about its corner that is nearest to a point. A plane is a row: a unit
-    outward normal, and how far the plane is from a point, which is `place` for `faces`.
+    outward normal, and the plane's distance from a point, which is `place` for `faces`.
     """
 
     def __init__(self, packed: Packed, k: int, T: Floats, near: Floats) -> None:
@@ -128,11 +128,11 @@ class _Piece:
         self.size = float(extent + self.radius)
 
     def depth(self, x: Floats) -> float:
-        """How far the planes near a point are from it, at least; negative outside."""
+        """Return the least distance from a point to the planes near the point; negative outside."""
         return float(self.planes(x)[:, 3].min())
 
     def near_planes(self, x: Floats, reach: float) -> Floats:
-        """Planes that are not farther from a point than `reach`; of faces, if these are rounding, exact ones."""
+        """Return the planes within `reach` of a point; for faces, exact planes if `reach` is within rounding."""
         planes = self.planes(x)
         planes = planes[planes[:, 3] < reach + LEAST * self.size]
         if self.kind != columns.POLYTOPE or reach > ROUNDED * self.size:
@@ -149,7 +149,7 @@ class _Piece:
         return np.array(found, dtype=np.float64).reshape(-1, 4)
 
     def planes(self, x: Floats) -> Floats:
-        """Planes around the piece that are tight near a point."""
+        """Return planes around the piece that are tight near a point."""
         if self.kind == columns.POLYTOPE:
             return np.column_stack([self.faces[:, :3], self.faces[:, 3] - self.faces[:, :3] @ (x - self.place)])
         if self.kind in (columns.POINT, columns.SEGMENT):
@@ -172,7 +172,7 @@ class _Piece:
         return _turned(np.column_stack([rows, 1.0 - rows @ u]), back)
 
     def vertices_about(self, point: Floats) -> Iterator[tuple[int, ...]]:
-        """Name four points of the core that show that a point belongs to the piece."""
+        """Name four points of the core that prove that a point belongs to the piece."""
         if self.kind != columns.POLYTOPE:
             yield self.four
             return
@@ -192,6 +192,6 @@ class _Piece:
 
 
 def _turned(planes: Floats, back: Any) -> Floats:
-    """Planes about vectors u = back v, as planes about v."""
+    """Convert planes for vectors u = back v to planes for v."""
     n = planes[:, :3] @ back
     return np.asarray(np.column_stack([n, planes[:, 3]]) / np.linalg.norm(n, axis=1)[:, None])

@@ -1,4 +1,4 @@
-"""Find when a robot on a curve first touches something: free until then, with proof, and touching, exactly."""
+"""Find when a robot on a curve first touches something: a time until which it is proven free, and a time of contact."""
 
 from __future__ import annotations
 
@@ -38,12 +38,12 @@ class TrajectoryContact(_validate.Brief):
         FREE: proven free at every instant of the curve. COLLIDING: the robot collides at `touching_at`, which may be
         rounded. AMBIGUOUS: the robot comes within the tolerance at `free_until`, and no collision is known.
     free_until : float
-        Seconds. Before this time, every pair is proven to be farther apart than its margin at every real time from the
-        start of the curve on, or in contact as `Scene.leave` or `Scene.reach` allows; inf if FREE. At this time, the
-        pair is within the tolerance of its margin, or of the depth that the rule allows.
+        Seconds; inf if FREE. At every real time from the start of the curve until this time, every pair is proven to be
+        farther apart than its margin, or in contact as `Scene.leave` or `Scene.reach` allows. At this time, the pair is
+        within the tolerance of its margin, or of the depth that the rule allows.
     touching_at : float
-        Seconds; the earliest time at which a collision is known. The two times differ by the time that the pair needs
-        to cross the tolerance, unless it grazes before it collides. inf if there is no such time.
+        Seconds; the earliest time of a known collision, or inf if no collision is known. This time exceeds `free_until`
+        by the time that the pair needs to cross the tolerance, unless the pair grazes before it collides.
     names : tuple of str
         The pair; empty strings if FREE.
 
@@ -81,14 +81,14 @@ def first_contact(
     curve : PPoly, BPoly, BSpline, planners.Trajectory, planners.ControllerPoints, or a list of curves
         As for `certify_trajectory`. Bodies that follow motions move at the same times.
     tolerance : float
-        Metres. Where it is proven free no longer, a pair is within this distance of its margin.
+        Metres. At the time when the proof ends, a pair is within this distance of its margin.
     t0 : float, optional
-        Seconds that are added to the curve's times, as for `certify_trajectory`.
+        Offset in seconds that is added to the curve's times, as for `certify_trajectory`.
 
     Returns
     -------
     TrajectoryContact
-        One result, or a tuple of results for a list of curves. The time until which the curve is free is never late.
+        One result, or a tuple of results for a list of curves. `free_until` is never later than the first contact.
 
     Raises
     ------
@@ -97,7 +97,7 @@ def first_contact(
 
     See Also
     --------
-    certify_trajectory : Only whether the curve is free, in less time. loewner.first_contact : Two bodies.
+    certify_trajectory : Proves only that the curve is free, in less time. loewner.first_contact : For two bodies.
 
     Notes
     -----
@@ -120,14 +120,14 @@ def first_contact(
     ready: Problem = self._ready(timed=True)
     found = []
     for k, one in enumerate(curves_of(self.robot, self.scene, curve, t0)):
-        # On courses of degree 1, parts of a body's turn would have to be made otherwise.
+        # On courses of degree 1, parts of a body's turn would have to be made in another way.
         cubic = one._replace(courses=elevated(one.courses, max(0, 4 - one.courses.shape[1])))
         found.append(_by_rules(ready, cut_in_time(self.robot, ready, cubic), tolerance, k))
     return tuple(found) if isinstance(curve, (list, tuple)) else found[0]
 
 
 def _by_rules(ready: Problem, curve: Curve, tolerance: float, number: int) -> TrajectoryContact:
-    """Find the first contact of one curve that no rule allows: of the pairs without rules, and of each with one."""
+    """Find the first contact on one curve that no rule allows, for pairs without rules and each pair with a rule."""
     if not len(ready.ruled):
         return _first(ready, ready, curve, tolerance, number)
     found, lengths = [_first(ready, ready.unruled, curve, tolerance, number)], np.diff(curve.times)
@@ -150,7 +150,7 @@ def _by_rules(ready: Problem, curve: Curve, tolerance: float, number: int) -> Tr
 
 
 def _first(ready: Problem, problem: Problem, curve: Curve, tolerance: float, number: int) -> TrajectoryContact:
-    """Find the first contact of a problem's pairs on one curve, on whose courses the moving bodies have their places.
+    """Find the first contact of a problem's pairs on one curve, whose courses include the moving bodies.
 
     `ready` has the motions that these bodies follow.
     """
@@ -185,7 +185,7 @@ def _first(ready: Problem, problem: Problem, curve: Curve, tolerance: float, num
         hit = verdicts.classified(problem.as_given, codes.EXACT, configurations_at(ready, curve, times)).verdicts
         return np.flatnonzero(hit == codes.COLLIDING)
 
-    # Where a collision is known up to rounding only, there may be none.
+    # A collision that is known only up to rounding may not exist.
     known = touching < np.inf and len(colliding(np.array([touching]))) > 0
     touching = _earlier(colliding, free, touching) if known else np.inf
     verdict = Verdict.COLLIDING if known else Verdict.AMBIGUOUS
@@ -193,9 +193,9 @@ def _first(ready: Problem, problem: Problem, curve: Curve, tolerance: float, num
 
 
 def _deeper(ready: Problem, pair: int, curve: Curve, between: tuple[float, float], least: float) -> float:
-    """Return a time at which a pair is no farther apart than `least`, with one just before it at which it is.
+    """Return a time at which a pair is at most `least` apart, just after a time at which it is farther apart.
 
-    inf if there is none among `MEASURED` times.
+    The result is inf if `MEASURED` samples contain no such time.
     """
 
     def deep(times: Floats) -> Ints:
@@ -211,7 +211,7 @@ def _of(curve: Curve, rows: slice) -> Curve:
 
 
 def _cut(ready: Problem, piece: Curve) -> Curve:
-    """Cut one piece into parts; bodies that move get courses of their own, since a shorter turn is missed by less."""
+    """Cut one piece into parts; moving bodies get new courses, since a shorter turn is approximated more closely."""
     shares = np.arange(PARTS + 1) / PARTS
     courses = parts(np.repeat(piece.courses, PARTS, axis=0), shares[:-1], shares[1:])
     off = np.repeat(piece.off, PARTS, axis=0)
@@ -225,7 +225,7 @@ def _cut(ready: Problem, piece: Curve) -> Curve:
 
 
 def _earlier(hits: Callable[[Floats], Ints], free: float, touching: float) -> float:
-    """Return a time that is hit with a free one just before it, from `free` to `touching`; `free` if that is hit."""
+    """Return a hit from `free` to `touching`, just after a time that is no hit; `free` if that time itself is a hit."""
     if len(hits(np.array([free]))):
         return free
     while True:

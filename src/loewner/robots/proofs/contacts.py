@@ -2,8 +2,8 @@
 
 Two convex pieces that touch are separated, or nearly separated, by the plane perpendicular to their contact normal. If
 this plane is moved back by their depth and by the tolerance, one piece lies in front of it. As long as that piece stays
-in front, the two do not penetrate each other deeper than at the start. The space behind the plane is treated as a body,
-so the proof of motions also settles whether the piece stays in front; see docs/certified.md, "Contact that has to end".
+in front, the overlap deepens by at most the tolerance. The space behind the plane is treated as a body, so the proof of
+motions also settles whether the piece stays in front; see docs/certified.md, "Contact that has to end".
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ from loewner.robots.proofs import motions
 from loewner.robots.proofs.courses import CURVE_ROUNDINGS, between, configurations
 from loewner.robots.proofs.motions import STEPS, Found, Limit
 
-# Lengths of a stretch's last part that are tried, as shares of a course: the longest on which the contact recedes is
-# used.
+# Lengths of a stretch's last part that are tried, as shares of a course. The longest part on which the contact recedes
+# is used.
 STRETCHES = 2.0 ** -np.arange(16)
 
 # Values at the end of a stretch deviate from a straight motion by less than this share: `motion_path` rounds by 7
@@ -61,7 +61,7 @@ class Settled(NamedTuple):
     Attributes
     ----------
     verdicts : ndarray of int8, shape (n,)
-        FREE; COLLIDING if the two become deeper in contact than allowed, or touch again after they have parted;
+        FREE; COLLIDING if the two bodies overlap more deeply than allowed, or touch again after they have parted;
         otherwise AMBIGUOUS.
     fractions : ndarray, shape (n,)
         Fractions of the segments; NaN if FREE.
@@ -108,7 +108,7 @@ class Run(NamedTuple):
         return Run(self.number[::-1], self.high[::-1], self.low[::-1], courses, off)
 
     def rows(self, first: int, last: int) -> Run:
-        """Take the courses from the first to before the last."""
+        """Take the courses from `first` to before `last`."""
         rows = slice(first, last)
         return Run(self.number[rows], self.low[rows], self.high[rows], self.courses[rows], self.off[rows])
 
@@ -136,7 +136,7 @@ class Stage(NamedTuple):
         The pair or, on a stretch of contact, its pieces and the planes behind which they may not go.
     run : Run
     tolerance : float
-        Distance in metres by which `problem` is in doubt too early.
+        Distance in metres from an allowed contact or margin at which the proof may already fail.
     least : float or None
         On a stretch of contact, the signed distance at which the pair collides; None elsewhere.
     """
@@ -149,13 +149,13 @@ class Stage(NamedTuple):
 
 @dataclass
 class Work:
-    """Limit on the steps of proofs, None for no limit, and the steps that they took."""
+    """Limit on the steps of proofs (None for no limit), and the number of steps that they took."""
 
     most: int | None
     taken: int = 0
 
     def is_spent(self) -> bool:
-        """Return whether they took more steps than allowed."""
+        """Return whether the proofs took more steps than allowed."""
         return self.most is not None and self.taken > self.most
 
 
@@ -196,8 +196,8 @@ def settle(ready: Problem, pair: int, courses: Floats, off: Floats, tolerance: f
 def stages(ready: Problem, pair: int, courses: Floats, off: Floats, tolerance: float) -> list[Stage]:
     """Divide a curve into the parts on which a pair may be in contact and the other parts, in order.
 
-    See `settle` for the parameters. If a contact at the end is not as its rule allows, it does not count as an allowed
-    contact.
+    See `settle` for the parameters. A contact at the end that is deeper than its rule allows does not count as an
+    allowed contact.
     """
     found, alone = [], ready.only(np.array([pair]))
     for run, leaving, deepest in _runs(ready, pair, courses, off, tolerance):
@@ -242,14 +242,14 @@ class _Left(NamedTuple):
     Attributes
     ----------
     doubts : list of (int, float, float)
-        Courses and fractions at which the run may not be free, each with a critical distance. If the signed distance
-        there is no larger, the pair collides.
+        Courses and fractions at which the run may not be free, each with a critical distance. If the signed distance at
+        a fraction is at most the critical distance, the pair collides.
     until : tuple of (int, float)
         The course and the fraction at which the stretch of contact ends.
     beside : Problem or None
         The pieces and the planes behind which they may not go on the stretch; None without a stretch.
     for_proof : float
-        The tolerance for the proof that they do.
+        The tolerance for the proof that the pieces stay in front of the planes.
     least : float
         The critical distance on the stretch.
     """
@@ -262,9 +262,9 @@ class _Left(NamedTuple):
 
 
 def _runs(ready: Problem, pair: int, courses: Floats, off: Floats, tolerance: float) -> list[tuple[Run, bool, float]]:
-    """Return runs from the ends where contact is allowed, whether from the start, and the deepest contact there.
+    """Return runs from the ends where contact is allowed, whether from the start, and the deepest allowed contact.
 
-    The depth of a contact at the start of a motion is a fact; at its end it is a choice.
+    The depth of a contact at the start of a motion is given; the depth of a contact at the end is chosen.
     """
     whole = Run.whole(courses, off)
     if not ready.reaching[pair]:
@@ -320,7 +320,7 @@ def _settled(problem: Problem, courses: Floats, tolerance: float, off: Floats, w
 
 
 def _end_of_contact(ready: Problem, pair: int, run: Run, near: float, parted: float) -> tuple[int, float]:
-    """Return the course and the fraction at which a pair first has parted, if it comes near again; else the run's end.
+    """Return the course and fraction at which a pair has first parted, or the run's end if it never comes near again.
 
     The distance is measured at places between which the pair moves too little to part and to come near.
 
@@ -332,7 +332,7 @@ def _end_of_contact(ready: Problem, pair: int, run: Run, near: float, parted: fl
     near : float
         Metres; the pair is near up to this distance.
     parted : float
-        Metres by which it is farther apart when it has parted.
+        Metres beyond `near` at which the pair has parted.
     """
     *center, radius, _ = ready.balls[ready.pairs[pair, 0]].tolist()
     at, distances, poses = _samples(ready, pair, run)
@@ -360,13 +360,13 @@ def _end_of_contact(ready: Problem, pair: int, run: Run, near: float, parted: fl
 
 
 def _on_course(at: float) -> tuple[int, float]:
-    """Return the course on which a place lies, at its end rather than at the start of the next one."""
+    """Return the course and the fraction of a place, with a course's end in place of the start of the next course."""
     k = max(int(np.ceil(at)) - 1, 0)
     return k, float(at - k)
 
 
 def _samples(ready: Problem, pair: int, run: Run, at: Floats | None = None) -> tuple[Floats, Floats, Floats]:
-    """Return places on a run, and there the distances of a pair and the poses of its first body in the second's frame.
+    """Return places on a run, a pair's distances there, and the poses of its first body in the second body's frame.
 
     Places are numbers of courses plus fractions; by default they are spread evenly. Poses have the shape (N, 3, 4).
     """
@@ -385,7 +385,7 @@ def _samples(ready: Problem, pair: int, run: Run, at: Floats | None = None) -> t
 
 
 def _with(array: Floats, k: int, value: Floats | float) -> Floats:
-    """Return a copy of an array with another entry."""
+    """Return a copy of an array with one entry changed."""
     array = array.copy()
     array[k] = value
     return array
@@ -407,7 +407,7 @@ def _reach(ready: Problem, pair: int, run: Run) -> float:
     """Bound how far points of the robot get from the second body of a pair during a run."""
     T, tree = ready.poses(run.courses[:1, 0])[0, ready.pairs[pair, 1]], ready.robot.tree
     values, moved = np.abs(run.courses).max(axis=(0, 1)), tree.kind != columns.FIXED
-    # Several joints may follow one value, each some times as far.
+    # Several joints may follow one value, each by a multiple of the value.
     times = np.bincount(tree.column[moved], np.abs(tree.multiplier[moved]), len(values))
     far = (values * np.maximum(times, 1.0)).sum() + np.abs(tree.offset[moved]).sum()
     return float(ready.tables.chain[1] + far + np.abs(T[:3, 3]).sum())
@@ -419,7 +419,7 @@ class _Touched(NamedTuple):
     Attributes
     ----------
     ours, theirs : Bodies
-        A body of each piece of the first and of the second body.
+        A body for each piece of the first body and of the second body.
     apart, planes : ndarray of int64, shape (pairs, 2)
         Pairs of pieces that are apart, and pairs that touch.
     distances : ndarray
@@ -442,14 +442,14 @@ def contact_normals(ready: Problem, pair: int, Q: Floats, tolerance: float) -> F
     Returns
     -------
     ndarray, shape (planes, 3)
-        In the frame of the second body; unit vectors that point to the first body.
+        Unit vectors in the frame of the second body, which point to the first body.
     """
     run = Run.whole(np.stack([Q[0], Q[-1]])[None], np.zeros((1, Q.shape[1])))
     return _touched(ready, pair, ready.poses(Q), _reach(ready, pair, run), tolerance).normals
 
 
 def _touched(ready: Problem, pair: int, T: Floats, reach: float, tolerance: float) -> _Touched:
-    """Find the pieces that touch at the first of some poses of all bodies, and their normals there or later."""
+    """Find the pieces that touch at the first of the bodies' given poses, and their normals at this or a later pose."""
     i, j = (int(k) for k in ready.pairs[pair])
     ours, theirs = _pieces(ready, i), _pieces(ready, j)
     every = np.moveaxis(np.indices((len(ours), len(theirs))), 0, -1).reshape(-1, 2)
@@ -473,9 +473,9 @@ def _touched(ready: Problem, pair: int, T: Floats, reach: float, tolerance: floa
 def _beside_planes(ready: Problem, pair: int, run: Run, end: float, tolerance: float) -> tuple[Problem, float]:
     """Pair the pieces of the first body with planes in front of which they begin, in place of the touched pieces.
 
-    Also return the tolerance for the proof that they stay in front. The plane of touching pieces leaves most of the
-    tolerance; the plane of separate pieces leaves only their margin. Normals are sought up to a place on the run, the
-    number of a course plus a fraction.
+    Also return the tolerance for the proof that the pieces stay in front. The plane of touching pieces leaves most of
+    the tolerance; the plane of separate pieces leaves only their margin. Normals are sought up to the place `end` on
+    the run, which is the number of a course plus a fraction.
     """
     i, j = (int(k) for k in ready.pairs[pair])
     places = np.append(0.0, end * STRETCHES[::-1])
@@ -509,7 +509,7 @@ def _beside_planes(ready: Problem, pair: int, run: Run, end: float, tolerance: f
 
 
 def _pieces(ready: Problem, body: int) -> Bodies:
-    """Make a body of each piece of a body."""
+    """Make one body from each piece of a body."""
     packed = ready.packed
     at: Ints = np.arange(packed.piece_start[body], packed.piece_start[body + 1])
     return bodies_of(some(packed, at, starts(np.ones(len(at), dtype=np.int64))).packed())

@@ -47,7 +47,7 @@ def elevated(points: Floats, by: int) -> Floats:
 
 
 def between(robot: Robot, courses: Floats, low: Floats, high: Floats) -> Floats:
-    """Return the part of each course between two fractions, shape (N,) each; see `parts` for curved ones."""
+    """Return the part of each course between two fractions, shape (N,) each; see `parts` for curved courses."""
     if courses.shape[1] > 2:
         return parts(courses, low, high)
     return np.stack([interpolated(robot, courses[:, 0], courses[:, 1], f[:, None]) for f in (low, high)], axis=1)

@@ -34,13 +34,13 @@ from loewner.scenes.scene import Scene
 # Two segments of a curve join if their ends differ by no more than this share of the curve's values.
 JUMP = 1e-9
 
-# Values that SciPy computes may differ from the proven curve by this many bounds on rounding.
+# Largest difference of SciPy's values from the proven curve, in multiples of a bound on rounding.
 AGREEMENT = 8.0
 
-# Times at which distances along a curve are measured, in addition to the times of verdicts.
+# Number of times at which distances along a curve are measured, in addition to the times of verdicts.
 MEASURED = 401
 
-# Allowed deviation from 1 of the norms of quaternions at the start of a segment.
+# Least and largest norm of a quaternion at the start of a segment.
 NORMS = (0.5, 2.0)
 
 
@@ -83,7 +83,7 @@ class CertifiedTrajectory(_validate.Brief):
     names : tuple of str
         The pair of bodies; empty strings if FREE.
     first : float
-        Seconds; the curve is proven free at least until then. inf if FREE.
+        Seconds; the curve is proven free at least until this time. inf if FREE.
     times : ndarray, shape (n + 1,)
         Times at which the segments begin and end.
     segments : CertifiedMotions
@@ -114,10 +114,10 @@ class CertifiedTrajectory(_validate.Brief):
 
     @property
     def first(self) -> float:
-        """Time until which the curve is proven free at least: its first segment that is not FREE begins then.
+        """Time until which the curve is proven free, at least: the start of its first segment that is not FREE.
 
-        inf if FREE. With bodies that follow motions, segments also begin where these change their rates;
-        `CollisionChecker.first_contact` is more precise.
+        The time is inf if the curve is FREE. With bodies that follow motions, segments also begin where the bodies
+        change their rates; `CollisionChecker.first_contact` is more precise.
         """
         at = np.flatnonzero(self.segments.verdict != codes.FREE)
         return float(self.times[at[0]]) if len(at) else np.inf
@@ -134,7 +134,7 @@ def certified(
 ) -> list[CertifiedTrajectory]:
     """Prove which curves are free, including all configurations that deviate by no more than `joint_error`.
 
-    Proofs of free curves are written if there is a model for them. Each curve may take this many steps.
+    Proofs of free curves are written if there is a model for them. Each curve may take `steps` steps of work.
     """
     curves = [curve._replace(off=curve.off + joint_error) for curve in curves]
     curves = [cut_in_time(robot, ready, curve) for curve in curves]
@@ -160,14 +160,14 @@ def certified(
 
 
 def _joined(curve: Curve) -> tuple[Floats, Floats]:
-    """Let each segment begin exactly where the one before ends; return the courses and how far values may deviate."""
+    """Let each segment begin exactly where the previous one ends; return the courses and how far values may deviate."""
     courses = curve.courses.copy()
     courses[1:, 0] = courses[:-1, -1]
     return courses, curve.off.max(axis=0) + np.abs(courses - curve.courses).max(axis=(0, 1))
 
 
 def expect_short(found: NDArray[np.int8], times: Floats, number: int) -> None:
-    """Refuse a curve with a piece that would take too many intervals; `number` is the curve's."""
+    """Refuse a curve with a piece that would take too many intervals; the message gives the curve's number."""
     for n in np.flatnonzero(found == codes.TOO_LONG)[:1]:
         raise InputError(
             f"expected pieces short enough to be proven in {codes.MOST_INTERVALS} intervals, and on which no "
@@ -177,7 +177,7 @@ def expect_short(found: NDArray[np.int8], times: Floats, number: int) -> None:
 
 
 def cut_in_time(robot: Robot, ready: Problem, curve: Curve) -> Curve:
-    """Cut a curve where bodies of the scene change their rates, and append their values."""
+    """Cut a curve where bodies of the scene change their rates, and append the bodies' values."""
     if ready.paths is None:
         return curve
     cut = in_time.pieces(robot, ready.paths, curve.courses, curve.off, curve.times[:-1], curve.times[1:])
@@ -185,7 +185,7 @@ def cut_in_time(robot: Robot, ready: Problem, curve: Curve) -> Curve:
 
 
 def configurations_at(ready: Problem, curve: Curve, times: Floats) -> Floats:
-    """Return the configurations at times of a curve, with the moving bodies at their poses then."""
+    """Return the configurations at times of a curve, with the moving bodies at their poses at these times."""
     k = np.clip(np.searchsorted(curve.times, times, side="right") - 1, 0, len(curve.courses) - 1)
     shares = (times - curve.times[k]) / (curve.times[k + 1] - curve.times[k])
     Q = configurations(ready.robot, curve.courses[k], np.clip(shares, 0.0, 1.0))
@@ -195,7 +195,7 @@ def configurations_at(ready: Problem, curve: Curve, times: Floats) -> Floats:
 
 
 def hits(ready: Problem, curve: Curve, times: Floats) -> Ints:
-    """Return which of some times collide."""
+    """Return the indices of the times at which the robot collides."""
     Q = configurations_at(ready, curve, times)
     return np.flatnonzero(classified(ready, codes.EXACT, Q).verdicts == codes.COLLIDING)
 
@@ -229,13 +229,13 @@ def proven(
 
 
 def of_path(robot: Robot, rows: Floats) -> Curve:
-    """Return the straight motions between the rows of a path as a curve, with a second for each."""
+    """Return the straight motions between the rows of a path as a curve, with one second for each motion."""
     courses = straight(robot, rows[:-1], rows[1:])
     return Curve(None, np.arange(len(rows), dtype=np.float64), courses, np.zeros_like(rows[1:]))
 
 
 def sampled(robot: Robot, curve: Curve, found: CertifiedTrajectory) -> tuple[Floats, Ints, Floats]:
-    """Return `MEASURED` samples in equal steps, then one for each segment that is not FREE, at its verdict's time.
+    """Return `MEASURED` samples in equal steps, then a sample at the verdict's time of each segment that is not FREE.
 
     Returns
     -------
@@ -287,8 +287,7 @@ def expect_carried(held: Mapping[str, str], carried: Iterable[Pair]) -> None:
 
 
 def started(robot: Robot, given: Any, name: str, t0: float | None = None) -> Curve:
-    """Return the courses of a curve, shifted by `t0` seconds; by default, a trajectory is shifted by its own start
-    time."""
+    """Return the courses of a curve, shifted by `t0` seconds; a trajectory's default is its own start time."""
     curve = curve_of(robot, given, name)
     own = t0 is None
     later = _validate.real(getattr(given, "start_time", 0.0) if own else t0, "start_time" if own else "t0")
@@ -304,9 +303,9 @@ def curve_of(robot: Robot, given: Any, name: str) -> Curve:
     Raises
     ------
     InputError
-        If the curve has the wrong type, its columns are not the robot's, a number is not finite, times do not increase,
-        the degree is above 7, the curve jumps, or the values of a SciPy curve are not the ones that its coefficients
-        define.
+        If the curve has the wrong type, its columns do not match the robot, a number is not finite, times do not
+        increase, the degree is above 7, the curve jumps, or the values of a SciPy curve differ from the values that its
+        coefficients define.
     """
     with np.errstate(over="ignore", invalid="ignore"):  # refused below
         curve = form_of(given, name)
@@ -359,7 +358,7 @@ def form_of(given: Any, name: str) -> Curve | None:
 
 
 def _of_scipy(given: Any, name: str) -> Curve:
-    """Return the courses that the coefficients of a curve of SciPy define."""
+    """Return the courses that the coefficients of a SciPy curve define."""
     c = np.asarray(given.c)
     if np.iscomplexobj(c):
         raise InputError(f"{name}: expected real coefficients, found {c.dtype}")
@@ -376,7 +375,7 @@ def _of_scipy(given: Any, name: str) -> Curve:
 
 
 def _is_of_scipy(given: Any) -> bool:
-    """Return whether an object is a curve of SciPy, without importing SciPy's module for it."""
+    """Return whether an object is a SciPy curve, without importing SciPy's module for curves."""
     interpolate = sys.modules.get("scipy.interpolate")  # loaded, if there is an object of its types
     types = () if interpolate is None else (interpolate.PPoly, interpolate.BPoly, interpolate.BSpline)
     return isinstance(given, types)
@@ -397,10 +396,10 @@ def _refuse_other_evaluation(given: Any, name: str) -> None:
 
 
 def _refuse_other_values(robot: Robot, given: Any, curve: Curve, name: str) -> None:
-    """Refuse a curve of SciPy whose values, as it computes them itself, are not on the courses.
+    """Refuse a SciPy curve whose values, as the curve itself computes them, are not on the courses.
 
-    An attribute may have been changed since the curve was made. In each segment, the number of compared values
-    determines a polynomial of its degree.
+    An attribute may have been changed since the curve was made. In each segment, enough values are compared to
+    determine a polynomial of the curve's degree.
     """
     courses, begin, end = curve.courses, curve.times[:-1, None], curve.times[1:, None]
     degree = courses.shape[1] - 1

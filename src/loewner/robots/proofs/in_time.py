@@ -1,9 +1,9 @@
 """Motions of a robot among bodies that follow motions of their own, treated together as motions of one robot.
 
-A body that follows a motion is a link on a floating joint (`assembly.with_moving_bodies`). Between two of its times it
-moves straight and turns at a constant rate, as such a joint does. A motion of the robot is therefore cut at these
-times, and each piece is proven as usual. The ends of pieces are rounded; docs/certified.md, "Motions in time", derives
-the bounds below.
+A body that follows a motion is a link on a floating joint (`assembly.with_moving_bodies`). Between two of its times,
+the body moves straight and turns at a constant rate, as such a joint does. A motion of the robot is therefore cut at
+these times, and each piece is proven as usual. The ends of pieces are rounded; docs/certified.md, "Motions in time",
+derives the bounds below.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from loewner.robots.proofs.courses import CURVE_ROUNDINGS, between, elevated, st
 from loewner.robots.proofs.motions import Found, Limit
 from loewner.robots.proofs.proofs import apply_rules, deviations, refuse_starts
 
-# Values of a floating joint.
+# Number of values of a floating joint.
 WIDTH = 7
 
 # Bounds on the rounding of positions and quaternions, in units of their largest numbers, and of times.
@@ -88,14 +88,14 @@ def pieces(robot: Robot, paths: PackedPaths, courses: Floats, off: Floats, t0: F
     Parameters
     ----------
     robot : Robot
-        Without moving bodies.
+        A robot without moving bodies.
     paths : PackedPaths
         The motions of the bodies.
     courses : ndarray, shape (N, degree + 1, dof)
     off : ndarray, shape (N, dof)
         How far values may deviate from the courses.
     t0, t1 : ndarray, shape (N,)
-        Times at which they begin and end.
+        Times at which the courses begin and end.
 
     Raises
     ------
@@ -149,7 +149,7 @@ def write_bodies(paths: PackedPaths, begin: Floats, end: Floats, courses: Floats
     Parameters
     ----------
     courses : ndarray, shape (M, points, 7 bodies)
-        Receives them.
+        Receives the courses.
     off : ndarray, shape (M, 7 bodies + 3 growing)
         Receives how far values may deviate from the courses, and points of bodies from their positions, as in `Pieces`.
     """
@@ -200,7 +200,7 @@ def prove_edges(
     """Prove which straight motions between `ends`, shape (N, dof) each, at `times` are free.
 
     COLLIDING is confirmed at the configuration and the time that a user computes from the fraction. Each motion may
-    take this many steps.
+    take `steps` steps of work.
     """
     (a, b), (t0, t1) = ends, times
     courses = straight(robot, a, b)
@@ -225,7 +225,7 @@ def prove_edges(
 
 
 def _gathered(cut: Pieces, found: Found, total: int) -> Found:
-    """Join the answers about pieces to those about their motions: the worst one, where it is first met."""
+    """Combine the answers about pieces into answers about motions: the worst answer, where it first occurs."""
     work = np.add.reduceat(found.work, np.flatnonzero(np.diff(cut.owner, prepend=-1)))
     made = Found(np.full(total, codes.FREE, dtype=np.int8), np.full(total, np.nan), np.full(total, -1), work)
     for verdict in (codes.AMBIGUOUS, codes.COLLIDING, codes.TOO_LONG):  # the later ones count more

@@ -80,13 +80,13 @@ class CertifiedMotions(_validate.Brief):
 
 
 class Limit(NamedTuple):
-    """How much work motions may take, in groups of successive motions that share it.
+    """Limits on the work of motions; the motions of a group, which are successive, share a limit.
 
     Attributes
     ----------
     steps : int or ndarray of int64, shape (groups,)
     first : ndarray of int, shape (groups + 1,)
-        The first motion of each group, and the number of motions.
+        The first motion of each group, followed by the number of motions.
     """
 
     steps: int | Ints
@@ -128,7 +128,7 @@ class Found(NamedTuple):
             )
 
     def of_shape(self, shape: tuple[int, ...], ready: Problem) -> CertifiedMotions:
-        """Convert to the result for users: arrays of this shape, or single values if the shape is ()."""
+        """Convert to the result for users: arrays of the given shape, or single values if the shape is ()."""
         if not shape:
             pair = int(self.pairs[0])
             names = ("", "") if pair < 0 else tuple(ready.names[k] for k in ready.pairs[pair].tolist())
@@ -159,12 +159,12 @@ def settle(
     tolerance : float
         Metres.
     off : ndarray, shape (N, dof + 3 growing), optional
-        How far each value may deviate from the course at any fraction; FREE covers all such deviations. After them, how
-        far points of bodies may deviate, in the form that the kernel takes; COLLIDING counts this as a margin, unless
-        `as_given`.
+        How far each value may deviate from the course at any fraction; FREE covers all such deviations. The last
+        columns bound how far points of bodies may deviate, in the form that the kernel takes; COLLIDING counts these
+        bounds as a margin, unless `as_given`.
     clear : ndarray, shape (N,), optional
         Distances in metres that all pairs must keep on a motion in addition to their margins; COLLIDING then refers to
-        them, too.
+        these distances, too.
     limit : Limit, optional
     as_given : bool
         Whether COLLIDING refers to bodies at their given poses, without their errors.

@@ -33,23 +33,23 @@ def prove(
     T_world_a, T_world_b : array_like, shape (4, 4), or None
         Poses; translation in metres. None is the identity.
     margin : float
-        Distance in metres that the bodies have to keep. If they are farther apart than this, the proof shows it.
+        Distance in metres that the bodies have to keep. If the bodies are farther apart than this, the proof shows it.
 
     Returns
     -------
     Proof
-        Its `verdict` is FREE or COLLIDING. A proof of FREE contains planes between the bodies, and only one if both are
-        single pieces. A proof of COLLIDING contains a common point.
+        Its `verdict` is FREE or COLLIDING. A proof of FREE contains planes between the bodies, only one plane if both
+        bodies are single pieces. A proof of COLLIDING contains a common point.
 
     Raises
     ------
     PoseError, InputError
         As for `collide`, and if there is more than one pair.
     ConvergenceError
-        If the format cannot express a proof of the answer, which has four possible reasons: the bodies are apart, but
-        not by more than the margin; they touch or nearly touch, so that no point is inside both, or no plane is between
-        them, by more than rounding; a surface takes part in a collision; or hulls of parts of surfaces and clouds meet
-        although the bodies do not.
+        If the format cannot express a proof of the answer. There are four possible reasons: the bodies are apart, but
+        not by more than the margin; the bodies touch or nearly touch, so that no point is inside both, or no plane is
+        between them, by more than rounding; a surface takes part in a collision; or hulls of parts of surfaces and
+        clouds meet although the bodies do not.
 
     Examples
     --------
@@ -92,7 +92,7 @@ def prove(
 def _apart(model: Model, parts: bool, measured: Callable[[], queries.Distance]) -> Proof:
     """Write a proof with planes that leave room for checkers that round, or if there are none, with any planes.
 
-    The search for planes fails near contact. The search of the distance is more careful, and is used last.
+    The search for planes fails near contact. The search for the distance is more careful, and is used last.
     """
     for room, careful in ((separations.ROOM, False), (0.0, False), (0.0, True)):
         tree = separations.still(model, room, np.asarray(measured().normal) if careful else None)

@@ -1,10 +1,10 @@
 """Decide which pairs of bodies can ever collide, at any configuration within the ranges of the joints between them.
 
-Only the joints between two bodies matter, so the question is small. A box of configurations, with one range for each
-value, is proven by the kernel that proves motions: along its longest side as a motion, with its other sides as joint
-deviations from that motion. Boxes that are not proven are halved. A pair that collides in every configuration is proven
-by its depth: two convex pieces meet in a whole box if they overlap more deeply than any of their points moves in the
-box. See docs/certified.md, "Pairs over whole ranges".
+Only the joints between two bodies matter, so the search space is small. A box of configurations, with one range for
+each value, is proven by the kernel that proves motions: along its longest side as a motion, with its other sides as
+joint deviations from that motion. Boxes that are not proven are halved. A pair that collides in every configuration is
+proven by its depth: two convex pieces meet in a whole box if they overlap more deeply than any of their points moves
+within the box. See docs/certified.md, "Pairs over whole ranges".
 """
 
 from __future__ import annotations
@@ -44,11 +44,11 @@ from loewner.robots.proofs.proof_models import model_of
 from loewner.robots.proofs.range_proofs import Claim, proof_of_ranges
 from loewner.scenes.scene import Scene
 
-# Configurations that are tried first, and boxes that are examined at a time.
+# Number of configurations that are tried first, and of boxes that are examined at a time.
 TRIED = 512
 AT_ONCE = 4096
 
-# Boxes that each pair gets at a time, at least.
+# Least number of boxes that each pair gets at a time.
 FIRST_BOXES = 1000
 
 # Least tolerance of a proof [m].
@@ -57,15 +57,15 @@ LEAST_TOLERANCE = 1e-12
 # Largest denominator of a multiplier of a joint that follows another one without limits: the range is a common period.
 MOST_TURNS = 64
 
-# Ranges of one value are found up to this [rad or m], and boxes of several by this many bisections.
+# Accuracy of ranges of one value [rad or m], and number of bisections for boxes of several values.
 FINEST, BISECTIONS = 1e-10, 20
 
 # An allowance for the rounding of bounds on motions.
 UP = 1.0 + 1e-5
 
-# Distances and depths count less these shares of themselves, of the lengths from which positions are computed, and of
-# the size of curved pieces. The last one covers searches that stop beside the best direction: their error was measured
-# as 7.1e-6 at most, where cylinders have a common axis.
+# Errors that are subtracted from distances and depths: shares of themselves, of the lengths from which positions are
+# computed, and of the size of curved pieces. The last share covers searches that stop beside the best direction: their
+# error was measured as 7.1e-6 at most, for cylinders with a common axis.
 OF_DEPTH, OF_LENGTHS, OF_CURVED = 1e-6, 1e-12, 1e-4
 
 # Verdicts that more boxes may change.
@@ -131,7 +131,7 @@ class _Question:
         return self.every.with_pairs(np.array([self.pair]), np.array([self.margin]))
 
     def configuration(self, q: Floats) -> Floats:
-        """The configuration of the robot with these values between the bodies."""
+        """Return the configuration of the robot with the given values between the bodies."""
         found = self.base.copy()
         found[self.columns] = q
         return found
@@ -148,7 +148,7 @@ class _Question:
         self.waiting = [np.stack([self.lower, self.upper])[None]]
 
     def look_at(self, Q: Floats) -> None:
-        """Note a configuration with contact and one without, as the robot's own kinematics confirm."""
+        """Note a configuration with contact and a configuration without, if the robot's own kinematics confirm them."""
         found = verdicts.classified(self.ready, codes.EXACT, Q).verdicts
         for verdict, name in ((codes.COLLIDING, "colliding"), (codes.FREE, "free")):
             if getattr(self, name) is not None:
@@ -186,7 +186,7 @@ class _Question:
             self.look_at(Q[lowest : lowest + 1])
 
     def signed(self, Q: Floats) -> Floats:
-        """Signed distances of the bodies; NaN where fast searches find none."""
+        """Return signed distances of the bodies; NaN where fast searches find none."""
         return np.asarray(distances.nearest_columns(self.measured, np.ascontiguousarray(Q), True, care=False)[2])
 
     # -- boxes -----------------------------------------------------------------------------------
@@ -203,11 +203,11 @@ class _Question:
 
     @property
     def to_go(self) -> float:
-        """A guess at how many more boxes it takes."""
+        """A guess at how many more boxes the answer takes."""
         return self.boxes * (1.0 - self.share) / self.share if self.share > 0 else math.inf
 
     def proceed(self, most: int) -> int:
-        """Examine at most this many boxes, and return their number."""
+        """Examine at most `most` boxes, and return the number of examined boxes."""
         before = self.boxes
         while most > 0 and not self.settled:
             last = self.waiting.pop()
@@ -229,7 +229,7 @@ class _Question:
         return self.boxes - before
 
     def free_in(self, boxes: Floats) -> Any:
-        """Which boxes are proven free; a contact that is found is noted."""
+        """Return which boxes are proven free, and note a contact that is found."""
         center, half = _center_and_half(boxes)
         moved = self.moved(half)
         row, long = np.arange(len(boxes)), (half * self.levers).argmax(axis=1)
@@ -254,7 +254,7 @@ class _Question:
         return proven
 
     def collide_in(self, boxes: Floats) -> Any:
-        """Which boxes are proven to be in contact everywhere; configurations without contact are noted."""
+        """Return which boxes are proven to be in contact everywhere, and note configurations without contact."""
         center, half = _center_and_half(boxes)
         near = self.signed(center)
         if (near > self.margin).any():
@@ -262,7 +262,7 @@ class _Question:
         return near + self.error_of(near) < self.margin - self.moved(half)
 
     def error_of(self, near: Floats) -> Floats:
-        """Error of computed distances and depths, rounded up."""
+        """Return the error of computed distances and depths, rounded up."""
         return OF_DEPTH * np.abs(near) + self.rounding
 
     @property
@@ -271,11 +271,11 @@ class _Question:
         return bool((self.ready.packed.layout[:, kernel_columns.KIND] <= kernel_columns.SURFACE).any())
 
     def moved(self, half: Floats) -> Floats:
-        """How far any point of one body, seen from the other one, is at most from its place in the middle of boxes."""
+        """Bound how far any point of one body, seen from the other body, is from its place at the centers of boxes."""
         return np.asarray((half * self.levers).sum(axis=1) * UP)
 
     def answer(self) -> ProvenPair:
-        """Return all that has been found out."""
+        """Return the answer as far as it is known."""
         if self.colliding is not None and self.free is not None:
             verdict = PairVerdict.SOMETIMES
         elif not self.waiting and not self.reason and self.boxes:
@@ -296,7 +296,7 @@ class _Question:
 
 
 def _center_and_half(boxes: Floats) -> tuple[Floats, Floats]:
-    """Return the middles of boxes, and how far their ends are from them at most."""
+    """Return the centers of boxes, and the largest distances of their ends from the centers."""
     low, high = boxes[:, 0], boxes[:, 1]
     center = low + (high - low) / 2
     return center, np.nextafter(np.maximum(high - center, center - low), np.inf)
@@ -324,21 +324,21 @@ def _halved(boxes: Floats, levers: Floats) -> Floats:
 
 
 def _joints(tree: Tree, link: int) -> list[int]:
-    """The joints between the world and a link, as the links that they move."""
+    """Return the joints between the world and a link, as the links that they move."""
     return [k for k in reversed(links_above(tree, link)) if tree.kind[k] != kernel_columns.FIXED]
 
 
 def _between(tree: Tree, one: int, other: int) -> list[int]:
-    """The joints between two links; -1 is the world."""
+    """Return the joints between two links; -1 is the world."""
     a, b = _joints(tree, one), _joints(tree, other)
     shared = sum(1 for _ in itertools.takewhile(lambda pair: pair[0] == pair[1], zip(a, b, strict=False)))
     return a[shared:] + b[shared:]
 
 
 def _chain(whole: Robot, links: list[int], joints: list[int], columns: Ints) -> tuple[Robot, Ints]:
-    """Make a robot with only these joints and links, and the values of some columns; return the links' numbers in it.
+    """Make a robot with only the given joints, links and columns; return it with the links' numbers in it.
 
-    What carries the first joints is its world: neither its place nor other joints matter.
+    The link that carries the first joints is the new robot's world: neither the link's place nor other joints matter.
     """
     tree, kept = whole.tree, sorted({*links, *joints} - {-1})
     number = {link: k for k, link in enumerate(kept)}
@@ -362,7 +362,7 @@ def _chain(whole: Robot, links: list[int], joints: list[int], columns: Ints) -> 
 
 
 def _levers(ready: Problem, body: int, lower: Floats, upper: Floats) -> tuple[Floats, float]:
-    """How far any point of a body, seen from the other one, moves at most for each value [m per rad or m].
+    """Bound how far any point of a body, seen from the other body, moves for each value [m per rad or m].
 
     Also return the largest travel of all joints that slide [m].
     """
@@ -386,7 +386,7 @@ def _levers(ready: Problem, body: int, lower: Floats, upper: Floats) -> tuple[Fl
 
 
 def _range(whole: Robot, joints: list[int], column: int, turns: bool) -> tuple[float, float, str]:
-    """The hard limits of a value, or a full turn of all joints that follow it; and why there is no such range."""
+    """Return the hard limits of a value, or a full turn of all joints that follow it, and why there is no range."""
     low, high = float(whole.hard_lower[column]), float(whole.hard_upper[column])
     name, tree = whole.configuration_names[column], whole.tree
     if low > -FARTHEST_LIMIT and high < FARTHEST_LIMIT:
@@ -406,7 +406,7 @@ def _range(whole: Robot, joints: list[int], column: int, turns: bool) -> tuple[f
 
 
 def _values(whole: Robot, joints: list[int]) -> tuple[dict[int, bool], str]:
-    """The columns on which joints depend, and whether each is an angle only; and a kind that has no ranges."""
+    """Return the columns on which joints depend, whether each is only an angle, and why there are no ranges."""
     tree, found = whole.tree, dict[int, bool]()
     for k in joints:
         kind, at = int(tree.kind[k]), int(tree.column[k])
@@ -436,8 +436,7 @@ def prove_pairs(
     proof: bool,
     only_free: bool = False,
 ) -> ProvenPairs:
-    """Compute the result of `Robot.prove_pairs`, which has the defaults; if `only_free`, least distances of other pairs
-    are left out."""
+    """Implement `Robot.prove_pairs`, which has the defaults; `only_free` omits the least distances of other pairs."""
     cache = _validate.flag(cache, "cache")
     margin = _validate.positive_scalar(margin, "margin", zero=True)
     boxes = _validate.whole_number(boxes, "boxes", 1)
@@ -447,7 +446,7 @@ def prove_pairs(
     stated = None
     if _validate.flag(proof, "proof"):
         ready = prepared(self, scene, self._usually_skipped, scene.version, None)
-        stated = model_of(ready), ready  # refused at once where there is none
+        stated = model_of(ready), ready  # refused at once if there is none
     every = prepared(self, scene, (), scene.version, None)
     asked = _asked(self, every, pairs)
     kept = cache and not given and margin == 0.0 and not scene.names and not scene.margins
@@ -483,7 +482,7 @@ def free_range(
     scene: Scene | None,
     boxes: int,
 ) -> dict[str, tuple[float, float]]:
-    """Compute the result of `Robot.free_range`, which has the defaults."""
+    """Implement `Robot.free_range`, which has the defaults."""
     names = [joints] if isinstance(joints, str) else _validate.listed(joints, "joints", wanted="a name or several")
     for name in names:
         _expect_value(self, name, "joints")
@@ -531,7 +530,7 @@ robot.answers |= {"prove_pairs": prove_pairs, "free_range": free_range}
 
 
 def _claims(whole: Robot, every: Problem, rows: tuple[ProvenPair, ...]) -> list[Claim]:
-    """The rows as a proof states them; all have to be NEVER."""
+    """Return the rows as a proof states them; all rows must be NEVER."""
     if not rows:
         raise InputError("proof: expected pairs with joints between them, found none; there is nothing to prove")
     place, found = {name: k for k, name in enumerate(every.names)}, list[Claim]()
@@ -565,7 +564,7 @@ def _standing(whole: Robot, scene: Scene | None) -> Scene:
 
 
 def _column(whole: Robot, name: Any, q: Floats, given: Mapping[int, tuple[float, float]]) -> tuple[int, float, float]:
-    """The column of a value, and its range, which must hold its present value."""
+    """Return the column of a value, and the value's range, which must contain its present value."""
     _expect_value(whole, name, "joints")
     at, tree = whole.configuration_names.index(name), whole.tree
     if at not in given:
@@ -583,7 +582,7 @@ def _column(whole: Robot, name: Any, q: Floats, given: Mapping[int, tuple[float,
 
 
 def _end(ready: Problem, q: Floats, column: int, end: float) -> float:
-    """How far one value can go towards an end of its range, as far as that is proven."""
+    """Find how far towards an end of its range one value is proven free."""
     known, step = float(q[column]), end - float(q[column])
     a, b = q.copy(), q.copy()
     while known != end and abs(step) > FINEST:
@@ -599,7 +598,7 @@ def _end(ready: Problem, q: Floats, column: int, end: float) -> float:
 
 
 def _largest_share(proven: Callable[[float], bool]) -> float:
-    """The largest share of the way to all ends for which a box of values is proven free, by bisection."""
+    """Find, by bisection, the largest share of the way to all ends for which a box of values is proven free."""
     low, high = 0.0, 1.0
     if proven(high):
         return high
@@ -610,7 +609,7 @@ def _largest_share(proven: Callable[[float], bool]) -> float:
 
 
 def _checked_limits(whole: Robot, limits: Mapping[str, tuple[float, float]] | None) -> dict[int, tuple[float, float]]:
-    """Ranges that are given, by columns."""
+    """Return the given ranges, keyed by column."""
     if limits is not None and not isinstance(limits, Mapping):
         raise InputError(f"limits: expected a mapping from joints to (lower, upper), found {_validate.short(limits)}")
     found = {}
@@ -634,7 +633,7 @@ def _expect_value(whole: Robot, name: Any, argument: str) -> None:
 
 
 def _asked(whole: Robot, every: Problem, pairs: Iterable[Pair] | None) -> list[tuple[int, int]]:
-    """The pairs in question, as numbers of bodies; the first one of each moves."""
+    """Return the pairs in question, as numbers of bodies; the first body of each pair moves."""
     place = {name: k for k, name in enumerate(every.names)}
     if pairs is None:
         listed = whole.disabled_pairs if whole._lists_pairs else itertools.combinations(whole.bodies, 2)
@@ -666,7 +665,7 @@ def _sorted(every: Problem, pair: tuple[int, int]) -> Pair:
 def _question(
     whole: Robot, every: Problem, pair: tuple[int, int], margin: float, given: Mapping[int, tuple[float, float]]
 ) -> _Question | ProvenPair | None:
-    """Prepare the question about a pair; return its answer if it has no range, and None if no joint is between."""
+    """Prepare the question about a pair; return the answer if there is no range, and None if there is no joint."""
     moving, (a, b), names = len(every.link), pair, _sorted(every, pair)
     links = [int(every.link[a]), int(every.link[b]) if b < moving else -1]
     joints = _between(whole.tree, *links)
@@ -687,7 +686,7 @@ def _question(
     standing = every.standing.poses.reshape(-1, 16)[b - moving :][:1] if b >= moving else np.empty((0, 16))
     ready = _pair_problem(chain, packs, numbers, margin, standing)
     if b < moving:
-        # The one that moves less, seen from the other one, is the one that moves in proofs.
+        # In proofs, the body moves that moves less as seen from the other body.
         first, second = (((upper - lower) * _levers(ready, body, lower, upper)[0]).sum() for body in (0, 1))
         if second < first:
             ready = _pair_problem(chain, packs[::-1], numbers[::-1], margin, standing)
@@ -696,7 +695,7 @@ def _question(
 
 
 def _pair_problem(chain: Robot, packs: list[Packed], numbers: Ints, margin: float, standing: Floats) -> Problem:
-    """Prepare two bodies, the first one on a link of a chain, the second one on another link or in the world."""
+    """Prepare two bodies, the first on a link of a chain, the second on another link or in the world."""
     return Problem.of(
         chain, (0, 0), ("one", "other"), packs, np.ascontiguousarray(numbers), np.array([[0, 1]]), np.array([margin])
     ).with_poses(standing, 0)  # fmt: skip

@@ -29,7 +29,7 @@ from loewner.robots.checking.problem import Problem
 # Kinds of joints and of pieces in the format.
 STAYS, TURNS, SLIDES = 0, 1, 2
 HULL = 0
-# What kernels call the kinds of pieces, from HULL on, and how far the points of their unit shapes are from the origin.
+# The kernels' kinds of pieces, beginning with HULL, and how far the points of their unit shapes are from the origin.
 # Pieces with a ball are hulls of their cores.
 KINDS = columns.POLYTOPE, columns.ELLIPSOID, columns.CYLINDER, columns.CONE
 FARTHEST = 0.0, 1.0, np.sqrt(2.0), np.sqrt(2.0)
@@ -77,7 +77,7 @@ class Links(NamedTuple):
 
 
 class Pieces(NamedTuple):
-    """Pieces of all bodies; `points` are corners of hulls, or three rows of the factor and the center of another kind.
+    """Pieces of all bodies; `points` are corners of a hull, or the center and three rows of another piece's factor.
 
     Attributes
     ----------
@@ -118,7 +118,7 @@ class Placed(NamedTuple):
 
 
 class Model(NamedTuple):
-    """A model.
+    """A model of a robot and its surroundings.
 
     Attributes
     ----------
@@ -215,7 +215,7 @@ def _hollow(packs: Sequence[Packed], cut: Sequence[Packed]) -> Bools:
 def _model(
     links: Links, limits: list[tuple[str, float, float]], bodies: Placed, pairs: Ints, margins: Floats, rules: Ints
 ) -> Model:
-    """Make a model of its parts, if checkers take its numbers."""
+    """Make a model from its parts, if checkers accept its numbers."""
     pieces = bodies.pieces
     lengths = bodies.shift, links.translation, links.axis, pieces.radius, margins, *pieces.points
     if len(links.names) > MOST_LINKS or not all((np.abs(array) < LARGEST).all() for array in lengths):
@@ -253,7 +253,7 @@ def _refuse(ready: Problem) -> None:
 
 
 def _links(tree: Tree, names: tuple[str, ...]) -> tuple[Links, Ints, Floats, Floats]:
-    """Make the links, and for each of the robot's links the link that carries it and its frame there."""
+    """Make the links; for each link of the robot, also return the link that carries it and its frame there."""
     rows: list[tuple[str, int, int, int, float, float, Floats, Floats, Floats, int]] = []
     count = len(names)
     at, turns, shifts = np.zeros(count, dtype=np.int64), np.tile(np.eye(3), (count, 1, 1)), np.zeros((count, 3))
@@ -290,7 +290,7 @@ def _links(tree: Tree, names: tuple[str, ...]) -> tuple[Links, Ints, Floats, Flo
 
 
 def _groups(links: Links, link: Ints) -> Ints:
-    """Number the groups of bodies that do not move against each other, as the format defines them; -1 in the world."""
+    """Number groups of bodies that do not move relative to each other, as the format defines them; -1 in the world."""
     group = np.where((links.moves != STAYS) | (links.above < 0), np.arange(len(links.above)), links.above)
     return np.append(group, -1)[link]
 
@@ -359,7 +359,7 @@ def of_bodies(bodies: Placed) -> bytes:
 
 
 def of_pairs(group: Ints, pairs: Ints, margins: Floats) -> bytes:
-    """Write which pairs are not to be checked, and the margins of the others."""
+    """Write which pairs are not to be checked, and the margins of the other pairs."""
     moving = int((group >= 0).sum())  # these come first, and bodies in the world are not checked among themselves
     unchecked = np.triu(group[:moving, None] != group, 1)
     unchecked[pairs[:, 0], pairs[:, 1]] = False

@@ -51,7 +51,7 @@ def prove_by_rules(
     """Prove which straight motions between configurations a and b, shape (N, dof) each, are free.
 
     Pairs named by `Scene.leave` and `Scene.reach` may be in contact at the ends, unless there is a joint error. Each
-    motion may take this many steps.
+    motion may take `steps` steps of work.
     """
     courses = straight(ready.robot, a, b)
     off = deviations(courses, joint_error)
@@ -116,7 +116,7 @@ def apply_rules(
 
 
 def deviations(courses: Floats, joint_error: Floats | None) -> Floats | None:
-    """Add the rounding of configurations that users compute from a course to a joint error, None if there is no error.
+    """Add the rounding of configurations that users compute from a course to a joint error; None if there is no error.
 
     Returns
     -------
@@ -129,10 +129,10 @@ def deviations(courses: Floats, joint_error: Floats | None) -> Floats | None:
 
 
 def _confirm(ready: Problem, courses: Floats, found: Found) -> None:
-    """Keep COLLIDING only for motions that collide at the configuration a user computes from the fraction.
+    """Keep COLLIDING only for motions that collide at the configuration that a user computes from the fraction.
 
-    Values that change linearly agree bit for bit with the kernel's. Polynomials may differ in the last place, and so
-    may orientations, since NumPy's sines differ from the kernel's.
+    Values that change linearly agree bit for bit with the kernel's values. Polynomials may differ in the last place,
+    and so may orientations, since NumPy's sines differ from the kernel's.
     """
     doubtful = found.verdicts == codes.BY_CARE
     if not (ready.robot.runs_straight and courses.shape[1] == 2):

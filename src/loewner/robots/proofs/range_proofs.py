@@ -1,8 +1,8 @@
-"""Write proofs that pairs are never nearer than a margin over ranges of values, see docs/proof-format.md.
+"""Write proofs that pairs are never nearer than a margin over ranges of values; see docs/proof-format.md.
 
 The box of all values between two bodies is halved until a plane separates the bodies in each part. The plane is
-perpendicular to the shortest connection between the bodies in the middle of the box, and its condition refers to the
-corners. Boxes are examined in batches, in floating point, with room for the checkers' rounding.
+perpendicular to the shortest connection between the bodies at the center of the box, and its condition refers to the
+box's corners. Boxes are examined in batches, in floating point, with room for the checkers' rounding.
 """
 
 from __future__ import annotations
@@ -24,25 +24,26 @@ from loewner.robots.checking.problem import Problem
 from loewner.robots.proofs.proof_models import FARTHEST, HULL, KINDS, LARGEST, SLIDES, STAYS, TURNS, Links, Model
 from loewner.robots.proofs.written_proofs import FARTHEST_TURN, RANGES, VERSION, Proof, assembled
 
-# Files are not larger [bytes], and take checkers fewer products of a point and a normal.
+# Largest size of a file [bytes], and largest number of products of a point and a normal that checkers compute.
 MOST_BYTES, MOST_WORK = 5_000_000, 2**29
 
-# Nodes of the trees of all pairs together, levels of a tree, and halvings of a side, whose ends are exact doubles.
+# Largest numbers of nodes in the trees of all pairs together, of levels of a tree, and of halvings of a side, whose
+# ends are exact doubles.
 MOST_NODES, DEEPEST, MOST_HALVED = 2**19, 64, 48
 
-# Corners that are examined at a time, and sides of a box: planes are checked at all corners.
+# Largest numbers of corners that are examined at a time, and of sides of a box: planes are checked at all corners.
 AT_ONCE, MOST_SIDES = 4096, 8
 
 # Room for checkers that compute with enclosures: shares of the terms of the condition, and of the model's size.
 OF_TERMS, OF_SIZE = 2e-9, 2e-11
 
-# A plane is written in 16 bits a coordinate if the gap exceeds the margin by this share of the size of the bodies.
+# A plane is written with 16 bits per coordinate if the gap exceeds the margin by this share of the bodies' size.
 COARSE, LONGEST = 3e-4, 32767
 
 # Pieces are divided if the plane of the nearest points has less than this share of the room between the bodies.
 OF_ROOM = 0.5
 
-# Tokens: a box is halved, the last plane again, and planes with 16 bits a coordinate and with doubles.
+# Tokens for a halved box, for the last plane again, and for planes with 16 bits per coordinate and with doubles.
 HALVED, LAST, NORMAL, DOUBLES = 0, 3, 16, 18
 
 
@@ -62,7 +63,7 @@ def proof_of_ranges(model: Model, ready: Problem, claims: list[Claim]) -> Proof:
     Parameters
     ----------
     model : Model
-        The problem's, see `proof_models.model_of`.
+        The problem's model; see `proof_models.model_of`.
     ready : Problem
     claims : list of Claim
 
@@ -107,7 +108,7 @@ def _refuse(model: Model, ready: Problem, claim: Claim, names: str) -> None:
 
 
 def _path(links: Links, a: int, b: int) -> tuple[list[int], list[int]]:
-    """The links from each of two links up to the common one above both, which is left out."""
+    """Return the links from each of two links up to the common link above both, which is left out."""
     ups: tuple[list[int], list[int]] = ([], [])
     while a != b:  # a link comes after the one above it
         ups[a < b].append(max(a, b))
@@ -116,7 +117,7 @@ def _path(links: Links, a: int, b: int) -> tuple[list[int], list[int]]:
 
 
 class _Joints:
-    """The joints between two bodies: poses of one seen from the other, and bounds on their motion."""
+    """The joints between two bodies: poses of one body seen from the other, and bounds on their motion."""
 
     def __init__(self, model: Model, claim: Claim) -> None:
         self.links, self.claim = model.links, claim
@@ -134,13 +135,13 @@ class _Joints:
                 raise InputError(f"proof: expected joints that turn to {FARTHEST_TURN:g} rad at most, found others")
 
     def far(self, k: int) -> float:
-        """The largest absolute value of a joint."""
+        """Return the largest absolute value of a joint."""
         m, f = float(self.links.multiplier[k]), float(self.links.offset[k])
         at = self.place.get(int(self.links.value[k]))
         return abs(f) if at is None else max(abs(m * self.lower[at] + f), abs(m * self.upper[at] + f))
 
     def _local(self, k: int, Q: Floats) -> tuple[Floats, Floats]:
-        """The pose of a link in the frame of the link above."""
+        """Return the pose of a link in the frame of the link above."""
         links, F, t = self.links, self.turn[k], self.links.translation[k]
         if links.moves[k] == STAYS:
             return np.broadcast_to(F, (len(Q), 3, 3)), np.broadcast_to(t, (len(Q), 3))
@@ -154,7 +155,7 @@ class _Joints:
         return F @ (c * np.eye(3) + s * cross + (1.0 - c) * outer), np.broadcast_to(t, (len(Q), 3))
 
     def seen(self, Q: Floats) -> tuple[Floats, Floats]:
-        """The rotation and the place of the second body's link in the frame of the first body's link."""
+        """Return the rotation and the place of the second body's link in the frame of the first body's link."""
         poses = []
         for path in self.paths:
             turn, shift = np.tile(np.eye(3), (len(Q), 1, 1)), np.zeros((len(Q), 3))
@@ -166,7 +167,7 @@ class _Joints:
         return np.swapaxes(one, 1, 2) @ other, np.einsum("nji,nj->ni", one, end - start)
 
     def bends(self, lower: int, center: Floats, radius: float) -> Floats:
-        """Bound second derivatives of points of the upper body, which are in a ball, by each value."""
+        """Bound second derivatives, by each value, of points of the upper body, which are in a ball."""
         links, passed = self.links, list[tuple[int, float]]()
         for path, upward in ((self.paths[1 - lower], True), (self.paths[lower][::-1], False)):
             for k in path:
@@ -193,7 +194,7 @@ class _Joints:
         return bends
 
     def size(self, link: int) -> float:
-        """The length of the chain of a link, with all slides."""
+        """Return the length of the chain of a link, with all slides."""
         total = 0.0
         while link >= 0:
             slide = self.length[link] * self.far(link) if self.links.moves[link] == SLIDES else 0.0
@@ -230,18 +231,18 @@ class _Shape:
         self.bodies = dict[tuple[int, int], Body]()
 
     def body(self, part: tuple[int, int]) -> Body:
-        """Some consecutive pieces as a body."""
+        """Return consecutive pieces as a body."""
         if part not in self.bodies:
             pieces, starts = np.arange(*part), np.array([0, part[1] - part[0]])
             self.bodies[part] = bodies_of(some(self.pack, pieces, starts).packed())[0]
         return self.bodies[part]
 
     def cost(self, part: tuple[int, int]) -> int:
-        """How many products a checker takes for these pieces."""
+        """Count the products that a checker computes for the given pieces."""
         return sum(len(points) + 5 for points in self.points[part[0] : part[1]])
 
     def support(self, part: tuple[int, int], n: Floats) -> Floats:
-        """The largest product of normals with a point of some pieces."""
+        """Return the largest product of each normal with a point of the given pieces."""
         norm, best = np.linalg.norm(n, axis=1), np.full(len(n), -np.inf)
         for k in range(*part):
             far, G = (n @ self.points[k].T).max(axis=1) + self.radius[k] * norm, self.factor[k]
@@ -364,7 +365,7 @@ class _Search:
         self._divide(rest, parts, below, gap[~done] - self.claim.margin, room[~done], takes[~done])
 
     def _with_known_planes(self, boxes: _Boxes, parts: Parts) -> _Boxes:
-        """Prove boxes by the planes of the boxes above, and return the others."""
+        """Prove boxes by the planes of the boxes above, and return the remaining boxes."""
         known = np.flatnonzero(boxes.plane >= 0)
         left = np.ones(len(boxes.node), dtype=bool)
         frames = np.array([self.planes[k][0] for k in boxes.plane[known].tolist()], dtype=np.int64)
@@ -385,7 +386,7 @@ class _Search:
         self.work += (cost + 50 * sum(map(len, self.joints.paths))) * (1 + 2 ** len(self.sides))
 
     def _nearest(self, parts: Parts, turn: Floats, shift: Floats) -> tuple[Floats, Floats]:
-        """Distances and normals, from the first body to the second, in the frame of the first body's link."""
+        """Return distances and normals, from the first body to the second, in the frame of the first body's link."""
         poses = np.tile(np.eye(4), (2, len(turn), 1, 1))
         poses[0, :, :3, :3], poses[0, :, :3, 3] = self.shapes[0].turn, self.shapes[0].shift
         poses[1, :, :3, :3] = turn @ self.shapes[1].turn
@@ -398,7 +399,7 @@ class _Search:
         return np.asarray(found.distance), np.asarray(found.normal)
 
     def _conditions(self, boxes: _Boxes, parts: Parts, low: int, given: Floats) -> tuple[Bools, Floats, Floats]:
-        """Whether the conditions of planes hold, the room in the middle of boxes, and the share of each side in it."""
+        """Return whether the planes' conditions hold, the room at the centers of boxes, and each side's share of it."""
         lower, count = self.shapes[low], len(given)
         n = given @ lower.turn.T
         norm = np.linalg.norm(n, axis=1)
@@ -418,7 +419,7 @@ class _Search:
         return holds, room, takes
 
     def _least(self, parts: Parts, low: int, n: Floats, norm: Floats, share: Floats) -> Floats:
-        """The least products of normals, divided by their lengths, with points of the upper pieces."""
+        """Return the least products of normals, divided by their lengths, with points of the upper pieces."""
         turn, shift = self.joints.seen(self.lower + share * self.width)
         if low == 0:
             back, away = np.einsum("nji,nj->ni", turn, n), np.einsum("ni,ni->n", n, shift)

@@ -1,7 +1,7 @@
 """Find planes that separate all pairs of bodies along motions: the trees of a proof, see docs/proof-format.md.
 
-The kernel `plane_trees` searches. It uses no result of the kernel that proved the motions. This module prepares the
-input: the pieces of all bodies, which trees may divide, and the joints between the bodies of each pair.
+The kernel `plane_trees` searches for the planes. It uses no result of the kernel that proved the motions. This module
+prepares the input: the pieces of all bodies, which trees may divide, and the joints between the bodies of each pair.
 """
 
 from __future__ import annotations
@@ -25,19 +25,19 @@ from loewner.robots.proofs import contacts
 from loewner.robots.proofs.courses import between, configurations
 from loewner.robots.proofs.proof_models import AT_END, AT_START, HULL, KINDS, SLIDES, Model
 
-# Tokens of the trees whose planes have normals of 16 bits a coordinate, and of doubles; 3 refers to the last plane.
+# Tokens for planes whose normals have 16 bits per coordinate, and for planes with doubles; 3 refers to the last plane.
 NORMAL, DOUBLES = 16, 18
 
 # Room for checkers that compute with enclosures, as a share of the model's size.
 ROOM = 2e-11
 
-# Nodes of the trees of one motion, and normals among them: with more of them, the search would not end.
+# Largest numbers of nodes in the trees of one motion, and of normals among them: with more, the search would not end.
 MOST_NODES, MOST_NORMALS = 2**20, 2**18
 
-# Columns of the kernel's memory with the last plane named of a pair; normals to try are behind them.
+# Columns of the kernel's memory with the last plane named for a pair; the next columns hold normals to try.
 NAMED = slice(4, 8)
 
-# The shortest contacts are a motion, or half of one, halved so often.
+# How often a motion, or half of a motion, is halved for the shortest contacts.
 MOST_HALVED = 15
 
 # Least distances below 0 are raised by this share for the search, which adds room for rounding to sums in proportion.
@@ -128,7 +128,7 @@ def _expect_tree(
 
 
 def still(model: Model, room: float, normal: Floats | None = None) -> bytes | None:
-    """Make the tree for two static bodies, with a gap that exceeds the margin by `room` of all lengths.
+    """Make the tree for two static bodies, with a gap that exceeds the margin by `room` times all lengths.
 
     A normal in the world, from the first body to the second one, is tried before a search for others. If planes that
     the format can express do not separate the bodies, the result is None.
@@ -188,7 +188,7 @@ class _Prepared:
         entries.measure_model(records.table_of(self.model).ctypes.data)
 
     def speeds(self, courses: Floats, deviations: Floats) -> Floats:
-        """Bound speeds, second derivatives, deviations and ways of joints on motions, shape (N, joints, 4)."""
+        """Bound speeds, second derivatives, deviations and travel of joints on motions, shape (N, joints, 4)."""
         links, degree = self.links, courses.shape[1] - 1
         m = np.where(links.value < 0, 0.0, np.abs(links.multiplier))
         P = np.pad(courses, ((0, 0), (0, 0), (0, 1)))[:, :, links.value]  # links that do not move follow the last one
@@ -232,7 +232,7 @@ _known: WeakKeyDictionary[Problem, _Prepared] = WeakKeyDictionary()
 
 
 class _Search(NamedTuple):
-    """The search for the trees of a pair that may be in contact at an end of a curve; `first` is its first motion."""
+    """The search for the trees of a pair that may be in contact at an end of a curve, whose first motion is `first`."""
 
     prepared: _Prepared
     ready: Problem
@@ -245,7 +245,7 @@ class _Search(NamedTuple):
     tolerance: float
 
     def with_contacts(self, trees: list[bytes | Failed], touching: list[Contact]) -> list[bytes | Failed]:
-        """Make the trees that failed, if contacts suffice, and append these; each is as short as possible.
+        """Make the trees that failed, if contacts suffice, and append the contacts, each as short as possible.
 
         The contacts of a pair are one stretch from the start of the curve, or to its end.
         """
@@ -274,7 +274,7 @@ class _Search(NamedTuple):
             else:
                 return trees
         self.memory.state[self.pair, NAMED] = 0.0  # planes were not named in the order of the file
-        # Contact lasts all along the motions between the start or the end of the curve and the last one in contact.
+        # Contact lasts all along the motions between the start or the end of the curve and the last motion in contact.
         ends = {end: [contact for contact in made if contact.end == end] for end in (0, 1)}
         for last in ends[0][-1:]:
             touching += [last._replace(motion=k, k=0) for k in range(self.first, last.motion)] + [last]
@@ -284,7 +284,7 @@ class _Search(NamedTuple):
         return trees
 
     def _touch(self, end: int, count: int) -> tuple[float, Floats]:
-        """The least distance that a contact of `count` motions at an end has to keep, and normals for the kernel."""
+        """Return the least distance for a contact of `count` motions at an end, and normals for the kernel."""
         places = np.append(0.0, count * contacts.STRETCHES[::-1])
         places = len(self.courses) - places if end else places
         k = np.minimum(places.astype(np.int64), len(self.courses) - 1)

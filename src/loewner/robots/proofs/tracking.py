@@ -42,7 +42,7 @@ def largest(ready: Problem, a: Floats, b: Floats, weights: Floats, most: float, 
         else:
             low = e
         e = min(STEP * low, most) if high == math.inf else math.sqrt(low) * math.sqrt(high)
-    # Motions proven for a larger error need not be proven for this one: its intervals are other ones.
+    # Motions proven for a larger error need not be proven for this error, since the intervals differ.
     while low > 0.0 and (prove_by_rules(ready, starts, ends, tolerance, low * weights).verdicts != codes.FREE).any():
         low = low / NEAR if low > FIRST else 0.0
     return low
@@ -69,7 +69,7 @@ def joint_error(
     -------
     float
         An error e up to `most` for which `certify_edges` proves every motion with ``joint_error=e * weights``; 1.02 e
-        is not proven, unless e is `most`. 0.0 if not even 1e-6 is proven.
+        is not proven, unless e is `most`. The result is 0.0 if not even 1e-6 is proven.
 
     Raises
     ------

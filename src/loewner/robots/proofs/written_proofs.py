@@ -31,10 +31,10 @@ MOST_BYTES, FARTHEST_TURN = 2**24, 1e6
 
 @dataclass(frozen=True, repr=False)
 class Proof:
-    """A proof that motions or ranges are free of collisions, or of the verdict about two bodies, as in
-    docs/proof-format.md.
+    """A proof that motions or ranges are free of collisions, or of the verdict about two bodies.
 
     `loewner.verify`, a program that shares no code with the rest of this library, checks such proofs.
+    docs/proof-format.md describes the format.
 
     Attributes
     ----------
@@ -44,7 +44,7 @@ class Proof:
     Raises
     ------
     InputError
-        If these are not the contents of a complete file.
+        If `data` is not the contents of a complete file.
 
     Examples
     --------
@@ -85,7 +85,7 @@ class Proof:
 
     @property
     def model_hash(self) -> str:
-        """SHA-256 of the model, in hexadecimal digits; `CollisionChecker.model_hash` computes it without a motion."""
+        """SHA-256 of the model, in hexadecimal digits; `CollisionChecker.model_hash` computes it without a proof."""
         return hashlib.sha256(self.model).hexdigest()
 
     @property
@@ -97,7 +97,8 @@ class Proof:
     def motions(self) -> list[Floats]:
         """Control points of each motion, shape (degree + 1, dof); a straight motion has its two ends.
 
-        An InputError is raised if the file has none that can be read. `verify` does more: it proves the motions free.
+        An InputError is raised if the file has no motions that can be read. `verify` does more: it proves that the
+        motions are free.
         """
         claim = _HEAD.unpack_from(self.data)[2]
         if claim != FREE:
@@ -125,7 +126,7 @@ class Proof:
         Raises
         ------
         FileError
-            If these are not the contents of a file that proves anything.
+            If `data` does not prove anything.
         """
         from loewner.verify import Refused, verify
 
@@ -149,7 +150,7 @@ class Proof:
         Raises
         ------
         InputError
-            If proofs cannot express the checker's robot or scene, or these are not the contents of a file with a model.
+            If proofs cannot express the checker's robot or scene, or if `data` does not contain a model.
         """
         if not hasattr(checker, "_ready"):  # its class is above this module
             raise InputError(f"checker: expected loewner.CollisionChecker, found {type(checker).__name__}")
@@ -169,7 +170,7 @@ class Proof:
         Raises
         ------
         FileError
-            If it cannot be written.
+            If the file cannot be written.
         """
         with _files.replacing(_validate.path(path, "path")) as temporary:
             temporary.write_bytes(self.data)
@@ -189,7 +190,7 @@ class Proof:
         Raises
         ------
         FileError
-            If it cannot be read, or is not a whole file of this format.
+            If the file cannot be read, or is not a complete file of this format.
         """
         at = _validate.path(path, "path")
         data = _files.read_regular(at, "a proof", MOST_BYTES)
@@ -200,7 +201,7 @@ class Proof:
 
 
 def _fault(data: bytes) -> str | None:
-    """Return an error message for data that are not a whole file, without its beginning; None for a whole one."""
+    """Return an error message, without its beginning, for data that are not a whole file; None for a whole file."""
     if len(data) < _HEAD.size + 32 or not data.startswith(MAGIC):
         return "a proof of loewner, found something else"
     _, version, what, model, proof = _HEAD.unpack_from(data)
