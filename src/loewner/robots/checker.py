@@ -79,7 +79,7 @@ class CollisionChecker:
     Bodies of the scene are not checked against each other either: use `Scene.pairs`.
 
     The scene's margin applies to pairs with a body of the scene; a pair of links has a margin only if
-    `Scene.set_margin` sets one for all links, for one of the two, or for the pair (see `Scene.margin_of`).
+    `Scene.set_margin` sets a margin for all links, for one of the two links, or for the pair (see `Scene.margin_of`).
 
     If no pair is checked (for example, because all pairs are allowed), every configuration is free: see
     `checked_pairs`.
@@ -150,7 +150,7 @@ class CollisionChecker:
         Parameters
         ----------
         path : path
-            Must end in ``.lwn``. An existing file is replaced only after the new file has been written under a
+            A path that ends in ``.lwn``. An existing file is replaced only after the new file has been written under a
             temporary name.
 
         Raises
@@ -217,7 +217,7 @@ class CollisionChecker:
         Returns
         -------
         bool, or ndarray of bool, shape (...)
-            Touching, or coming within the margin, counts as colliding.
+            True if the robot collides. Touching, or coming within the margin, counts as colliding.
 
         Raises
         ------
@@ -265,7 +265,7 @@ class CollisionChecker:
         Returns
         -------
         Verdict, or ndarray of int8, shape (...)
-            FREE if every pair is proven free, COLLIDING if any is proven colliding, else AMBIGUOUS.
+            FREE if every pair is proven free, COLLIDING if any pair is proven colliding, else AMBIGUOUS.
 
         Raises
         ------
@@ -325,7 +325,7 @@ class CollisionChecker:
         Parameters
         ----------
         Q0, Q1 : array_like, shape (..., dof)
-            Ends, broadcast together.
+            Ends of the motions, broadcast together.
         resolution : float
             Largest Euclidean distance between two successive checked configurations, in the units of the joints.
 
@@ -382,7 +382,7 @@ class CollisionChecker:
         Parameters
         ----------
         Q0, Q1 : array_like, shape (..., dof)
-            Ends, broadcast together.
+            Ends of the motions, broadcast together.
         tolerance : float
             Distance in metres. A motion that comes within this distance of colliding may be AMBIGUOUS; every other
             motion is FREE or COLLIDING.
@@ -549,12 +549,12 @@ class CollisionChecker:
 
         Notes
         -----
-        Each polynomial piece is proven over intervals; on each interval, a plane separates two bodies. The proof uses
-        bounds on the first and second derivatives; docs/certified.md derives these bounds.
+        Each polynomial piece is divided into intervals, and on each interval a plane separates two bodies. The proof
+        uses bounds on the first and second derivatives; docs/certified.md derives these bounds.
 
         Pairs named by `Scene.leave` may be in contact where the curve begins, and pairs named by `Scene.reach` where it
         ends, as for `certify_edges`; the ends of the curve's segments do not count. A segment is FREE if it is proven
-        with the contact that these rules allow. With a joint error, contact is not allowed.
+        free, except for the contact that these rules allow. With a joint error, contact is not allowed.
 
         Examples
         --------
@@ -706,17 +706,17 @@ class CollisionChecker:
         ----------
         Q : array_like, shape (..., dof)
         softness : float
-            In metres. The bound lies below the least gap by at most the softness times the logarithm of the number of
-            pairs of pieces; a smaller softness gives a tighter bound with sharper bends.
+            Softness in metres. The bound lies below the least gap by at most the softness times the logarithm of the
+            number of pairs of pieces; a smaller softness gives a tighter bound with sharper bends.
         gradient : bool
             Also compute the derivative of the bound with respect to the configuration.
 
         Returns
         -------
         clearance : float or ndarray, shape (...)
-            In metres; negative if outer ellipsoids overlap. Margins are ignored.
+            The bound in metres; negative if outer ellipsoids overlap. Margins are ignored.
         gradient : ndarray, shape (..., dof)
-            In metres per radian or metre; only if requested.
+            The derivative in metres per radian or metre; only if requested.
 
         Raises
         ------
@@ -732,12 +732,12 @@ class CollisionChecker:
         Notes
         -----
         The gap between two ellipsoids is the distance between their supporting planes perpendicular to their contact
-        normal, n·r (1 - 1/√F) / ‖n‖ with the contact function F of Perram and Wertheim. It is at most their signed
-        distance, and analytic except where centers coincide. The result is -softness log Σ exp(-g / softness) over the
-        gaps g between the outer ellipsoids of all pairs of pieces, minus a bound on rounding. Each static surface or
-        cloud contributes up to 128 ellipsoids around its parts, unless it is a solid. Where the centers of two
-        ellipsoids coincide, the pair contributes nothing to the gradient; where they nearly coincide, the gradient is
-        finite but may be huge. The derivative with respect to a quaternion is as in `distance`.
+        normal, n·r (1 - 1/√F) / ‖n‖ with the contact function F of Perram and Wertheim. This gap is at most the
+        ellipsoids' signed distance, and analytic except where centers coincide. The result is -softness log Σ exp(-g /
+        softness) over the gaps g between the outer ellipsoids of all pairs of pieces, minus a bound on rounding. Each
+        static surface or cloud contributes up to 128 ellipsoids around its parts, unless it is a solid. Where the
+        centers of two ellipsoids coincide, the pair contributes nothing to the gradient; where they nearly coincide,
+        the gradient is finite but may be huge. The derivative with respect to a quaternion is as in `distance`.
 
         Examples
         --------
@@ -767,7 +767,8 @@ class CollisionChecker:
         t : float or array_like, shape (...), optional
             As for `collide`.
         within : float
-            The given distance, in metres, >= 0; pairs in contact are always listed. Margins are ignored.
+            The largest distance of a listed pair, in metres, >= 0; pairs in contact are always listed. Margins are
+            ignored.
         gradient : bool
             Also compute the derivatives of the distances with respect to the configuration.
 

@@ -307,7 +307,7 @@ def with_body(
     name : str
         Name of the new link and of the new joint.
     body : Body
-        In the frame of the new link.
+        The body in the frame of the new link.
     T_parent_joint : array_like, shape (4, 4), optional
         Pose of the joint in the frame of the parent; translation in metres. Default: the identity.
     joint : str

@@ -43,10 +43,10 @@ class ProvenPair(_validate.Brief):
     names : tuple of str
     verdict : str
         NEVER: the bodies are proven to be farther apart than the margin at every configuration of the range. ALWAYS:
-        they are proven to be within the margin at every configuration of the range. SOMETIMES: they are within the
-        margin at ``colliding``, but not at ``free``. CAN: they are within the margin at ``colliding``, and no
-        configuration without contact was found. OPEN: no contact was found, and not all of the range could be proven;
-        see ``reason``.
+        the bodies are proven to be within the margin at every configuration of the range. SOMETIMES: the bodies are
+        within the margin at ``colliding``, but not at ``free``. CAN: the bodies are within the margin at ``colliding``,
+        and no configuration without contact was found. OPEN: no contact was found, and part of the range could not be
+        proven; see ``reason``.
     columns : tuple of str
         The values on which the pair depends, named as in `Robot.configuration_names`.
     lower, upper : ndarray, shape (columns,)
@@ -59,8 +59,8 @@ class ProvenPair(_validate.Brief):
         A configuration with this distance; values on which the pair does not depend are as in
         `Robot.configuration`.
     colliding, free : ndarray, shape (dof,), or None
-        A configuration at which the bodies are within the margin, as `CollisionChecker.collide` confirms, and one at
-        which they are not.
+        A configuration at which the bodies are within the margin, as `CollisionChecker.collide` confirms, and a
+        configuration at which they are not.
     boxes : int
         The number of boxes of configurations that were examined.
     share : float
@@ -68,7 +68,7 @@ class ProvenPair(_validate.Brief):
     complete : bool
         Whether the range covers all values between the hard limits of the robot.
     reason : str
-        Why the pair is OPEN or CAN; empty otherwise.
+        The reason why the pair is OPEN or CAN; empty for other verdicts.
     """
 
     names: Pair
@@ -102,7 +102,7 @@ class ProvenPairs:
     robot : str
         Name of the robot.
     rows : tuple of ProvenPair
-        Sorted by names.
+        One row per pair, sorted by names.
     rigid : tuple of pairs of str
         The requested pairs whose bodies are on the same rigid part. They are never checked.
     proof : Proof or None
@@ -158,7 +158,7 @@ class ProvenPairs:
 
     @property
     def exempt(self) -> frozenset[Pair]:
-        """The pairs that are proven to collide never or always, for `Robot.disabling`."""
+        """The pairs that are proven never to collide or always to collide, for `Robot.disabling`."""
         return frozenset(row.names for row in self.with_verdict(PairVerdict.NEVER, PairVerdict.ALWAYS))
 
     def to_srdf(self, path: str | os.PathLike[str], *, narrower: bool = False) -> tuple[Pair, ...]:

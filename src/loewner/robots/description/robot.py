@@ -122,7 +122,7 @@ class Robot(KeepsReadOnly):
     ----------
     name : str
     link_names : tuple of str
-        Parents come before children. The index of a link is its row in `forward_kinematics`.
+        Names of the links, parents before children. The index of a link is its row in `forward_kinematics`.
     joint_names : tuple of str
         Joints with values of their own, that is, movable joints that do not mimic another joint, in the order of the
         URDF.
@@ -132,9 +132,9 @@ class Robot(KeepsReadOnly):
         "j/qw", "j/qx", "j/qy", "j/qz"; a ball joint, which exists only in MJCF, has only the four quaternion entries.
     lower, upper : ndarray, shape (dof,)
         Limits for sampling, planning and `reach`, in radians for joints that turn and metres for joints that slide;
-        infinite for values without limits. They are within the limits and the soft limits (``<safety_controller>``) of
-        the file, and they keep mimicking joints within their own limits. All functions accept configurations outside
-        the limits; a configuration far outside causes a single warning (see `checked`).
+        infinite for values without limits. These limits are within the limits and the soft limits
+        (``<safety_controller>``) of the file, and they keep mimicking joints within their own limits. All functions
+        accept configurations outside the limits; a configuration far outside causes a single warning (see `checked`).
     hard_lower, hard_upper : ndarray, shape (dof,)
         Limits of the joints in the file. A plan may start outside `lower` and `upper`, within these limits.
     velocity, acceleration, jerk : ndarray, shape (dof,)
@@ -244,11 +244,11 @@ class Robot(KeepsReadOnly):
         ----------
         path : path, optional
             A URDF file. If its name ends in ``.xacro``, the package xacro expands it (``pip install
-            "loewner[xacro]"``). This evaluates Python expressions in the file, so read only files that you trust. Line
-            numbers in messages then refer to the expanded text.
+            "loewner[xacro]"``). The expansion evaluates Python expressions in the file, so read only files that you
+            trust. Line numbers in messages then refer to the expanded text.
         text : str, optional
-            The contents of such a file instead of a path, such as ROS's ``/robot_description``. Relative paths of
-            meshes in it are resolved from the working directory.
+            The contents of a URDF or xacro file instead of a path, such as ROS's ``/robot_description``. Relative paths
+            of meshes in the text are resolved from the working directory.
         xacro_args : mapping of str to str, number or bool, optional
             Values for the arguments of a xacro file. If they are given, a file with any name is expanded. ``$(find
             package)`` is the folder of a package; see `package_dirs`.
@@ -259,11 +259,11 @@ class Robot(KeepsReadOnly):
             in the environment, and the folders above the URDF, are also searched.
         meshes : {"auto", "hull", "pieces", "surface"}
             Representation of each collision mesh. "auto", the default: the hull of a closed mesh if it is proven to
-            stick out by at most 1 mm or 1 % of the mesh's diameter (the larger of the two counts), and otherwise the
-            solid that the mesh encloses. Holes of a nearly closed mesh are closed first; for any other mesh, the hull
-            is used. `shapes` describes the results. "hull": the convex hull, which contains the mesh. "pieces": convex
-            pieces (`Body.from_mesh`), into which a non-convex mesh is split once (see `cache`). "surface": its
-            triangles (`Body.from_surface`), including the enclosed space if the mesh is closed.
+            stick out by at most the larger of 1 mm and 1 % of the mesh's diameter, and otherwise the solid that the
+            mesh encloses. Holes of a nearly closed mesh are closed first; for any other mesh, the hull is used.
+            `shapes` describes the results. "hull": the convex hull, which contains the mesh. "pieces": convex pieces
+            (`Body.from_mesh`), into which a non-convex mesh is split once (see `cache`). "surface": its triangles
+            (`Body.from_surface`), including the enclosed space if the mesh is closed.
         decompose : bool
             True means the same as ``meshes="pieces"``.
         pairs : {"adjacent", "proven"}, optional
@@ -286,7 +286,7 @@ class Robot(KeepsReadOnly):
         ------
         FileError
             If a file is missing or cannot be read, or one of `package_dirs` is not a folder. For a mesh, the message
-            names its link and the places searched.
+            names the mesh's link and the places searched.
         InputError
             If neither or both of `path` and `text` are given; if `path` is not a path (but XML, for instance); if the
             SRDF is a URDF; if the links do not form a tree; or if a joint is not well defined.
@@ -300,7 +300,7 @@ class Robot(KeepsReadOnly):
         Warns
         -----
         UserWarning
-            If meshes are not closed, with "auto"; one warning names them all. If the URDF or the SRDF has parts that
+            With "auto", if meshes are not closed; one warning names all of them. If the URDF or the SRDF has parts that
             its format does not define (docs/robots.md); if the limits of a mimicking joint would leave the other joint
             hardly any range. If the SRDF names links or joints that the robot does not have, or none that it has; if it
             is for a different robot; or if it contains passive joints, or a base that moves. If a body is probably not
@@ -567,10 +567,11 @@ class Robot(KeepsReadOnly):
             The body of each link, in the frame of the link. None stands for a link without a body. For several bodies,
             give each with its pose of shape (4, 4) in the link, with translation in metres.
         joints : iterable of Joint
-            They connect all links to one root. Their order is the order of the values in a configuration.
+            Joints that connect all links to one root. The order of the joints is the order of the values in a
+            configuration.
         disabled : iterable of pairs of str, optional
-            Pairs of links that are exempt from checking; all others are checked. Default: adjacent pairs are exempt, as
-            for a URDF without an SRDF.
+            Pairs of links that are exempt from checking; all other pairs are checked. Default: adjacent pairs are
+            exempt, as for a URDF without an SRDF.
         name : str
 
         Returns
@@ -649,8 +650,8 @@ class Robot(KeepsReadOnly):
         Raises
         ------
         InputError
-            If the plant is not finalized, a joint or a shape cannot be represented, or the context is not the
-            diagram's.
+            If the plant is not finalized, a joint or a shape cannot be represented, or the context does not belong to
+            the diagram.
         UnknownNameError
             If `mimic` names a joint that does not exist.
         GeometryError
@@ -682,7 +683,7 @@ class Robot(KeepsReadOnly):
     ) -> Robot:
         """Read a robot, with the world around it, from a model of pinocchio and its collision geometry.
 
-        The pairs of `geometry_model.collisionPairs` are checked; all others are in `disabled_pairs`. `imported`
+        The pairs of `geometry_model.collisionPairs` are checked; all other pairs are in `disabled_pairs`. `imported`
         and `exported` convert configurations. docs/howto/other-models.md lists the correspondences.
 
         Parameters
@@ -827,11 +828,13 @@ class Robot(KeepsReadOnly):
 
         Together the files describe the same kinematics, limits, rates, groups, states and shapes, up to the rounding of
         poses, and a `CollisionChecker` checks the same pairs. A root link "world" is added if the robot has several
-        roots or is placed. Links fixed to it can be adjacent through it, so do not pass ``skip_adjacent=True`` in this
-        case. Visual geometry, masses and efforts are not written. Limits that are narrower than `hard_lower` and
-        `hard_upper` become soft limits. Pass the SRDF to `from_urdf`, too: without it, pairs that this robot checks may
-        be exempt. A solid is written as its triangles, which some other programs replace with the solid's convex hull.
-        Existing files are replaced.
+        roots or is placed. Links fixed to this root can be adjacent through it, so do not pass ``skip_adjacent=True``
+        in this case. Visual geometry, masses and efforts are not written. Limits that are narrower than `hard_lower`
+        and `hard_upper` become soft limits.
+
+        Pass the SRDF to `from_urdf`, too: without the SRDF, pairs that this robot checks may be exempt. A solid is
+        written as its triangles, which some other programs replace with the solid's convex hull. Existing files are
+        replaced.
 
         Parameters
         ----------
@@ -845,9 +848,9 @@ class Robot(KeepsReadOnly):
         ------
         InputError
             If the robot has something that URDF cannot express: a ball joint, bounds of a floating base, a cone, an
-            ellipsoid or a point cloud, or a surface that ``meshes="auto"`` would not read as the same solid. If readers
-            would change a name, since it contains unprintable characters, a dollar sign, or spaces at its ends; or if
-            the path ends in ``.srdf`` or ``.xacro``.
+            ellipsoid or a point cloud, or a surface that ``meshes="auto"`` would not read as the same solid. If a name
+            contains unprintable characters, a dollar sign, or spaces at its ends, which readers would change; or if the
+            path ends in ``.srdf`` or ``.xacro``.
         FileError
             If a file cannot be written.
 
@@ -1051,8 +1054,8 @@ class Robot(KeepsReadOnly):
         Notes
         -----
         Links are represented by their bodies (`bodies`): a solid is cut into convex pieces that stick out by two fifths
-        of the tolerance, if ten seconds of work for each solid suffice. docs/certified.md, "Swept volumes", derives
-        both bounds.
+        of the tolerance, if ten seconds of work for each solid suffice. docs/certified.md, "Swept volumes", derives the
+        bounds.
 
         Examples
         --------
@@ -1135,7 +1138,8 @@ class Robot(KeepsReadOnly):
         -----
         NEVER and ALWAYS are proofs, like FREE in `CollisionChecker.certify_edges`; docs/certified.md derives the
         bounds. Planar joints need ranges for their positions, and pairs with a floating or ball joint between them are
-        OPEN. A pair with many joints between its bodies takes many boxes: with six or more, it rarely settles.
+        OPEN. A pair with many joints between its bodies takes many boxes: a pair with six or more joints rarely
+        settles.
 
         Examples
         --------
@@ -1220,7 +1224,7 @@ class Robot(KeepsReadOnly):
 
         Shapes that stick out of links can meet where the links never do, so that a planner may find no path. Pairs of
         such links are found in random configurations. A pair that is proven never to collide (`prove_pairs`) is added
-        to `disabled_pairs`; other pairs stay checked, and a warning lists the ones that always meet.
+        to `disabled_pairs`; other pairs stay checked, and a warning lists the pairs that always meet.
 
         Parameters
         ----------
@@ -1369,8 +1373,8 @@ class Robot(KeepsReadOnly):
         format : str, optional
             "curobo": the keys of a configuration for spheres and pairs (.yml). "vamp" and "foam": a URDF of spheres,
             with an SRDF of the same stem. "pyroki": JSON, with ignored pairs in ``STEM.ignored.json``. "urdf": as
-            `to_urdf`, where a capsule becomes a cylinder and two spheres. "mjcf": a model for MuJoCo. "scene": bodies
-            in the frames of links (.yaml). By default the suffix determines the format.
+            `to_urdf`, with each capsule written as a cylinder and two spheres. "mjcf": a model for MuJoCo. "scene":
+            bodies in the frames of links (.yaml). By default the suffix determines the format.
 
         Raises
         ------
@@ -1554,7 +1558,7 @@ class Robot(KeepsReadOnly):
         UnknownNameError
             If there is no such link, joint or group.
         PoseError
-            If `T` is not made of rigid motions.
+            If a pose in `T` is not a rigid motion.
         InputError
             If none of the joints moves the link, or an argument has the wrong shape or value.
 
@@ -1616,7 +1620,7 @@ class Robot(KeepsReadOnly):
         ------
         InputError
             If the width is not dof, an entry is not finite (or beyond ±1e200), a quaternion does not have norm 1, or
-            the columns of a table (such as of pandas) have the names of joints in another order.
+            the columns of a table (such as a pandas DataFrame) have the names of joints in another order.
 
         Warns
         -----

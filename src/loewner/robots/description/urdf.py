@@ -158,7 +158,7 @@ class Joint:
     A joint in memory has the line 0. The axis of a joint without an axis has no meaning.
 
     `velocity`, `acceleration` and `jerk` are the largest rates of the joint's value [rad or m per s, s² and s³], or NaN
-    if the URDF gives no positive ones. The child is at `origin` when the value is `reference`. `lower` and `upper` are
+    if the URDF gives no positive rates. The child is at `origin` when the value is `reference`. `lower` and `upper` are
     the limits in the file; `soft` are narrower limits, from its controller and from the joints that mimic it. `bounds`
     are the lower and upper limits of the first values of a joint with several values; URDF has no such limits.
     """
@@ -229,7 +229,7 @@ def read_urdf(path: str | os.PathLike[str], text: str | None = None) -> Descript
     InputError
         If `path` is not a path, if the links and joints do not form a tree, or a joint is not well defined.
     GeometryError
-        If a shape has no size, or a negative one.
+        If a shape has no size or a negative size.
     UnknownNameError
         If a joint names a link that does not exist.
 

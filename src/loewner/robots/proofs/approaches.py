@@ -62,7 +62,7 @@ class ClosestApproach(_validate.Brief):
     Attributes
     ----------
     times : ndarray, shape (n + 1,)
-        Seconds; times at which the pieces begin and end.
+        Times in seconds at which the pieces begin and end.
     lower : ndarray, shape (n,)
         Proven lower bounds in metres. No pair of bodies is nearer than this at any instant of the piece; a negative
         value bounds the depth of all overlaps. The bound is -inf if surfaces overlap, since their depths have no upper

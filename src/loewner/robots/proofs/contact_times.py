@@ -81,7 +81,7 @@ def first_contact(
     curve : PPoly, BPoly, BSpline, planners.Trajectory, planners.ControllerPoints, or a list of curves
         As for `certify_trajectory`. Bodies that follow motions move at the same times.
     tolerance : float
-        Metres. At the time when the proof ends, a pair is within this distance of its margin.
+        Metres. Where the proof ends, a pair is within this distance of its margin.
     t0 : float, optional
         Offset in seconds that is added to the curve's times, as for `certify_trajectory`.
 
@@ -101,9 +101,9 @@ def first_contact(
 
     Notes
     -----
-    The first piece that is not proven free is cut into eight parts, repeatedly, until the pair is near enough where the
-    proof ends. The proof ends earlier in two cases: many triangles of two surfaces come near each other at the same
-    time; or rounding, which is about 1e-11 of the lengths involved and 2e-14 of the times, matters.
+    The first piece that is not proven free is cut into eight parts, repeatedly, until the pair is within the tolerance
+    where the proof ends. The proof ends earlier if many triangles of two surfaces come near each other at the same
+    time, or if rounding matters, which is about 1e-11 of the lengths involved and 2e-14 of the times.
 
     Contact that `Scene.leave` or `Scene.reach` allows on this curve is not reported. A contact at the end that becomes
     deeper than its rule allows is reported from where it begins.

@@ -77,7 +77,7 @@ class CertifiedTrajectory(_validate.Brief):
         FREE: every pair is proven to be farther apart than its margin at every instant, except for contact at the ends
         that `Scene.leave` or `Scene.reach` allows. COLLIDING: the robot collides at ``time``, which may be rounded.
         AMBIGUOUS: at ``time`` a pair comes within its margin and the tolerance, or arithmetic could not settle it;
-        treat it as not free.
+        treat the curve as not free.
     time : float
         Seconds; NaN if FREE. If COLLIDING, the robot may also collide earlier.
     names : tuple of str
@@ -89,7 +89,8 @@ class CertifiedTrajectory(_validate.Brief):
     segments : CertifiedMotions
         Results for the n segments, with fractions of a segment instead of times.
     proof : Proof or None
-        A proof that the curve is free, if one was requested and the curve is free; it has one motion for each segment.
+        A proof that the curve is free, if a proof was requested and the curve is free; it has one motion for each
+        segment.
 
     Examples
     --------

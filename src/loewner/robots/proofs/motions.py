@@ -38,10 +38,10 @@ class CertifiedMotions(_validate.Brief):
     verdict : Verdict, or ndarray of int8
         FREE: every pair is proven to be farther apart than its margin at every real fraction from 0 to 1. COLLIDING:
         the configuration at `fraction` collides. AMBIGUOUS: at `fraction` a pair comes within its margin and the
-        tolerance, or arithmetic could not settle it; treat it as not free.
+        tolerance, or arithmetic could not settle it; treat the motion as not free.
     fraction : float or ndarray
         Fraction of the motion, as in `Robot.between`; NaN if FREE. If COLLIDING, the configuration at this fraction
-        collides, but it need not be the first one that does.
+        collides, but earlier configurations may collide as well.
     names : tuple of str, or ndarray of str, shape (..., 2)
         The pair that is COLLIDING or AMBIGUOUS at this fraction; empty strings if FREE.
     poses, searches : int or ndarray of int64
@@ -52,7 +52,7 @@ class CertifiedMotions(_validate.Brief):
         steps than allowed was given up at `fraction`, and nothing more is known about it; `names` are empty if the
         proof had not begun.
     proof : Proof or None
-        A proof that all motions are free, if one was requested and all of them are.
+        A proof that all motions are free, if a proof was requested and all motions are free.
 
     Examples
     --------

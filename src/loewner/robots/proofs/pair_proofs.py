@@ -24,8 +24,8 @@ def prove(
 ) -> Proof:  # fmt: skip
     """Decide whether two bodies collide, and write a proof of the answer.
 
-    The answer agrees with `collide`, except about bodies that `collide` counts as touching although they are apart by
-    less than rounding. `prove` proves them to be FREE.
+    The answer agrees with `collide`, except for bodies that are apart by less than rounding: `collide` counts these
+    bodies as touching, but `prove` proves that they are FREE.
 
     Parameters
     ----------

@@ -90,7 +90,7 @@ class Proof:
 
     @property
     def verdict(self) -> Verdict:
-        """FREE for a proof of motions, of ranges or of two bodies that are apart, COLLIDING for a common point."""
+        """FREE for a proof of motions, of ranges or of two bodies that are apart; COLLIDING for a common point."""
         return Verdict.COLLIDING if _HEAD.unpack_from(self.data)[2] == COMMON else Verdict.FREE
 
     @property
@@ -145,7 +145,8 @@ class Proof:
         Returns
         -------
         list of str
-            Links, limits, bodies, pairs and margins that differ, each with its name; empty if the hashes are equal.
+            Links, limits, bodies, pairs and margins that differ, each with its name; the list is empty if the hashes
+            are equal.
 
         Raises
         ------
@@ -177,7 +178,7 @@ class Proof:
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Proof:
-        """Read a file; its length and checksum are compared, but it is not verified.
+        """Read a file, and check its length and checksum, but do not verify the proof.
 
         Parameters
         ----------
@@ -231,7 +232,7 @@ def proof_of(model: Model, ready: Problem, courses: Floats, deviations: Floats, 
     Parameters
     ----------
     model : Model
-        The problem's, see `proof_models.model_of`.
+        The problem's model; see `proof_models.model_of`.
     ready : Problem
     courses : ndarray, shape (N, degree + 1, dof)
     deviations : ndarray, shape (dof,)
