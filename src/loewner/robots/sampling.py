@@ -29,7 +29,7 @@ def pairs_by_sampling(
     Parameters
     ----------
     robot : Robot
-        Its `disabled_pairs` are skipped.
+        The robot's `disabled_pairs` are skipped.
     samples : int
         Number of random configurations within the limits; see `Robot.random_configurations`.
     seed : int

@@ -70,7 +70,7 @@ class PairDistances(_validate.Brief):
         Index of the pair in `CollisionChecker.checked_pairs`.
     names : ndarray of str, shape (M, 2)
     distance : ndarray, shape (M,)
-        In metres; a negative value is a depth, see `Distance`.
+        Distances in metres; a negative value is a depth: see `Distance`.
     witness_a, witness_b, normal : ndarray, shape (M, 3)
     gradient : ndarray, shape (M, dof), or None
         With ``gradient=True``: the derivative of the distance with respect to the configuration.
@@ -228,7 +228,7 @@ def clearances(ready: Problem, Q: Floats, softness: float, gradient: bool) -> tu
 
 
 def _for_all_errors(ready: Problem, Q: Floats, softness: float, gradient: bool) -> tuple[Floats, Floats]:
-    """Compute `clearances` for all poses within the errors: for each group of pairs, less its error, and combined."""
+    """Compute `clearances` for all poses within the errors: combine groups of pairs, each less the group's error."""
     parts = [(error, clearances(one.as_given, Q, softness, gradient)) for error, one in ready.by_error]
     each = np.array([lower - error for error, (lower, _) in parts])
     least = each.min(axis=0)

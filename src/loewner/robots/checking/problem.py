@@ -63,7 +63,7 @@ class Problem:
     Attributes
     ----------
     robot : Robot
-        After its own joints, it has a floating joint for each body that follows a motion.
+        The robot, with a floating joint after its own joints for each body that follows a motion.
     version, structure_version : int
         Versions of the scene's state.
     names : tuple of str
@@ -91,7 +91,7 @@ class Problem:
     given : ndarray, shape (pairs,), or None
         The margins without the errors of static bodies' poses, which `margins` include; None if there are no errors.
     off : ndarray or None
-        These errors, as `motions.settle` takes them; None if there are none.
+        The errors of static bodies' poses, as `motions.settle` takes them; None if there are no errors.
     """
 
     robot: Robot
@@ -386,7 +386,7 @@ class Problem:
 
     @kept
     def by_error(self) -> list[tuple[float, Problem]]:
-        """The pairs with each error of static bodies' poses [m], which is rounded up."""
+        """The pairs, grouped by the error of static bodies' poses [m], which is rounded up."""
         if self.given is None:
             return [(0.0, self)]
         errors = (self.margins - self.given) * (1.0 + 2.0**-48) + 2.0**-48 * self.margins * (self.margins > self.given)
@@ -400,7 +400,7 @@ class Problem:
         return self.with_pairs(self.pairs, margins, self.leaving, self.reaching)
 
     def off_at(self, t: float) -> Floats:
-        """How far points of each pair's bodies that follow motions may be off at a time [m], shape (pairs,)."""
+        """Bound how far points of each pair's bodies that follow motions may be off at a time [m], shape (pairs,)."""
         if self.paths is None or not self.paths.bounds:
             return np.zeros(len(self.pairs))
         at = np.array([t])

@@ -55,14 +55,13 @@ def off_the_robot(
     Parameters
     ----------
     points : array_like, shape (..., 3)
-        In world coordinates, in metres: a list of points, or an organised cloud. Points that are not finite are
-        dropped.
+        Points in world coordinates, in metres: a list, or an organised cloud. Points that are not finite are dropped.
     q : array_like, shape (dof,)
         The configuration at which the points were measured.
     clear : float
         Distance in metres, > 0. The distance has to exceed the sensor's noise and the error of the robot's own pose.
     time : float, optional
-        In seconds, on the clock of the scene's motions. By default, points on bodies that follow motions are kept.
+        Time in seconds, on the clock of the scene's motions. By default, points on bodies that follow motions are kept.
     mask : bool
         Return a mask of the points that are kept.
 

@@ -130,7 +130,7 @@ def classified(ready: Problem, mode: int, Q: Floats) -> Verdicts:
 
 
 def free(ready: Problem, Q: Floats) -> Bools:
-    """Return which configurations, shape (N, dof), are proven free; an unsettled one counts as not free."""
+    """Return which configurations, shape (N, dof), are proven free; an unsettled configuration counts as not free."""
     return np.asarray(classified(ready, codes.EXACT, Q).verdicts == codes.FREE)
 
 
