@@ -28,7 +28,7 @@ KINDS: tuple[Kind, ...] = get_args(Kind)
 USUAL = 0.02
 
 # Number of configurations in the search for pairs that meet only because of a cover's shapes: a pair that meets in one
-# of a hundred configurations is missed once in thirty thousand robots.
+# of a hundred configurations is missed in about one of 23,000 robots.
 TRIED = 1000
 
 # Largest number of boxes of configurations for the proofs that these pairs never collide; most pairs take a few
