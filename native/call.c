@@ -11,7 +11,7 @@
 #include <string.h>
 
 #define MOST_SLOTS 96
-#define PREFIX "loewner_" /* of the names of functions */
+#define PREFIX "loewner_" /* prefix of the names of functions */
 
 /* -- types and objects --------------------------------------------------------------------------------------------- */
 
@@ -110,7 +110,7 @@ static int put_number(char kind, PyObject *given, int64_t *slot)
         *slot = truth;
         return truth < 0 ? -1 : 0;
     }
-    if (!PyLong_Check(given)) { /* of NumPy */
+    if (!PyLong_Check(given)) { /* an integer of NumPy */
         PyObject *number = PyNumber_Index(given);
         if (number == NULL)
             return -1;
@@ -160,7 +160,7 @@ static PyObject *kernel_call(Kernel *kernel, PyObject *const *given, Py_ssize_t 
     Py_BEGIN_ALLOW_THREADS
     code = kernel->function(arguments, results);
     Py_END_ALLOW_THREADS
-    if (code != 0) /* kernels raise nothing else */
+    if (code != 0) /* kernels raise no other error */
         return PyErr_Format(PyExc_MemoryError, "an allocation failed in %U", kernel->name);
     if (kernel->results == 0)
         Py_RETURN_NONE;
@@ -224,7 +224,7 @@ static PyObject *library_new(PyTypeObject *type, PyObject *arguments, PyObject *
     const char *found = dlsym(handle, "loewner_build");
     if (found == NULL || strcmp(found, build) != 0) {
         PyErr_Format(PyExc_OSError, "expected a library built from %s, found %s", build, found ? found : "another");
-        dlclose(handle); /* after the message, which quotes the library */
+        dlclose(handle); /* closed after the message, which quotes it */
         return NULL;
     }
     Library *library = new_object(type);
@@ -256,7 +256,7 @@ static PyObject *library_kernel(PyObject *self, PyObject *arguments)
     else if (kernel->results >= 0 && (slots_of(kernel->argument, kernel->arguments, 0) > MOST_SLOTS ||
                                       slots_of(kernel->result, kernel->results, 1) > MOST_SLOTS))
         PyErr_Format(PyExc_ValueError, "%s: expected fewer arguments", name);
-    /* A built-in function that holds the kernel; the interpreter calls it faster than any object of our own. */
+    /* Make a built-in function that holds the kernel: the interpreter calls it faster than any object of our own. */
     PyObject *made = PyErr_Occurred() ? NULL : PyCFunction_NewEx(&kernel->definition, (PyObject *)kernel, NULL);
     Py_DECREF(kernel);
     return made;

@@ -3,7 +3,7 @@
 #ifndef LOEWNER_CALL_H
 #define LOEWNER_CALL_H
 
-/* Only what all Pythons from 3.11 on have, under the same names and in the same layout: one file serves them all. */
+/* Only names and layouts that Python 3.11 and all later versions share, so that one file serves them all. */
 #define Py_LIMITED_API 0x030B0000
 #define PY_SSIZE_T_CLEAN
 #define NPY_NO_DEPRECATED_API NPY_1_23_API_VERSION
@@ -15,7 +15,7 @@
 #include <numpy/arrayobject.h>
 #include <stdint.h>
 
-#define MOST_WORDS 32 /* arguments of a kernel */
+#define MOST_WORDS 32 /* largest number of arguments of a kernel */
 
 typedef int32_t (*Function)(const int64_t *, int64_t *);
 
@@ -27,7 +27,7 @@ typedef struct {
 
 typedef struct {
     PyObject_HEAD
-    PyMethodDef definition; /* of the builtin function by which Python calls it: see `library_kernel` */
+    PyMethodDef definition; /* of the built-in function through which Python calls it, see `library_kernel` */
     Function function;
     void (*release)(void *);
     PyObject *library, *name;
@@ -47,12 +47,12 @@ void *new_object(PyTypeObject *type);
 /* Give back the memory of an object. */
 void free_object(PyObject *object);
 
-/* The kernel behind what `Library.kernel` returned; NULL for any other object. */
+/* The kernel of an object that `Library.kernel` returned; NULL for any other object. */
 Kernel *kernel_of(PyObject *given);
 
 int add_library(PyObject *module);
 
-/* Read words as `loewner/_native/entries.py` describes them; how many, or -1 with an exception. */
+/* Read words in the form that `loewner/_native/entries.py` describes; return their number, or -1 with an exception. */
 int read_words(const char *text, Word *words, int most);
 
 #endif

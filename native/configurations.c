@@ -1,6 +1,7 @@
-/* Queries of one configuration of a robot, and of one motion, each as one call from Python: the usual case.
+/* Queries for one configuration of a robot, and for one motion, each as a single call from Python. These are the usual
+   case.
 
-   `Configurations` holds the data that `robots.problem` prepared, and is made anew whenever these are. */
+   `Configurations` holds the data that `robots.problem` prepared, and is made anew whenever the data are. */
 
 #include "single.h"
 
@@ -20,7 +21,7 @@ typedef struct {
 /* Number of pairs of pieces above which other threads may run meanwhile. */
 #define MANY 64
 
-/* The entries of a configuration if it is a usual one, with values that cause neither an error nor a warning. */
+/* The entries of a configuration of the usual kind, whose values cause neither an error nor a warning; else NULL. */
 static const double *take_configuration(const Configurations *self, PyObject *given)
 {
     if (!is_plain(given, 1) || PyArray_DIM((PyArrayObject *)given, 0) != self->width)
@@ -32,7 +33,7 @@ static const double *take_configuration(const Configurations *self, PyObject *gi
     return entries;
 }
 
-/* The verdict of a configuration; -1 if that takes the long way. */
+/* The verdict for a configuration; -1 if Python has to take the long way. */
 static int verdict_of(const Configurations *self, int mode, PyObject *given)
 {
     const double *entries = take_configuration(self, given);
@@ -70,7 +71,7 @@ static PyObject *configurations_classify(Configurations *self, PyObject *q)
 
 /* -- motions ------------------------------------------------------------------------------------------------------- */
 
-/* Largest number of steps of a motion: results for more steps are not worth keeping for a thread. */
+/* Largest number of steps of a motion: memory for more results is not worth keeping for a thread. */
 #define MOST_STEPS 4096
 
 static PyObject *dist; /* math.dist */
@@ -100,8 +101,8 @@ static double exact_length(const double *a, const double *b, int64_t count)
     return length;
 }
 
-/* The number of steps of a motion, as in `edges.steps`; 0 if that takes the long way. A quotient within NEARLY_WHOLE
-   of an integer may have been rounded to the other side of it. */
+/* The number of steps of a motion, as in `edges.steps`; 0 if Python has to take the long way. A quotient within
+   NEARLY_WHOLE of an integer may have been rounded to the other side of it. */
 static int64_t steps_of(const double *a, const double *b, int64_t count, double step)
 {
     double squared = 0;
@@ -113,7 +114,7 @@ static int64_t steps_of(const double *a, const double *b, int64_t count, double 
     return steps <= MOST_STEPS ? (int64_t)fmax(ceil(steps), 1) : 0;
 }
 
-/* Get from Python the fractions of a motion with `steps` steps; a new reference to an array, or NULL. */
+/* Get the fractions of a motion with `steps` steps from Python: a new reference to an array, or NULL. */
 static PyObject *fractions_of(PyObject *order, int64_t steps)
 {
     PyObject *number = steps > 0 ? PyLong_FromLongLong(steps) : NULL;
@@ -124,7 +125,8 @@ static PyObject *fractions_of(PyObject *order, int64_t steps)
     return fractions;
 }
 
-/* The number of configurations of a motion that were checked, negative if the last ones collide; 0 is the long way. */
+/* The number of configurations of a motion that were checked, negative if the last ones collide; 0 if Python has to
+   take the long way. */
 static int64_t looked_at(const Configurations *self, const double *start, const double *end, PyArrayObject *fractions)
 {
     int64_t count = PyArray_DIM(fractions, 0);
@@ -158,7 +160,7 @@ static PyObject *configurations_motion(Configurations *self, PyObject *const *gi
         Py_RETURN_NONE;
     int64_t steps = steps_of(start, end, self->width, step);
     PyObject *fractions = fractions_of(given[3], steps);
-    /* Once more: Python ran meanwhile, and could have changed them. */
+    /* Take both again: Python code ran in between, and may have changed them. */
     start = take_configuration(self, given[0]);
     end = take_configuration(self, given[1]);
     int64_t found =

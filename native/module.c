@@ -1,4 +1,4 @@
-/* The extension: its functions that Python can call. */
+/* The functions of the extension that Python can call. */
 
 #define HOLDS_ARRAY_API
 #include "single.h"

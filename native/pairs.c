@@ -1,4 +1,5 @@
-/* Queries of one pair of bodies, each as one call from Python: the usual case from the arguments to the answer. */
+/* Queries for one pair of bodies, each as a single call from Python, which handles the usual case from the arguments
+   to the answer. */
 
 #include "single.h"
 
@@ -14,7 +15,7 @@ static const double identity[16] = {1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0,
 
 /* -- bodies and poses ---------------------------------------------------------------------------------------------- */
 
-/* Number of pairs of pieces above which other threads may run meanwhile; below, this costs more than it gains. */
+/* Number of pairs of pieces above which other threads may run meanwhile; for fewer, this costs more than it gains. */
 #define MANY 64
 
 static PyObject *word_exact, *name_packed, *name_handle;
@@ -89,13 +90,13 @@ static int is_long(const Side *a, const Side *b)
 
 typedef struct {
     PyObject_HEAD
-    PyObject *kernels; /* a tuple that keeps the library */
+    PyObject *kernels; /* a tuple that keeps the library alive */
     Function settle_range, distance_range, measure_left, first_fault;
     void (*release)(void *);
-    int64_t settle_memory, distance_memory; /* bytes that `settle_range` and `distance_range` write to */
+    int64_t settle_memory, distance_memory; /* numbers of bytes for `settle_range` and `distance_range` */
 } Pairs;
 
-/* The verdict of two bodies; -1 if that takes the long way. */
+/* The verdict for two bodies; -1 if Python has to take the long way. */
 static int settled(const Pairs *self, int mode, double margin, const Side *a, const Side *b)
 {
     int8_t verdict = CODE_AMBIGUOUS;
@@ -108,7 +109,7 @@ static int settled(const Pairs *self, int mode, double margin, const Side *a, co
     if (arguments.memory == NULL || call_kernel(self->settle_range, &arguments, &are_rigid, is_long(a, b)) != 0 ||
         !(are_rigid & 1))
         return -1;
-    /* Pairs that the fast searches leave open are for the fallback. */
+    /* The fallback settles pairs that the fast searches leave open. */
     return mode == CODE_EXACT && (tally[CODE_OPEN] != 0 || verdict == CODE_AMBIGUOUS) ? -1 : verdict;
 }
 
@@ -144,7 +145,7 @@ static PyObject *pairs_classify(Pairs *self, PyObject *const *given, Py_ssize_t 
 
 /* -- distances ----------------------------------------------------------------------------------------------------- */
 
-/* Numbers and vectors of a `loewner.Distance`, in its order. */
+/* Indices of the numbers and the vectors of a `loewner.Distance`, in its order. */
 enum { LOWER, UPPER, ESTIMATE, VALUE, NUMBERS };
 enum { WITNESS_A, WITNESS_B, NORMAL, VECTORS };
 static const char *const field_texts[NUMBERS + VECTORS] = {
@@ -176,7 +177,7 @@ static int finished(const Pairs *self, const struct distance_range *asked, const
     return left->pieces.array.rows == 0 || call_kernel(self->measure_left, &arguments, &nothing, 1) == 0;
 }
 
-/* Measure two bodies at poses that are rigid motions; false if that takes the long way. */
+/* Measure two bodies at poses that are rigid motions; false if Python has to take the long way. */
 static int measured(const Pairs *self, int wanted, const Side *a, const Side *b, Found *found)
 {
     int8_t status = 0;

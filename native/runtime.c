@@ -43,7 +43,7 @@ void *NRT_MemInfo_alloc_aligned(size_t size, unsigned alignment)
 
 void NRT_MemInfo_call_dtor(void *memory)
 {
-    give_back(memory); /* no kernel creates an array with a destructor */
+    give_back(memory); /* kernels create no array with a destructor */
 }
 
 /* Free memory that Python has received and copied. */

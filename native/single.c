@@ -1,15 +1,15 @@
-/* What `single.h` declares. */
+/* The functions that `single.h` declares. */
 
 #include "single.h"
 #include "system.h"
 
 #include <string.h>
 
-static pthread_key_t memory_key; /* of a `Memory`, which is freed when its thread ends; a fork keeps the thread's own */
+static pthread_key_t memory_key; /* key of a `Memory`, which is freed when its thread ends; it outlasts a fork */
 
 typedef struct {
     size_t size;
-    char head[CACHE_LINE - sizeof(size_t)]; /* so that the bytes begin at a cache line */
+    char head[CACHE_LINE - sizeof(size_t)]; /* pads, so that the bytes begin at a cache line */
     char bytes[];
 } Memory;
 

@@ -14,12 +14,13 @@
 
 /* At least `size` bytes for kernels to write to, which belong to this thread; NULL if there are none.
 
-   The next call overwrites them. No Python code runs between the call of a kernel and the last use of its results: the
-   handler of a signal waits until the interpreter continues, and no Python object is allocated before. So a thread
-   never needs this memory twice at a time. */
+   The next call overwrites them. No Python code runs between the call of a kernel and the last use of its results:
+   the handler of a signal waits until the interpreter continues, and no Python object is allocated before that. So a
+   thread never needs this memory twice at a time. */
 void *thread_memory(size_t size);
 
-/* Call a kernel, and let other threads run meanwhile if that takes long; its code, 0 unless memory ran out. */
+/* Call a kernel, and let other threads run meanwhile if the call takes long; return its code, 0 unless memory ran
+   out. */
 int32_t call_kernel(Function function, const void *arguments, void *results, int is_long);
 
 /* Whether an object is a kernel with this signature; false with an exception. */

@@ -1,5 +1,5 @@
-/* What Windows has under other names than POSIX: libraries, memory that begins at a cache line, memory of threads. The
-   part for Windows has not been tried. */
+/* Libraries, memory that begins at a cache line, and memory of threads: Windows has other names for these than
+   POSIX. The part for Windows has not been tried. */
 
 #ifndef LOEWNER_SYSTEM_H
 #define LOEWNER_SYSTEM_H

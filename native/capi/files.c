@@ -117,7 +117,7 @@ static loewner_status read_header(const File *file, const char *path, Header *he
     return LOEWNER_OK;
 }
 
-/* An array of the directory; it must lie within the file. */
+/* Find an array in the directory; it must lie within the file. */
 static loewner_status look_up(const File *file, int64_t number, Found *found)
 {
     int64_t row[4];
@@ -132,7 +132,7 @@ static loewner_status look_up(const File *file, int64_t number, Found *found)
     return LOEWNER_OK;
 }
 
-/* An array with a given type and shape; -1 stands for any number of rows. */
+/* Find an array with a given type and shape; -1 stands for any number of rows. */
 static loewner_status take(const File *file, int64_t number, int64_t type, int64_t rows, int64_t columns,
                            const char *name, const void *data, int64_t *count)
 {
@@ -345,7 +345,7 @@ static loewner_status take_surface(const File *file, int64_t at, Array2 arrays[S
             continue;
         }
         is_sound = node < child && child < nodes && depth[child] == 0 && depth[node] < SURFACE_LEVELS;
-        if (is_sound) /* its only parent */
+        if (is_sound) /* this is its only parent */
             depth[child] = (int8_t)(depth[node] + 1);
     }
     free(depth);
@@ -377,7 +377,7 @@ static loewner_status link_surfaces(File *file, Pack *pack, int which)
 
 /* -- robots -------------------------------------------------------------------------------------------------------- */
 
-static const int64_t widths[] = {0, 1, 1, 3, 7, 4}; /* values of a joint, by its kind in `columns.py` */
+static const int64_t widths[] = {0, 1, 1, 3, 7, 4}; /* number of values of a joint, by its kind in `columns.py` */
 
 static loewner_status take_robot(File *file, const Header *header)
 {
@@ -426,7 +426,7 @@ static loewner_status take_robot(File *file, const Header *header)
     for (int64_t k = 0; k < file->pairs; k++) {
         const int64_t *pair = file->pair_list + 2 * k;
         EXPECT(0 <= pair[0] && pair[0] < moving && pair[0] < pair[1] && pair[1] < bodies, "pairs");
-        /* In ascending order, since searches rely on it. */
+        /* Pairs must be in ascending order, since searches rely on it. */
         EXPECT(k == 0 || pair[-2] < pair[0] || (pair[-2] == pair[0] && pair[-1] < pair[1]), "pairs");
         EXPECT(file->margins[k] >= 0 && file->margins[k] <= 1e30, "margins");
     }

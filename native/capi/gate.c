@@ -14,8 +14,8 @@ typedef struct {
     loewner_bounds bounds;
 } Known;
 
-/* A motion or a brake that is not free, where it begins, and how many targets it depends on; `tick` is -1 if there is
-   none. It is not tried again as long as the world stays the same. */
+/* A motion or a brake that is not free: the tick at which it begins, and the number of targets that it depends on.
+   `tick` is -1 if there is none. The motion or brake is not tried again as long as the world stays the same. */
 typedef struct {
     int64_t tick, needed, pair;
     int32_t reason;
@@ -41,14 +41,14 @@ typedef struct {
 struct loewner_gate {
     const loewner_checker *checker;
     loewner_workspace *workspace;
-    int64_t dof, most, steps, pieces; /* `pieces`: most times of a brake */
+    int64_t dof, most, steps, pieces; /* `pieces` is the largest number of times of a brake */
     int on_path, has_jerk, has_last, wants_scale;
     double latency, horizon, tolerance, now;
     double *strongest, *jerk, *fastest, *error, *rate_error, *widened, *looser, *resting, *q, *at; /* the first are VECTORS */
     double *times, *states, *courses, *seconds, *out[3];
-    int64_t pieces_made, rows_needed; /* pieces of the brake in these; the row before the first one counts */
+    int64_t pieces_made, rows_needed; /* pieces and rows of the brake in the arrays; the row before the first counts */
     Chunk last, made, slower;
-    uint64_t structure; /* of the last chunk */
+    uint64_t structure; /* when the last chunk was made */
     Known *seen, *allowed; /* now, and at the time of the last new chunk */
     size_t known, room;
     void *memory;
@@ -100,7 +100,7 @@ static loewner_status take_options(loewner_gate *gate, const loewner_gate_option
     return LOEWNER_OK;
 }
 
-/* Divide one block of memory. */
+/* Divide one block of memory among the arrays. */
 static loewner_status divide(loewner_gate *gate)
 {
     size_t dof = (size_t)gate->dof, most = (size_t)gate->most, pieces = (size_t)gate->pieces;
@@ -199,10 +199,10 @@ void loewner_gate_free(loewner_gate *gate)
     free(gate);
 }
 
-/* -- what holds of an older proof ---------------------------------------------------------------------------------- */
+/* -- older proofs -------------------------------------------------------------------------------------------------- */
 
-/* Whether all poses that a body may have from now on were allowed: `_path_is_within` in gates.py. Points at a distance
-   r move by no more than r times the norm of the difference of two rotations. */
+/* Whether all poses that a body may have from now on were allowed, as in `_path_is_within` of gates.py. Points at a
+   distance r move by at most r times the norm of the difference between two rotations. */
 static int is_within(const Known *seen, const Known *allowed, double now)
 {
     const loewner_bounds *its = &seen->bounds, *old = &allowed->bounds;
@@ -431,9 +431,9 @@ static loewner_status prove_whole(loewner_gate *gate, double begin, double dt, i
     return LOEWNER_OK;
 }
 
-/* Prove the most recent brake, which begins at a given time; `rate` is its velocity, or NULL on the path. A robot that
-   is faster by the velocity error travels farther and comes to rest later. Joint by joint, the brake as a whole may
-   take `steps`. */
+/* Prove the most recent brake, which begins at a given time; `rate` is its velocity, or NULL on the path. A robot
+   that is faster by the velocity error travels farther and comes to rest later. The proof of a joint-by-joint brake
+   as a whole may take `steps` steps. */
 static loewner_status prove_brake(loewner_gate *gate, double begin, double dt, const double *rate, int64_t steps,
                                   Proof *proof)
 {

@@ -1,4 +1,4 @@
-/* Pairs of bodies, without a checker: what `loewner/queries/pairs.py` does. */
+/* Pairs of bodies without a checker: the counterpart of `loewner/queries/pairs.py`. */
 
 #include "internal.h"
 
@@ -35,7 +35,7 @@ static loewner_status view(const loewner_side *side, size_t first, size_t n, con
     pack.roots += which;
     pack.bodies = all ? (int64_t)n : 1;
     int64_t from = pack.piece_start[0];
-    if (!all && pack.roots[0] < 0) { /* without the other bodies' pieces, kernels take shorter ways */
+    if (!all && pack.roots[0] < 0) { /* kernels are faster without the other bodies' pieces */
         made->start[0] = 0;
         made->start[1] = pack.pieces = pack.piece_start[1] - from;
         pack.piece_start = made->start;
@@ -63,7 +63,7 @@ static loewner_status views(const loewner_side *a, const loewner_side *b, size_t
     return LOEWNER_OK;
 }
 
-/* Memory of a workspace for pairs; its checker, if it has one, is bound anew at its next use. */
+/* Make room in a workspace for pairs. If the workspace has a checker, that checker is bound anew at its next use. */
 static loewner_status scratch(loewner_workspace *workspace, int64_t size)
 {
     if (workspace->size >= (size_t)size)
@@ -109,7 +109,7 @@ static loewner_status settle(loewner_workspace *workspace, int mode, const loewn
         return fail(LOEWNER_BAD_ARGUMENT, "margin, verdicts: expected a number >= 0 and a pointer, found others");
     HOLD(workspace);
     TRY(scratch(workspace, kernels()->settle_memory));
-    workspace->serial = 0; /* its memory is written to */
+    workspace->serial = 0; /* its memory is overwritten */
     const struct settle_range asked = {
         .mode = mode, .margin = margin, .stop = count, .plan = {plan, 5, 1}, .rows = {no_rows, 2, 0},
         .pack_a = (int64_t)&sides[0].pieces, .Ta = sides[0].poses, .pack_b = (int64_t)&sides[1].pieces,
@@ -140,7 +140,7 @@ void write_distance(loewner_distance *found, const double *lower, const double *
     int is = is_settled && isfinite(values[k]);
     found->lower = lower[k];
     found->upper = upper[k];
-    /* The bounds are proven and the value is computed. */
+    /* The bounds are proven, but the value is only computed, so it is moved between them. */
     found->distance = is ? fmax(lower[k], fmin(values[k], upper[k])) : NAN;
     for (int vector = 0; vector < 3; vector++)
         for (int c = 0; c < 3; c++)

@@ -1,5 +1,5 @@
-/* Paths: what `loewner/planners/compiled.py` does, step by step, so that equal seeds give equal paths;
-   the search itself is kernels that both call. */
+/* Plans paths in the same steps as `loewner/planners/compiled.py`, so that equal seeds give equal paths; both call
+   the same kernels for the search. */
 
 #include "internal.h"
 
@@ -20,9 +20,9 @@ typedef struct {
 /* A search in the form that kernels take, and its memory. */
 typedef struct {
     struct search arrays;
-    int64_t dof, joints, state[STATE]; /* number of values of a configuration; number that move */
+    int64_t dof, joints, state[STATE]; /* numbers of values of a configuration, and of values that move */
     int64_t *columns, *turning;
-    double reach[3], *lower, *upper, *start, *goals; /* goals that are free */
+    double reach[3], *lower, *upper, *start, *goals; /* `goals` holds the free ones */
     size_t goal_count;
 } Search;
 
@@ -134,7 +134,7 @@ static loewner_status make_search(const Judge *judge, const double *start, const
                      : fail(LOEWNER_BAD_ARGUMENT, "joints: expected one or more that can move, found none");
 }
 
-/* The first of the joints whose value is outside its limits, or -1. */
+/* The first joint whose value is outside its limits, or -1. */
 static int64_t outside(const Search *search, const double *q)
 {
     for (int64_t k = 0; k < search->joints; k++) {
@@ -145,7 +145,7 @@ static int64_t outside(const Search *search, const double *q)
     return -1;
 }
 
-/* Explain why a configuration of this name cannot be on a path. */
+/* Report why the configuration with this name cannot be on a path. */
 static loewner_status refuse(const Judge *judge, const Search *search, const double *q, const char *name)
 {
     const loewner_checker *checker = judge->checker;
@@ -188,7 +188,7 @@ static double seconds(void)
     return (double)now.tv_sec + 1e-9 * (double)now.tv_nsec;
 }
 
-/* Room for a path in the workspace. */
+/* Make room for a path in the workspace. */
 static loewner_status make_room(loewner_workspace *workspace, int64_t rows, int64_t dof)
 {
     size_t needed = (size_t)(rows * dof);
@@ -233,7 +233,7 @@ static loewner_status connect(const Judge *judge, Search *search, const loewner_
                   : fail(LOEWNER_NO_PATH, "expected a path that is free as a whole; another seed may help");
 }
 
-/* Shorten the path in the workspace, whose motions are all free, unless cuts are negative. */
+/* Shorten the path in the workspace, whose motions are all free, unless the number of cuts is negative. */
 static loewner_status cut_corners(const Judge *judge, int64_t *count, const loewner_plan_options *options)
 {
     loewner_workspace *workspace = judge->workspace;
@@ -253,7 +253,7 @@ static loewner_status cut_corners(const Judge *judge, int64_t *count, const loew
     return LOEWNER_OK;
 }
 
-/* -- what programs call -------------------------------------------------------------------------------------------- */
+/* -- interface ----------------------------------------------------------------------------------------------------- */
 
 static loewner_status check_plan_options(const loewner_checker *checker, const loewner_plan_options *options)
 {

@@ -47,7 +47,7 @@ loewner_status check_configurations(const loewner_checker *checker, const double
     if (configurations == NULL && n > 0)
         return fail(LOEWNER_BAD_ARGUMENT, "%s: expected configurations, found NULL", name);
     for (size_t k = 0; k < count; k++)
-        is &= fabs(configurations[k]) <= LARGEST_VALUE; /* not for NaN */
+        is &= fabs(configurations[k]) <= LARGEST_VALUE; /* false for NaN */
     for (size_t k = 0; !is && k < count; k++)
         if (!(fabs(configurations[k]) <= LARGEST_VALUE)) {
             size_t dof = (size_t)file->dof;
@@ -143,7 +143,7 @@ loewner_status worst_pair(const loewner_checker *checker, loewner_workspace *wor
     return LOEWNER_OK;
 }
 
-/* From now on, the pairs that have collided most often come first. */
+/* Move the pairs that have collided most often to the front. */
 static void learn(const State *state, loewner_workspace *workspace, size_t n)
 {
     workspace->seen += (int64_t)n;
@@ -450,7 +450,7 @@ loewner_status certify(const loewner_checker *checker, loewner_workspace *worksp
                 .memory = workspace->memory);
 }
 
-/* Bound the deviation of a body's points at a time that is itself off by `late` [m], with more than enough room for
+/* Bound the deviation of a body's points at a time that is itself off by `late` [s], with more than enough room for
    rounding (B69). */
 static double off_at(const loewner_checker *checker, int64_t place, double t, double late)
 {

@@ -11,7 +11,7 @@ static _Atomic uint64_t serials = 1;
 
 /* -- memory of a state --------------------------------------------------------------------------------------------- */
 
-/* Memory that lives as long as the state; its address is written to `field`. */
+/* Allocate memory that lives as long as the state, and write its address to `field`. */
 static loewner_status room(State *state, void *field, int64_t count, size_t size)
 {
     size_t bytes = ((size_t)count * size + CACHE_LINE) / CACHE_LINE * CACHE_LINE; /* at least one line */
@@ -77,7 +77,7 @@ static loewner_status join(const loewner_checker *checker, State *state, Cutting
 
 /* -- links --------------------------------------------------------------------------------------------------------- */
 
-/* The product of a link's constant pose and a pose, as constants. */
+/* Write the product of a link's constant pose and a pose, as constants. */
 static void place_link(const double *constants, const double *pose, double *made)
 {
     for (int r = 0; r < 3; r++) {
@@ -94,7 +94,7 @@ static void place_link(const double *constants, const double *pose, double *made
     }
 }
 
-/* The robot's links, then a fixed one for each attached body. */
+/* Write the robot's links, and then a fixed link for each attached body. */
 static loewner_status grow_tree(const loewner_checker *checker, State *state)
 {
     static const double at_link[LINK_CONSTANTS] = {1, 0, 0, 0, 1, 0, 0, 0, 1};
@@ -153,7 +153,7 @@ typedef struct {
     double *margins;
 } Rules;
 
-/* Append a rule for two bodies: `touch` is -1 if it is about the margin only, and `margin` if it has none. */
+/* Append a rule for two bodies. `touch` is -1 if the rule is only about the margin; `margin` is -1 if it has none. */
 static void add_rule(const State *state, Rules *rules, int64_t a, int64_t b, int64_t touch, double margin)
 {
     const int64_t row[RULE] = {state->place[a], state->place[b], touch, 1};
@@ -161,7 +161,8 @@ static void add_rule(const State *state, Rules *rules, int64_t a, int64_t b, int
     rules->margins[rules->count++] = margin;
 }
 
-/* Rules of the file, of the user, and of attached bodies, which may touch the own bodies of their touch links. */
+/* List the rules of the file, of the user, and of attached bodies, which may touch the robot's own bodies on their
+   touch links. */
 static void list_rules(const loewner_checker *checker, const State *state, Rules *rules)
 {
     const File *file = checker->file;
@@ -240,8 +241,7 @@ static loewner_status list_pairs(const loewner_checker *checker, State *state)
 
 /* -- halves -------------------------------------------------------------------------------------------------------- */
 
-/* Place the static bodies that have moved, in the same memory, since no other thread may query this checker
-   meanwhile. */
+/* Place the static bodies that have moved, in the same memory; no other thread may query this checker meanwhile. */
 static loewner_status place(const State *state, Half *half)
 {
     return CALL(place_static, &half->handle, .pack = (int64_t)&half->pieces, .handle = half->handle,
@@ -279,7 +279,7 @@ static loewner_status make_half(const loewner_checker *checker, State *state, Cu
     half->handle = made.made;
     half->motions = half->handle + (int64_t)offsetof(Tables, motions);
     TRY(place(state, half));
-    /* Bytes that queries write to; motions are proven with surfaces in parts. */
+    /* Sizes of the memory that queries write to. Motions are proven with surfaces cut into parts. */
     const Kernels *known = kernels();
     const struct memory_size sized = {(int64_t)&half->pieces, half->handle, checker->file->dof};
     const Kernel sizes[] = {known->memory_size, known->memory_of_nearest, known->memory_of_clearances,
@@ -340,7 +340,7 @@ static loewner_status assemble(const loewner_checker *checker, State *state)
     return LOEWNER_OK;
 }
 
-/* Take over what changed; the caller holds the lock. */
+/* Apply the changes; the caller holds the lock. */
 static loewner_status renew(loewner_checker *checker)
 {
     State *state = &checker->state;
@@ -435,7 +435,7 @@ static loewner_status bind(const loewner_checker *checker, loewner_workspace *wo
         *parts[k].field = at;
         at += (parts[k].size + 2 * CACHE_LINE - 1) / CACHE_LINE * CACHE_LINE;
     }
-    /* The order of pairs is the workspace's own: it learns which collide most often. */
+    /* Each workspace has its own order of pairs, since it learns which pairs collide most often. */
     memcpy(&workspace->tables, (const void *)state->halves[WHOLE].handle, sizeof workspace->tables);
     memcpy(workspace->order, state->order, 8 * pairs);
     memset(workspace->hits, 0, 8 * pairs);
@@ -447,7 +447,7 @@ static loewner_status bind(const loewner_checker *checker, loewner_workspace *wo
     return LOEWNER_OK;
 }
 
-/* Take over changes of the scene, by one of the threads that query it. */
+/* Apply changes of the scene, in one of the threads that query it. */
 static loewner_status settle_scene(const loewner_checker *checker)
 {
     if (checker == NULL)
@@ -750,7 +750,7 @@ loewner_status loewner_checker_detach(loewner_checker *checker, int32_t body, co
     return LOEWNER_OK;
 }
 
-/* The rule of a pair, made if there is none. */
+/* The rule for a pair, which is made if there is none. */
 static loewner_status its_rule(loewner_checker *checker, int32_t a, int32_t b, Rule **rule)
 {
     TRY(expect_body(checker, a));

@@ -63,11 +63,11 @@ def _name(kind: str) -> str:
 def _of_function(text: str, used: set[str]) -> str:
     """Rewrite the text of a function; `used` gains the kinds of numbers in fused products."""
     lines = text.split("\n")
-    uses = Counter(_VALUE.findall(text))  # counts as one definition
-    products = dict[str, tuple[int, str, str]]()  # of the present block: line and factors
+    uses = Counter(_VALUE.findall(text))  # the definition counts as a use
+    products = dict[str, tuple[int, str, str]]()  # of the current block: line and factors of each
     for at, line in enumerate(lines):
         if not line.startswith(" "):
-            products.clear()  # a block begins
+            products.clear()  # a new block begins
         found = _OPERATION.match(line)
         if found is None or _MARK not in found[3]:
             continue
@@ -79,7 +79,7 @@ def _of_function(text: str, used: set[str]) -> str:
         product = next((one for one in (first, second) if one in products and uses[one] == 2), None)
         if product is None:
             continue
-        # x y + z; x y - z = x y + (-z); z - x y = (-x) y + z. A change of sign is exact.
+        # x y + z; x y - z = x y + (-z); z - x y = (-x) y + z. Changing a sign is exact.
         place, x, y = products.pop(product)
         z = second if product == first else first
         before = []

@@ -27,7 +27,7 @@ from loewner._kernels._numba import (
     normalize_signature,
 )
 
-_config: Any = numba.config  # its settings are made at run time and have no types
+_config: Any = numba.config  # its settings are created at run time, without types
 
 if _config.DISABLE_JIT:
     raise ImportError("NUMBA_DISABLE_JIT: expected Numba to compile, for loewner's kernels are nothing without it")
@@ -112,9 +112,9 @@ class _Cache(NullCache):
     in memory.
     """
 
-    failure: OSError | None = None  # reason of the last failure to write
+    failure: OSError | None = None  # why the last attempt to write failed
 
-    # Parts that were compiled in this process. Equal functions share one; otherwise its name would be defined twice.
+    # Parts compiled in this process. Equal functions share a part, whose name would otherwise be defined twice.
     _made: ClassVar[dict[str, tuple[Any, ...]]] = {}
 
     def __init__(self, kernel: Callable[..., Any], form: str) -> None:
@@ -161,7 +161,7 @@ class _Cache(NullCache):
             why = f"cannot be read ({error.strerror or error})"
         except _sealed.DamagedFileError as error:
             key, why = error.args[0].stem, "is damaged"
-        except Exception as error:  # sealed, but unusable
+        except Exception as error:  # the file is sealed, but unusable
             why = f"is not understood ({type(error).__name__})"
         _say(f"{_store.path_of(key)} {why}; compiling it anew")
         with suppress(OSError):
@@ -173,11 +173,11 @@ class _Cache(NullCache):
         if self._form == "part":
             _Cache._made[key] = data.library, data.fndesc, data.environment, data.signature
         if data.lifted or data.library.has_dynamic_globals or not _store.is_usable():
-            return  # it contains addresses of this process, or its origin is unknown
+            return  # the code contains addresses of this process, or its origin is unknown
         if self._form == "part":
             self._expect_imported(data.library, self._behind(sig))
             if any(part.key == "" for part in data.library.called if isinstance(part, _parts.PartLibrary)):
-                return  # it calls parts that could not be written
+                return  # the code calls parts that could not be written
         try:
             _store.write(key, dumps((key, *data._reduce())))
         except OSError as error:
@@ -278,8 +278,8 @@ class _Callable(_Stored):
 
 def _compiled(function: Callable[..., Any], apart: bool = False, **options: Any) -> Any:
     if function.__closure__:
-        # Functions of one factory share their name. Numba distinguishes them by numbers that restart in each process,
-        # but parts from two processes must not be confused.
+        # Functions made by the same factory share a name. Numba distinguishes them by numbers that restart in each
+        # process, but parts from two processes must not be confused.
         identity = hashlib.sha256(repr(_identity(function)).encode()).hexdigest()
         function.__qualname__ = f"{function.__qualname__}.{identity[:12]}"
     _store.expect_as_read(function.__module__)

@@ -26,10 +26,10 @@ from loewner._kernels._numba import (
     untyped_passes,
 )
 
-_config: Any = numba.config  # its settings are made at run time and have no types
+_config: Any = numba.config  # its settings are created at run time, without types
 
-# Passes of Numba for features that kernels do not use: `with` blocks, closures, functions inlined before typing, and
-# literals as types. A kernel that needed one of them would not compile.
+# Numba's passes for features that kernels do not use: `with` blocks, closures, functions inlined before typing, and
+# literals as types. A kernel that used such a feature would not compile.
 NOT_NEEDED = {
     untyped_passes.WithLifting,
     untyped_passes.InlineClosureLikes,
@@ -84,8 +84,8 @@ class PartLibrary(_FusedLibrary):
     def __init__(self, codegen: Any, name: str) -> None:
         super().__init__(codegen, name)
         self.called: list[JITCodeLibrary] = []
-        self.key = ""  # in the store; empty for a part that is only in memory
-        self.home = ""  # the kernel module that it comes from
+        self.key = ""  # key in the store; empty for a part that is only in memory
+        self.home = ""  # the kernel module that the part comes from
 
     def _optimize_functions(self, ll_module: Any) -> None:
         """Run Numba's passes over the functions of a module; Numba also prepares them for each declaration."""
@@ -145,7 +145,7 @@ class PartLibrary(_FusedLibrary):
 
 RUNTIME = "Numba's run time"
 
-_read: dict[str, PartLibrary] = {}  # by key: two libraries with the same functions must not be linked
+_read: dict[str, PartLibrary] = {}  # parts by key, since two libraries with the same functions must not be linked
 
 
 def library_of(codegen: Any, key: str) -> PartLibrary:
@@ -182,7 +182,7 @@ def everything_called(libraries: Iterable[JITCodeLibrary]) -> list[JITCodeLibrar
     return list(found)
 
 
-CHUNK = 32  # modules linked at a time: a link takes as long as the module that it links into is large
+CHUNK = 32  # modules linked at a time, because linking takes longer the larger the receiving module is
 
 
 def in_one(modules: list[Any]) -> Any:
@@ -250,7 +250,7 @@ class PartCompiler(Compiler):
         context.get_executable, context.add_dynamic_addr = _key, partial(_address, context)
         self.state.library = PartLibrary(context.codegen(), func.__qualname__)
         self.state.library.home = func.__module__
-        # As in Numba, except for the name: Numba numbers functions anew in each process.
+        # Do as Numba does, except for the name: Numba numbers functions anew in each process.
         identity = FunctionIdentity.from_function(func)
         identity.unique_id, identity.unique_name = 0, f"{func.__module__}.{func.__qualname__}"
         self.state.func_id = identity

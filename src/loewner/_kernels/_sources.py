@@ -7,7 +7,7 @@ import zlib
 from functools import cache
 from pathlib import Path
 
-# Archive of the kernels in a wheel, and the modules next to it, which Python reads even if a library is used.
+# The archive of kernels in a wheel, and the modules next to it, which Python imports even with a native library.
 ARCHIVE = "sources.zip"
 LOOSE = ("__init__.py", "_sealed.py", "_sources.py", "codes.py", "columns.py", "records.py", "tolerances.py")
 
@@ -28,7 +28,7 @@ def source_hash() -> str:
 
     Code made from other sources is never used; if the sources are unknown, nothing is kept.
     """
-    import hashlib  # it loads OpenSSL, which would slow down the import of the package
+    import hashlib  # loads OpenSSL, which would slow down importing the package
 
     try:
         found = sources()

@@ -24,10 +24,10 @@ from loewner._kernels import _sealed, _sources
 
 FOLDER = _sources.cache_folder() / "kernels"
 
-# In seconds: the time after which an unused file is removed, and the time after which a file in use is marked again.
+# Number of seconds until an unused file is removed, and until a file in use is marked again.
 KEPT, DAY = 30 * 86_400.0, 86_400.0
 
-# Types choose the vector operations, so the modules that use them need not import them.
+# Modules on which any kernel may depend without importing them, because argument types select vector operations.
 ALWAYS = ("_numba", "_jit", "_parts", "_fused", "simd/memory", "simd/scalars", "simd/vectors")
 
 _IMPORT = re.compile(r"^ *(?:from|import) +loewner\._kernels([\w.]*)(?: +import +(\([^)]*\)|[^\n]*))?", re.MULTILINE)
@@ -150,7 +150,7 @@ def claimed(key: str) -> Iterator[None]:
     try:
         FOLDER.mkdir(parents=True, exist_ok=True)
         file = claim.open("wb")
-    except OSError:  # a file that cannot be written is compiled in memory
+    except OSError:  # if the file cannot be written, the code is compiled in memory
         yield
         return
     with file:

@@ -17,7 +17,7 @@ INNER_SIGMA = 14  # lower bound on the smallest semi-axis of the inner ellipsoid
 OUTER_SIGMA = 15  # lower bound on the smallest semi-axis of the outer ellipsoid
 INNER_SHAPE = 16
 INVERSE_INNER_SIGMA = 22  # upper bound on 1 / INNER_SIGMA
-HOT = 24  # the vectorised stages read only the columns up to here
+HOT = 24  # the vectorised stages read only the columns before this one
 ROUNDING = 24  # radius of the ball added to the core
 FRAME_CENTER, FRAME_FACTOR = 25, 28  # c and F (row by row) of the image of a unit shape
 COLUMNS = 37
@@ -25,20 +25,20 @@ COLUMNS = 37
 KIND, POINTS_FROM, POINTS_TO, SURFACE_AT, LAYOUT = 0, 1, 2, 3, 4
 PLANES_FROM, PLANES_TO = 3, 4  # columns of the stored layout; no kernel needs the planes
 
-# Columns of a piece in `part_start`, if there are surfaces: rows of `parts`.
+# Columns of a piece's row in `part_start`, if there are surfaces; each holds a row of `parts`.
 PART_OUTER, PART_INNER, PART_STOP, PARTS = 0, 1, 2, 3
 
 BLOCK = 8  # points in a block, see `pieces.support`
 CACHE_LINE = 64  # bytes
 
-# A polytope with more vertices is MAPPED. Up to this number, a search through all vertices is just as fast.
+# A polytope with more than LARGE vertices is MAPPED. With LARGE vertices or fewer, searching all of them is as fast.
 LARGE = 128
-DEEPEST = 14  # limit on divisions: the vertices of a flat face share the cells around its normal
+DEEPEST = 14  # limit on the divisions of a cell, since the vertices of a flat face share the cells around its normal
 GRID = 1 << DEEPEST
 
 WIDE = 8  # boxes in a group of a tree
 NODE_BITS = 4  # binary logarithm of the number of boxes in a node of a tree over triangles
-FEW = 8  # with fewer pieces than this, each is tried
+FEW = 8  # with fewer pieces, each is tried
 
 # -- robots, described in `robots.kinematics` and `robots.placement` -------------------------------
 
@@ -58,16 +58,16 @@ MULTIPLIER, OFFSET, BENT, LINK_CONSTANTS = CONSTANTS, CONSTANTS + 1, CONSTANTS +
 LINK_OF_BODY, FIRST_PIECE, LAST_PIECE, BODY_INTEGERS = 0, 1, 2, 4
 BALL_RADIUS, BALL_REACH, BALL_NUMBERS = 3, 4, 8
 
-# Numbers of a placed link: rotation by rows, translation, and bounds on the errors of both, in units of the roundoff.
+# A placed link's rotation by rows, its translation, and bounds on the errors of both, in units of the roundoff.
 LINK_AT, TURN_OFF, SHIFT_OFF, LINK_NUMBERS = 9, 12, 13, 14
 
-# A piece's int32 row for searches: its kind, its first vertex and the index after its last one. Its float32 row: center
-# and factor of a curved core, radius of the added ball, and reach.
+# For searches, a piece's int32 row holds its kind, its first vertex, and the index after its last vertex. Its float32
+# row holds the center and factor of a curved core, the radius of the added ball, and the reach.
 CORE_KIND, CORE_START, CORE_STOP, CORE_INTEGERS = 0, 1, 2, 4
 CORE_CENTER, CORE_FACTOR, CORE_RADIUS, CORE_REACH, CORE_NUMBERS = 0, 3, 12, 13, 16
 
-# A pair of bodies in a motion: the moving body, the body to whose frame planes are fixed, and the row of its chain. A
-# joint of a chain: its column, whether it turns, its multiplier, offset and lever.
+# In a motion, the row of a pair of bodies holds the moving body, the body in whose frame planes are fixed, and the row
+# of its chain. The row of a joint holds its column, whether it turns, its multiplier, its offset and its lever.
 UPPER, LOWER, CHAIN, ROLES = 0, 1, 2, 4
 TURNING_JOINT, CHAIN_INTEGERS = 1, 2
 LEVER, CHAIN_NUMBERS = 2, 4
@@ -77,17 +77,17 @@ LEVER, CHAIN_NUMBERS = 2, 4
 ITERATION = 0
 STARTS, GOALS = 1, 2  # configurations in the trees from the start and from the goals
 OF_START, OF_GOAL = 3, 4  # where the trees met
-MOTIONS = 5  # configurations that were checked
+MOTIONS = 5  # motions that were tried
 RANDOM = 6  # state of the random numbers
 POSES, SEARCHES, STEPS_LEFT = 7, 8, 9  # work of proofs, see `robots.motions`
-ROWS = 10  # of the path, once the trees have met
+ROWS = 10  # number of rows of the path, once the trees have met
 STATE = 11
-STEP, BOUND, GAP = 0, 1, 2  # of `records.Search.reach`
+STEP, BOUND, GAP = 0, 1, 2  # entries of `records.Search.reach`
 TREE_ROWS = 5  # rows in the memory of both trees, besides the values of their nodes
 
 # -- inverse kinematics, described in `robots.reach` ------------------------------------------------
 
-# Columns of a joint's int64 row, where KIND_OF_LINK and COLUMN_OF_LINK are as above, and columns of its row of
+# Columns of a joint's int64 row, which also has KIND_OF_LINK and COLUMN_OF_LINK from above, and columns of its row of
 # constants.
 MOVES_OF_LINK, LINK_OF_CHAIN = 0, 3
 AXIS, CHAIN_CONSTANTS = LINK_CONSTANTS, LINK_CONSTANTS + 3

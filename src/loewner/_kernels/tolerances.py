@@ -15,25 +15,25 @@ POSITION_ERROR = POSITION_ROUNDINGS / UNIT_ROUNDOFF  # certified.md B6
 # for each product), and is far too small for an intended scale or shear.
 ROTATION_TOLERANCE = 1e-6
 
-# Lengths, bounds and their sums are rounded up by this factor in single precision.
+# Factor by which lengths, bounds and their sums are rounded up in single precision.
 UP = 1.0 + 2.0**-22  # certified.md B8
 
-# Bound on the error of centers after rounding to single precision, relative to the lengths from which they are
+# Bound on the error of centers after they are rounded to single precision, relative to the lengths from which they are
 # computed.
 OFF = POSITION_ERROR * SINGLE_ROUNDOFF  # certified.md B7, B48
 
-# Faces of hulls: a vertex may lie this far inside its own face, relative to the width of the piece along the normal, or
-# as far as the rounding of the dot product, in units of its error bound.
+# A vertex of a hull may lie inside its own face by FACE_WIDTH times the width of the piece along the normal, or by
+# FACE_ROUNDING times the error bound of the dot product.
 FACE_WIDTH = 1e-11
 FACE_ROUNDING = 64.0
 
-# An allowance for rounding, and for the stretching by poses of a base or a body that are accepted as rigid.
+# An allowance for rounding, and for stretching by the poses of a base or a body that are accepted as rigid.
 CHAIN_STRETCH = 1.0 + 8.0 * ROTATION_TOLERANCE
 
-# Stretching of paths by poses accepted as rigid, and the few dozen roundings in the computation of rates and bounds.
+# Allowance for paths stretched by poses accepted as rigid, and for a few dozen roundings of rates and bounds.
 STRETCH = 1e-5  # certified.md B29
 
-# Squares of lengths below this have lost some or all digits, so dividing by their roots does not give a unit vector.
+# Squares of lengths below LEAST_SQUARE have lost digits, so dividing by their roots does not give a unit vector.
 LEAST_SQUARE = 1e-290
 
 LEAST = 1e-15  # a length far below all others that keeps squares from underflowing

@@ -46,7 +46,7 @@ def polynomials(P, Q, r):
     s : float
     """
     A, B, M = adjugate(P), adjugate(Q), mixed_adjugate(P, Q)
-    # First in the Bernstein basis (1-s)^i s^j ...
+    # First, compute coefficients in the Bernstein basis (1-s)^i s^j.
     d0 = P[0] * A[0] + P[1] * A[1] + P[2] * A[2]
     d1 = A[0] * Q[0] + A[3] * Q[3] + A[5] * Q[5] + 2.0 * (A[1] * Q[1] + A[2] * Q[2] + A[4] * Q[4])
     d2 = B[0] * P[0] + B[3] * P[3] + B[5] * P[5] + 2.0 * (B[1] * P[1] + B[2] * P[2] + B[4] * P[4])
@@ -54,12 +54,12 @@ def polynomials(P, Q, r):
     c0 = dot(apply_symmetric(A, r), r)
     c1 = dot(apply_symmetric(M, r), r)
     c2 = dot(apply_symmetric(B, r), r)
-    # Two spheres attain the maximum at s = radius of a / sum of radii; use the radii along r.
+    # For two spheres, F is largest at s = (radius of a) / (sum of radii). In general, use the widths along r.
     hp = sqrt(maximum(dot(apply_symmetric(P, r), r), 0.0))
     hq = sqrt(maximum(dot(apply_symmetric(Q, r), r), 0.0))
-    # For concentric ellipsoids (r = 0) this would divide zero by zero: F is 0 everywhere, and any s is valid.
+    # Without the small terms, concentric ellipsoids (r = 0) would lead to 0 / 0; F is 0 everywhere, and any s is valid.
     s = (hp + 1e-300) / (hp + hq + 2e-300)
-    # ... then in powers of s, for Horner's rule.
+    # Convert the coefficients to powers of s, for Horner's rule.
     d = d0, d1 - 3.0 * d0, 3.0 * d0 - 2.0 * d1 + d2, d3 - d0 + d1 - d2
     return d, (c0, c1 - 2.0 * c0, c0 - c1 + c2), s
 
@@ -80,7 +80,7 @@ def newton_step(d, q, s):
     g = slope_f * value_d - f * slope_d
     slope_g = bend_f * value_d - f * bend_d
     t = s - g * value_d / (slope_g * value_d - 2.0 * g * slope_d)
-    # F is concave, so a step past the end is simply clamped; NaN (r = 0) falls to the lower guard.
+    # F is concave, so a step past the end is simply clamped; a NaN (from r = 0) becomes the lower guard.
     low = 0.125 * s
     high = 0.875 + 0.125 * s
     return minimum(maximum(t, low), high)
@@ -195,7 +195,7 @@ def nearness(P, Q, r, n, s, sigma_a, sigma_b, size):
     gap = r[0] - u * Pn[0] - s * Qn[0], r[1] - u * Pn[1] - s * Qn[1], r[2] - u * Pn[2] - s * Qn[2]
     slack = sqrt(dot(gap, gap)) + position_error(size, UNIT_ROUNDOFF)
     common = level_b + slack / sigma_b
-    # A NaN in either value must be kept: `maximum` passes on a NaN in its second argument.
+    # A NaN in either value must be kept, and `maximum` only passes on a NaN in its second argument.
     level = (maximum(level_a, common) + 0.0 * level_a) * (1.0 + 8.0 * UNIT_ROUNDOFF)
     # A ball of radius (1 - level) σ around the common point lies inside each ellipsoid.
     depth = ((1.0 - level_a) * sigma_a + (1.0 - common) * sigma_b) * (1.0 - 16.0 * UNIT_ROUNDOFF)

@@ -23,11 +23,11 @@ from loewner._kernels.simd.vectors import (
     sqrt,
 )
 
-# Largest numbers of steps by polynomials and by slopes. Four and one usually suffice; for needles, each step halves the
-# interval.
+# Largest numbers of steps with polynomials and with slopes. Four and one usually suffice; for needles, each step with
+# slopes halves the interval.
 STEPS, SLOPES = 12, 60
 
-# The last step of Newton's method moves s by less than this share of s (1 - s); the remaining error is its square.
+# Newton's method ends once it moves s by less than SETTLED (with slopes, SETTLED_SLOPE) times s (1 - s).
 SETTLED, SETTLED_SLOPE = 1e-5, 1e-6
 
 
@@ -74,8 +74,8 @@ def contact_parameter(P, Q, r):
         live &= movemask(moves)
         if live == 0:
             break
-    # The coefficients of the polynomials have lost digits for thin ellipsoids, and all digits for needles: continue
-    # with slopes.
+    # The polynomials' coefficients have lost digits for thin ellipsoids, and all digits for needles, so continue with
+    # slopes.
     low, high, live = broadcast(0.0), broadcast(1.0), ALL
     for _ in range(SLOPES):
         _, _, _, _, _, _, _, _, slope, bend = _slope(P, Q, r, s)

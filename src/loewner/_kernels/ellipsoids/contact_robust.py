@@ -7,8 +7,8 @@ from loewner._kernels.ellipsoids import near_points as near
 from loewner._kernels.ellipsoids.contact import contact
 from loewner._kernels.linalg3 import apply, dot, matrix, shape_matrix
 
-# The polynomial coefficients of `contact` have errors of about tr(Q)³/det(Q) roundings. F is used if its
-# relative error is below TRUSTED_LOSS, unless it is so close to 1 that the answer could still change.
+# The polynomial coefficients of `contact` have errors of about tr(Q)³/det(Q) roundings. F is used if its relative error
+# is below TRUSTED_LOSS, unless F is so close to 1 that the error could change the answer.
 TRUSTED_LOSS = 1e-10
 GRAZING = 1e-8
 

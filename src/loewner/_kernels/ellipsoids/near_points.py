@@ -20,8 +20,8 @@ from loewner._kernels.elementary import arc_cosine, arc_tangent
 from loewner._kernels.linalg3 import across, along, apply, apply_transposed, dot, matrix, minus
 from loewner._kernels.simd.trig import sine_cosine
 
-# Lin-Han's own step converges linearly, at a rate set by the square of the axis ratio. Rounder pairs take 5 to 30
-# steps. After this number of steps, Newton's method takes over.
+# Lin-Han's own iteration converges linearly, at a rate set by the square of the axis ratio. Fairly round pairs take 5
+# to 30 steps. After PLAIN_STEPS steps, Newton's method takes over.
 PLAIN_STEPS = 64
 NEWTON_STEPS = 100
 EPS = 2.0**-52
@@ -187,8 +187,8 @@ def touch(F1, G2, r):
     s0, s1, s2 = dot(m0, m0), dot(m1, m1), dot(m2, m2)
     g0, g1, g2 = dot(m0, d), dot(m1, d), dot(m2, d)
 
-    # Secular equation |v(lam)| = 1, v_i = g_i / (s_i + lam). Newton's method for 1/|v| increases monotonically
-    # to the root from any lower bound. Each bound in the next two lines uses only a part of the sum.
+    # Secular equation |v(lam)| = 1, v_i = g_i / (s_i + lam). From any lower bound, Newton's method for 1/|v| increases
+    # monotonically to the root. Each bound in the next two lines uses only a part of the sum.
     lam = max(0.0, abs(g0) - s0, abs(g1) - s1, abs(g2) - s2)
     lam = max(lam, math.sqrt(g0 * g0 + g1 * g1 + g2 * g2) - max(s0, s1, s2))
     for _ in range(100):
@@ -356,8 +356,8 @@ def _newton(F1, G1, F2, G2, r, last, angle):
         a1, a2 = dot(e1, w), dot(e2, w)
         steepness = math.sqrt(a1 * a1 + a2 * a2)
         distance = math.sqrt(dot(w, w))
-        # x2 - x1 contains roundings of r and, through the direction of Fᵀn, of |F|²/h; angles cannot be resolved more
-        # finely.
+        # x2 - x1 has rounding errors relative to r and, through the direction of Fᵀn, to |F|²/h, so angles cannot be
+        # resolved more finely.
         rounding = 8.0 * EPS * (size + square1 / h1 + square2 / h2)
         if steepness <= rounding or between(w, n) <= angle:
             if gap > 0.0:
@@ -368,7 +368,7 @@ def _newton(F1, G1, F2, G2, r, last, angle):
         if iteration >= PLAIN_STEPS + NEWTON_STEPS:
             break
 
-        # Newton's method in the plane perpendicular to n: -g'' = Σ (FᵀE)ᵀ(I - u uᵀ)(FᵀE)/h + gap I, with u the unit
+        # Newton's method in the plane perpendicular to n: -g'' = Σ (FᵀE)ᵀ(I - u uᵀ)(FᵀE)/h + gap I, where u is the unit
         # vector of Fᵀn.
         b11, b12, b22 = _curvature(F1, u1, h1, e1, e2)
         c11, c12, c22 = _curvature(F2, u2, h2, e1, e2)
@@ -389,7 +389,7 @@ def _newton(F1, G1, F2, G2, r, last, angle):
             if gain >= 1e-4 * t * slope:
                 moved = True
             elif gain >= -noise:
-                # Near the maximum, rounding hides the changes of g itself, so its slope decides.
+                # Near the maximum, rounding hides the changes in g itself, so the slope of g decides.
                 w = minus(x2, x1)
                 d1, d2 = across(m)
                 moved = math.sqrt(dot(d1, w) ** 2 + dot(d2, w) ** 2) <= 0.7 * steepness

@@ -47,16 +47,16 @@ DAMPING_LIMIT = 1e3  # damping, relative to the size, above which a step no long
 MAX_SWEEPS = 12  # Jacobi's method needs 3 or 4
 MAX_SECULAR = 60  # usually 4 or 5
 
-# Relative gap that the proof of a global minimum may leave open, and limit on the intervals that it may examine. The
-# rounding error of D itself is about 1e-15. These are choices, not bounds: they affect the gap that is reported.
+# Relative gap that the proof of a global minimum may leave open, and largest number of intervals that it may examine.
+# The rounding error of D itself is about 1e-15. Both are choices, not bounds: they affect the reported gap.
 PROOF_GAP = 1e-11
 MAX_INTERVALS = 600
-GROWTH = 16.0  # factor between the first intervals' distances from the minimum, in log r
+GROWTH = 16.0  # factor between the distances of successive intervals from the minimum, in log r
 _STACK = 160
 
-# Slack of M - h s that the proof by an inner ellipsoid requires: a share of h s, and multiples of the rounding of the
-# trace of M, about twice the rounding of its entries and pivots. These are choices, not bounds: no verdict depends on
-# them.
+# The proof by an inner ellipsoid requires that M - h s is positive definite by a margin: SPARE times h s, plus
+# PIVOT_ROUNDINGS roundings of the trace of M, about twice the rounding of its entries and pivots. Both are choices, not
+# bounds: no verdict depends on them.
 SPARE = 1e-3
 PIVOT_ROUNDINGS = 64.0
 
@@ -146,7 +146,7 @@ def descend(FA, FB, c, n, size):
     for _ in range(MAX_STEPS):
         if slope <= rounding:
             break
-        # A way down requires that the least eigenvalue is positive.
+        # The step leads downward only if the least eigenvalue is positive.
         mean = 0.5 * (h11 + h22)
         half = 0.5 * (h11 - h22)
         spread = np.sqrt(half * half + h12 * h12)
@@ -189,7 +189,7 @@ def _inner_shape(FA, FB, n):
     a0, a1, a2 = apply(FA, u), apply(FA, e), apply(FA, g)
     e, g = across(v)
     b0, b1, b2 = apply(FB, v), apply(FB, e), apply(FB, g)
-    # A rotation and a reflection may be chosen freely: maximise the sum of a1 · b1 and a2 · b2.
+    # The rotation or reflection that remains free in O is chosen to maximise the sum of a1 · b1 and a2 · b2.
     one, two = dot(a1, b1) + dot(a2, b2), dot(a1, b2) - dot(a2, b1)
     three, four = dot(a1, b1) - dot(a2, b2), dot(a1, b2) + dot(a2, b1)
     mirrored = three * three + four * four > one * one + two * two
@@ -240,7 +240,7 @@ def descend_eight(FA, FB, c, n, size, wanted):
     for _ in range(MAX_PLAIN):
         if movemask(going) == 0:
             break
-        # A way down requires that the least eigenvalue is positive.
+        # The step leads downward only if the least eigenvalue is positive.
         half = 0.5 * (h11 - h22)
         lowest = 0.5 * (h11 + h22) - sqrt(half * half + h12 * h12)
         lift = maximum(1e-3 * slope - lowest, 0.0)
@@ -335,7 +335,7 @@ def boundary_depth(m0, m1, m2, x, y, z):
     m0, m1, m2 = max(m0, least), max(m1, least), max(m2, least)
     g0, g1, g2 = m0 - least, m1 - least, m2 - least
     a0, a1, a2 = np.sqrt(m0) * abs(x), np.sqrt(m1) * abs(y), np.sqrt(m2) * abs(z)
-    t = max(0.0, max(a0 - g0, max(a1 - g1, a2 - g2)))  # left of the root, the point at which a single term reaches 1
+    t = max(0.0, max(a0 - g0, max(a1 - g1, a2 - g2)))  # where the largest term reaches 1, left of the root
     for _ in range(MAX_SECULAR):
         q0 = a0 / (g0 + t) if a0 > 0.0 else 0.0
         q1 = a1 / (g1 + t) if a1 > 0.0 else 0.0
@@ -343,7 +343,7 @@ def boundary_depth(m0, m1, m2, x, y, z):
         total = q0 * q0 + q1 * q1 + q2 * q2
         if not total > 1.0:
             break
-        # Newton's step for 1/√total = 1, a concave function: it never passes the root.
+        # Take Newton's step for 1/√total = 1, which never passes the root because the function is concave.
         falling = (
             (q0 * q0 / (g0 + t) if a0 > 0.0 else 0.0)
             + (q1 * q1 / (g1 + t) if a1 > 0.0 else 0.0)
@@ -457,7 +457,7 @@ def global_minimum(FA, FB, c, n, size):
     if is_least(FA, FB, n, h):
         return n, h, h, slope
 
-    # Branch and bound over r. The first intervals grow away from the known minimum, where the bound is tightest.
+    # Branch and bound over r. The bound is tightest near the known minimum, and the intervals grow away from it.
     small_a, large_a = _axes(P, V)
     small_b, large_b = _axes(Q, V)
     first, last = 0.5 * small_a / large_b, 2.0 * large_a / small_b
@@ -490,7 +490,7 @@ def global_minimum(FA, FB, c, n, size):
         half = np.sqrt(one * two)
         bound = min(one_depth, two_depth)
         if tip < bound:
-            # On the arc, the tip's share in the triangle is at most this.
+            # For a point of the arc, the weight of the tip in the triangle is at most weight / (1 + weight).
             weight = 0.5 * (one + two) / half
             bound += weight / (1.0 + weight) * (tip - bound)
         if bound >= h - PROOF_GAP * size - _rounding(one, two, P, Q, h) or top + 2 > _STACK or looked >= MAX_INTERVALS:

@@ -12,17 +12,17 @@ from loewner._kernels.simd.vectors import LANES, bits_set, broadcast, load, maxi
 
 WORD = 64
 
-# Rows of numbers of candidates: center, axis, the axis's inverse squared length, and the radius.
+# Numbers stored for a candidate: its center, its axis, the inverse squared length of the axis, and its radius.
 ROWS = 8
 
-# An exchange compares the candidates of one point on about this number of missed points.
+# An exchange compares the candidates of one point on about SEEN missed points.
 SEEN = 128
 
-# Largest number of exchanges for each candidate that is chosen at first; and the number of exchanges after which a
-# candidate may be dropped again.
+# Largest number of exchanges for each initially chosen candidate, and number of exchanges after which a candidate may
+# be dropped again.
 STEPS_EACH, WAITS = 50, 3
 
-# The stride through the missed points, a prime.
+# Stride through the missed points, which is a prime.
 STRIDE = 7919
 
 
@@ -177,10 +177,10 @@ def _exchange(count, steps, by_point, by_candidate, missed, chosen, found):
     dropped first, until some are.
     """
     m = len(by_candidate)
-    # How many chosen candidates hold a point, and the sum of their numbers: the number itself if there is only one.
+    # How many chosen candidates hold each point, and the sum of their indices: the index itself if there is only one.
     held, holder = np.zeros(count, np.int64), np.zeros(count, np.int64)
-    # The weights of points, which are integers; and for each chosen candidate, the weight of the points that no
-    # other one holds.
+    # The weights of the points, which are integers; and for each chosen candidate, the total weight of the points that
+    # no other chosen candidate holds.
     weight, loss = np.ones(count), np.zeros(m)
     last, now, used = np.full(m, -10), np.empty(found, np.int64), found
     seen, gain = np.empty(count, np.int64), np.zeros(m)

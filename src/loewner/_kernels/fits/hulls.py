@@ -66,7 +66,7 @@ def finish_hull(points, frame, coordinates, simplices, neighbors, equations):
                         face_of[there] = faces
                         stack[top] = there
                         top += 1
-        # Back to the caller's coordinates: frame⁻ᵀ n, with unit length.
+        # Return to the caller's coordinates: the normal is frame⁻ᵀ n, scaled to unit length.
         norm2 = 0.0
         for j in range(n - 1, -1, -1):
             value = equations[first, j]

@@ -27,7 +27,7 @@ from loewner._kernels.fits.mvie import solve_primal_dual
 from loewner._kernels.pieces.directions import candidates, map_within, place
 from loewner._kernels.tolerances import FACE_WIDTH
 
-# From this many vertices on, a map is faster than trying every vertex for each face (measured:
+# For MANY or more vertices, a map is faster than trying every vertex for each face (measured in
 # docs/design/many_points.md).
 MANY = 256
 

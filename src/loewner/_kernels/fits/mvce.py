@@ -45,13 +45,13 @@ from loewner._kernels.simd.memory import Arena, Place, floats, held, sizes_of
 
 ROUNDING = 2.0**-53  # unit roundoff of float64
 
-# Largest share of the way to the boundary in one step: going closer would make s/u overflow the useful range.
+# Largest fraction of the way to the boundary that a step takes; going closer would make s/u too large to be useful.
 STEP_CAP = 0.9999
-# The centring parameter stays above this value; below it, the products u s are rounding noise.
+# Lower limit on the centring parameter, below which the products u s are rounding noise.
 CENTRING_FLOOR = 1e-15
 MAX_ITERATIONS = 100
 MAX_ROUNDS = 200
-# Up to this many points, the solver takes all of them; above, an active set is quicker (measured: break-even near 60).
+# Up to DIRECT_LIMIT points, the solver takes all of them; for more, an active set is faster (measured: from about 60).
 DIRECT_LIMIT = 64
 # A point leaves the active set when its weight is below LIGHT and its squared radius below NEAR.
 LIGHT = 1e-6
@@ -546,7 +546,7 @@ def fit_outer(points, tol, flatness, center, factor):
             center[j] = origin[j] + value
         if direct:
             break
-        # Points up to this far out cost half the tolerance; points farther out join the set.
+        # Points up to this far out cost at most half the tolerance; points farther out join the set.
         reach = farthest_by_sector(points, center, factor, exponential(tol / n), far, far_at)
         fresh = 0
         for j in range(2 * n):

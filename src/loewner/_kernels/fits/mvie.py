@@ -187,7 +187,7 @@ def _iterate(place, A, tol, x, low, lam, careful):
         if iteration == 0:
             _begin(place, shrink)
             shrink = 1.0
-        # Certificate of shrink * E, in its own coordinates (λ scales freely).
+        # Certify shrink * E in the coordinates where it is the unit ball (λ may have any scale).
         for i in range(m):
             lam[i] = y[i] * h[i]
         gap = balanced_gap(work.T, work.d, lam, m, n) - n * logarithm(shrink)

@@ -65,12 +65,12 @@ BLOCK = 128  # piece pairs that are settled together
 
 NEWTON_STEPS = 12
 
-# Errors in units of the roundoff, for both precisions; the derived values are for single precision, in which they are
-# larger. Errors of shape matrices, times trace |n|²: of squared widths, and of P n in levels.
+# Error caused by a shape matrix, in units of the roundoff and times trace |n|²: in squared widths, and through P n in
+# levels. It holds in both precisions; the derived values are for single precision, in which they are larger.
 SHAPE_ERROR = SHAPE_ROUNDINGS / UNIT_ROUNDOFF  # certified.md B4, B5
 
-# A pair is given up only if F is at least this far from 1. The band costs little and leaves room for the rounding of F
-# (see `_doubt`), in both precisions. No proof depends on it, since such a pair is left OPEN.
+# A pair is given up only if F differs from 1 by at least SURE (SINGLE_SURE in single precision). The band costs little
+# and leaves room for the rounding of F (see `_doubt`). No proof depends on it, since such a pair is left OPEN.
 SURE, SINGLE_SURE = 1e-6, 2e-3
 
 
@@ -172,7 +172,7 @@ def rounded_size(a, reach_a, b, reach_b):
 def _clear(r, radii, size, margin, unit):
     """Mask of bounding spheres certainly farther apart than the margin."""
     far = radii + position_error(size, unit) + margin
-    # the second is used if squares overflow
+    # the second comparison is for squares that overflow
     widest = maximum(absolute(r[0]), maximum(absolute(r[1]), absolute(r[2])))
     return (dot(r, r) * (1.0 - 16.0 * unit) > far * far) | (widest * (1.0 - 8.0 * unit) > far)
 
@@ -190,7 +190,7 @@ def _best(P, Q, r):
     d, q, s = polynomials(P, Q, r)
     for _ in range(NEWTON_STEPS):
         s = newton_step(d, q, s)
-    s = select((trace(P) <= 0.0) | (trace(Q) <= 0.0), 0.5, s)  # the maximum is at an end, where K is singular
+    s = select((trace(P) <= 0.0) | (trace(Q) <= 0.0), 0.5, s)  # for a point, K is singular at the maximum
     return s, normal_at(P, Q, r, s)[1]
 
 
@@ -240,13 +240,13 @@ def _apart(a, b, r, n, s, size, unit, sure):
     nPn, nQn = dot(Pn, n), dot(Qn, n)
     squared = dot(n, n)
     along = dot(n, r)
-    # n·r > √v + √w, where n·r is rounded down and the squared widths v and w are rounded up.
+    # Test n·r > √v + √w, where n·r is rounded down and the squared widths v and w are rounded up.
     low = along - position_error(size, unit) * one_norm(n)
     v = nPn + SHAPE_ERROR * unit * trace(a.Q) * squared
     w = nQn + SHAPE_ERROR * unit * trace(b.Q) * squared
     t = low * low * (1.0 - 8.0 * unit) - (v + w)
-    # If the ellipsoids are apart, F > 1 and n·r > 4 at the best s. Requiring a half, and a t well above zero, keeps
-    # squares from underflowing.
+    # If the ellipsoids are apart, F > 1 and n·r > 4 at the best s. Requiring that n·r exceeds a half, and that t is
+    # well above zero, keeps squares from underflowing.
     separated = (low > 0.5) & (t > unit * (low * low)) & (t * t * (1.0 - 16.0 * unit) > 4.0 * (v * w))
     u = 1.0 - s
     most = s * u * along + absolute(u * u * nPn - s * s * nQn) * maximum(s, u)
@@ -550,7 +550,7 @@ def certify_best(count, margin, hot_a, Ta, moved_a, hot_b, Tb, moved_b, listed, 
         far = _clear(r, near_a.outer_radius + near_b.outer_radius, size, margin, UNIT_ROUNDOFF)
         p = shape_of(gather_transpose(hot_a, HOT, listed.piece_a, at, OUTER_SHAPE), a.R, moved_a)
         q = shape_of(gather_transpose(hot_b, HOT, listed.piece_b, at, OUTER_SHAPE), b.R, moved_b)
-        # Put the larger ellipsoid second: s is then small, and keeps its digits if the sizes are very different.
+        # Put the larger ellipsoid second: s is then small, and keeps its digits even if the sizes are very different.
         swap = near_a.outer_radius > near_b.outer_radius
         p, q, r = _ordered(swap, p, q, r)
         s, n = _best(p.Q, q.Q, r)

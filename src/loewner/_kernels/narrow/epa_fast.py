@@ -28,11 +28,11 @@ from loewner._kernels.simd.vectors import broadcast, load, mask_of, maximum, min
 from loewner._kernels.tolerances import POSITION_ROUNDINGS
 
 MAX_CORNERS = 1024  # per polytope; with more, transforming all corners to the world frame costs more than it saves
-MAX_FACES = 64  # each takes one bit in the masks; hulls of 20 points need 20 to 30
+MAX_FACES = 64  # each face takes one bit of the masks; hulls of 20 points need 20 to 30
 MAX_POINTS = MAX_FACES // 2 + 2  # by Euler's formula
 
-# Flat workspace: the corners of A and of B (x, y and z in rows of MAX_CORNERS), then the normals and offsets of the
-# faces (rows of MAX_FACES), then the points of A - B (rows of POINT_ROW).
+# The flat workspace holds the corners of A and of B (x, y and z in rows of MAX_CORNERS), the normals and offsets of the
+# faces (rows of MAX_FACES), and the points of A - B (rows of POINT_ROW).
 _A = 0
 _B = _A + 3 * MAX_CORNERS
 _NX = _B + 3 * MAX_CORNERS
@@ -44,8 +44,9 @@ _POINT_ROW = 4
 _LANE = _POINT + _POINT_ROW * MAX_POINTS
 FLOATS = _LANE + 8
 
-# Workspace of integers. For each half-edge: 4 face + side, its twin and its first point. For each point: its corners of
-# A and B, and the new face whose rim edge starts there. Then the rim: the half-edges beyond it and their first points.
+# The workspace of integers holds, for each half-edge (4 face + side), its twin and its first point; for each point, its
+# corners of A and B, and the new face whose rim edge starts there; and for the rim, the half-edges beyond it and their
+# first points.
 _TWIN = 0
 _ORIGIN = _TWIN + 4 * MAX_FACES
 _CORNER_A = _ORIGIN + 4 * MAX_FACES
@@ -56,16 +57,16 @@ _RIM_FROM = _RIM + 3 * MAX_FACES
 _LEFT = _RIM_FROM + 3 * MAX_FACES  # input of `proven_depth`: faces, number of points, vectors of A and of B
 INTEGERS = _LEFT + 4
 
-# A face whose normal is shorter than this, relative to its longest side squared, has no reliable direction.
+# A face has no reliable direction if its normal is shorter than FLAT_FACE times the square of its longest side.
 FLAT_FACE = 1e-10
 
-# Rounding may place the origin's foot outside its face by at most this distance in barycentric coordinates.
+# Rounding may place the origin's foot outside its face by at most FOOT_SLACK in barycentric coordinates.
 FOOT_SLACK = 1e-9
 
-# Numbers of points and faces of the first shell.
+# Indices of the points and the faces of the first shell.
 _P0, _P1, _P2, _P3 = 0, 1, 2, 3
 
-# The twin of each half-edge of this shell, with three entries for a face and one unused: the faces are (1 2 3), (0 3
+# The twin of each half-edge of the first shell. A face has three entries and an unused one; the faces are (1 2 3), (0 3
 # 2), (0 1 3) and (0 2 1).
 _FIRST_TWINS = (13, 5, 9, 0, 10, 1, 12, 0, 14, 2, 4, 0, 6, 0, 8, 0)
 
@@ -384,7 +385,7 @@ def overlap_depth(A, B, n, W, K, result):
     lower, upper : float
         Bounds on the depth to within rounding; `upper` belongs to the support plane of the normal.
     """
-    # Inlined, so that only three arrays have to be passed; passing all of them would take as long as this function.
+    # Inlined, so that only three arrays are passed; passing the arrays of A and B would take as long as this function.
     shift = shift_between(A, B)
     error = rounding_error(A, B, shift)
     corners_a = A.layout[A.piece, POINTS_TO] - A.layout[A.piece, POINTS_FROM]
@@ -417,7 +418,7 @@ def _placed_depth(vectors_a, vectors_b, error, n, W, K, result):
         height = _add_point(W, K, used, vectors_a, vectors_b, _normal(W, f))
         if height <= error:
             break
-        # This face's own plane: another face may be equally near, but it has another normal.
+        # Use the plane of this face: another face may be equally near, but it has another normal.
         if height - lower <= tolerance:
             if not _witness(W, K, live, f, lower + WITNESS_WINDOW * error, result):
                 break
@@ -439,7 +440,7 @@ def _witness(W, K, live, f, window, result):
     a, b, c = _foot(W, K, f)
     inside = min(a, min(b, c))
     if not inside >= 0.0:
-        # A parallelogram (a face made of two edges) consists of two triangles here, and f may be the wrong one.
+        # A parallelogram (a face spanned by two edges) is two triangles here, and f may be the wrong one of them.
         rest = _not_above(W, live, window)
         while rest != 0:
             g = _first_bit(rest)

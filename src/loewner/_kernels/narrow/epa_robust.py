@@ -18,22 +18,22 @@ from loewner._kernels.linalg3 import cross, dot, minus, negated, plus, scaled
 from loewner._kernels.narrow.gjk_robust import minkowski_support, rounding_error
 from loewner._kernels.tolerances import POSITION_ROUNDINGS
 
-# For a pair of polytopes, the search ends when it meets a true face of A - B, after tens of faces. The limit is for
-# curved pieces: 1,500 support points resolve a sphere's depth to about 1e-6 of its radius in the worst case (all
-# directions equally deep), and much better otherwise.
+# For a pair of polytopes, the search ends at a true face of A - B, after a few dozen faces. The limit is for curved
+# pieces: 1,500 support points resolve a sphere's depth to about 1e-6 of its radius in the worst case (all directions
+# equally deep), and much better otherwise.
 MAX_POINTS = 1500
 MAX_FACES = 2 * MAX_POINTS
 NO_VOLUME = -2e300  # in place of a depth: the Minkowski difference is a point, a segment or a polygon
 
-# Faces this close to the nearest one, in units of the rounding error (1.4e-10 of the lengths), may supply the
-# witnesses.
+# Faces may supply the witnesses if they are farther away than the nearest face by at most WITNESS_WINDOW rounding
+# errors (1.4e-10 of the lengths).
 WITNESS_WINDOW = 2e4
 
-# Angle [rad] around the normal, within which support points refine a witness; the resulting relative error of the depth
-# is its square.
+# Angle [rad] from the normal within which support points refine a witness; the relative error of the depth is the
+# square of this angle.
 HAIR = 1e-5
 
-# A face is thin if the sine at one of its corners is below this; its normal is then computed with more care.
+# A face is thin if the sine at one of its corners is below THIN; its normal is then computed with more care.
 THIN = 1e-4
 
 DEPTH_ACCURACY = 1e-11  # accuracy for a distance query
@@ -99,8 +99,8 @@ def _first_tetrahedron(A, B, shift, n, S):
     rows = np.arange(5)  # passed as data, since the functions below would otherwise be compiled once for each constant
     _support(A, B, shift, n, S, rows[0])
     _support(A, B, shift, negated(n), S, rows[1])
-    # The third point lies off the line, and the fourth off the plane; each is the farther of the points in both
-    # directions.
+    # The third point lies off the line, and the fourth off the plane; each is the farther of the support points in two
+    # opposite directions.
     ex = S[1, 0] - S[0, 0]
     ey = S[1, 1] - S[0, 1]
     ez = S[1, 2] - S[0, 2]

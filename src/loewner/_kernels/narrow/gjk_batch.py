@@ -47,23 +47,23 @@ from loewner._kernels.simd.vectors import (
 )
 from loewner._kernels.tolerances import SINGLE_ROUNDOFF, UNIT_ROUNDOFF
 
-# Results of `settle` for a pair.
+# Limits of the walk, and factors of its rounding errors.
 
 ROUNDS = 10  # five rounds settle nine in ten pairs, and eight settle 99 in 100
 
-FEW = 4  # fewer pairs than this are faster to search one by one
+FEW = 4  # fewer pairs are faster to search one by one
 
 MOST = 64  # limit on the vertices of a piece: with more, sixteen pairs exceed the first-level cache
 
-# Errors in units of the roundoff of single precision, each at least twice the derived value. Times the lengths: the
-# error of a width computed by `plane`, and of a product with a support point, both in single precision.
+# Errors of a width computed by `plane`, and of a product with a support point, in roundoffs of single precision times
+# the lengths. All errors here are at least twice the derived values.
 WIDTH_ERROR = 16.0  # certified.md B9
 PRODUCT_ERROR = 72.0  # certified.md B10
-# Times the third power of the longest point: the error of a determinant of three points, and of the sum of four
-# determinants.
+# Errors of a determinant of three points, and of the sum of four determinants, in roundoffs times the cube of the
+# longest point's length.
 VOLUME_ERROR = 98.0  # certified.md B11
 SUM_ERROR = 632.0  # certified.md B12
-# Times the lengths and the square of the longest point: the error of a determinant that comes from its points.
+# Error of a determinant due to its points, in roundoffs times the lengths and the square of the longest point's length.
 POINT_ERROR = 64.0  # certified.md B13
 
 SHORT = 1e-30  # directions with a smaller square are not trusted, since the square may lack digits
@@ -124,7 +124,7 @@ def put(memory, at, k, i, j, ka, kb, n):
 @inline
 def takes(layout, piece):
     """Whether the functions below take a piece."""
-    piece = np.uint64(piece)  # not from the end
+    piece = np.uint64(piece)  # unsigned, so that it cannot count from the end
     return (layout[piece, KIND] == POLYTOPE) & (layout[piece, POINTS_TO] - layout[piece, POINTS_FROM] <= MOST)
 
 
@@ -206,7 +206,7 @@ def plane(sa, la, xa, i, Ta, r, sb, lb, xb, j, Tb, q, n):
         pose. Likewise for b. `takes` must hold for both pieces.
     """
     x, y, z = n
-    i, r, j, q = np.uint64(i), np.uint64(r), np.uint64(j), np.uint64(q)  # not from the end
+    i, r, j, q = np.uint64(i), np.uint64(r), np.uint64(j), np.uint64(q)  # unsigned, so that none counts from the end
     tx, ty, tz = Tb[q, 0, 3] - Ta[r, 0, 3], Tb[q, 1, 3] - Ta[r, 1, 3], Tb[q, 2, 3] - Ta[r, 2, 3]
     along_a = (
         np.float32(Ta[r, 0, 0] * x + Ta[r, 1, 0] * y + Ta[r, 2, 0] * z),
@@ -254,7 +254,7 @@ def faces(A, B, C, E):
     AB, AC, AE = minus(B, A), minus(C, A), minus(E, A)
     normals = cross(AB, AC), cross(AC, AE), cross(AE, AB)
     f, g, h = -dot(normals[0], A), -dot(normals[1], A), -dot(normals[2], A)
-    # The four add up to the negative volume of the tetrahedron.
+    # The four products add up to the negative volume of the tetrahedron.
     return f, g, h, dot(normals[0], AE) - (f + g + h), normals
 
 
@@ -274,13 +274,13 @@ def advance(A, B, C, E, two, three, f, g, h):
     n, B, C, E : tuple of 3
     two, three : mask
     """
-    # The face with which to continue, as the triangle A, B, C.
+    # Continue with one face, as the triangle A, B, C.
     second = three & (g > f) & (g >= h)
     third = three & (h > f) & (h > g)
     B, C = selected(second, C, selected(third, E, B)), selected(second, E, selected(third, B, C))
     plane = two | three
 
-    # Triangle: the origin is over its inside, or beyond edge A B or A C.
+    # For a triangle, the origin is over its inside, or beyond edge A B or A C.
     AB, AC = minus(B, A), minus(C, A)
     normal = cross(AB, AC)
     beyond_c = plane & (dot(cross(normal, AC), A) < 0.0)
@@ -289,11 +289,11 @@ def advance(A, B, C, E, two, three, f, g, h):
     swap = beyond_c & (dot(AC, A) < 0.0)
     B = selected(swap, C, B)
 
-    # Line: the origin is beside its inside, or beyond A.
+    # For a line, the origin is beside its inside, or beyond A.
     AB = minus(B, A)
     beside = dot(AB, A) < 0.0
     across = cross(cross(AB, A), AB)
-    # Turned so that A, B, C run counter-clockwise seen from the origin.
+    # Turn the triangle so that A, B, C run counter-clockwise seen from the origin.
     other = dot(normal, A) <= 0.0
     n = selected(line, selected(beside, across, A), selected(other, negated(normal), normal))
     return n, A, selected(line | other, B, C), selected(other, C, B), line & beside, ~line
@@ -334,8 +334,8 @@ def settle(count, sa, la, xa, Ta, moved_a, sb, lb, xb, Tb, moved_b, memory):
     ends_a = _lay(xa, work.first_a, work.last_a, work.here, most_a, W, 0)
     ends_b = _lay(xb, work.first_b, work.last_b, work.here, most_b, W, ends_a)
 
-    # The simplex, newest point first: one, two or three points B, C, E of the Minkowski difference. The direction n
-    # points from the origin to the part of the simplex that is kept.
+    # The simplex has one, two or three points B, C, E of the Minkowski difference, the newest one first. The direction
+    # n points from the origin to the part of the simplex that is kept.
     n = negated(_directions(N))
     B, C, E = n, n, n
     none = ~((n[0] > 0.0) | ~(n[0] > 0.0))
@@ -370,7 +370,7 @@ def settle(count, sa, la, xa, Ta, moved_a, sb, lb, xb, Tb, moved_b, memory):
             continue
 
         f, g, h, base, _ = faces(A, B, C, E)
-        # The origin is inside if all four are negative by more than their rounding errors.
+        # The origin is inside if all four products are negative by more than their rounding errors.
         reach = sqrt(largest)
         slack = SINGLE_ROUNDOFF * largest * (VOLUME_ERROR * reach + POINT_ERROR * size)
         inside = (f < -slack) & (g < -slack) & (h < -slack)

@@ -24,16 +24,16 @@ from loewner._kernels.simd.memory import Arena, floats
 from loewner._kernels.tolerances import LEAST_SQUARE, UNIT_ROUNDOFF
 
 DECIDE_ROUNDS = 24
-MEASURE_ROUNDS = 64  # hulls need six, and at most twelve; curved pieces converge linearly
+MEASURE_ROUNDS = 64  # hulls need six rounds, and at most twelve; curved pieces converge linearly
 
 # A support point that is already in the simplex ends the search; its bounds must then agree
 # to within LAST_GAP times the error of a height.
 LAST_GAP = 16.0
 
-# If the squared sine at a corner of a triangle is below this, its normal is made orthogonal to the edges.
+# If the squared sine at a corner of a triangle is below THIN, the triangle's normal is made orthogonal to the edges.
 THIN = 1e-4
 
-# Share of the first direction in the second one, for unit vectors; values from 0.5 to 0.8 work equally well.
+# Weight of the first direction in the second one, for unit vectors; values from 0.5 to 0.8 work equally well.
 KEPT = 0.7
 
 # Error of a determinant of three points, and of the sum of four determinants, in units of the roundoff times the third
@@ -128,7 +128,7 @@ def decide(A, B, shift, W, ends, n, error):
     first = n
     p = negated(n)
     k = 0
-    # Newest point first: a, followed by those remaining among the older points b, c, e.
+    # The simplex consists of the newest point a and the points that remain among the older b, c, e.
     b = c = e = (0.0, 0.0, 0.0)
     largest = 0.0
     for _ in range(DECIDE_ROUNDS):
@@ -158,8 +158,8 @@ def decide(A, B, shift, W, ends, n, error):
             h = -dot(cross(ae, ab), a)
             if f <= 0.0 and g <= 0.0 and h <= 0.0:
                 volume = abs(dot(face_bc, ae))
-                # The origin is inside if the three determinants and the base, f + g + h + base = -volume, all exceed
-                # their rounding errors.
+                # The origin is inside if the three determinants and the base, with f + g + h + base = -volume, are all
+                # negative beyond their rounding errors.
                 if f < -doubt and g < -doubt and h < -doubt and volume + (f + g + h) > doubt:
                     return TOUCHING, negated(p), k
                 return UNSETTLED, negated(p), k
@@ -306,7 +306,7 @@ def measuring(supports):
             closed = length - plane <= DISTANCE_TOLERANCE * length + ERROR_SHARE * error
             if r == 1:
                 if closed:
-                    continue  # no nearer to the origin, and the plane is no bound for this direction
+                    continue  # the point is no nearer, and the plane is no bound for this direction
             else:
                 if plane - error > lower:
                     lower = plane - error
@@ -333,7 +333,7 @@ def measuring(supports):
                 if k == 3:
                     ab, ac, ae = minus(b, a), minus(c, a), minus(e, a)
                     face_bc = cross(ab, ac)
-                    # Positive: the origin lies beyond the face of b, c and the new point, opposite e.
+                    # If positive, the origin lies beyond the face of b, c and the new point, opposite e.
                     volume = dot(face_bc, ae)
                     sign = np.copysign(1.0, volume)
                     beyond_e = sign * dot(face_bc, a)
@@ -382,7 +382,7 @@ def measuring(supports):
             if length <= reach:
                 status = TOUCHING
                 break
-            # There is no progress, or contact is too near for these products: `gjk_robust.run` is more careful.
+            # Without progress, or too near contact for these products, leave the pair to `gjk_robust.run`.
             if not (4.0 * error < length < before):
                 break
         if status == NEAREST:

@@ -28,58 +28,58 @@ from loewner._kernels.simd.vectors import absolute, maximum, movemask, next_lane
 from loewner._kernels.tolerances import UNIT_ROUNDOFF
 from loewner._kernels.trees.triangle_tree import BLOCK, LEAF, WIDE, leaf_of, longer, size_of
 
-# Number of points of the surface tried for each requested ellipsoid, and its limits.
+# Number of surface points tried for each requested ellipsoid, and limits on the number for all ellipsoids together.
 POINTS_ON = 16
 FEWEST_ON = 64
 MOST_ON = 512
 
-# Squares of distances from seeds may be underestimated by this factor, which saves most of the search. A ball next to
-# the surface is small enough if no triangle is nearer to its center than OFF_SURFACE times its radius. SHRINKS is the
-# largest number of attempts to find such a ball.
+# Squares of distances from seeds may be underestimated by the factor ROUGH, which saves most of the search. A ball next
+# to the surface is small enough if no triangle is nearer to its center than OFF_SURFACE times its radius. SHRINKS is
+# the largest number of attempts to find such a ball.
 ROUGH = 0.8
 PLACES = (1.0, 0.3)
 OFF_SURFACE = 0.87
 SHRINKS = 12
 
-# The least semi-axis, as a share of the mesh's size. Rounding grows with its inverse: see `prove`.
+# Smallest allowed semi-axis, relative to the mesh's size. Rounding errors grow with its inverse: see `prove`.
 LEAST_AXIS = 1e-6
 
-# An ellipsoid that adds less than this share of the largest one's volume is not worth a test.
+# An ellipsoid is not worth a test if it adds less than LEAST_VOLUME times the volume of the largest one.
 LEAST_VOLUME = 1e-3
 
-# Largest number of rounds of planes and fit for each seed; a round that grows the volume by less than GROWTH is the
-# last.
+# Largest number of rounds for each seed, each with planes and a fit. A round that enlarges the volume by less than the
+# factor GROWTH is the last.
 ROUNDS = 4
 GROWTH = 1.02
 
 # Half size of the box, in the ellipsoid's metric, in which a round searches for triangles.
 REACH = 6.0
 
-# Limit on the planes of a round. A plane represents all triangles beyond it, and triangles before it by up to a share
-# of its distance: CLOSE at first, doubled after every further STEP planes, so that their number stays bounded.
+# Limit on the planes of a round. A plane represents all triangles beyond it, and triangles in front of it by up to
+# CLOSE times its distance. This factor doubles after every further STEP planes, so that their number stays bounded.
 MOST_PLANES = 120
 STEP = 20
 CLOSE = 0.01
 
-# A fit may meet triangles that a plane represents only nearly. They get their own planes, at most STEP, this many
-# times.
+# A fit may meet triangles that a plane represents only nearly. Up to STEP triangles then get planes of their own, at
+# most REPAIRS times.
 REPAIRS = 3
 
-# Number of seeds that grow as far as they can, since one large ellipsoid is worth most. Ellipsoids of later seeds stay
-# out of the existing ones, up to planes at the distance BEYOND from their centers, in units of their semi-axes.
+# Number of seeds that grow as far as they can, since one large ellipsoid is worth most. Later seeds stay out of the
+# existing ellipsoids, up to planes at the distance BEYOND from the centers, in units of the semi-axes.
 UNCUT = 5
 BEYOND = 0.2
 
-# Gap in log-volume of the fits: the loss is smaller than the volume that planes exclude.
+# Allowed gap of the fits in log-volume: the fits lose less volume than the planes exclude.
 FIT_TOLERANCE = 1e-3
 
 # Point of an ellipsoid, in units of its semi-axes, at which the winding number is computed.
 OFF_CENTER = 0.0271, 0.0317, 0.0123
 
-# Number of points that measure the share of an ellipsoid that lies in others.
+# Number of points used to measure which fraction of an ellipsoid lies in others.
 POINTS = 128
 
-# Rounding in a distance from the center, relative to the metric: see `prove`.
+# Rounding error of a distance from the center, relative to the metric: see `prove`.
 ROUNDINGS = 512.0 * UNIT_ROUNDOFF  # certified.md B71
 
 IDENTITY = (1.0, 0.0, 1.0, 0.0, 0.0, 1.0)
@@ -211,7 +211,7 @@ def least_in(mesh, child, center, G, first, last):
     a, b, c = walk.corners_of(mesh.tree.blocks, leaf_of(child))
     a, b, c = minus(a, center), minus(b, center), minus(c, center)
     bits = (1 << size_of(child)) - 1
-    for k in range(last - 1, first - 1, -1):  # a leaf seen before is beyond new planes only
+    for k in range(last - 1, first - 1, -1):  # a leaf seen before can only be beyond the new planes
         n, edge = normal(mesh, k), mesh.edges[k]
         bits &= ~movemask((dot(a, n) >= edge) & (dot(b, n) >= edge) & (dot(c, n) >= edge))
         if bits == 0:
@@ -312,7 +312,7 @@ def add_planes(mesh, center, G, limit, first, count, most):
     number; -1 if a triangle is at the center.
     """
     metric, lanes = _metric(mesh, center, G), walk.lanes_of(mesh.memory)
-    # Boxes by lower bounds on their squared distances; leaves, once examined, by their nearest triangle.
+    # The heap orders boxes by lower bounds on their squared distances, and examined leaves by their nearest triangle.
     heap, held, start = (np.zeros(256), np.zeros(256, np.int64)), 1, count
     while held > 0 and count < start + most:
         held -= 1
@@ -447,7 +447,7 @@ def find_seeds(mesh, wanted, seeds, radii):
     for i in range(wanted):
         t = min(np.searchsorted(cumulated, (i + 0.5) / wanted * area), len(cumulated) - 1)
         a, b, c = walk.corners_at(tree.blocks, t // LEAF * BLOCK, t % LEAF)
-        # Points in the triangle follow a sequence that leaves no gaps, since one triangle may be a whole side.
+        # Points in the triangle follow a sequence without gaps, since a triangle may be a whole side of the mesh.
         x = (0.5 + 0.7548776662466927 * i) % 1.0
         y = (0.5 + 0.5698402909980532 * i) % 1.0
         if x + y > 1.0:
@@ -647,7 +647,7 @@ def inscribed_ellipsoids(table, size, far, origin, scale, centers, factors, memo
                 factors[kept, j, k] = grown_factors[chosen[i], j, k] / scale
         if prove(mesh, origin, scale, centers[kept], factors[kept]):
             kept += 1
-    for i in range(1, kept):  # by insertion, since they are few
+    for i in range(1, kept):  # sort by insertion, since they are few
         j = i
         while j > 0 and volume(factors[j]) > volume(factors[j - 1]):
             for k in range(3):

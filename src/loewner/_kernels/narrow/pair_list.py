@@ -30,7 +30,7 @@ def arena(capacity: int) -> Arena:
     return Arena(PairList, **{name: integers(capacity) for name in PairList._fields})
 
 
-# Indices are unsigned: a signed index might count from the end, and that comparison would keep loops from being
+# Indices are unsigned: a signed index might count from the end, and the check for this would keep loops from being
 # vectorised.
 @inline
 def put(listed, at, pair, piece_a, piece_b, pose_a, pose_b):

@@ -68,7 +68,7 @@ def triangle_weights(a, b, c):
     if d6 >= 0.0 and d5 <= d6:
         return 0.0, 0.0, 1.0
     # Each edge region and face region is found from the normal and one edge. On curved pieces, triangles become tiny
-    # while their distance from the origin does not; each product here has a small factor.
+    # while their distance from the origin does not, so each product here has a small factor.
     bc, n = minus(c, b), cross(ab, ac)
     weight_c = dot(n, cross(a, ab))
     if weight_c <= 0.0 and d1 >= 0.0 and d3 <= 0.0:

@@ -23,8 +23,8 @@ from loewner._kernels.simd.vectors import absolute, load_single, maximum, minimu
 from loewner._kernels.tolerances import SINGLE_ROUNDOFF
 from loewner._kernels.trees.triangle_tree import CORNERS, DIAGONALS, ROWS, WIDE, WIDE_BITS
 
-# Allowed error along each of the fifteen axes: a multiple of the departures of both rotations from orthonormality, and
-# a multiple of the roundoff of single precision, both times the lengths involved.
+# Allowed error along each of the fifteen axes, relative to the lengths involved: a multiple of the deviations of both
+# rotations from orthonormality, and a multiple of the roundoff of single precision.
 BENDS = 8.0  # certified.md B39
 ROUNDINGS = 64.0 * SINGLE_ROUNDOFF  # certified.md B40
 
@@ -80,7 +80,7 @@ def is_solid(P):
     return P.layout[P.piece, KIND] == SOLID
 
 
-# The tree of a surface, found from the address of the table of its arrays.
+# Reads the tree of a surface at the address of the table of its arrays.
 tree_at = reader(record_kind(Tree, "S1 I1 F1 F1 S1"))
 
 
@@ -99,7 +99,7 @@ def singles(v):
 
 @inline
 def relation(A, B, shift, size, near):
-    """How a placed surface lies to another one: what is `near` counts as meeting; `size` is a sum of lengths."""
+    """How B lies in the axes of the surface A: boxes within `near` count as meeting; `size` is a sum of lengths."""
     R, S = rotation_of(A), rotation_of(B)
     bend = off_orthonormal(R) + off_orthonormal(S) + 2e-15
     m = product((R[0], R[3], R[6], R[1], R[4], R[7], R[2], R[5], R[8]), S)
@@ -209,7 +209,7 @@ def _touching(first, last, reach_first, reach_last):
 
 @inline
 def opens_first(a, b, slot_a, slot_b):
-    """Whether of two boxes that of a is to be opened: the larger one, unless it is a leaf. One of them is none."""
+    """Whether the box of a is opened, not the box of b: the larger box, unless it is a leaf. At most one is a leaf."""
     if a.children[slot_a] < 0 or b.children[slot_b] < 0:
         return b.children[slot_b] < 0
     (_, g), (_, h) = box_at(a.boxes, slot_a), box_at(b.boxes, slot_b)
@@ -351,7 +351,7 @@ def reaches_of(tree, node, way):
 
 @inline
 def reach_at(tree, slot, way):
-    """The same of one box."""
+    """How far the triangles of one box go along a direction at most."""
     lane = slot & (WIDE - 1)
     at, more = (slot >> WIDE_BITS) * ROWS + way.axis + lane, (slot >> WIDE_BITS) * DIAGONALS + lane
     middle, half = tree.boxes[at], tree.boxes[at + 3 * WIDE]

@@ -30,7 +30,7 @@ from loewner._kernels.pieces.shapes import radius, rotation_of
 from loewner._kernels.simd.vectors import movemask, next_lane
 from loewner._kernels.trees.triangle_tree import BLOCK, LEAF, leaf_of, size_of
 
-# Inner ellipsoids that exist are larger than this [m].
+# An inner ellipsoid whose least semi-axis is at most NO_INSIDE [m] counts as absent.
 NO_INSIDE = 1e-100
 
 
@@ -147,7 +147,7 @@ def _deepest_to_piece(A, B, shift, found, sign, faces, edges, memory, own, resul
                 if k < 4 and above + radius(S) + radius(B) > 0.0:
                     continue
                 _, deep = epa_robust.penetration(S, B, shift, epa_robust.DEPTH_ACCURACY, work, own)
-                # A triangle is flat against a point or a segment in its plane; this then proves nothing.
+                # A triangle and a point or segment in its plane have a flat difference, which proves nothing.
                 deep = epa_robust.proven_depth(rounding, work) if deep > found else 0.0
             else:
                 status, _, deep = epa_fast.overlap_depth(S, B, n, faces, edges, own)

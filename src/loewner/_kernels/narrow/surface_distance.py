@@ -95,11 +95,11 @@ def _between_pieces(A, B, shift, n, memory, result):
         return above, above - below
     G, weights, v, d = np.empty((4, 9)), np.empty(4), np.empty(3), np.empty(3)
     _, below, above, k = run(A, B, shift, n, 0.0, False, G, weights, v, d)
-    radii = radius(A) + radius(B)  # which `run` takes off
+    radii = radius(A) + radius(B)  # radii that `run` subtracts
     if k == 4:  # the cores have a point in common; `run` has not written its weights
         above = -radii
         weigh_inside(G, weights, v)
-    below = max(below, -radii)  # cores that certainly intersect do not come here
+    below = max(below, -radii)  # cores that certainly intersect do not get here
     write_simplex(G, k, weights, d, result)
     return above + radii, above - below
 
@@ -259,7 +259,7 @@ def _middle_gaps(a, b):
     n = minus(plus(plus(b[0], b[1]), b[2]), plus(plus(a[0], a[1]), a[2]))
     near = walk.least(dot(b[0], n), dot(b[1], n), dot(b[2], n))
     gap = maximum(near - walk.most(dot(a[0], n), dot(a[1], n), dot(a[2], n)), 0.0)
-    return gap * gap * BELIEVED / (dot(n, n) + 1e-300)  # the middles may be equal
+    return gap * gap * BELIEVED / (dot(n, n) + 1e-300)  # the centers may coincide
 
 
 @njit()
@@ -296,7 +296,7 @@ def _nearest_to_piece(A, B, shift, limit, memory):
             searches += 1
             walk.keep_plane(B, shift, R, n, size, planes, k)
             if status != APART:
-                if status != NEAREST:  # so near to contact that more care is needed
+                if status != NEAREST:  # the pieces are so near contact that more care is needed
                     piece = walk.triangle_piece(A, leaf * LEAF + lane, 0.0, walk.first_of(memory))
                     above, _ = _between_pieces(piece, B, shift, n, memory, result)
                 if above <= best:

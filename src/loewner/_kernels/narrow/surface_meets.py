@@ -63,14 +63,14 @@ def surface_pair(A, B, near, far, memory, listed_at, room, steps=NO_LIMIT):
         AMBIGUOUS if pairs are open, or if it is open whether something lies within a solid.
     open_pairs : int
     """
-    # Addresses of NumPy arrays have another type; without this, everything would be compiled again.
+    # Addresses of NumPy arrays have another type; without this conversion, everything would be compiled again.
     asked = Asked(near, far, np.int64(memory), np.int64(listed_at), room)
     walk.left_of(asked.memory)[0] = steps
     return _settled(A, B, asked) if is_surface(A) else _settled(B, A, asked)
 
 
-# A call copies both records through memory (76 words), and the callee counts references again. This is therefore the
-# only call that every pair makes, and it begins by borrowing.
+# A call copies both records through memory (76 words), and the callee counts references again. Therefore, this is the
+# only call that every pair makes, and the callee begins by borrowing.
 @apart
 def _settled(A, B, asked):
     """As `surface_pair`, for a surface A."""

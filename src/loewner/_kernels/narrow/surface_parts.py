@@ -47,7 +47,7 @@ def parts_tier(a, i, Ta, ka, b, j, Tb, kb, margin):
     listed = _listed_at(memory.ctypes.data)
     found = OPEN
     for turn in range(2):
-        # First all pairs of inner ellipsoids, any of which may overlap; then the outer ones, all of which must be
+        # First try all pairs of inner ellipsoids, any of which may overlap; then the outer ones, all of which must be
         # apart.
         first_a, end_a = inner_a if turn == 0 else outer_a
         first_b, end_b = inner_b if turn == 0 else outer_b
@@ -78,7 +78,7 @@ def parts_tier(a, i, Ta, ka, b, j, Tb, kb, margin):
 
 @njit()
 def _none_within(A, B):
-    """Whether it is proven that of two pieces whose surfaces do not meet none lies within the other."""
+    """Whether two pieces whose surfaces do not meet are proven not to lie within each other."""
     memory, shift = np.empty(WALK // 8), shift_between(A, B)
     left_of(memory.ctypes.data)[0] = NO_LIMIT
     found = within_either(A, B, shift, lengths(A, B, shift), memory.ctypes.data)

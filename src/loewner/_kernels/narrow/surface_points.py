@@ -20,8 +20,8 @@ from loewner._kernels.trees.triangle_tree import BLOCK, LEAF, ROWS, WIDE, leaf_o
 # Where a point may lie, in order of increasing danger.
 OUTSIDE, UNKNOWN, WITHIN = 0, 1, 2
 
-# How much rays lean towards the two other axes, since a ray along an axis would meet many edges of typical meshes. The
-# six rays vary this by tenths, and both values stay positive.
+# Slopes of rays towards the two other axes, since a ray along an axis would meet many edges of typical meshes. Each of
+# six rays changes the slopes by a further tenth, and both stay positive.
 LEAN_I, LEAN_J = 0.07391, 0.61803
 
 
@@ -137,14 +137,14 @@ def _windings(a, q, i, j, k, backward, lean, size, memory):
         w0, w1, w2 = w0 * sign, w1 * sign, w2 * sign
         d0, d1, d2 = u0 * v1 - u1 * v0, u1 * v2 - u2 * v1, u2 * v0 - u0 * v2
         across = maximum(_largest(u0, u1, u2), _largest(v0, v1, v2))
-        # Error of a coordinate across the ray: the error of the point, and the lean's share of lengths along the ray.
+        # Error of a coordinate across the ray: the error of the point, and rounding of the lean times the length ahead.
         off = 2.0 * error + ahead * (4.0 * UNIT_ROUNDOFF)
         limit = across * (8.0 * off) + across * across * (8.0 * UNIT_ROUNDOFF)
         left = (d0 > limit) & (d1 > limit) & (d2 > limit)
         right = (d0 < -limit) & (d1 < -limit) & (d2 < -limit)
         beside = ((d0 > limit) | (d1 > limit) | (d2 > limit)) & ((d0 < -limit) | (d1 < -limit) | (d2 < -limit))
         behind = (w0 < -error) & (w1 < -error) & (w2 < -error)
-        # Where the ray's line meets the plane, times the area: the weighted sum of the distances.
+        # The place where the ray's line meets the plane, times the area, is the weighted sum of the distances.
         where = d0 * w2 + d1 * w0 + d2 * w1
         doubtful = (limit * ahead + across * across * error) * 8.0
         beyond = (left & (where < -doubtful)) | (right & (where > doubtful))
@@ -180,7 +180,7 @@ def _count(bits):
 def nearest_point(A, x, size, memory):
     """Distance of a point, in the world's axes from the translation of A, from surface A, and its nearest point."""
     a, R = surface_of(A), rotation_of(A)
-    # In A's axes, which may deviate by 1e-6; the triangles are already placed.
+    # Use A's axes, which may deviate from orthonormal ones by 1e-6; the triangles are already placed.
     single = singles((dot((R[0], R[3], R[6]), x), dot((R[1], R[4], R[7]), x), dot((R[2], R[5], R[8]), x)))
     slack = np.float32(1e-5 * size)
     lanes, placed = walk.lanes_of(memory), walk.placed_of(memory)

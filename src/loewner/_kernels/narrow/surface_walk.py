@@ -23,7 +23,7 @@ from loewner._kernels.trees.triangle_tree import BLOCK, LEAF, LEVELS, WIDE, size
 # Error of a coordinate of a placed corner, in roundoffs of the lengths involved.
 CORNER_ERROR = 16.0 * UNIT_ROUNDOFF  # certified.md B36, B42
 
-# Poses may stretch lengths by 1e-6, and bounds are squared and rounded; this share of a squared lower bound is valid.
+# Poses may stretch lengths by 1e-6, and bounds are squared and rounded; BELIEVED times a squared lower bound is valid.
 BELIEVED = 1.0 - 1e-5  # certified.md B41
 
 # Boxes are searched in the order of their squared lower bounds plus MIDDLES times the squared distance between
@@ -31,7 +31,7 @@ BELIEVED = 1.0 - 1e-5  # certified.md B41
 MIDDLES = 0.1
 
 STACK = 2 * LEVELS * WIDE  # entries, for two trees
-PLANES, PLANE = 4, 4  # planes that are kept, each a normal and an offset
+PLANES, PLANE = 4, 4  # number of planes that are kept; numbers of each: a normal and an offset
 PARTING = 14  # numbers that describe a plane between two surfaces at two poses, see `surface_swept`
 ORIGIN = (0.0, 0.0, 0.0)
 
@@ -41,7 +41,7 @@ _layout_of, _table_of, _points_of = TRIANGLE.accessors("layout table points")
 MEMORY = Arena(
     stack=integers(STACK, 2),  # boxes of both trees; one tree uses the first column
     placed=floats(3 * BLOCK),  # the corners of two leaves, one of them at two poses
-    vertices=floats(gjk_fast.ENTRIES), result=floats(9),  # of a search
+    vertices=floats(gjk_fast.ENTRIES), result=floats(9),  # memory of a search
     planes=floats(PLANES * PLANE), parting=floats(PLANES * PARTING),
     bounds=floats(STACK, 2),  # for each entry, a squared lower bound on the distance and the order of the search
     lanes=floats(2 * WIDE),
@@ -364,7 +364,7 @@ def unit(n):
 def keep_plane(B, shift, R, n, size, planes, k):
     """Keep as plane k, in the axes R of a surface's frame, a lower bound on the places of B along n."""
     length = np.sqrt(dot(n, n))
-    if not 0.0 < length < np.inf:  # a plane with nothing beyond it
+    if not 0.0 < length < np.inf:  # then write a plane with nothing beyond it
         planes[PLANE * k], planes[PLANE * k + 1], planes[PLANE * k + 2] = ORIGIN
         planes[PLANE * k + 3] = -np.inf
         return

@@ -15,8 +15,8 @@ from loewner._kernels.linalg3 import along, cross, dot, minus, scaled
 from loewner._kernels.simd.vectors import absolute, maximum, minimum, select
 from loewner._kernels.tolerances import UNIT_ROUNDOFF
 
-# Error of a determinant of three differences of corners: this many times the error of a corner times products of two
-# lengths, and this many roundoffs of the product of all three lengths. A length is a sum of coordinates.
+# A determinant of three differences of corners has two errors: CORNER_ERRORS times the error of a corner times products
+# of two lengths, and PRODUCT_ROUNDINGS times the product of all three lengths. A length is a sum of coordinates.
 CORNER_ERRORS = 8.0  # certified.md B37
 PRODUCT_ROUNDINGS = 16.0 * UNIT_ROUNDOFF  # certified.md B38
 _LEAST = 1e-290  # an upper bound on products that underflow

@@ -21,14 +21,14 @@ from loewner._kernels._jit import apart, inline, njit
 from loewner._kernels.columns import BLOCK, DEEPEST, GRID
 from loewner._kernels.tolerances import UNIT_ROUNDOFF
 
-LEAF = 32  # with this many vertices (four blocks), a cell is not divided further
+LEAF = 32  # a cell with at most LEAF vertices (four blocks) is not divided further
 
-# Division stops when leaves hold this many copies of a vertex on average; two or three are usual.
+# Division stops when the leaves hold MOST_COPIES copies of a vertex on average; two or three are usual.
 MOST_COPIES = 8
 
-# Amount by which another vertex must be farther, relative to the largest coordinate. Each of two products with a
-# direction whose entries are at most 1 has an error of 9u; rounding that moves a direction (by 4u in two entries) into
-# a neighbouring cell changes them by 16u.
+# Amount, relative to the largest coordinate, by which another vertex must be farther. Each of the two products with a
+# direction whose entries are at most 1 has an error of 9u; rounding that moves a direction into a neighbouring cell (by
+# 4u in two entries) changes them by 16u.
 CLEARANCE = 64.0 * UNIT_ROUNDOFF  # certified.md B18
 
 
@@ -58,7 +58,7 @@ def place(x, y, z):
     scale = 0.5 * GRID / abs(major)
     s = s * scale + 0.5 * GRID
     t = t * scale + 0.5 * GRID
-    # Written so that NaN leads to 0.
+    # This form turns NaN into 0.
     s = s if s > 0.0 else 0.0
     t = t if t > 0.0 else 0.0
     return face, np.int64(min(s, GRID - 1.0)), np.int64(min(t, GRID - 1.0))
@@ -153,7 +153,7 @@ def map_within(vertices, slack):
     This is for directions whose largest entry is 1.
     """
     count = len(vertices)
-    # Lists of vertices on the current path from the root, concatenated.
+    # The pool holds the lists of vertices on the current path from the root, one after the other.
     pool = np.empty((DEEPEST + 2) * count, np.int64)
     for v in range(count):
         pool[v] = v
@@ -164,8 +164,8 @@ def map_within(vertices, slack):
     used = 0
     nodes = np.empty(4 * count)
     made = 6
-    # One row for each level of the current path: node of the first child, children done, face, level, s, t of the first
-    # child, first entry of the parent's list and the index after its last one.
+    # Each level of the current path has a row: node of the first child, number of children done, face, level, s and t
+    # of the first child, first entry of the parent's list, and the index after its last entry.
     path = np.zeros((DEEPEST + 2, 8), np.int64)
     path[0, 7] = count
     depth = 0

@@ -7,7 +7,7 @@ from loewner._kernels.codes import LAST_ROW, NOT_FINITE, NOT_ORTHONORMAL, REFLEC
 from loewner._kernels.simd.vectors import ALL, LANES, absolute, gather_transpose, movemask
 from loewner._kernels.tolerances import ROTATION_TOLERANCE
 
-# Tolerances for checking eight poses at once, with rounding in another order. The certificate allows slightly more, so
+# Allowance for checking eight poses at once, which rounds in another order. The certificate allows slightly more, so
 # that every pose that fails also has a fault when it is checked alone; the search for faults allows slightly less, so
 # that it misses none.
 HAIR = 1e-9
@@ -69,7 +69,7 @@ is_rigid = _rigid(ROTATION_TOLERANCE * (1 + HAIR), np.finfo(np.float64).max)
 _is_surely_rigid = _rigid(ROTATION_TOLERANCE * (1 - HAIR), np.finfo(np.float64).max)
 
 # Allowance for rounding the entries to single precision and for multiplying them. A pose that passes is thus rigid,
-# except perhaps for a last row that rounds to (0, 0, 0, 1), which no certificate reads.
+# except perhaps for its last row: this row may round to (0, 0, 0, 1), but no certificate reads it.
 SINGLE_ROOM = 0.4 * ROTATION_TOLERANCE  # certified.md B20
 is_rigid_single = _rigid(ROTATION_TOLERANCE - SINGLE_ROOM, 1e30)
 

@@ -98,10 +98,10 @@ def _asking(prefetch):
     @inline
     def ask(layout, vertices, piece):
         """Prefetch the vertices of a small polytope in single precision."""
-        piece = np.uint64(piece)  # not from the end
+        piece = np.uint64(piece)  # unsigned, so that it cannot count from the end
         if layout[piece, KIND] == POLYTOPE:
             first, last = 3 * layout[piece, POINTS_FROM], 3 * layout[piece, POINTS_TO] - 1
-            # Three blocks without a branch, as in `support.extent`.
+            # Prefetch three blocks without a branch, as in `support.extent`.
             for line in range(FEW_LINES):
                 prefetch(vertices, min(first + line * SINGLES, last))
             for at in range(first + FEW_LINES * SINGLES, last, SINGLES):
@@ -130,13 +130,13 @@ def unit_support(kind, x, y, z):
         if length == 0.0:
             return 0.0, 0.0, np.copysign(1.0, z)
         return x / length, y / length, np.copysign(1.0, z)
-    if kind == CONE:  # the rim of its base and its apex compete: |xy| - z against z
+    if kind == CONE:  # compare the rim of its base with the apex: |xy| - z against z
         if length == 0.0:
             return 0.0, 0.0, np.copysign(1.0, z)
         if z > length - z:
             return 0.0, 0.0, 1.0
         return x / length, y / length, -1.0
-    return np.nan, np.nan, np.nan  # a kind without a branch above, about which nothing may be proven
+    return np.nan, np.nan, np.nan  # for a kind without a branch above, nothing may be proven
 
 
 @inline

@@ -45,13 +45,13 @@ from loewner._kernels.simd.vectors import (
 from loewner._kernels.tolerances import SHAPE_ROUNDINGS, UNIT_ROUNDOFF
 from loewner._kernels.trees import piece_tree
 
-QUEUED = 32  # piece pairs that are bounded one after the other
+QUEUED = 32  # piece pairs that are bounded together
 WALKED = 16  # piece pairs taken from the trees at a time, which limits the age of the distance bound
 
-BOUND_STEPS = 12  # Newton steps for the contact function of a single pair; must be even
+BOUND_STEPS = 12  # Newton steps for the contact function of a single pair; the number must be even
 POLISH_ROUNDS = 3  # rounds that tighten a bound, by Newton's method for the direction of the near points
 
-INNER_LANES = 0xF0  # rounds for a single pair's inner ellipsoids; its outer ones use the first four
+INNER_LANES = 0xF0  # lanes of a single pair's inner ellipsoids; its outer ones use the first four
 
 
 class Operands(NamedTuple):
@@ -259,10 +259,10 @@ def _place(count, inner, work):
 
 @njit()
 def _find_best(count, work):
-    """Find where the contact functions are greatest, all pairs side by side, for each step waits for the one before.
+    """Find where the contact functions are greatest, for all pairs side by side, since each step waits for the last.
 
-    Where two steps lead back to where they began, as they do when all that is left to change are the last bits, so do
-    all others: the rest is left out, and what comes out is the same to the bit.
+    If two steps lead back to their start, as they do when only the last bits change, all later steps do, too. They are
+    then left out, and the result is the same to the bit.
     """
     a, b, search = _a_of(work), _b_of(work), _search_of(work)
     for at in range(0, count, LANES):
@@ -357,12 +357,12 @@ def _first_upper_bounds(count, work):
         sigma_a, sigma_b = load(a.sigma, at), load(b.sigma, at)
         F, n = normal_at(P, Q, r, s)
         level, best, depth = nearness(P, Q, r, n, s, sigma_a, sigma_b, size)
-        # NaN: use the centers, which are points of the ellipsoids too.
+        # If the bound is NaN, use the centers, which are points of the ellipsoids, too.
         centers = sqrt(dot(r, r)) * (1.0 + 8.0 * UNIT_ROUNDOFF)
         best = select(best < np.inf, best, centers + SHAPE_ROUNDINGS * size)
         best = select(level <= 1.0, -maximum(depth, 0.0), best)
         store(queue.above, at, best)
-        # Effect of the rounding of P n and Q n on the levels, per length of n.
+        # How the rounding of P n and Q n affects the levels, per length of n.
         store(search.width_p, at, SHAPE_ROUNDINGS * trace(P) / sigma_a)
         store(search.width_q, at, SHAPE_ROUNDINGS * trace(Q) / sigma_b)
         _store_rows(search.n, at, n)

@@ -44,28 +44,28 @@ from loewner._kernels.simd.vectors import (
 from loewner._kernels.tolerances import POSITION_ROUNDINGS, UNIT_ROUNDOFF
 from loewner._kernels.trees import piece_tree
 
-SEED_ROUNDS = 3  # searches from one center for the nearest one of the other body, and back
+SEED_ROUNDS = 3  # searches from a center for the nearest center of the other body, and back
 
 POSE_ENTRIES = 16  # numbers of a pose
 
 AHEAD = 2  # lanes between the prefetch of a piece's vertices and their use
 
-# A distance is settled when its bounds are this close, relative to the lengths involved.
+# A distance is settled when its bounds differ by at most SETTLED times the lengths involved.
 SETTLED = 1e-9
 
 # Curved pieces other than ellipsoids and balls may have the same depth in every direction. The depth found is then
 # correct up to rounding, but the 1,500 points of the expanding polytope prove it only to 4e-4. Such a depth is
-# returned, since it belongs to a plane and two witnesses, and is never less than the true one.
+# returned, since it belongs to a plane and two witnesses, and is never less than the true depth.
 SETTLED_CURVED = 1e-3
 
 NEVER = -1.0  # a tolerance at which no distance is settled
 
-# Allowed difference between a depth and its witnesses, relative to the same lengths.
+# Allowed difference between a depth and its witnesses along the normal, relative to the lengths involved.
 WITNESSES = 1e-5
 
 SETTLED_DISTANCE, NOT_SETTLED = 0, 1
 
-LEFT_INTEGERS, LEFT_FLOATS = 6, 8  # columns of a `Left`
+LEFT_INTEGERS, LEFT_FLOATS = 6, 8  # columns of the arrays of a `Left`
 
 
 class Bounds(NamedTuple):
@@ -205,8 +205,8 @@ def _distance_with_care(A, B, shift, n, error, inside, work, result):
         shallow, deep = penetration(A, B, shift, CONTACT_ACCURACY, work, result)
     if deep != NO_VOLUME:
         if graze:
-            # An expanding polytope that does not contain the origin need not contain its foot in the nearest face
-            # either; GJK's points may be better.
+            # An expanding polytope that does not contain the origin need not contain the origin's foot in the nearest
+            # face either; GJK's points may be better.
             before = result.copy()
             missed = _miss(result, -deep)
             write_simplex(G, k, weights, d, result)
@@ -221,7 +221,7 @@ def _distance_with_care(A, B, shift, n, error, inside, work, result):
         write_simplex(G, k, weights, d, result)
         return upper, upper - lower
     if k == 4:
-        # Only possible by rounding: a flat simplex that seemed to contain the origin.
+        # This is only possible by rounding, when a flat simplex seemed to contain the origin.
         return -np.inf, np.inf
     nx, ny, nz = result[0], result[1], result[2]
     write_simplex(G, k, weights, d, result)
@@ -303,8 +303,8 @@ def _of_surfaces(A, B, lane, queue, known, searches):
     """Distance of a surface and another piece, if it is less than the `known` distance of their bodies."""
     ra, rb, size, above = radius(A), radius(B), queue.size[lane], queue.above[lane]
     limit = above if above < known else known
-    # The limit is slightly larger than the ellipsoids' bounds, because these are rounded, and because poses stretch
-    # them but not the radii.
+    # The limit is slightly larger than the ellipsoids' bounds, because these are rounded, and because poses stretch the
+    # bounds but not the radii.
     limit = max(limit, 0.0) * (1.0 + SETTLED) + SETTLED * size + swollen_radii(A, B)
     value, gap = surface_distance(
         A, B, _column(queue.normal, lane), limit, searches.faces, searches.edges, searches.surfaces, searches.result
@@ -344,7 +344,7 @@ def _of_cores(A, B, lane, queue, searches):
     ends = begin(A, B, shift, searches.vertices)
     status, below, above = measure(A, B, shift, searches.vertices, ends, n, error, -np.inf, np.inf, searches.result)
     ra, rb = radius(A), radius(B)
-    # Cores that inner ellipsoids prove to overlap are not apart: a distance that a search found between them was
+    # Cores that inner ellipsoids prove to overlap are not apart: if a search found a distance between them, it was
     # rounding.
     if status == NEAREST and not above - ra - rb <= queue.above[lane] + SETTLED * size:
         status = UNSETTLED
@@ -427,7 +427,7 @@ def _record(lane, queue, Ta, measured, result, exact):
     pairs = queue.pairs
     k, ka = pairs.pair[lane], pairs.pose_a[lane]
     value, gap, tolerance, ra, rb = measured
-    # The ellipsoids' own bound may be the better one. A value far below it is not valid, even within its own bounds.
+    # The ellipsoids' bound may be better. A value far below this bound is not valid, even if its own bounds agree.
     gap = min(gap, abs(value - queue.below[lane]))
     if not gap <= tolerance * queue.size[lane]:
         exact.status[k] = NOT_SETTLED
@@ -585,7 +585,7 @@ def distance_range(wanted, start, stop, plan, rows, pack_a, Ta, pack_b, Tb, memo
                     kept, left = _measure(wanted, count, operands, memory, kept, left, bounds, exact)
                     count = 0
     kept, left = _measure(wanted, count, operands, memory, kept, left, bounds, exact)
-    return left.pieces[:kept], left.values[:kept]  # not as a record, which Python would make by a slow call
+    return left.pieces[:kept], left.values[:kept]  # not as a record, which Python could only make by a slow call
 
 
 @njit()

@@ -41,36 +41,36 @@ from loewner._kernels.simd.trig import sine_cosine
 from loewner._kernels.tolerances import UNIT_ROUNDOFF
 from loewner._kernels.trees import piece_tree
 
-# Error of a placed point: from the rotation of its body, times its distance from the body's origin; and from the origin
-# itself, times the coordinates of its two ends.
+# A placed point has two errors: one from the rotation of its body, times its distance from the body's origin, and one
+# from the origin itself, times the coordinates of its start and its end.
 TURN_ROUNDINGS = 256.0 * UNIT_ROUNDOFF  # certified.md B58
 PLACE_ROUNDINGS = 16.0 * UNIT_ROUNDOFF  # certified.md B59
 
-# Stretching of paths by poses that are accepted as rigid, and the few dozen roundings in the computation of rates.
+# Allowance for poses accepted as rigid, which stretch paths, and for a few dozen roundings in rates.
 STRETCH = 1e-5  # certified.md B60
 UPWARD = 1.0 + STRETCH
 
-# A turn is rejected if the cosine of half its angle is below this: poses that may have passed through float32 do not
-# show which way is shorter.
+# A turn is rejected if the cosine of half its angle is below NEARLY_HALF_TURN: poses that may have passed through
+# float32 do not show which way is shorter.
 NEARLY_HALF_TURN = 1e-6
 
-ROUNDS = 256  # hulls need seven; only motions that graze within the tolerance need this number
+ROUNDS = 256  # hulls need seven rounds; only motions that graze within the tolerance need all of them
 
-# Steps assume this share of the curvature that the bounds allow. The optimum is flat: 0.3 and 0.6 take 2 % more rounds.
-# A step that is not proven is reduced to a share between these two, see `_reduced`.
+# Steps assume SHARE of the curvature that the bounds allow. The optimum is flat: 0.3 and 0.6 take 2 % more rounds. A
+# step that is not proven is multiplied by a factor from LEAST to REDUCED, see `_reduced`.
 SHARE, LEAST, REDUCED = 0.4, 0.3, 0.8
-REACHED = 0.5  # share of the widest step to go back from a plane that is not yet proven
+REACHED = 0.5  # fraction of the widest step by which to go back from a plane that is not yet proven
 
-# Shares of the tolerance: how far from contact the step before the last one ends, and how far apart the last two times
-# may be.
+# Fractions of the tolerance: how far from contact the last step but one ends, and how far apart the last two times may
+# be.
 BEFORE, LAST = 0.25, 0.9
 
-SURFACE_SHARE = 0.95  # share of the longest step that the speed of surfaces allows
-NEAR = 1e-9  # share of a surface's distance that is reserved for its rounding error until it is proven
+SURFACE_SHARE = 0.95  # fraction of the longest step that the speed of surfaces allows
+NEAR = 1e-9  # fraction of a surface's distance that is reserved for rounding until the distance is proven
 
-# Columns of a motion, one row for each body: the rotation at 0, split into a constant part, a part with the sine and a
-# part with the cosine; the origin at 0; its displacement; the angular velocity; the axis in the body's frame; the
-# angle; the coordinates.
+# Columns of a motion, one row for each body: the rotation at time 0, split into a constant part, a part with the sine
+# and a part with the cosine; the origin at time 0; its displacement; the angular velocity; the axis in the body's
+# frame; the angle; the coordinates.
 REST, SINE, COSINE, START, WAY, SPIN, AXIS, ANGLE, SIZE, MOTION = 0, 9, 18, 27, 30, 33, 36, 39, 40, 41
 
 FOUND = 64  # piece pairs taken from the trees at a time
@@ -127,7 +127,7 @@ def write_motion(first, last, poses, row, motion):
         return False
     axis, angle = (0.0, 0.0, 1.0), 0.0
     if sine > 0.0 and not same:
-        # The tangent of a quarter of the angle.
+        # Compute the tangent of a quarter of the angle.
         axis, angle = scaled(1.0 / sine, v), 4.0 * arc_tangent(sine, w + np.sqrt(sine * sine + w * w))
     # R exp(a [k]) = R k k' + sin(a) R [k] + cos(a) (R - R k k')
     k, Rk = axis, apply(R, axis)
@@ -245,7 +245,7 @@ def _look_at_surface(A, B, n, margin, far, memory):
         return verdict == COLLIDING, n, -np.inf, np.inf, n, n
     size, error = lengths(A, B, shift), rounding_error(A, B, shift)
     value, _ = surface_distance(A, B, n, 2.0 * size, faces_of(memory), edges_of(memory), work, result)
-    # The verdict for a slightly smaller distance proves it, or for a still smaller one if faces are parallel.
+    # The verdict for a slightly smaller distance proves it, or for one still smaller if faces are parallel.
     share, keep, verdict = NEAR, 0.0, AMBIGUOUS
     while verdict != FREE and share < 1.0:
         keep = min(value, 2.0 * size) * (1.0 - share) - 4.0 * error
@@ -361,11 +361,11 @@ def _between_pieces(A, B, horizon, margin, tolerance, memory):
     # The error of a rotation also stretches radii.
     far = margin + swollen_radii(A, B) * (1.0 + TURN_ROUNDINGS) + slack
     surface = is_surface(A) or is_surface(B)
-    if surface:  # nothing else proves it, see `_nearing_speed`
+    if surface:  # only this speed proves steps of surfaces, see `_nearing_speed`
         speed = _nearing_speed(A, way_a, B, way_b)
     t, at, hit, turning = 0.0, 0.0, np.inf, 0.0
     gap, above, nearing, normal = np.inf, np.inf, 0.0, (0.0, 0.0, 0.0)
-    # The last plane that was not proven from t; it often is proven from a time in between.
+    # The last plane that was not proven from t; it is often proven from a time in between.
     later, later_gap, later_above, later_nearing, later_normal = np.inf, 0.0, np.inf, 0.0, normal
     _place(motions, 0.0, poses)
     n = minus(plus(shift_between(A, B), _middle(B)), _middle(A))
@@ -409,7 +409,7 @@ def _between_pieces(A, B, horizon, margin, tolerance, memory):
         # Even at full speed, the gap takes some time to close.
         if (hit - t) * speed - gap <= tolerance:
             return COLLIDING, min(t + gap / speed, hit), hit, r
-        if horizon < 1.0 and (horizon - t) * speed <= tolerance:  # so these two are then within the tolerance
+        if horizon < 1.0 and (horizon - t) * speed <= tolerance:  # t is within the tolerance of the known contact
             return FREE, min(t + gap / speed, horizon), np.inf, r
         if proven:
             w = _root(gap, nearing, SHARE * (bend + 2.0 * turning * speed))
@@ -418,8 +418,8 @@ def _between_pieces(A, B, horizon, margin, tolerance, memory):
             if nearing > 0.0:
                 due, before = gap / nearing, BEFORE * tolerance / speed
                 last = (LAST * tolerance + gap) / speed
-                # Go beyond the expected contact, but no farther than its distance: a search that cannot settle such a
-                # shallow contact settles one nearer to touching.
+                # Go beyond the expected contact, but at most as far again: a search that cannot settle such a shallow
+                # contact settles one nearer to touching.
                 w = min(0.5 * (due + last), 2.0 * due) if due + before <= last else min(w, due - before)
         else:
             w = _reduced(w, gap, nearing, low, curve) if curve > 0.0 else 0.5 * w
@@ -451,7 +451,7 @@ def _between_bodies(a, ia, b, ib, margin, tolerance, memory):
         far_b = max(far_b, b.table[j, REACH])
     speed, _ = rates_between(motions[0], far_a, motions[1], far_b)
     slack = TURN_ROUNDINGS * (far_a + far_b) + PLACE_ROUNDINGS * (motions[0, SIZE] + motions[1, SIZE])
-    # Pieces that may meet are near each other half-way through.
+    # Pieces that may meet are near each other halfway through the motion.
     _place(motions, 0.5, poses)
     piece_tree.begin(a, ia, poses, 0, b, ib, poses, 1, steps, numbers)
     verdict, free, touching, horizon, rounds = FREE, np.inf, np.inf, 1.0, 0

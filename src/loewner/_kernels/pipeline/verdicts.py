@@ -55,8 +55,8 @@ from loewner._kernels.pipeline.workspace import (
 from loewner._kernels.simd.vectors import SINGLE_LANES, prefetch
 from loewner._kernels.trees import piece_tree
 
-# Hints from one block to the next, and flags of `_flush`: most pairs are far apart; or single precision could not
-# settle most pairs.
+# Hints from one block to the next, and flags of `_flush`: FAR if most pairs are far apart, and CLOSE if single
+# precision could not settle most pairs.
 FAR, CLOSE = 1, 2
 
 # Further flags of `_flush`.
@@ -155,7 +155,7 @@ def _put_aside(count, listed, tier, waiting, unsure):
 def _improved(query, count, work):
     """Certify UNSURE lanes again, at the maximum of the contact function; return False for a faulty pose."""
     a, b = pieces_of(query.a), pieces_of(query.b)
-    again = ahead_of(work)  # these have been prefetched by now
+    again = ahead_of(work)  # the pairs listed there have been prefetched by now
     unsure = _put_aside(count, listed_of(work), tier_of(work), 0, again)
     fill(again, unsure)
     tiers = np.empty(BLOCK, np.int8)
@@ -332,7 +332,7 @@ def _flush(query, flags, count, work, out, tally):
                     a, listed.piece_a[lane], Ta, listed.pose_a[lane], b, listed.piece_b[lane], Tb, listed.pose_b[lane],
                     query.margin,
                 )  # fmt: skip
-    # Without branches, since the result of the next pair is unpredictable.
+    # Avoid branches, since the result of the next pair is unpredictable.
     far, outer, inner, left = total - count, 0, 0, 0
     for lane in range(count):
         far += tier[lane] == BY_SPHERE
@@ -372,7 +372,7 @@ def _flush(query, flags, count, work, out, tally):
 def _hold(a, b, count, turn, work):
     """Copy the OPEN pairs, with their normals, to one half of the list of held pairs; return their number."""
     listed, tier, held, at, way = listed_of(work), tier_of(work), held_of(work), turn * BLOCK, turn * (3 * BLOCK)
-    # First find their places: few are open, and each takes much copying.
+    # First find where the open pairs are: few pairs are open, but each takes much copying.
     open_pairs = 0
     for lane in range(count):
         held.pair[np.uint64(at + open_pairs)] = lane
@@ -470,7 +470,7 @@ def settle_range(mode, margin, start, stop, plan, rows, pack_a, Ta, pack_b, Tb, 
     a, b = pieces_of(pack_a), pieces_of(pack_b)
     shape, body_a, pose_a, body_b, pose_b = plan[0], plan[1], plan[2], plan[3], plan[4]
     if len(a.piece_start) == len(a.layout) + 1 and len(b.piece_start) == len(b.layout) + 1:
-        # One piece per body: there is nothing to look up.
+        # With one piece per body, there is nothing to look up.
         listed, ahead, carried = listed_of(work), ahead_of(work), carried_of(work)
         last = shape.shape[0] - 1
         step = body_a[last], body_b[last], pose_a[last], pose_b[last]
@@ -500,7 +500,7 @@ def settle_range(mode, margin, start, stop, plan, rows, pack_a, Ta, pack_b, Tb, 
                 return False
             waiting = carried[N_UNSURE]
             if waiting >= ENOUGH or (waiting > 0 and k == stop):
-                # They replace the block this time; their results do not predict the later ones.
+                # The waiting pairs replace the block this time; their results do not predict those for later blocks.
                 carried[N_UNSURE] = 0
                 for lane in range(waiting):
                     pair_list.copy(listed, lane, unsure_of(work), lane)

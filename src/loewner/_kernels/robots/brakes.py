@@ -10,15 +10,15 @@ import numpy as np
 from loewner._kernels._jit import inline, njit
 from loewner._kernels.tolerances import UNIT_ROUNDOFF
 
-# Times closer together than this share of a brake's duration become one, since rounding would affect such a short
+# Times closer together than NEAR times a brake's duration are merged, since rounding would affect such a short
 # piece.
 NEAR = 1e-9
 
 # Steps of Newton's method, or of bisection, for the time at which a distance is covered.
 STEPS = 64
 
-# Allowed error of the deviation between a brake and one course for the whole of it, as a share of the values.
-WHOLE_ROUNDINGS = 128.0 * UNIT_ROUNDOFF  # certified.md, "Gates", derives 63 of them
+# Allowed error, relative to the values, of the deviation between a brake and a single course for all of it.
+WHOLE_ROUNDINGS = 128.0 * UNIT_ROUNDOFF  # certified.md, "Gates", derives 63 roundings
 
 
 @inline
@@ -90,7 +90,7 @@ def _distinct(times, count):
         times[m] = t
     kept, near = 1, NEAR * times[count - 1]
     for k in range(1, count):
-        # A joint that comes to rest at once has its own piece, however short; on a longer piece, it would move.
+        # A joint that comes to rest at once gets its own piece, however short; on a longer piece, it would move.
         if times[k] - times[kept - 1] > near or (kept == 1 and times[k] > 0.0):
             kept += 1
         if kept > 1:

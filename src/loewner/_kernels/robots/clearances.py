@@ -60,13 +60,13 @@ FAR = 40.0
 # more than rounding needs.
 CAREFUL = 1e-9
 
-RUN = 1024  # pairs of pieces
+RUN = 1024  # pairs of pieces in a run
 
 _ROW = 10  # numbers of an ellipsoid: center, shape matrix, lengths from which they are computed
-_BODY = 7  # of a body: middle of its ellipsoids' centers, their distance from it, largest and smallest semi-axis, reach
-_MIDDLE = 4  # vectors of a body: this middle in the world, and lengths
+_BODY = 7  # numbers of a body: middle of its ellipsoids' centers, their distance from it, extreme semi-axes, reach
+_MIDDLE = 4  # vectors of a body: the same middle in the world, and lengths
 _ENTRY = 2  # vectors of a pair of pieces in a run: gap, and the s at the maximum of F
-_WHICH = 4  # bodies and pieces
+_WHICH = 4  # integers of a pair: bodies and pieces
 _LEAST, _SUM, _TOTALS = 0, LANES, 2 * LANES
 
 
@@ -198,7 +198,7 @@ def _stand(pack, problem_handle, memory, dof):
 def _place_links(problem, to, Q, first, last):
     """Compute the poses of the links at the configurations first .. last, at most eight."""
     for lane in range(LANES):
-        to.rows[lane] = min(first + lane, last)  # padded with repeats of the last one
+        to.rows[lane] = min(first + lane, last)  # padded with repeats of the last configuration
     place_links(problem.tree, Q, to.rows, 0, to.links)
 
 
@@ -339,7 +339,7 @@ def clearances(gradient, softness, start, stop, Q, pack, problem_handle, memory,
                 continue
             for i in range(piece_start[one], piece_start[one + 1]):
                 for j in range(piece_start[other], piece_start[other + 1]):
-                    # A run ends after this many pairs, excluded or not, because the exclusion depends on the other
+                    # A run ends after RUN pairs, excluded or not, because which pairs are excluded depends on the other
                     # configurations.
                     if passed // RUN > run:
                         _sum_up(count, gradient, softness, pack, problem_handle, memory, dof)

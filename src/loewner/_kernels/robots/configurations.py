@@ -68,13 +68,13 @@ WAITING = 512  # piece pairs that may wait for the exact search
 
 GROUPS = MOST // SINGLE_LANES  # groups of sixteen configurations in a block
 
-# Pairs of bodies that are culled together. Small batches start with a smaller group: its pairs usually collide, and the
-# rest is then skipped.
+# Numbers of pairs of bodies that are culled together. Small batches start with a group of FIRST pairs: these usually
+# collide, and the rest is then skipped.
 TOGETHER, FIRST = 64, 4
 
 
 MEMORY = Arena(
-    listed=pair_list.arena(BLOCK),  # for the certificate: `pair` is MOST p + s; other rows are from the placement
+    listed=pair_list.arena(BLOCK),  # for the certificate: `pair` is MOST p + s, other rows are rows of the placement
     pieces_a=integers(BLOCK),  # rows of the listed pieces in the packed pieces
     pieces_b=integers(BLOCK),
     found_a=integers(BLOCK),  # pieces from trees
@@ -84,7 +84,7 @@ MEMORY = Arena(
     waiting=pair_list.arena(WAITING),  # pairs that wait for the exact search, by their rows in the packed pieces
     directions=floats(WAITING, 3),  # normals of the waiting pairs
     live=integers(GROUPS),  # configurations that may still be free, as bits
-    verdicts=small_integers(MOST),  # of the configurations
+    verdicts=small_integers(MOST),  # verdicts of the configurations
     tiers=small_integers(MOST),  # tiers that settled them
     steps=integers(piece_tree.STEPS),
     numbers=floats(piece_tree.NUMBERS),
@@ -216,7 +216,7 @@ def _search(query, held):
         margin, shift = margins[p], shift_between(A, B)
         widest = max(abs(shift[0]), abs(shift[1]), abs(shift[2]))
         if widest - rounding_error(A, B, shift) > reach(A) + reach(B) + margin:
-            # far beyond the range of single precision, where the squares of the search overflow
+            # The pieces are apart. Beyond the range of single precision, the squares in the search would overflow.
             tiers[s] = max(tiers[s], BY_OUTER)
             continue
         verdict, tier, _ = exact_piece_pair(
@@ -267,7 +267,7 @@ def _certify(query, keep, count, held):
         if not certificate.certify_best(
             count, keep, pieces.hot, poses, True, pieces.hot, poses, True, listed, tier, normals
         ):
-            tier[:count] = OPEN  # overflow made the pose of a link non-rigid: nothing is proven about it
+            tier[:count] = OPEN  # an overflow made the pose of a link non-rigid: nothing is proven about it
     refined = query.mode == CERTIFY and has_parts(pieces)
     for lane in range(count):
         code = listed.pair[lane]
@@ -395,7 +395,7 @@ def _settle_block(query, Q, first, last, S):
     moving, moving_pieces, live = counts.moving, counts.moving_pieces, _live_of(work)
     codes, masks = _codes_of(work), _masks_of(work)
     verdicts = _verdicts_of(work)
-    # If there are few configurations, the bodies of the first pairs are placed, and these pairs are settled first.
+    # If there are few configurations, first place the bodies of the first pairs, and settle these pairs.
     few, alone = last - first < LANES, last == first
     if few:
         place_joints(problem, Q, first, last, placement)

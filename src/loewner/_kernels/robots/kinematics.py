@@ -226,7 +226,7 @@ def link_poses(parent, kind, column, multiplier, offset, constants, Q, start, st
     zero, one = broadcast(0.0), broadcast(1.0)
     for first in range(start, stop, LANES):
         for lane in range(LANES):
-            rows[lane] = min(first + lane, last)  # the last block is padded with repeats
+            rows[lane] = min(first + lane, last)  # pad the last block with repeats
         place_links(tree, Q, rows, 0, W)
         for link in range(links):
             R, t = rotation_of_link(W, link), translation_of_link(W, link)

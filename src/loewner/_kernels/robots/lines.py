@@ -51,25 +51,25 @@ from loewner._kernels.simd.vectors import (
 )
 from loewner._kernels.tolerances import UNIT_ROUNDOFF
 
-# Rounding error of a computed deviation, for each joint, times the lengths and times one plus the squares of the turns.
+# Rounding error of a computed deviation, per joint, in units of the lengths times one plus the squares of the turns.
 LINE_ROUNDINGS = 256.0 * UNIT_ROUNDOFF  # certified.md B55
 
-SPARE = 1e-9  # relative; covers the rounding of third derivatives and of lengths, docs/certified.md
+SPARE = 1e-9  # relative allowance for the rounding of third derivatives and of lengths, see docs/certified.md
 
-MIDDLE = 0.125  # largest value of s (1 - s) / 2: a curve's distance from its chord over its second derivative
+MIDDLE = 0.125  # largest value of s (1 - s) / 2: bounds a curve's distance from its chord over its second derivative
 
-# Newton steps towards a configuration; a good guess needs three.
+# Largest number of Newton steps towards a configuration; a good guess needs three.
 STEPS = 32
 
-# An axis counts as brought back if it is within the tolerance, increased by this share.
+# An axis counts as brought back if it is within 1 + NEARLY times the tolerance.
 NEARLY = 0.01
 
-# Share of the tolerance that the next motions may use, and the limits on the factors by which they become longer or
+# Fraction of the tolerance that the next motions may use, and limits on the factors by which motions become longer or
 # shorter.
 SHARE, GROWTH, SHRINKING = 0.85, 4.0, 64.0
 
-# The shortest motion, as a fraction of the line, and the longest line [m], on which such motions are at most 0.15 m
-# long.
+# The shortest motion, as a fraction of the line; and the longest line [m], on which the shortest motions are at most
+# 0.15 m long.
 LEAST_MOTION, LONGEST = 2.0**-16, 1e4
 
 # The largest angle of a line [rad]: at half a turn, rounding would decide which way around is shorter.
@@ -97,8 +97,8 @@ class Wanted(NamedTuple):
     position: Any
     rotation: Any
     cosine: Any
-    axis: Any  # of the link
-    direction: Any  # in the world
+    axis: Any  # axis of the link
+    direction: Any  # direction in the world
 
 
 class Moved(NamedTuple):
@@ -106,7 +106,7 @@ class Moved(NamedTuple):
 
     t: Any
     turn: Any  # angular velocity
-    bend: Any  # and its derivative
+    bend: Any  # derivative of the angular velocity
     pull: Any  # second derivative of the position
     third: Any  # bound on the third derivative of the position over the whole motion
     angle: Any  # sum of the turns of all joints
@@ -406,7 +406,7 @@ def follow_line(chain, constants, ranges, start, target, wanted):
     q, middle, d, still = (
         np.empty(values * LANES), np.empty(values * LANES), np.empty(values * LANES), np.zeros(values * LANES)
     )  # fmt: skip
-    # Fractions and gaps of nine configurations.
+    # Fractions and gaps at nine configurations.
     u, off, turned, cosines = np.zeros(LANES + 1), np.zeros(LANES + 1), np.zeros(LANES + 1), np.zeros(LANES + 1)
     bounds, rows = np.empty(3 * LANES), np.empty((64, 2 + values))
     need = Wanted(

@@ -28,13 +28,13 @@ JOINT_ROUNDINGS = 128.0 * UNIT_ROUNDOFF  # certified.md B24
 # Error of a computed joint value, in units of the course's degree times its largest control point.
 VALUE_ROUNDINGS = 16.0 * UNIT_ROUNDOFF  # certified.md B25
 
-# Error of the control points of a part of a course, in the same units.
+# Error of the control points of a part of a course, in the same units as the error of a joint value.
 PART_ROUNDINGS = 8.0 * UNIT_ROUNDOFF  # certified.md B50
 
-# Effect of an angle on the entries of a rotation, in the Frobenius norm.
+# Factor from an angle to its effect on the entries of a rotation, in the Frobenius norm.
 TURN = 1.5  # certified.md B26
 
-# Angle error [rad] of an interpolated quaternion: from rounding, and in units of the ends' deviation from norm 1.
+# Angle errors [rad] of an interpolated quaternion: from rounding, and per unit of the ends' deviation from norm 1.
 SLERP_ROUNDINGS = 256.0 * UNIT_ROUNDOFF  # certified.md B27
 NORM_SHARE = 16.0  # certified.md B28
 
@@ -43,9 +43,9 @@ UPWARD = 1.0 + STRETCH
 SMALLEST_TURN = 1e-15  # rad; larger than the error of the angle between two equal quaternions
 
 
-# All control points of a quaternion must extend this far along the first one, as a share of their largest norm;
-# otherwise the orientation might turn arbitrarily fast. Any two points of such a course extend this far along each
-# other, so its parts satisfy the condition as well.
+# All control points of a quaternion must extend along the first one by at least LEAST_NORM times their largest norm;
+# otherwise the orientation might turn arbitrarily fast. Any two points of such a course extend along each other, which
+# is the condition on its parts.
 LEAST_NORM = 0.75
 
 

@@ -14,8 +14,8 @@ from loewner._kernels.robots.kinematics import quaternion_of
 from loewner._kernels.simd.trig import sine_of
 from loewner._kernels.simd.vectors import LANES, load, rounded_product, select, sqrt, store
 
-SMALL_ANGLE = 1e-6  # rad; below this angle, the chord equals the arc
-SMALL_COSINE = 1.0 - 4e-13  # of an angle that is certainly below it
+SMALL_ANGLE = 1e-6  # rad; for smaller angles, the chord equals the arc
+SMALL_COSINE = 1.0 - 4e-13  # cosine of an angle that is certainly below SMALL_ANGLE
 SMALLEST_SINE = 1e-12
 
 

@@ -90,49 +90,49 @@ from loewner._kernels.tolerances import UNIT_ROUNDOFF
 from loewner._kernels.trees.boxes import LEVELS
 from loewner._kernels.trees.piece_tree import open_group, reach_of
 
-# How far points may deviate from their chords [m] in the first intervals; a choice.
+# Largest deviation [m] of points from their chords in the first intervals. This is a choice, not a bound.
 FIRST_OFF = 0.02
 MOST_BLOCKS = MOST_INTERVALS // 7
 
-# Slightly more than the distance at which `collide` may report contact, so no configuration of a free motion is
-# reported.
+# Slightly more than the distance at which `collide` may report contact, so that it reports no configuration of a free
+# motion.
 CLEAR_ROUNDINGS = TOUCH_ROUNDINGS + 64.0  # certified.md B32
 
-# An interval that fails is AMBIGUOUS once its points move by less than this share of the tolerance; the rest is left
-# for the convergence of the search.
+# An interval that fails is AMBIGUOUS once its points move by less than DECIDED times the tolerance; the rest of the
+# tolerance is left for the convergence of the search.
 DECIDED = 0.5
 
-# If joints may stray, an interval is settled once its points move by less than this share of V(δ).
+# If joints may stray, an interval is settled once its points move by less than SETTLED_STRAY times V(δ).
 SETTLED_STRAY = 0.125
 
-# Strays that move no point by more than this share of the tolerance count as rounding, such as the strays of bodies
-# that follow a motion.
+# Strays that move no point by more than ROUNDED_STRAY times the tolerance count as rounding, such as the strays of
+# bodies that follow a motion.
 ROUNDED_STRAY = 1e-3
 
 # Capacity for unproven intervals of a block that are waiting to be halved. If there are more, they are halved at once.
 WAITING = 256
 
-# Capacity for piece pairs of a block that are waiting to be searched, and numbers of such a pair; some scalars come
+# Capacity for piece pairs of a block that are waiting to be searched, and how many numbers each pair has, scalars
 # first.
 LISTED = 128
 LISTED_WAYS = 6 * LANES
 _NORMALS = LANES
 
-# Pairs of surfaces of a block whose answers are kept for their other parts: number of places, and numbers of such a
-# pair.
+# Number of pairs of surfaces in a block whose answers are kept for their other parts, and how many integers each pair
+# has.
 ANSWERS, ANSWER = 64, 5
 
-# Pairs that are tested before the bounds for whole blocks are compared; planners put the pairs that collide often
-# there.
+# Number of pairs that are tested before the bounds for whole blocks are compared; planners put the pairs that collide
+# often there.
 FIRST_PAIRS = 4
 
-# If the ellipsoids of two pieces are nearer to each other than this share of the distance at which they touch, the
-# pieces are tested at once at their nearest configuration: most of them collide.
+# If the ellipsoids of two pieces are nearer to each other than DEEP times the distance at which they touch, the pieces
+# are tested at once at their nearest configuration, since most such pieces collide.
 DEEP = 0.7
 
 PARTS = 8  # parts into which an interval is cut at once
 
-# Factor by which the work for triangles may grow after one cut, after two cuts, or when nothing is left to cut.
+# Factors by which the work for triangles may grow: MORE after one cut, MOST_MORE after two or if no cut is left.
 MORE, MOST_MORE = 8, 64
 
 # A cut divides a width by eight, and fractions of 1 have 53 bits, so after seventeen cuts there is no number between
@@ -142,10 +142,10 @@ STACK = 4 * DEPTH  # a halved interval leaves one part waiting, three times for 
 
 _POSES = 2 * (PARTS + 1)
 
-# Entries of a tally: placed configurations, searches, and remaining steps. The first two count as steps. In a block,
-# these count too: each moving body, each group of static bodies, and each pair of bodies that comes near; each piece
-# that is placed; each pair of pieces, and each group of boxes over pieces; and the boxes, triangles and points met by
-# walks through surfaces.
+# Entries of a tally: placed configurations, searches, and remaining steps. Each placed configuration and each search is
+# a step. In a block, so is each moving body, each group of static bodies, and each pair of bodies that comes near; each
+# placed piece, each pair of pieces, and each group of boxes over pieces; and each box, triangle and point that walks
+# through surfaces meet.
 POSES, SEARCHES, STEPS_LEFT = 0, 1, 2
 
 
@@ -217,7 +217,7 @@ _LINK_ENTRIES = link_entries(LINKS, DOF)
 _RATES = Arena(Rates, **{name: floats(LINKS) for name in Rates._fields})
 
 MEMORY = Arena(
-    times=floats(LANES),  # of the block
+    times=floats(LANES),  # times of the block
     scratch=floats(PIECE),  # a piece relative to another body
     box=floats(6),  # numbers of a piece in a block, in the frame of another body
     tree_stack=integers(LEVELS * WIDE),  # groups of a tree over pieces, and pieces, that remain to be compared
@@ -253,7 +253,7 @@ MEMORY = Arena(
     order=integers(PAIRS),  # order of the pairs
     off=floats(DOF),  # allowed deviations of the values from the motion
     strays=_RATES,  # the resulting deviations of joints
-    growth=floats(MOVING + STANDING, 2),  # how far points of bodies may be off at the start [m], and its growth
+    growth=floats(MOVING + STANDING, 2),  # how far points of bodies may be off at the start [m], and how this grows
     most_growth=floats(3),  # likewise for all static bodies, then whether any body may be off
 )  # fmt: skip
 _times_of, _scratch_of, _relative_of, _waiting_of, _waiting_normals_of = MEMORY.accessors(
@@ -384,12 +384,12 @@ def _triangles_apart(
     """
     pieces, i, j, to = pieces_of(motion.pack), near.i, near.j, _relative_of(motion)
     bend, speed, stands = near.bend, near.speed, problem_of(motion.problem).pairs[near.pair, 1] >= motion.counts.moving
-    if pieces.layout[j, KIND] > SURFACE:  # in the frame of the surface
+    if pieces.layout[j, KIND] > SURFACE:  # work in the frame of the surface
         if pieces.layout[i, KIND] > SURFACE:
             return False
         i, j, bend, speed, stands = j, i, back.bend, back.speed, False
         poses, first, last, still, fixed_first, fixed_last = still, fixed_first, fixed_last, poses, first, last
-    if not stands:  # the frame of a static body may not be orthonormal
+    if not stands:  # the frame of a static body might not be orthonormal
         _relative(still, fixed_first, poses, first, to, 1)
         _relative(still, fixed_last, poses, last, to, 2)
         poses, first, last, still, fixed_first = to, 1, 2, to, 0
@@ -1270,13 +1270,13 @@ def _settle_pairs(motion, low, widest, found, tally):
             slack += CLEAR_ROUNDINGS * position_error(tables.sizes[k], UNIT_ROUNDOFF)
             live = near_standing(problem, one, k, margin + slack + bend * widest * widest / 8.0, swept)
         else:
-            # First relative to the world, with each body on its own path; this is cheap and leaves few pairs.
+            # First compare in the world, with each body on its own path; this is cheap and leaves few pairs.
             bend, stray = ways[one, 0] + ways[other, 0], stray + ways[other, 2]
             live = near_in_world(problem, one, other, margin + slack + stray + bend * widest * widest / 8.0, swept)
             if live == 0:
                 continue
             if motion.strays:
-                # Both bound how far the two can approach each other.
+                # Both values bound how far the two bodies can approach each other.
                 stray = min(stray, _stray(motion, one, problem.link[one], problem.link[other]))
                 slack += stray
             seen = _ways(motion, False, one, problem.link[one], problem.link[other])
@@ -1313,7 +1313,7 @@ def _certify(motion, tally):
         motion.as_given, motion.points, motion.counts, motion.work,
     )  # fmt: skip
     if not rounding < np.inf:
-        return Found(TOO_LONG, np.nan, -1)  # an orientation that may turn arbitrarily fast
+        return Found(TOO_LONG, np.nan, -1)  # an orientation may turn arbitrarily fast
     for body in range(motion.counts.moving):
         link = problem.link[body]
         _ways_of(motion)[body, 2] = _stray(motion, body, link, -1) if motion.strays else 0.0
@@ -1324,7 +1324,7 @@ def _certify(motion, tally):
             return Found(TOO_LONG, np.nan, -1)
     found = Found(FREE, np.nan, -1)
     for number in range(blocks):
-        # The order is: the first, the middle one, then the ones in between (their numbers with reversed bits).
+        # Take the first block, then the middle one, then the others in the order of their numbers with reversed bits.
         block, bit, rest = 0, blocks // 2, number
         while rest != 0:
             block += bit * (rest & 1)

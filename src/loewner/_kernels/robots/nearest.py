@@ -55,12 +55,12 @@ from loewner._kernels.trees import piece_tree
 
 S = SINGLE_LANES  # configurations of a block
 
-# Loss of a lower bound in single precision to its roundings.
+# Factor that lowers a lower bound in single precision by more than its roundings.
 DOWN = 1.0 - 16.0 * SINGLE_ROUNDOFF  # certified.md B43
 
 MEMORY = Arena(
     distances=distances.MEMORY,
-    bodies=integers(QUEUED),  # the pair of bodies that each queued piece pair belongs to
+    bodies=integers(QUEUED),  # the pair of bodies of each queued piece pair
     seeds=floats(S),  # the apparently nearest pair at each configuration
     low=floats(S),
     high=floats(S),

@@ -164,7 +164,7 @@ def _write_one(hot, p, found, S, at, to):
 def place_joints(problem, Q, first, last, to):
     """Compute the links' poses at the configurations first .. last, at most eight, for `place_body`."""
     for lane in range(LANES):
-        to.numbers[lane] = min(first + lane, last)  # padded with repeats of the last one
+        to.numbers[lane] = min(first + lane, last)  # padded with repeats of the last configuration
     place_links(problem.tree, Q, to.numbers, 0, to.links)
 
 
@@ -178,7 +178,7 @@ def _place_pieces(pieces, ball, body, R, t, S, at, to, write):
     center, half = found.outer, _half_widths(found)
     wide = (OFF * found.length + LEAST) + ball[body, 3] * UP
     if piece_start[body + 1] - p > 1:
-        # A box around the ball's center: it contains the boxes of the pieces if there are few, and the ball otherwise.
+        # This box around the ball's center contains the boxes of the pieces if there are few, and the ball otherwise.
         center = plus(apply(R, (ball[body, 0], ball[body, 1], ball[body, 2])), t)
         length = (absolute(t[0]) + absolute(t[1]) + absolute(t[2]) + ball[body, 4]) * UP
         wide = wide + OFF * length

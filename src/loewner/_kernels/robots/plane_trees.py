@@ -33,7 +33,7 @@ HALF, INSIDE = 3, 6
 LINK, PLACED_BY, ROOT = 0, 1, 2
 
 # Columns of joints: how they move, the length of the axis along which they slide, rotation, translation and unit axis.
-# Then integer columns: the link above, and the number of links above. Then the speeds on a motion.
+# Integer columns: the link above, and the number of links above. The columns of speeds on a motion come last.
 TURNS = 1.0
 MOVES, LENGTH, TURN, SHIFT, AXIS = 0, 1, 2, 11, 14
 ABOVE, DEPTH = 0, 1
@@ -42,22 +42,22 @@ RATE, BEND, OFF, FAR = 0, 1, 2, 3
 # Tokens of the trees.
 HALVED, FIRST_DIVIDED, SECOND_DIVIDED, SAME, AXES, NORMAL, DOUBLES = 0, 1, 2, 3, 4, 16, 18
 
-# Trees are no deeper than this, so that intervals have few digits; checkers allow 64.
+# Largest depth of a tree, which keeps the digits of intervals few; checkers allow 64 levels.
 DEEPEST = 40
 
-# Room for checkers that compute with enclosures, as a share of the lengths on the right-hand side.
+# Factor on the lengths of the right-hand side, as room for checkers that compute with enclosures.
 SHARE = 1.0 + 2e-9
 
 # The entries of a normal are rounded to integers of at most LARGEST. Rounding turns the normal, so SCALES scales are
-# tried, and the best one is kept. On levels from DEEP on, and for bodies that do not move, normals in doubles are also
-# tried without rounding.
+# tried, and the best one is kept. On level DEEP and below it, and for bodies that do not move, normals in doubles are
+# also tried without rounding.
 LARGEST, SCALES, DEEP = 32767.0, 3, 10
 
-# Boxes are compared first, and must be apart by this share of the model's size, because poses may bend slightly.
+# Boxes are compared first. They must be apart by BOX_ROOM times the model's size, since poses may bend slightly.
 BOX_ROOM = 4e-6
 
-# A search ends at gaps that exceed the need by this share of the model's size, so that rounded normals still have a
-# gap.
+# A search ends once gaps exceed the required ones by ROUNDED times the model's size, so that a gap remains for a
+# rounded normal.
 ROUNDED = 4e-5
 
 # How many of the best axes are tried after the boxes.
@@ -70,8 +70,8 @@ LEVELS = 6
 KEPT = 1 << LEVELS
 SLOTS = KEPT + 1 + DEEPEST
 
-# Columns of `state`: for each pair, the last normal that a search found, after its side, and the last plane named,
-# after its token; then, likewise, the normals that are given. GJK finds no normal for pieces that touch or overlap.
+# For each pair, `state` has the side and the last normal that a search found, and the token and the last plane named;
+# then the sides and the normals that are given. GJK finds no normal for pieces that touch or overlap.
 RECENT, NAMED, GIVEN, EACH = 0, 4, 8, 4
 
 
@@ -536,7 +536,7 @@ def _search(model, pair, clusters, sides, need, limits, deep, state, spare, memo
                 state[row, RECENT] = side
                 return (DOUBLES if doubles else NORMAL) + side, N, spare, False
             spare = max(spare[0], first - keep), max(spare[1], last - keep)
-    # There is no plane for the interval. Is there one at each end? Single pieces are not divided.
+    # There is no plane for the interval, but there may be one at each end. Single pieces are not divided.
     if not (deep or _several(model, clusters)):
         return -1, old, spare, False
     side = 0 if pair.deviation[0] <= pair.deviation[1] else 1

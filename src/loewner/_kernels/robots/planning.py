@@ -38,14 +38,14 @@ from loewner._kernels.robots.lines import bring_back
 from loewner._kernels.simd.memory import floats_at, held, integers_at, reader, record_kind
 from loewner._kernels.simd.vectors import rounded_product
 
-# The longest motion of a tree (its range), as a share of the diagonal of the limits: 1 rad for a usual arm.
+# The longest motion of a tree (its range), as a fraction of the diagonal of the limits: 1 rad for a typical arm.
 SHARE = 1 / 12
 
-# Radius of the dynamic domain of a node, in units of the range: the radius after the first failure of a motion from it,
-# and the least radius; then the share by which a failure reduces the radius and a success enlarges it.
+# Radius of a node's dynamic domain, in units of the range, after the first failure of a motion from the node; the least
+# radius; and the fraction by which a failure reduces the radius and a success enlarges it.
 FIRST_DOMAIN, LEAST_DOMAIN, CHANGE = 4.0, 1.0, 1e-4
 
-# Maximum number of steps by which a tree is led to the other one before the next draw.
+# Maximum number of steps by which a tree is led to the other one before the next sample is drawn.
 MOST_STEPS = 64
 
 TURN = 2.0 * np.pi
@@ -277,7 +277,7 @@ def _lead(work, tree, last):
         first[c] = trees.nodes[tree, c, last]
         here[c] = first[c]
     aim, distance = _nearest(search, trees.nodes[other], state[STARTS + other], first, trees.squares)
-    share = distance / reach[STEP]  # NaN if squares overflow: then the trees do not meet, as if far apart
+    share = distance / reach[STEP]  # NaN if squares overflow; the trees then do not meet, as if they were far apart
     steps = np.int64(np.ceil(max(share, 1.0))) if share <= MOST_STEPS else MOST_STEPS + 1
     met = steps <= MOST_STEPS
     for step in range(1, min(steps, MOST_STEPS) + 1):

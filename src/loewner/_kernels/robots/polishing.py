@@ -1,4 +1,4 @@
-"""Polish paths: move corners and single joints of them wherever that costs less and all new motions are free.
+"""Polish paths: move their corners and single joints wherever that costs less and all new motions are free.
 
 The cost of a path is its length, with a weight for each joint. A step does one of three things:
 
@@ -24,18 +24,18 @@ from loewner._kernels.robots.free_motions import judge_of, random, sample_memory
 from loewner._kernels.robots.shortening import cut, motion_is_free, skip_corners
 from loewner._kernels.simd.memory import held
 
-# Shares of the steps that cut and of the steps that move a corner; the others straighten a joint.
+# Fractions of the steps that cut and that move a corner; all other steps straighten a joint.
 CUTS, MOVES = 0.2, 0.6
 
-# Corners are left out before each such step.
+# Corners are left out before every SKIP_EVERY-th step.
 SKIP_EVERY = 32
 
-# Size of the moves, as a share of a corner's distance from the straight way: its lower and upper limits, and its
-# factors after a success and after a failure, which balance if about one step in five succeeds.
+# Size of a move, as a fraction of the corner's distance from the straight path: lower and upper limits, and factors
+# after a success and after a failure, which balance if about one step in five succeeds.
 LEAST_SIZE, MOST_SIZE = 1e-4, 1.0
 LARGER, SMALLER = 1.5, 0.9
 
-# A step must lower the cost of the motions that it changes by at least this share.
+# A step must lower the cost of the motions that it changes by at least the fraction GAIN.
 GAIN = 1e-9
 
 

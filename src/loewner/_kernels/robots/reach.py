@@ -71,19 +71,19 @@ from loewner._kernels.simd.vectors import (
     store,
 )
 
-# A link this near to its target (in metres and radians) has reached it. The value is multiplied by one plus the
-# target's distance from the origin in metres; rounding is far smaller.
+# A link has reached its target if it is within REACHED (in metres and radians), times one plus the target's distance
+# from the origin in metres; rounding is far smaller.
 REACHED = 1e-10
 
-# Squared damping, as a share of the squared error, and its minimum. Shares from 0.01 to 0.1 worked well on five arms.
+# Squared damping, as a fraction of the squared error, and its minimum. Fractions from 0.01 to 0.1 suited five arms.
 DAMPING, LEAST_DAMPING = 0.02, 1e-24
 
 LONGEST = 1.0  # rad; the largest turn of a joint in a step
 
-# After every PATIENCE steps, a seed is abandoned unless its squared error has fallen below this share.
+# After every PATIENCE steps, a seed is abandoned unless its squared error has fallen below GAIN times the old one.
 PATIENCE, GAIN = 6, 0.7
 
-# Two solutions that differ by less than this in every value [rad or m] are the same.
+# Two solutions are the same if they differ by less than SAME in every value [rad or m].
 SAME = 1e-4
 
 FAULTS = 6  # coordinates of a link's deviation from its target
@@ -169,7 +169,7 @@ def deviation_of(R, t, tolerance):
     height = maximum(1.0 + z, 1e-6)
     g = sqrt(2.0 / height)
     k = 0.5 * g / height
-    # From the opposite direction, any way is shortest.
+    # If the axis points the opposite way, all ways back are equally short.
     first, second = select(opposite, 2.0, -(y * g)), x * g
     cosine, sine = (R[0] + R[4]) / height, (R[3] - R[1]) / height
     half = maximum(0.5 + 0.5 * cosine, 1e-12)
@@ -387,7 +387,7 @@ def _one_pose(pose, chained, chain, constants, ranges, tolerance, targets, start
     R, t = follow(chain, constants, base, q, twists)
     store(squares, 0, sqrt(dot(t, t)))
     far = 1.0 + squares[0]
-    # The first seed is the start. The second one is the answer for the previous pose, if this round has one.
+    # The first seed is the start. The second one is the answer for the previous pose, if this chain of poses has one.
     follows = pose % chained > 0 and counts[pose - 1] > 0
     if follows:
         for column in range(values):
@@ -426,7 +426,7 @@ def _one_pose(pose, chained, chain, constants, ranges, tolerance, targets, start
             store(squares, 3 * LANES, error)
             fresh = reached
             if step % PATIENCE == 0:
-                # Written so that a seed whose error is not finite is abandoned, too.
+                # This form also abandons a seed whose error is not finite.
                 fresh = live & (~movemask(error < GAIN * load(marks, 0)) | reached)
                 store(marks, 0, error)
             left = fresh

@@ -42,9 +42,9 @@ EVERY = (1 << INTERVALS) - 1
 
 STRIDE = 2 * LANES
 
-# Numbers of a body. At the configurations: its center and half-widths. For the intervals: the middle and half the
-# length of the center's chord, and the middle and half-widths of a box; then the same numbers for a box around all of
-# them.
+# Numbers of a body: at the configurations, its center and half-widths; for the intervals, the middle and half the
+# length of the center's chord, and the middle and half-widths of a box; and for all intervals together, the middle and
+# half-widths of a box.
 _MIDDLE = 6 * STRIDE
 _HALF_CHORD = _MIDDLE + 3 * LANES
 _BOX = _HALF_CHORD + LANES
@@ -62,7 +62,7 @@ GROUP = 8 * LANES
 _SHAPE = 3 * STRIDE
 PIECE = 9 * STRIDE
 
-# Radii and half-widths are widened by this share, for stretching by poses that are accepted as rigid, and for rounding.
+# Radii and half-widths are widened by the fraction STRETCH, for stretching by accepted poses, and for rounding.
 STRETCH = 1e-5  # certified.md B31
 WIDER = 1.0 + STRETCH
 

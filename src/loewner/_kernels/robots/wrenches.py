@@ -148,7 +148,7 @@ def link_jacobians(parent, kind, column, multiplier, offset, constants, Q, start
     wrenches, slopes = np.empty(WRENCH * LANES * links), np.empty(LANES * dof)
     for first in range(start, stop, LANES):
         for lane in range(LANES):
-            rows[lane] = min(first + lane, stop - 1)  # padded with repeats of the last one
+            rows[lane] = min(first + lane, stop - 1)  # padded with repeats of the last configuration
         place_links(tree, Q, rows, 0, W)
         at = image(rotation_of_link(W, link), translation_of_link(W, link), (point[0], point[1], point[2]))
         for row in range(6):

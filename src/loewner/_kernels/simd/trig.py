@@ -3,8 +3,8 @@
 from loewner._kernels._jit import inline
 from loewner._kernels.simd.vectors import absolute, cosines, everywhere, floor, round_to_even, select, sines
 
-# π/2 as a sum of three doubles (Cody and Waite). The first two have 33 significant bits, so their products with a whole
-# number below 2^20 are exact; the error of the sum is below 2^-119.
+# π/2 as a sum of three doubles (Cody and Waite). The first two have 33 significant bits, so their products with an
+# integer below 2^20 are exact; the error of the sum is below 2^-119.
 QUARTER_TURN = (
     float.fromhex("0x1.921fb544p+0"),
     float.fromhex("0x1.0b4611a6p-34"),
@@ -12,7 +12,7 @@ QUARTER_TURN = (
 )
 TURNS_PER_RADIAN = 0.6366197723675814  # 2/π, in quarter turns per radian; rounding moves the borders between quadrants
 
-# Beyond this angle [rad] the number of quarter turns has more than 20 bits.
+# Largest angle [rad] for which the number of quarter turns has at most 20 bits.
 LARGEST = 1e6
 
 
@@ -58,7 +58,7 @@ def sine_cosine(x):
     rough = 1.0 - half
     c = rough + (((1.0 - rough) - half) + z * z * p)
     quadrant = k - 4.0 * floor(0.25 * k)
-    crossed = absolute(absolute(quadrant - 2.0) - 1.0) < 0.5  # 1 or 3
+    crossed = absolute(absolute(quadrant - 2.0) - 1.0) < 0.5  # quadrant 1 or 3
     sine, cosine = select(crossed, c, s), select(crossed, s, c)
     sine = select(quadrant > 1.5, -sine, sine)
     return sine, select(absolute(quadrant - 1.5) < 1.0, -cosine, cosine)
@@ -104,7 +104,7 @@ def sine_cosine_single(x):
     p = p * z + 1.0 / 24.0
     c = (1.0 - 0.5 * z) + (z * z) * p
     quadrant = k - 4.0 * floor(0.25 * k)
-    crossed = absolute(absolute(quadrant - 2.0) - 1.0) < 0.5  # 1 or 3
+    crossed = absolute(absolute(quadrant - 2.0) - 1.0) < 0.5  # quadrant 1 or 3
     sine, cosine = select(crossed, c, s), select(crossed, s, c)
     sine = select(quadrant > 1.5, -sine, sine)
     return sine, select(absolute(quadrant - 1.5) < 1.0, -cosine, cosine)

@@ -589,8 +589,8 @@ def gather_transpose_single(typingctx, table, width, rows, at, column):
     return signature(types.UniTuple(single, 8), table, integer, rows, integer, integer), generate
 
 
-# LLVM uses 3 for the first-level cache and 2 for the second. The first can hold only two dozen pending lines, the
-# second more.
+# LLVM's number is 3 for the first-level cache and 2 for the second-level cache. Only two dozen lines can be pending in
+# the first, and more in the second.
 _FIRST_LEVEL, _SECOND_LEVEL = 3, 2
 
 
@@ -618,7 +618,7 @@ def _prefetching_line(level):
     return prefetch
 
 
-# Into the first-level cache for use soon, and into the second for use about a thousand instructions later.
+# Prefetch into the first-level cache for use soon, or into the second for use about a thousand instructions later.
 prefetch, prefetch_far = _prefetching_line(_FIRST_LEVEL), _prefetching_line(_SECOND_LEVEL)
 
 

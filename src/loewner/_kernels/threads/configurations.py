@@ -82,11 +82,11 @@ from loewner._kernels.tolerances import LEAST, OFF, SINGLE_ROUNDOFF, UP
 # Extra column of a placed body, next to its bounds: the largest error of any of its points [m].
 ASTRAY = 7
 
-# Error of a pose in the frame of another link, in roundings, times the lengths.
+# Error of a pose in the frame of another link, in roundings times the lengths.
 COMPOSED = 24.0  # certified.md B63
 
-# Errors that a joint adds to a rotation (spectral norm) and that its value adds, both in roundings; and error that a
-# joint adds to a translation, in roundings, times the lengths from which it is computed.
+# Errors that a joint and its value add to a rotation (spectral norm), in roundings; and error that a joint adds to a
+# translation, in roundings times the lengths from which the translation is computed.
 JOINT_TURN = 40.0  # certified.md B45
 VALUE_TURN = 8.0  # certified.md B46
 JOINT_SHIFT = 20.0  # certified.md B47
@@ -358,7 +358,7 @@ def _identity():
 @inline
 def list_piece_pair(code, i, j, searches, capacity):
     """Append two pieces of a listed pair of bodies to the searches; return whether there was room."""
-    # Do not count on a full list: an int32 may be too small for the number of piece pairs.
+    # Stop counting when the list is full: an int32 may be too small for the number of piece pairs.
     if integer_at(searches, 0) >= capacity:
         return False
     at = add_to(searches, 0, 1)
@@ -403,7 +403,7 @@ def certify_survivor(
     if other < moving:
         b = _pose_of_body(placed, integer_at(bodies, BODY_INTEGERS * other + LINK_OF_BODY), S, s)
         astray = astray + number_at(bounds, (other * BOUNDS + ASTRAY) * S + s)
-    more = astray * (UP / OFF)  # a length whose positions have this slack
+    more = astray * (UP / OFF)  # the length for which positions have this slack
     i, last_a = pieces_of(bodies, one)
     first_b, last_b = pieces_of(bodies, other)
     found = SO_FAR_FREE

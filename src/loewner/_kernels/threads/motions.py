@@ -74,8 +74,8 @@ from loewner._kernels.threads.pairs import MOST_PIECE_PAIRS
 from loewner._kernels.threads.searches import core_at, search
 from loewner._kernels.tolerances import OFF, SINGLE_ROUNDOFF, UP
 
-# The first intervals of a motion are so short that bodies bend by no more than this [m], but there are at most 2 **
-# MOST_HALVINGS of them; an interval that was halved DEEPEST times is left to the CPU.
+# The first intervals of a motion are so short that points deviate from their chords by at most FIRST_BEND [m], but
+# there are at most 2 ** MOST_HALVINGS of them. An interval that was halved DEEPEST times is left to the CPU.
 FIRST_BEND, MOST_HALVINGS, DEEPEST = 0.05, 6, 10
 
 # Error of a value between the ends of a motion, in units of `configurations.VALUE_TURN` times the largest magnitude.
@@ -125,8 +125,8 @@ def bound_motion(thread, most, total, dof, Q0, Q1, table, bends):
     cell = cell_at(table)
     first, last = integer_at(cell.chain_start, chain), integer_at(cell.chain_start, chain + 1)
     every, bend, travel, speed = lane_of(0.0), lane_of(0.0), lane_of(0.0), lane_of(0.0)
-    # The joints from the upper body to the lower one, as in `motion_bounds.ways_between`. The turns between a joint and
-    # the lower body come after it, so the sum first runs backward.
+    # Take the joints from the upper body to the lower one, as in `motion_bounds.ways_between`. The turns between a
+    # joint and the lower body come after the joint, so the sum first runs backward.
     k = last - 1
     while k >= first:
         turn, slide, _ = _rates(cell, k, motion, dof, Q0, Q1)
@@ -436,7 +436,7 @@ def search_interval(thread, S, log_S, most, table, items, placed, bends, state, 
     a, b = core_at(cell.cores, cell.numbers, cell.vertices, j), core_at(cell.cores, cell.numbers, cell.vertices, k)
     first, last, off = _ends_of(cell, asked, placed, S)
     n = scaled(0.5, plus(from_lower(cell, j, k, first[0], first[1]), from_lower(cell, j, k, last[0], last[1])))
-    # The hull of both ends, then the later end, then the first end of the whole motion.
+    # Search the hull of both ends first, then the later end, then the first end of the whole motion.
     last_attempt = 2 if asked.node & (asked.node - 1) == 0 else 1
     attempt, keep = 0, asked.margin + asked.bend
     while attempt <= last_attempt:

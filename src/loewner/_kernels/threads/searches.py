@@ -50,7 +50,7 @@ from loewner._kernels.tolerances import SINGLE_ROUNDOFF
 
 ROUNDS = 12  # nine in ten pairs need six rounds, and 99 in 100 need ten
 
-# Errors of the height of a support plane and of a point of the difference, in roundings, times the lengths.
+# Errors of the height of a support plane and of a point of the difference, in roundings times the lengths.
 PLANE_ERROR = 128.0  # certified.md B61
 POINT_ERROR = 32.0  # certified.md B62
 
@@ -134,7 +134,7 @@ def _farthest_of_curve(core, n):
     elif core.kind == CYLINDER or core.kind == CONE:
         length = sqrt(maximum(m[0] * m[0] + m[1] * m[1], tiny))
         around = 1.0 / length
-        if core.kind == CONE:  # its base circle and its apex compete: |xy| - z against z
+        if core.kind == CONE:  # compare its base circle with its apex: |xy| - z against z
             apex = m[2] > length - m[2]
             around, along = select(apex, nought, around), select(apex, lane_of(1.0), lane_of(-1.0))
     elif core.kind != SEGMENT:
@@ -209,7 +209,7 @@ def search(upper, first, last, swept, lower, n, keep, off):
             return APART
         largest = maximum(largest, dot(A, A))
         if r == 0:
-            # As in `gjk_fast.measure`, a direction between the first one and the direction of the first point.
+            # As in `gjk_fast.measure`, take a direction between the first one and the direction of the first point.
             rest = (1.0 - KEPT) / sqrt(dot(A, A))
             n = KEPT * n[0] + rest * A[0], KEPT * n[1] + rest * A[1], KEPT * n[2] + rest * A[2]
             B = A

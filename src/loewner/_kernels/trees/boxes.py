@@ -26,7 +26,7 @@ from loewner._kernels.tolerances import UNIT_ROUNDOFF
 ROWS = 6 * WIDE  # numbers in a group
 LEVELS = 22  # 8^22 > 2^63: more levels than any index can need
 
-# The curve has 2^20 steps along each axis; the size class takes the four bits above.
+# The curve has 2^20 steps along each axis; the size class takes the next four bits.
 STEPS = np.uint64(20)
 SIZE_CLASSES = 16
 SIZE_RATIO = 0.25  # bodies of one class differ by up to this ratio in size
@@ -34,7 +34,7 @@ SIZE_RATIO = 0.25  # bodies of one class differ by up to this ratio in size
 DIGIT = np.uint64(11)  # bits per pass of the radix sort
 PASSES = 6
 
-# The largest bound of a box: boxes that fill up a group start at infinity and so meet none.
+# The largest bound of a box. Boxes that fill up a group start at infinity, so they meet none.
 MOST = 1.7e308
 
 

@@ -19,31 +19,31 @@ from loewner._kernels.simd.trig import sine_cosine
 from loewner._kernels.simd.vectors import LANES, broadcast, highest, load, lowest, maximum, minimum, movemask, store
 from loewner._kernels.trees.triangle_tree import principal
 
-# Thickness assumed for a flat part, relative to the whole; for a flat box, relative to its longest side, so that the
-# shorter of two equal areas is chosen; and for a flat ellipsoid, which needs little, relative to its longest side and
-# to the coordinates.
+# Assumed thickness of a flat part, relative to the whole; of a flat box, relative to its longest side, so that the
+# shorter of two equal areas is chosen; and of a flat ellipsoid, which needs little, relative to its longest side and to
+# the coordinates.
 THICKNESS, FLAT_BOX, FLAT_OVAL, DIGITS = 0.01, 0.01, 1e-4, 1e-8
 
-# When a part is cut in two, each side gets at least one in this many items. With 16, one cut after another leaves three
-# quarters of a part, and no more is proven.
+# Each side of a cut gets at least one in LEAST_SHARE items. With one in 16, successive cuts leave three quarters of a
+# part, and no more is proven.
 LEAST_SHARE = 4
 
 # Largest number of triangles that suggest axes; number of directions in which points of a hull are sought; and number
-# of its longest edges along which a box is tried.
+# of the hull's longest edges along which a box is tried.
 MOST_ASKED, LOOKS, MOST_EDGES = 128, 64, 8
 
 # Bins along each axis; largest number of items that are sorted without bins; and half the number of items that suggest
 # a cut.
 BINS, FEW, MANY = 128, 32, 512
 
-# Bound on the rounding of a rotation and its inverse, by a matrix that is itself orthonormal up to some roundings.
+# Bound on the rounding of a rotation and its inverse, by a matrix that is orthonormal up to a few roundings.
 TURN_ROUNDINGS = 128 * 2.0**-53
 
 # Rounds of the search for a small ellipsoid, its least semi-axis relative to the box, and an allowance for rounding:
 # coordinates relative to the box are off by 1e-7 at most.
 ROUNDS, LEAST_AXIS, WIDER = 24, 1e-2, 1.0 + 1e-3
 
-# Least factor of the ellipsoid's shape: all points of a part may coincide.
+# Least factor of the ellipsoid's shape, for parts whose points all coincide.
 LEAST_OVAL = 1e-3
 
 # Directions in which the extreme points determine the ellipsoid.
@@ -224,7 +224,7 @@ def _measure(corners, n, part, thick, grown, numbers):
         best = _along_faces(some, count, middle, least, best)
         for k in range(first, last):
             v = _normal(corners, n, k)
-            # Triangles count as thin slabs, since a flat box has a volume, too, which triangles far apart do not fill.
+            # Count triangles as thin slabs: a flat box has a volume, too, which triangles far apart do not fill.
             filled += thick * 0.5 * np.sqrt(dot(v, v))
     low, high = _box(corners, n, first, last, best)
     for c in range(9):
@@ -348,7 +348,7 @@ def _place_of_cut(corners, n, begin, items, numbers, grown, rows, listed, bins, 
     if asked > FEW:
         axis, slot, start, scale = _boundary(rows, asked, least, grown, bins, held)
     if axis >= 0:
-        # The items in the two bins at the boundary, and boxes around the items in the bins before and after them.
+        # List the items in the two bins at the boundary, and find boxes around the items in the bins before and after.
         count, before, ahead, behind = 0, 0, nothing, nothing
         left, right = -np.inf, np.inf
         for item in range(asked):
@@ -407,7 +407,7 @@ def _divided(corners, n, order, begin, items, along, key, rest, lists):
     ahead, behind = lists[0], lists[1]
     kept, count, one, start, n = np.uint64(0), np.uint64(0), np.uint64(1), np.uint64(first), np.uint64(n)
     if len(corners) == 3 * n:
-        for k in range(start, np.uint64(last)):  # written to both lists, since no processor can predict which
+        for k in range(start, np.uint64(last)):  # write to both lists, since no processor can predict the right one
             ahead[kept] = behind[count] = np.int64(k)
             is_first = np.uint64(dot(along, (corners[k], corners[k + n], corners[k + n + n])) < 0.5 * key)
             kept, count = kept + is_first, count + one - is_first
@@ -436,7 +436,7 @@ def _divided(corners, n, order, begin, items, along, key, rest, lists):
         order[start + k] = order[np.uint64(ahead[k])]
     for k in range(count):
         order[start + kept + k] = begin[k]
-    # Equal items, or middles that differ by rounding, may all be on one side: then any cut is as good.
+    # Equal items, or middles that differ by rounding, may all be on one side; any cut is then as good.
     return first + np.int64(kept) if kept > 0 and count > 0 else middle
 
 
@@ -549,7 +549,7 @@ def _enclose(corners, n, part, numbers, box, center, shape):
         )  # fmt: skip
         for row in range(3):
             box[8 * row + corner] = numbers[3 * row] * p[0] + numbers[3 * row + 1] * p[1] + numbers[3 * row + 2] * p[2]
-    # The ellipsoid, in coordinates in which the box is a cube.
+    # Find the ellipsoid in coordinates in which the box is a cube.
     half = 0.5 * (high[0] - low[0]), 0.5 * (high[1] - low[1]), 0.5 * (high[2] - low[2])
     thin = max(FLAT_OVAL * max(half[0], max(half[1], half[2])), max(DIGITS * largest, 1e-12))
     half = max(half[0], thin), max(half[1], thin), max(half[2], thin)
@@ -564,7 +564,7 @@ def _enclose(corners, n, part, numbers, box, center, shape):
             p = _relative(numbers, _eight(corners, n, k, first, last, corner), middle, per)
             for way in range(ways):
                 along = _along(way, p)
-                if movemask((along < load(ends[way], 0)) | (along > load(ends[way], LANES))) > 0:  # seldom
+                if movemask((along < load(ends[way], 0)) | (along > load(ends[way], LANES))) > 0:  # rare
                     _extend(corners, n, min(k, last - step), step, corner, numbers, middle, per, way, points, ends)
     c, Q, inverse = _around(points)
     farthest = broadcast(0.0)

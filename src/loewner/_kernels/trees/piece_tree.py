@@ -19,17 +19,17 @@ from loewner._kernels.simd.vectors import next_lane
 from loewner._kernels.tolerances import UNIT_ROUNDOFF
 from loewner._kernels.trees.boxes import LEVELS, ROWS, box_tree, curve_order, lowered, raised, within
 
-# |RᵀR - 1| <= 1e-6 in every entry (`rigid.ROTATION_TOLERANCE`) moves each coordinate of a point by this share of the
-# point's distance from the body's origin, and stretches a length by less; the rest is far above the rounding of
-# distances.
+# Each entry of RᵀR - 1 is at most 1e-6 (`rigid.ROTATION_TOLERANCE`). This moves each coordinate of a point by less than
+# BEND times the point's distance from the body's origin, and stretches lengths by less; the rest of BEND is far above
+# the rounding of distances.
 BEND = 4e-6  # certified.md B21
 
-# Numbers of a walk: the integers ...
+# Integers of a walk.
 PIECE, A_NEXT, A_END, B_NEXT, B_END, A_HEIGHT, B_HEIGHT = 0, 1, 2, 3, 4, 5, 6
 A_STACK = 7
 B_STACK = A_STACK + LEVELS * WIDE
 STEPS = B_STACK + LEVELS * WIDE
-# ... and the floats: boxes (lower, upper) of b in a's frame and of the piece in b's, the amounts by which they are
+# Floats of a walk: boxes (lower, upper) of b in a's frame and of the piece in b's frame, the amounts by which they are
 # widened, the map of points of a to b's frame (rotation, shift), and the lengths that determine the rounding.
 B_BOX, PIECE_BOX, A_SLACK, B_SLACK, TURN, SHIFT, SIZE = 0, 6, 12, 13, 14, 23, 26
 NUMBERS = 27
@@ -199,7 +199,7 @@ def nearest_centers(a, ia, b, ib, numbers, rounds):
     i = a.piece_start[ia]
     for _ in range(rounds):
         best = np.inf
-        # The squared distance of a's center from b's, in b's frame.
+        # Squared distance of a's center from b's center, in b's frame.
         for piece in range(a.piece_start[ia], a.piece_start[ia + 1]):
             squared = 0.0
             for row in range(3):

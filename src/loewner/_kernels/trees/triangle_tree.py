@@ -36,31 +36,31 @@ ROWS = 6 * WIDE  # numbers of a node
 LEAF = 1 << LEAF_BITS  # largest number of triangles of a leaf
 BLOCK = 9 * LEAF  # numbers of a leaf
 DIAGONALS = 20 * WIDE  # numbers of a node's diagonals
-CORNERS = 12  # the row of x + y + z among them
+CORNERS = 12  # row of x + y + z among the diagonals
 OVAL = 9 * WIDE  # numbers of the ellipsoids
 
 # Numbers of a box while the tree is built: its lower corner, its upper one negated, and two zeros.
 BOX = 8
 
 BINS, FEW_BINS, MANY = 16, 8, 256  # FEW_BINS for at most MANY triangles
-DEEP = 40  # after this many splits ranges are halved, so that no tree is deeper than LEVELS
+DEEP = 40  # after this number of splits, ranges are halved, so that no tree is deeper than LEVELS
 LEVELS = DEEP + 28  # 2^31 triangles, halved down to leaves
 
 MOST_BELOW = 80  # triangles below a node whose boxes are all, or nearly all, leaves
 
-# Least relative thickness of an ellipsoid, and the share by which it is wider than its corners; single precision can
-# turn it by a part in ten million.
+# Least relative thickness of an ellipsoid, and the factor by which it is wider than its corners require, since single
+# precision can turn it by a part in ten million.
 FLATTEST = 1e-6
 WIDER = 1.0 + 1e-5
 
-# If a semi-axis is longer than this many times the radius of a ball around the same corners, the ball is used.
+# The ball around the same corners is used if a semi-axis is longer than MOST_WIDE times the radius of this ball.
 MOST_WIDE = 2.0
 
-# Number of Jacobi's rotations, which converge quadratically, and entries too small for one. The axes need not be exact.
+# Sweeps of Jacobi's rotations, which converge quadratically, and entries that need none. Axes need not be exact.
 SWEEPS, SMALL = 3, 1e-13
 
 UP = 1.0 + 2.0**-22  # more than the rounding to single precision
-_LEAST = 1e-37  # the same for numbers near zero
+_LEAST = 1e-37  # likewise for numbers near zero
 
 
 @inline
@@ -283,7 +283,7 @@ def _enclose(vertices, triangles, order, first, last, turns, ellipsoids, at):
         for corner in range(3):
             v = triangles[order[n], corner]
             x, y, z = x + vertices[v, 0], y + vertices[v, 1], z + vertices[v, 2]
-    # The center as stored, so that its rounding has no effect.
+    # Use the center as stored, so that its rounding has no effect.
     x, y, z = float(np.float32(x / count)), float(np.float32(y / count)), float(np.float32(z / count))
     xx = xy = xz = yy = yz = zz = radius = 0.0
     for n in range(first, last):
@@ -414,7 +414,7 @@ def _split(box, order, first, last, halve, bins):
     for axis in range(3):
         scale[axis] = used / (high[axis] - low[axis])
         if not scale[axis] < np.inf:
-            scale[axis] = 0.0  # all in one bin, if there is no width, or the quotient overflows
+            scale[axis] = 0.0  # all in one bin if there is no width or the quotient overflows
     axis, best = _best_split(box, first, last, low, scale, used, bins)
     if axis < 0:  # all in one bin, or overflow
         return _split_by_rank(box, order, first, last, longest, True)
@@ -472,7 +472,7 @@ def _bin(box, n, axis, low, scale, used):
 @njit()
 def _split_by_rank(box, order, first, last, axis, halve):
     """Split boxes by their middles along an axis: into equal parts, or into two leaves at least cost."""
-    # Shell's sort, which is the shortest code; ranges to halve are either short or pathological.
+    # Use Shell's sort, which is the shortest code; ranges to halve are either short or pathological.
     gap = 1
     while gap < (last - first) // 3:
         gap = 3 * gap + 1
