@@ -1,4 +1,4 @@
-/* For all files of the extension: the functions of the native library, see `call.c`. */
+/* Calls of functions in the native library, for all files of the extension; see `call.c`. */
 
 #ifndef LOEWNER_CALL_H
 #define LOEWNER_CALL_H
@@ -27,7 +27,7 @@ typedef struct {
 
 typedef struct {
     PyObject_HEAD
-    PyMethodDef definition; /* of the built-in function through which Python calls it, see `library_kernel` */
+    PyMethodDef definition; /* of the built-in function that calls the kernel from Python, see `library_kernel` */
     Function function;
     void (*release)(void *);
     PyObject *library, *name;
@@ -38,10 +38,10 @@ typedef struct {
 
 #define FAST_METHOD(name, function, text) {name, (PyCFunction)(void (*)(void))(function), METH_FASTCALL, text}
 
-/* Make a type, and add it to a module under the last part of its name; a new reference, or NULL. */
+/* Make a type, and add it to a module under the last part of its name; return a new reference, or NULL. */
 PyTypeObject *add_type(PyObject *module, PyType_Spec *spec);
 
-/* An object of a type with all its fields zero; NULL with an exception. */
+/* Make an object of a type, with all its fields zero; return NULL with an exception if that fails. */
 void *new_object(PyTypeObject *type);
 
 /* Give back the memory of an object. */

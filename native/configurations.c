@@ -89,7 +89,7 @@ static PyObject *tuple_of(const double *entries, int64_t count)
     return tuple;
 }
 
-/* The distance of two points as Python computes it, to the last bit; NaN if it cannot. */
+/* The distance between two points, exactly as Python computes it; NaN after an error. */
 static double exact_length(const double *a, const double *b, int64_t count)
 {
     PyObject *first = tuple_of(a, count), *second = tuple_of(b, count);

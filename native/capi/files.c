@@ -149,7 +149,7 @@ static int are_finite(const double *numbers, int64_t count)
 {
     double sum = 0;
     for (int64_t k = 0; k < count; k++)
-        sum += numbers[k] - numbers[k]; /* 0, or NaN */
+        sum += numbers[k] - numbers[k]; /* adds 0 or NaN */
     return sum == 0;
 }
 

@@ -23,7 +23,7 @@ typedef struct {
 
 /* A chunk, and how far it is proven; see `_Chunk` in gates.py. */
 typedef struct {
-    double *rows; /* `count` + 1 rows, after the row before them */
+    double *rows; /* `count` + 1 rows; in memory, the row before the chunk precedes them */
     double *rates;
     int64_t *ends; /* how many targets were known when the brake from each tick was proven */
     double dt, t0;
@@ -48,8 +48,8 @@ struct loewner_gate {
     double *times, *states, *courses, *seconds, *out[3];
     int64_t pieces_made, rows_needed; /* pieces and rows of the brake in the arrays; the row before the first counts */
     Chunk last, made, slower;
-    uint64_t structure; /* when the last chunk was made */
-    Known *seen, *allowed; /* now, and at the time of the last new chunk */
+    uint64_t structure; /* structure when the last chunk was made */
+    Known *seen, *allowed; /* bodies now, and at the time of the last new chunk */
     size_t known, room;
     void *memory;
 };

@@ -77,7 +77,7 @@ static loewner_status is_free_at(const Judge *judge, const double *q, int *is)
     int64_t at = -1;
     TRY(collide(judge->checker, judge->workspace, CODE_EXACT, q, 1, &verdict));
     if (verdict == LOEWNER_FREE && judge->joint_error != NULL)
-        TRY(is_free(judge, q, 0, 2, &at)); /* a motion that stays there */
+        TRY(is_free(judge, q, 0, 2, &at)); /* prove a motion that stays there */
     *is = verdict == LOEWNER_FREE && at < 0;
     return LOEWNER_OK;
 }

@@ -782,7 +782,7 @@ loewner_status loewner_checker_allow(loewner_checker *checker, int32_t a, int32_
         return fail(LOEWNER_BAD_ARGUMENT,
                     "expected a pair that was checked when the file was saved, found %.100s and %.100s",
                     checker->bodies[rule->a].name, checker->bodies[rule->b].name);
-    /* Pairs are checked unless the file excludes them; it may do so by a rule for two static bodies. */
+    /* Pairs are checked unless the file excludes them, which a rule may do for two static bodies. */
     int is_ruled = row_of(file->rules, file->rule_count, 3, rule->a, rule->b) >= 0;
     rule->touch = allowed ? 1 : is_ruled ? 0 : -1;
     return LOEWNER_OK;

@@ -64,7 +64,7 @@ def _of_function(text: str, used: set[str]) -> str:
     """Rewrite the text of a function; `used` gains the kinds of numbers in fused products."""
     lines = text.split("\n")
     uses = Counter(_VALUE.findall(text))  # the definition counts as a use
-    products = dict[str, tuple[int, str, str]]()  # of the current block: line and factors of each
+    products = dict[str, tuple[int, str, str]]()  # line and factors of each product in the current block
     for at, line in enumerate(lines):
         if not line.startswith(" "):
             products.clear()  # a new block begins

@@ -27,13 +27,13 @@ from loewner._kernels._numba import (
     normalize_signature,
 )
 
-_config: Any = numba.config  # its settings are created at run time, without types
+_config: Any = numba.config  # Numba's settings are created at run time and have no types
 
 if _config.DISABLE_JIT:
     raise ImportError("NUMBA_DISABLE_JIT: expected Numba to compile, for loewner's kernels are nothing without it")
 
-# The flag by which `_fused` recognises products and sums. Fusing drops a rounding and adds none, so every error bound
-# stays valid. Options that reorder operations, or assume that there is no NaN, are not allowed here.
+# `_fused` recognises products and sums by this flag. Fusing drops a rounding and adds none, so every error bound stays
+# valid. Options that reorder operations, or assume that there is no NaN, are not allowed here.
 FASTMATH = {"contract"}
 
 

@@ -26,7 +26,7 @@ from loewner._kernels._numba import (
     untyped_passes,
 )
 
-_config: Any = numba.config  # its settings are created at run time, without types
+_config: Any = numba.config  # Numba's settings are created at run time and have no types
 
 # Numba's passes for features that kernels do not use: `with` blocks, closures, functions inlined before typing, and
 # literals as types. A kernel that used such a feature would not compile.

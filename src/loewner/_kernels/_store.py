@@ -89,7 +89,7 @@ def expect_as_read(module: str) -> None:
     Its code would get the key of the sources before the edit.
     """
     name = module.removeprefix(f"{_PREFIX}.").replace(".", "/")
-    path = Path(_sources.__file__).parent / f"{name}.py"  # an archive is not edited
+    path = Path(_sources.__file__).parent / f"{name}.py"  # an archive is never edited
     if name in _texts() and path.exists() and path.read_bytes() != _texts()[name]:
         _edited.append(module)
 

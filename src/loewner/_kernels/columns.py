@@ -76,7 +76,7 @@ LEVER, CHAIN_NUMBERS = 2, 4
 
 ITERATION = 0
 STARTS, GOALS = 1, 2  # configurations in the trees from the start and from the goals
-OF_START, OF_GOAL = 3, 4  # where the trees met
+OF_START, OF_GOAL = 3, 4  # nodes at which the trees met
 MOTIONS = 5  # motions that were tried
 RANDOM = 6  # state of the random numbers
 POSES, SEARCHES, STEPS_LEFT = 7, 8, 9  # work of proofs, see `robots.motions`

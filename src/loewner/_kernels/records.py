@@ -10,7 +10,7 @@ import numpy as np
 
 from loewner._kernels.columns import CACHE_LINE
 
-ENTRIES = 3  # address, rows, columns (1 for a flat array)
+ENTRIES = 3  # address, rows and columns of an array (1 column for a flat array)
 
 
 def table_of(arrays: Any) -> Any:

@@ -44,8 +44,8 @@ from loewner._kernels.tolerances import UNIT_ROUNDOFF
 MAX_STEPS = 80
 DAMPING_LIMIT = 1e3  # damping, relative to the size, above which a step no longer moves the normal
 
-MAX_SWEEPS = 12  # Jacobi's method needs 3 or 4
-MAX_SECULAR = 60  # usually 4 or 5
+MAX_SWEEPS = 12  # Jacobi's method needs 3 or 4 sweeps
+MAX_SECULAR = 60  # the secular equation usually takes 4 or 5 steps
 
 # Relative gap that the proof of a global minimum may leave open, and largest number of intervals that it may examine.
 # The rounding error of D itself is about 1e-15. Both are choices, not bounds: they affect the reported gap.

@@ -65,8 +65,8 @@ BLOCK = 128  # piece pairs that are settled together
 
 NEWTON_STEPS = 12
 
-# Error caused by a shape matrix, in units of the roundoff and times trace |n|²: in squared widths, and through P n in
-# levels. It holds in both precisions; the derived values are for single precision, in which they are larger.
+# Error of squared widths, and of levels through P n, that a shape matrix causes, in units of the roundoff times trace
+# |n|². The bound serves both precisions; its derived values are for single precision, in which they are larger.
 SHAPE_ERROR = SHAPE_ROUNDINGS / UNIT_ROUNDOFF  # certified.md B4, B5
 
 # A pair is given up only if F differs from 1 by at least SURE (SINGLE_SURE in single precision). The band costs little

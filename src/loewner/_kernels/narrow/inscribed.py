@@ -41,7 +41,7 @@ PLACES = (1.0, 0.3)
 OFF_SURFACE = 0.87
 SHRINKS = 12
 
-# Smallest allowed semi-axis, relative to the mesh's size. Rounding errors grow with its inverse: see `prove`.
+# Smallest allowed semi-axis, relative to the mesh's size; rounding errors grow with its inverse, see `prove`.
 LEAST_AXIS = 1e-6
 
 # An ellipsoid is not worth a test if it adds less than LEAST_VOLUME times the volume of the largest one.
@@ -56,7 +56,7 @@ GROWTH = 1.02
 REACH = 6.0
 
 # Limit on the planes of a round. A plane represents all triangles beyond it, and triangles in front of it by up to
-# CLOSE times its distance. This factor doubles after every further STEP planes, so that their number stays bounded.
+# CLOSE times its distance. This factor doubles after every further STEP planes, so that there are never too many.
 MOST_PLANES = 120
 STEP = 20
 CLOSE = 0.01
@@ -647,7 +647,7 @@ def inscribed_ellipsoids(table, size, far, origin, scale, centers, factors, memo
                 factors[kept, j, k] = grown_factors[chosen[i], j, k] / scale
         if prove(mesh, origin, scale, centers[kept], factors[kept]):
             kept += 1
-    for i in range(1, kept):  # sort by insertion, since they are few
+    for i in range(1, kept):  # sort by insertion, since there are few ellipsoids
         j = i
         while j > 0 and volume(factors[j]) > volume(factors[j - 1]):
             for k in range(3):

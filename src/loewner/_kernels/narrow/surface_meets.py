@@ -156,7 +156,7 @@ def _leaves(A, B, child_a, child_b, shift, size, asked, open_pairs):
             open_pairs = _search(A, B, leaf_a, lane_a, leaf_b, bits & ~apart_bits, shift, asked, open_pairs)
             if open_pairs == MEETING:
                 return MEETING
-            bits &= apart_bits  # apart, unless they pierce each other
+            bits &= apart_bits  # triangles that are apart unless they pierce each other
         if bits == 0:
             continue
         meets, misses = meet(a, b, on_a, side_a, error, long_a, long_b, between_corners)

@@ -15,7 +15,7 @@ from loewner._kernels.narrow.surface_walk import left_of
 from loewner._kernels.pieces.pack import placed, shift_between
 from loewner._kernels.simd.memory import held
 
-CHUNK = 16  # pairs at a time: one of the first usually decides
+CHUNK = 16  # pairs that are tested at a time: one of the first usually decides
 
 _LISTED = arena(CHUNK)
 _SIZE, _listed_at = _LISTED.size() // 8, _LISTED.whole()

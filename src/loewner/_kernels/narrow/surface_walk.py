@@ -30,8 +30,8 @@ BELIEVED = 1.0 - 1e-5  # certified.md B41
 # their centers.
 MIDDLES = 0.1
 
-STACK = 2 * LEVELS * WIDE  # entries, for two trees
-PLANES, PLANE = 4, 4  # number of planes that are kept; numbers of each: a normal and an offset
+STACK = 2 * LEVELS * WIDE  # number of entries, for two trees
+PLANES, PLANE = 4, 4  # number of kept planes; numbers of each plane: a normal and an offset
 PARTING = 14  # numbers that describe a plane between two surfaces at two poses, see `surface_swept`
 ORIGIN = (0.0, 0.0, 0.0)
 

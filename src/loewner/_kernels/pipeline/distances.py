@@ -221,7 +221,7 @@ def _distance_with_care(A, B, shift, n, error, inside, work, result):
         write_simplex(G, k, weights, d, result)
         return upper, upper - lower
     if k == 4:
-        # This is only possible by rounding, when a flat simplex seemed to contain the origin.
+        # Only rounding leads here, when it made a flat simplex seem to contain the origin.
         return -np.inf, np.inf
     nx, ny, nz = result[0], result[1], result[2]
     write_simplex(G, k, weights, d, result)

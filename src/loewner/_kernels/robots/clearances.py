@@ -56,8 +56,8 @@ from loewner._kernels.tolerances import UP
 
 FAR = 40.0
 
-# Allowance for bounds that exclude pairs, relative to the bounds and to the lengths from which they are computed: far
-# more than rounding needs.
+# Allowance for bounds that exclude pairs, relative to the bounds and to the lengths from which they are computed;
+# rounding errors are far smaller.
 CAREFUL = 1e-9
 
 RUN = 1024  # pairs of pieces in a run

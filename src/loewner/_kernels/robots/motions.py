@@ -143,9 +143,9 @@ STACK = 4 * DEPTH  # a halved interval leaves one part waiting, three times for 
 _POSES = 2 * (PARTS + 1)
 
 # Entries of a tally: placed configurations, searches, and remaining steps. Each placed configuration and each search is
-# a step. In a block, so is each moving body, each group of static bodies, and each pair of bodies that comes near; each
-# placed piece, each pair of pieces, and each group of boxes over pieces; and each box, triangle and point that walks
-# through surfaces meet.
+# a step. In a block, steps also count moving bodies, groups of static bodies, pairs of bodies that come near, placed
+# pieces, pairs of pieces, groups of boxes over pieces, and the boxes, triangles and points that walks through surfaces
+# meet.
 POSES, SEARCHES, STEPS_LEFT = 0, 1, 2
 
 
@@ -847,7 +847,7 @@ def _halve_waiting(motion, count, found, tally):
         n = normals[e, 0], normals[e, 1], normals[e, 2]
         keep, least = _kept(near, times[k], times[k + 1])
         proven, undecided = False, waiting[e, 2] != 0
-        if near.stray == 0.0:  # otherwise the best plane has been found
+        if near.stray == 0.0:  # with strays, the best plane has already been found
             _count(tally, SEARCHES, 1)
             proven, n, undecided = _proven(motion, near, swept, k, k + 1, least, keep, n)
         left = EVERY

@@ -42,7 +42,7 @@ from loewner._kernels.tolerances import LEAST, OFF, SHAPE_ROUNDINGS, SINGLE_ROUN
 
 MOST = 64  # configurations in a block
 
-# Columns of a body's bounds: center, radius of a sphere about it, half widths.
+# Columns of a body's bounds: center, radius of a sphere around it, half widths.
 X, Y, Z, WIDE, HALF_X, HALF_Y, HALF_Z = 0, 1, 2, 3, 4, 5, 6
 
 

@@ -71,8 +71,8 @@ from loewner._kernels.simd.vectors import (
     store,
 )
 
-# A link has reached its target if it is within REACHED (in metres and radians), times one plus the target's distance
-# from the origin in metres; rounding is far smaller.
+# A link has reached its target if its deviation, in metres and radians, is at most REACHED times one plus the target's
+# distance from the origin in metres; rounding is far smaller.
 REACHED = 1e-10
 
 # Squared damping, as a fraction of the squared error, and its minimum. Fractions from 0.01 to 0.1 suited five arms.

@@ -62,7 +62,7 @@ GROUP = 8 * LANES
 _SHAPE = 3 * STRIDE
 PIECE = 9 * STRIDE
 
-# Radii and half-widths are widened by the fraction STRETCH, for stretching by accepted poses, and for rounding.
+# Radii and half-widths are widened by the fraction STRETCH, since accepted poses stretch them, and for rounding.
 STRETCH = 1e-5  # certified.md B31
 WIDER = 1.0 + STRETCH
 

@@ -81,8 +81,8 @@ FIRST_BEND, MOST_HALVINGS, DEEPEST = 0.05, 6, 10
 # Error of a value between the ends of a motion, in units of `configurations.VALUE_TURN` times the largest magnitude.
 SPAN = 2.0  # certified.md B64
 
-# Allowance for the roundings of a bound on curvature, for up to a thousand joints; and error of a difference of sums of
-# rates, in roundings of the sum for each joint.
+# Allowance for roundings in a bound on curvature, for up to a thousand joints; and error per joint of the difference
+# between sums of rates, in roundings of the sum.
 STRETCH = 1e-3  # certified.md B65
 REST_ERROR = 4.0  # certified.md B66
 

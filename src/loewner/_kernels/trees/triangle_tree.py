@@ -42,9 +42,9 @@ OVAL = 9 * WIDE  # numbers of the ellipsoids
 # Numbers of a box while the tree is built: its lower corner, its upper one negated, and two zeros.
 BOX = 8
 
-BINS, FEW_BINS, MANY = 16, 8, 256  # FEW_BINS for at most MANY triangles
+BINS, FEW_BINS, MANY = 16, 8, 256  # FEW_BINS are used for at most MANY triangles
 DEEP = 40  # after this number of splits, ranges are halved, so that no tree is deeper than LEVELS
-LEVELS = DEEP + 28  # 2^31 triangles, halved down to leaves
+LEVELS = DEEP + 28  # enough to halve 2^31 triangles down to leaves
 
 MOST_BELOW = 80  # triangles below a node whose boxes are all, or nearly all, leaves
 
@@ -56,10 +56,10 @@ WIDER = 1.0 + 1e-5
 # The ball around the same corners is used if a semi-axis is longer than MOST_WIDE times the radius of this ball.
 MOST_WIDE = 2.0
 
-# Sweeps of Jacobi's rotations, which converge quadratically, and entries that need none. Axes need not be exact.
+# Number of Jacobi's sweeps, which converge quadratically, and largest entry to ignore. Axes need not be exact.
 SWEEPS, SMALL = 3, 1e-13
 
-UP = 1.0 + 2.0**-22  # more than the rounding to single precision
+UP = 1.0 + 2.0**-22  # exceeds the rounding to single precision
 _LEAST = 1e-37  # likewise for numbers near zero
 
 
@@ -445,7 +445,7 @@ def _best_split(box, first, last, low, scale, used, bins):
             store(boxes, BOX * row, minimum(own, load(boxes, BOX * row)))
             held[row] += 1
     best_axis, best_bin, least = -1, 0, np.inf
-    above = 3 * BINS  # rows from here: contents of bins k and above
+    above = 3 * BINS  # rows from here on hold the contents of bins k and above
     for axis in range(3):
         around = nothing
         for k in range(used - 1, 0, -1):
