@@ -28,6 +28,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, nullcontext
 from importlib.metadata import version
+from itertools import takewhile
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -308,7 +309,7 @@ def build_all(
                 if process.returncode:
                     said = command.said.with_suffix(".log").read_text(encoding="utf-8", errors="replace")
                     raise BuildError(f"{command.what}: this could not be compiled:\n{said.strip()[-4000:]}")
-            made = [path for path in objects if path.exists()]
+            made = list(takewhile(Path.exists, objects))  # each calls functions of those before it
             if len(made) > there:
                 there = len(made)
                 hand_out(made)

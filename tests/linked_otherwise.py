@@ -24,11 +24,13 @@ def linked(folder: Path, count: int, order: int) -> None:
     codes = [folder / f"{name}.code" for name in entries.ENTRIES]
     for code in codes:
         emit.write_code(entries.ENTRIES[code.stem], code)
-    objects = []
+    objects, elsewhere = [], set()
     for number in range(count):
         read = [json.loads(path.read_text()) for path in codes[number::count][::order]]
         codegen = emit.cpu_target.target_context.codegen()
-        parts = emit._parts.everything_called(emit._parts.library_of(codegen, one["key"]) for one in read)
+        own = [emit._parts.library_of(codegen, one["key"]) for one in read]
+        parts = emit._parts.everything_called(own, without=elsewhere)
+        elsewhere.update(filter(emit.apart_functions, parts))
         objects.append(folder / f"{number}.o")
         objects[-1].write_bytes(emit.machine_code(parts[::order], [one["shim"] for one in read]))
     made = folder / "library"

@@ -176,7 +176,7 @@ def test_processes_share_the_work(emit, tmp_path, monkeypatch, number):
 
     monkeypatch.setattr(emit, "ENTRIES", {name: name for group in groups.values() for name in group})
     monkeypatch.setattr(emit, "write_code", lambda entry, to: write(to))
-    monkeypatch.setattr(emit, "write_object", lambda codes, to: write(to, *codes))
+    monkeypatch.setattr(emit, "write_object", lambda codes, before, to: write(to, *before, *codes))
     assert emit.is_mine(tmp_path / "one.code")  # by another process, which writes it now
     (tmp_path / "one.code").touch()
     lowered = []
@@ -204,17 +204,34 @@ def test_objects_are_made_once(emit, tmp_path, monkeypatch):
     monkeypatch.setattr(_store, "FOLDER", tmp_path / "store")
     code, to = tmp_path / "part_vertices.code", tmp_path / "object.o"
     emit.write_code(entries.ENTRIES["part_vertices"], code)
-    emit.write_object([code], to)
+    emit.write_object([code], [], to)
     made = to.read_bytes()
     assert b"loewner_part_vertices" in made
     to.unlink()
     monkeypatch.setattr(emit, "machine_code", lambda parts, shims: b"made anew")
-    emit.write_object([code], to)
+    emit.write_object([code], [], to)
     assert to.read_bytes() == made
     changed = json.loads(code.read_text())
     code.write_text(json.dumps(changed | {"shim": changed["shim"] + "\n; another"}))
-    emit.write_object([code], to)
+    emit.write_object([code], [], to)
     assert to.read_bytes() == b"made anew"
+
+
+@needs_library
+def test_what_is_apart_is_in_the_first_object_that_calls_it(emit, tmp_path, monkeypatch):
+    """Both entries place links; the second object needs the first, and defines nothing twice."""
+    build = module("build")
+    monkeypatch.setattr(_store, "FOLDER", tmp_path / "store")
+    codes = [tmp_path / f"{name}.code" for name in ("link_poses", "link_jacobians")]
+    for code in codes:
+        emit.write_code(entries.ENTRIES[code.stem], code)
+    objects = [tmp_path / "first.o", tmp_path / "second.o"]
+    emit.write_object(codes[:1], [], objects[0])
+    emit.write_object(codes[1:], codes[:1], objects[1])
+    assert all(b"place_links" in path.read_bytes() for path in objects)
+    build.link(objects, library.level(), tmp_path / "both.so")
+    with pytest.raises(build.BuildError, match="place_links"):
+        build.link(objects[1:], library.level(), tmp_path / "second.so")
 
 
 def test_modules_linked_in_chunks_are_those_linked_in_a_line(monkeypatch):

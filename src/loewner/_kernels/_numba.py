@@ -13,7 +13,9 @@ from numba.core.compiler import Compiler, CompileResult, compile_result
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.compiler_machinery import PassManager
 from numba.core.datamodel.registry import default_manager
+from numba.core.ir import Inst, Var
 from numba.core.registry import CPUDispatcher, cpu_target
+from numba.core.runtime.context import NRTContext
 from numba.core.runtime.nrt import rtsys
 from numba.core.serialize import dumps
 from numba.core.sigutils import normalize_signature
@@ -23,7 +25,7 @@ from numba.np.arrayobj import populate_array
 
 __all__ = [
     "AbstractTemplate", "BaseContext", "BaseFunction", "CPUCodeLibrary", "CPUDispatcher", "CompileResult", "Compiler",
-    "FunctionIdentity", "JITCodeLibrary", "NullCache", "PassManager", "cgutils", "compile_result", "cpu_target",
-    "default_manager", "dumps", "errors", "event", "global_compiler_lock", "infer_global", "normalize_signature",
-    "populate_array", "rtsys", "signature", "typed_passes", "untyped_passes",
+    "FunctionIdentity", "Inst", "JITCodeLibrary", "NRTContext", "NullCache", "PassManager", "Var", "cgutils",
+    "compile_result", "cpu_target", "default_manager", "dumps", "errors", "event", "global_compiler_lock",
+    "infer_global", "normalize_signature", "populate_array", "rtsys", "signature", "typed_passes", "untyped_passes",
 ]  # fmt: skip

@@ -6,7 +6,7 @@ which have no public interface (`_numba`); `tests/test_kernel_cache.py` tests th
 """
 
 import pickle
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable
 from functools import cache, partial
 from typing import Any
 
@@ -28,8 +28,9 @@ from loewner._kernels._numba import (
 
 _config: Any = numba.config  # Numba's settings are created at run time and have no types
 
-# Numba's passes for features that kernels do not use: `with` blocks, closures, functions inlined before typing, and
-# literals as types. A kernel that used such a feature would not compile.
+# Numba's passes for features that kernels do not use: `with` blocks, closures, functions inlined before typing,
+# literals as types, and operations on whole arrays in one loop. A kernel that used such a feature would not compile, or
+# would be slower.
 NOT_NEEDED = {
     untyped_passes.WithLifting,
     untyped_passes.InlineClosureLikes,
@@ -40,6 +41,7 @@ NOT_NEEDED = {
     untyped_passes.LiteralUnroll,
     untyped_passes.LiteralPropagationSubPipelinePass,
     typed_passes.InlineOverloads,
+    typed_passes.NopythonRewrites,
     typed_passes.AnnotateTypes,
     typed_passes.NoPythonSupportedFeatureValidation,
 }
@@ -171,12 +173,15 @@ def keep(key: str, part: PartLibrary) -> None:
         PartLibrary.listener(key)
 
 
-def everything_called(libraries: Iterable[JITCodeLibrary]) -> list[JITCodeLibrary]:
-    """Return libraries, and all that the parts among them call, each once."""
-    found, waiting = dict.fromkeys(libraries), list(libraries)
+def everything_called(
+    libraries: Iterable[JITCodeLibrary], without: Collection[JITCodeLibrary] = ()
+) -> list[JITCodeLibrary]:
+    """Return libraries, and all that the parts among them call, each once; omit some, and what only they call."""
+    found = dict.fromkeys(library for library in libraries if library not in without)
+    waiting = list(found)
     while waiting:
         for library in getattr(waiting.pop(), "called", ()):
-            if library not in found:
+            if library not in found and library not in without:
                 found[library] = None
                 waiting.append(library)
     return list(found)

@@ -342,7 +342,8 @@ def _expanded(A, B, shift, accuracy, first, work, result):
                     if corners[g, c] == b and corners[g, (c + 1) % 3] == a:
                         neighbors[f, e] = g
         _face(S, corners, normals, offsets, f)
-    counts = np.array([4, 0])
+    counts = np.zeros(2, np.int64)
+    counts[0] = 4
     used = 4
     upper = np.inf
     lower = -np.inf
