@@ -309,7 +309,7 @@ def build_all(
                 if process.returncode:
                     said = command.said.with_suffix(".log").read_text(encoding="utf-8", errors="replace")
                     raise BuildError(f"{command.what}: this could not be compiled:\n{said.strip()[-4000:]}")
-            made = list(takewhile(Path.exists, objects))  # each calls functions of those before it
+            made = list(takewhile(Path.exists, objects))  # each may call functions of earlier ones
             if len(made) > there:
                 there = len(made)
                 hand_out(made)
