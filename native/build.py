@@ -62,8 +62,9 @@ GROUPS = {
                "narrow.mesh_points", "elementary"),
     "verdicts": ("pipeline.verdicts", "pipeline.fallback", "pipeline.workspace", "pipeline.bounds"),
     "distances": ("pipeline.distances", "robots.nearest", "ellipsoids.", "paper."),
-    "robots": ("robots.configurations", "robots.motions", "robots.planning", "robots.shortening", "robots.standing",
-               "robots.pair_lists", "robots.kinematics", "low_discrepancy"),
+    "robots": ("robots.configurations", "robots.motions", "robots.standing", "robots.pair_lists", "robots.kinematics",
+               "low_discrepancy"),
+    "planning": ("robots.planning", "robots.shortening"),
     "others": ("",),
 }  # fmt: skip
 
