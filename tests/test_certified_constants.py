@@ -145,3 +145,10 @@ def test_citations_need_a_constant():
     assert citations("A = 2.0  # certified.md B1, B2\n") == [("A", "B1"), ("A", "B2")]
     with pytest.raises(AssertionError, match="beside no constant"):
         citations("A = 2.0\n# certified.md B1\n")
+
+
+def test_an_answer_is_correct_to_within_what_the_readme_promises():
+    """Gaps that count as touching are a multiple of the slack of positions: both together are at most 1e-12."""
+    touching = import_module("loewner._kernels.narrow.gjk_robust").TOUCH_ROUNDINGS
+    assert touching * import_module("loewner._kernels.tolerances").POSITION_ROUNDINGS <= 1e-12
+    assert "1e-12 times the size" in (ROOT / "README.md").read_text(encoding="utf-8")
