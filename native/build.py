@@ -54,9 +54,8 @@ LEVELS = {
 CPU_OF = {"arm64": "generic"}
 
 # Entries by module: each group becomes an object file of its own for this machine's level, so that an edit rebuilds few
-# of them, and programs can begin when theirs is there. Functions that several groups call are in each of them, so
-# groups that share much are one. The demo needs none of the last group, for which a build in the background has a lower
-# priority. For other machines there is one object file for each level, which is smallest.
+# of them, and programs can begin when theirs is there. Small functions that several groups call are in each of them, so
+# groups that share much are one. For other machines there is one object file for each level, which is smallest.
 GROUPS = {
     "bodies": ("fits.hulls", "fits.pieces", "fits.mv", "pieces.", "trees.piece_tree", "trees.triangle_tree",
                "narrow.mesh_points", "elementary"),
@@ -65,8 +64,12 @@ GROUPS = {
     "robots": ("robots.configurations", "robots.motions", "robots.standing", "robots.pair_lists", "robots.kinematics",
                "low_discrepancy"),
     "planning": ("robots.planning", "robots.shortening"),
+    "arms": ("robots.",),
     "others": ("",),
 }  # fmt: skip
+
+# Groups that the demo does not need: a build in the background has a lower priority for them.
+LATER = ("arms", "others")
 
 # By how much the priority is lower: a program on a second core is not slowed, and a busy machine still ends the build.
 IN_BACKGROUND = 5
@@ -172,7 +175,7 @@ def build(
     """Build for these levels, and for GPUs if requested; older files are replaced only when everything is done.
 
     With ``in_groups``, for one level, there is an object file for each group, and each is handed out when it is done;
-    for the last group, the priority is lowered by `nice`.
+    for the groups in `LATER`, the priority is lowered by `nice`.
 
     Returns
     -------
@@ -198,7 +201,8 @@ def build(
         (work / "groups.json").write_text(json.dumps(groups), encoding="utf-8")
         (work / "sources").write_text(before, encoding="utf-8")
         count = max(processors(), len(levels))
-        workers = [emission(work, levels[number % len(levels)], number, nice) for number in range(count)]
+        later = [str(nice), *LATER] if in_groups else []
+        workers = [emission(work, levels[number % len(levels)], str(number), *later) for number in range(count)]
         objects = [work / f"{level}-{group}.o" for level in levels for group in groups]
 
         def hand_out(made: list[Path]) -> None:
@@ -252,9 +256,9 @@ def grouped(names: list[str]) -> dict[str, list[str]]:
     return groups
 
 
-def emission(folder: Path, level: str, number: int, nice: int) -> Command:
+def emission(folder: Path, level: str, number: str, *later: str) -> Command:
     """Emit codes and objects of a level, as one of the processes that share the work in a folder."""
-    arguments = [str(HERE / "emit.py"), str(folder), level, str(number), str(nice)]
+    arguments = [str(HERE / "emit.py"), str(folder), level, number, *later]
     return Command(f"kernels for {level}", arguments, told(level), folder / f"worker-{number}")
 
 

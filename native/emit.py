@@ -4,7 +4,7 @@ Run by `build.py`, in processes of its own:
 
     emit.py                        check Numba itself, for this machine
     emit.py FOLDER LEVEL NUMBER    work for one level, as one of several processes that share the work in a folder
-    emit.py ... NICE               lower the priority by NICE for the last group
+    emit.py ... NICE GROUP ...     begin these groups last, with a priority that is lower by NICE
 
 The folder holds `groups.json`, which lists the entries of each group, and `sources`, the hash of the kernels' sources.
 The processes write the code of each entry (`ENTRY.code`), which is the same for all levels, and an object file of each
@@ -407,15 +407,15 @@ def expect_sources(folder: Path) -> None:
         raise SystemExit("the kernels' sources changed while they were compiled; build again")
 
 
-def work(folder: Path, level: str, number: int, nice: int = 0) -> None:
+def work(folder: Path, level: str, number: int, nice: int = 0, *later: str) -> None:
     """Write files that no other process has taken, until all are taken: objects with all their codes, or else codes."""
     groups = json.loads((folder / "groups.json").read_text(encoding="utf-8"))
     objects = {folder / f"{level}-{group}.o": [folder / f"{name}.code" for name in groups[group]] for group in groups}
     order = list(groups)
-    order.insert(0, order.pop(number % max(len(order) - 1, 1)))  # the last group remains last
+    order.insert(0, order.pop(number % (len(order) - len(later))))
     step = -1 if number % 2 else 1
     codes = {folder / f"{name}.code": name for group in order for name in groups[group][::step]}
-    *_, last = groups.values()
+    in_background = {name for group in later for name in groups[group]}
     before = list[Path]()  # codes of the groups whose objects are taken
     parent = os.getppid()
     while (objects or codes) and os.getppid() == parent:  # which ends its processes, unless it is killed
@@ -431,7 +431,7 @@ def work(folder: Path, level: str, number: int, nice: int = 0) -> None:
             name = codes.pop(to)
             if is_mine(to):
                 print(name, flush=True)
-                if nice and name in last:
+                if nice and name in in_background:
                     os.nice(nice)
                     nice = 0
                 write_code(ENTRIES[name], to)
@@ -449,7 +449,7 @@ def is_mine(to: Path) -> bool:
     return True
 
 
-def main(folder: Path, level: str, *numbers: int) -> None:
+def main(folder: Path, level: str, number: str, nice: str = "0", *later: str) -> None:
     """Do a share of the work, and print the keys of the functions that are done."""
     _parts.PartLibrary.listener = lambda key: print(key, flush=True)
     look_once()
@@ -459,8 +459,8 @@ def main(folder: Path, level: str, *numbers: int) -> None:
     list_variables_by_type()
     gc.disable()  # a seventh of the time, for half a gigabyte: Numba makes millions of small objects that stay
     expect_sources(folder)
-    work(folder, level, *numbers)
+    work(folder, level, int(number), int(nice), *later)
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), sys.argv[2], *map(int, sys.argv[3:])) if sys.argv[1:] else check_numba()
+    main(Path(sys.argv[1]), *sys.argv[2:]) if sys.argv[1:] else check_numba()

@@ -164,7 +164,7 @@ def test_every_kernel_is_in_one_group():
 
 @pytest.mark.parametrize("number", [0, 1, 2])
 def test_processes_share_the_work(emit, tmp_path, monkeypatch, number):
-    """Each file is made once, objects after the code of their entries; the last group is last, for all processes."""
+    """Each file is made once, objects after the code of their entries; groups that can wait are last, for all processes."""
     groups = {"first": ["one", "two"], "second": ["three"], "last": ["four", "five"]}
     (tmp_path / "groups.json").write_text(json.dumps(groups))
     made = []
@@ -181,12 +181,12 @@ def test_processes_share_the_work(emit, tmp_path, monkeypatch, number):
     (tmp_path / "one.code").touch()
     lowered = []
     monkeypatch.setattr(os, "nice", lambda by: lowered.append((by, len(made))))
-    emit.work(tmp_path, "x86-64-v3", number, 19)
+    emit.work(tmp_path, "x86-64-v3", number, 19, "last")
     codes = [f"{name}.code" for name in ("two", "three", "four", "five")]
     assert sorted(made) == sorted([*codes, *(f"x86-64-v3-{name}.o" for name in groups)])
     assert made[0] == ("three.code" if number == 1 else "two.code")
-    assert lowered == [(19, 4)], "before the last group, once"
-    emit.work(tmp_path, "x86-64-v3", number)
+    assert lowered == [(19, 4)], "before the groups that can wait, once"
+    emit.work(tmp_path, "x86-64-v3", number, 19, "last")
     assert len(made) == 7
 
 
