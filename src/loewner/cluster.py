@@ -2,8 +2,8 @@
 
 Dask is imported only when a function here is called: ``pip install "loewner[cluster]"``.
 
-Each task uses one thread. Dask runs as many tasks at a time as a worker has threads. If a task used all processors, as
-calls do elsewhere, the tasks would compete with one another.
+Each task uses one thread, and a worker runs as many tasks at a time as it has threads. If a task used all processors,
+as calls do outside Dask, the tasks would compete with one another.
 """
 
 from __future__ import annotations
@@ -126,8 +126,8 @@ def fit(
         Folder for the bodies; it is created if it does not exist. The body of ``part.stl`` is ``part.npz``, and
         ``part.fit.json`` beside it records the mesh and the options.
     root : path, optional
-        A folder that contains all meshes; bodies are then written to the same subfolders of `out` as their meshes have
-        in `root`. Default: all bodies are written to `out` itself.
+        A folder that contains all meshes. Each body is written to the same subfolder of `out` in which its mesh is in
+        `root`. By default, all bodies are written to `out` itself.
     decompose, tol, scale, cover, tolerance, threshold, max_pieces, seed
         As for `Body.from_mesh`; `tolerance` is in metres.
     progress : callable, optional
@@ -156,8 +156,8 @@ def fit(
 
     Notes
     -----
-    Each body equals the body that `Body.from_mesh` makes. The body is written under a temporary name, and the file is
-    then renamed.
+    Each body equals the body that `Body.from_mesh` makes. A body is first written under a temporary name, and the file
+    is then renamed.
 
     A mesh is skipped if its body and record exist, the body has not changed since it was written, and the record has
     the checksum of the mesh file, the same options and the same version of loewner. Repeating a call that was
@@ -166,9 +166,9 @@ def fit(
 
     If a worker dies, Dask gives its files to the remaining workers, including finished files whose outcome was lost
     with the worker. Tasks may be cancelled while the scheduler runs, for instance because its connection breaks or it
-    is restarted; they are then requested again, four times in all. A file counts as failed if four workers died while
-    fitting it, since it may need more memory than they have. While there is no worker at all, the call waits for one.
-    After an interrupt, files in progress are finished and no further file is started.
+    is restarted. Cancelled tasks are requested again, at most four times in all. A file counts as failed if four
+    workers died while fitting it, since the file may need more memory than the workers have. While there are no
+    workers, the call waits for one. After an interrupt, files in progress are finished and no further file is started.
 
     Examples
     --------
@@ -550,8 +550,8 @@ def certify_edges(checker: CollisionChecker, Q0: Any, Q1: Any, *, tolerance: flo
     Notes
     -----
     As for `collide`. A motion takes dozens of times as long as a configuration, so about a thousand motions per chunk
-    are suitable. Values change linearly here, whereas a roadmap moves joints that turn without limits the shorter way
-    around. For such joints, add the necessary whole turns to `Q1`.
+    are suitable. Joint values change linearly from `Q0` to `Q1`, whereas a roadmap turns joints without limits the
+    shorter way around. For such joints, add the necessary whole turns to `Q1`.
 
     Examples
     --------

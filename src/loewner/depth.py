@@ -1,4 +1,4 @@
-"""Depth images: their points, and the space that their rays have crossed."""
+"""Compute the points of depth images, and the space that depth images show to be empty."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ BYTES = 200
 
 @guarded
 class SeenSpace:
-    """A grid of cells, which are either seen to be empty by a depth camera or unknown.
+    """A grid whose cells are either unknown or seen to be empty by a depth camera.
 
-    A cell is seen if all of it lies in front of the depths of all pixels onto which it projects. All other cells are
-    unknown, since they are behind a surface, in the shadow of the robot, outside the image, or without an echo. Seen
-    cells stay seen until `forget` is called.
+    A cell is seen if it lies completely in front of the depths measured at all pixels onto which the cell projects. All
+    other cells are unknown: they are behind a surface, in the shadow of the robot, outside the image, or where no depth
+    was measured. Seen cells stay seen until `forget` is called.
 
     Parameters
     ----------
@@ -44,7 +44,7 @@ class SeenSpace:
     ----------
     centers : ndarray, shape (p, q, r, 3)
     age : ndarray of int64, shape (p, q, r)
-        How many images ago each cell was seen; -1 for cells that are unknown.
+        How many images ago each cell was last seen; -1 for unknown cells.
     time : float or None
         The time of the last image that was given a time, in seconds.
 
@@ -107,8 +107,8 @@ class SeenSpace:
         Raises
         ------
         InputError, PoseError
-            As for `points_of`, or if the image is older than the last image with a time, since a body may have moved
-            into its cells in between.
+            As for `points_of`; InputError also if the image is older than the last image with a time, since a body may
+            have moved into cells between the two times.
         """
         depths, intrinsics, T = camera_of(image, K, T_world_camera)
         now = None if time is None else float(_validate.finite_array(time, "time", ()))
@@ -146,7 +146,7 @@ class SeenSpace:
         Parameters
         ----------
         older_than : int
-            Number of most recent images: cells that were seen in these images, or in the image before them, stay seen.
+            The largest `age` at which a cell stays seen; 0 keeps only cells that were seen in the last image.
 
         Raises
         ------
@@ -168,15 +168,16 @@ class SeenSpace:
         Parameters
         ----------
         checker : CollisionChecker, optional
-            Leave out the cells that contain the robot or a body that it carries; otherwise, the robot could not leave
-            these cells.
+            The checker of a robot. Cells that contain the robot or a body that it carries are left out, since the robot
+            would otherwise collide with them.
         q : array_like, shape (dof,), optional
-            The robot's configuration.
+            The robot's configuration; required with `checker`.
         clear : float
-            Leave out cells that come within this distance of the robot [m], and some cells that are farther away by up
-            to the diagonal of a cell.
+            Cells that come within this distance of the robot [m] are left out, as are some cells that are farther away
+            by up to the diagonal of a cell.
         closed : bool
-            Put a layer of cells around the grid. Without this layer, the space outside is free although it is unseen.
+            Whether to put a layer of cells around the grid. Without this layer, the space outside the grid counts as
+            free although it is unseen.
 
         Returns
         -------

@@ -71,8 +71,8 @@ class ConvergenceError(LoewnerError, ArithmeticError):
     indices : ndarray of int
         The flat indices of the pairs in a batch that could not be settled.
     partial : object or None
-        The query's result, with the answers for all remaining pairs. For the unsettled pairs, the result of `collide`
-        is True, and exact distances, witnesses and normals are NaN.
+        The query's result, with the answers for all settled pairs. For the unsettled pairs, the result of `collide` is
+        True, and exact distances, witnesses and normals are NaN.
 
     Examples
     --------
@@ -213,7 +213,7 @@ class MissingExtraError(LoewnerError, ImportError):
 
 
 def imported(module: str, purpose: str, extra: str) -> Any:
-    """Import a module of an optional package; `MissingExtraError` states its purpose and how to install it."""
+    """Import a module of an optional package; `MissingExtraError` states its `purpose` and how to install it."""
     try:
         return import_module(module)
     except ImportError:
@@ -221,5 +221,5 @@ def imported(module: str, purpose: str, extra: str) -> Any:
 
 
 def installing(extra: str) -> str:
-    """Return the command that installs an optional part, for messages: by name, or in a clone of the sources."""
+    """Return, for messages, the commands that install an optional part: from a package index, and in a clone."""
     return f'pip install "loewner[{extra}]", or pip install ".[{extra}]" in a clone'

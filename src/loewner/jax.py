@@ -1,4 +1,4 @@
-"""Make functions of a checker's clearances and distances that JAX can differentiate, compile and vectorise.
+"""Turn a checker's clearances and distances into functions that JAX can differentiate, compile and vectorise.
 
 JAX is imported only when a function here is called: ``pip install "loewner[jax]"``. Import this module by its full
 name, ``import loewner.jax``: ``from loewner import jax`` would hide JAX's own name.
@@ -22,7 +22,7 @@ __all__ = ["clearance", "distance"]
 
 
 def clearance(checker: CollisionChecker, *, softness: float = 0.005) -> Callable[[Any], Any]:
-    """Make a JAX function of `CollisionChecker.clearance`: a smooth certified lower bound.
+    """Make a JAX function that computes `CollisionChecker.clearance`, a smooth certified lower bound on distance.
 
     Parameters
     ----------
@@ -50,15 +50,15 @@ def clearance(checker: CollisionChecker, *, softness: float = 0.005) -> Callable
     Notes
     -----
     The function works under ``jit``, ``vmap``, ``grad``, ``value_and_grad``, ``jacfwd`` and ``jacrev``, by means of
-    ``pure_callback``. A batch is one call of the kernel, even under ``vmap``, and so is a value with its gradient. The
-    kernel runs on the CPU; JAX copies configurations on any other device to the CPU, and the results back. There are no
-    second derivatives: ``hessian`` raises an error.
+    ``pure_callback``. A batch takes one kernel call, even under ``vmap``, and so does a value with its gradient. The
+    kernel runs on the CPU; JAX copies configurations on any other device to the CPU, and the results back. Second
+    derivatives are not supported: ``hessian`` raises an error.
 
     Results have the type of the configurations. In float32, the bound holds for exactly the given float32 numbers, and
     is rounded down so that it remains a lower bound. If 64-bit numbers are disabled in JAX, as they are by default, JAX
     converts float64 arrays to float32. The function refuses float64 arrays where it can, since the answer would hold
-    for slightly different configurations. It cannot detect arrays that ``jit`` or ``grad`` has already converted; their
-    answers hold for the float32 configurations.
+    for slightly different configurations. The function cannot detect arrays that ``jit`` or ``grad`` has already
+    converted; for such arrays, the answers hold for the float32 configurations.
 
     Inside ``jit`` and ``vmap``, errors about values, such as an entry that is not finite, appear as JAX errors: a
     ValueError or a RuntimeError that contains the message.
@@ -81,7 +81,7 @@ def clearance(checker: CollisionChecker, *, softness: float = 0.005) -> Callable
 
 
 def distance(checker: CollisionChecker) -> Callable[[Any], Any]:
-    """Make a JAX function of the exact `CollisionChecker.distance`, which has kinks.
+    """Make a JAX function that computes the exact distance of `CollisionChecker.distance`, a function with kinks.
 
     Parameters
     ----------

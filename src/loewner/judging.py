@@ -1,5 +1,4 @@
-"""Judge the answers of another program about pairs of bodies: which ones are proven wrong, in what way, and by how
-much."""
+"""Find which answers of another program about pairs of bodies are proven wrong, in what way, and by how much."""
 
 from __future__ import annotations
 
@@ -104,15 +103,15 @@ class Finding(IntEnum):
 
 
 class Convention(NamedTuple):
-    """Answers that were interpreted in another convention.
+    """Another convention in which answers were interpreted, and its effect on the findings.
 
     Attributes
     ----------
     about, reading : str
-        Two parts of a sentence: the parts of answers concerned, in the plural, and the convention.
+        Two parts of a sentence: `about` names the parts of answers, in the plural, and `reading` names the convention.
     wrong, right, spoilt : int
-        Numbers of parts that are wrong as given, that the convention then makes right, and that are right as given but
-        wrong in the convention.
+        Numbers of parts: `wrong` as given; wrong as given but `right` in the convention; right as given but wrong in
+        the convention (`spoilt`).
     """
 
     about: str
@@ -216,7 +215,7 @@ class Judgement(_validate.Brief):
         Parameters
         ----------
         kind : Finding, optional
-            Default: all answers that are proven wrong.
+            The finding to list; by default, all findings of proven errors.
 
         Returns
         -------
@@ -269,8 +268,8 @@ def judge_answers(
     colliding : array_like, shape (...), optional
         Whether the bodies collide: True or 1, False or 0, NaN for no answer.
     distance : array_like, shape (...), optional
-        Distances in metres. A negative value is a depth. 0 is right for all bodies that collide, since many programs do
-        not compute depths.
+        Distances in metres. A negative value is a depth. A distance of 0 counts as right for all bodies that collide,
+        since many programs do not compute depths.
     depth : array_like, shape (...), optional
         Lengths of the shortest translations that separate the bodies, in metres; 0 for bodies that are apart.
     witness_a, witness_b : array_like, shape (..., 3), optional

@@ -90,7 +90,7 @@ def body(
     Raises
     ------
     InputError
-        If `body` is not a body, or the pose does not have shape (4, 4); PoseError if it is not a rigid motion.
+        If `body` is not a body, or the pose does not have shape (4, 4); PoseError if the pose is not a rigid motion.
     MissingExtraError
         If matplotlib is not installed.
 
@@ -119,8 +119,7 @@ def pair(
     ellipsoids: bool = True,
     near: bool = True,
 ) -> Any:
-    """Draw two bodies with their ellipsoids, titled with the certified verdict and, if it is ambiguous, the exact
-    verdict.
+    """Draw two bodies with their ellipsoids; the title is the certified verdict and, if ambiguous, the exact verdict.
 
     Parameters
     ----------
@@ -231,8 +230,8 @@ def configuration(checker: CollisionChecker, q: ArrayLike, *, ax: Any = None) ->
 def cover(robot: Robot, model: Robot, q: ArrayLike | None = None, *, ax: Any = None) -> Any:
     """Draw a robot with the shapes that should contain its links; parts of links outside their shapes are red.
 
-    Colours are chosen for triangles of about 3 % of each link's size, so that smaller holes may be missed;
-    `Robot.covered_by` proves where there are holes.
+    Each triangle has one colour and a size of about 3 % of its link, so the picture may miss smaller holes;
+    `Robot.covered_by` proves whether there are holes.
 
     Parameters
     ----------
@@ -240,7 +239,7 @@ def cover(robot: Robot, model: Robot, q: ArrayLike | None = None, *, ax: Any = N
     model : Robot
         A robot whose links have the same names, for instance from `Robot.with_cover`.
     q : array_like, shape (dof,), optional
-        The configuration. Default: the state of the robot that sets the most joints, or zero.
+        The configuration. The default is the robot's state that sets the most joints, or zero for all joints.
     ax : matplotlib 3-D axes, optional
 
     Returns
@@ -330,18 +329,20 @@ def _add_triangles(ax: Any, corners: Floats, colour: str, alpha: float) -> None:
 
 
 def trajectory(checker: CollisionChecker, curve: Any, *, joint_error: ArrayLike = 0.0, ax: Any = None) -> Any:
-    """Draw the distances of the nearest pairs along a curve, its worst moment, and where it is not proven free.
+    """Draw the distances of the nearest pairs along a curve, and mark its worst moment and the parts not proven free.
 
     A line shows the distance between two bodies in millimetres, measured at equal steps in time; a negative distance is
-    a depth. Besides the nearest pairs, each pair at which the proof of a piece ended has a line. Such a piece has a
-    coloured background, since a pair collides or is ambiguous. A dot marks the least measured distance.
+    a depth. Lines are drawn for the nearest pairs and for each pair at which the proof of a piece of the curve ended.
+    The background of such a piece is coloured, since a pair collides or is ambiguous in it. A dot marks the least
+    measured distance.
 
     Parameters
     ----------
     checker : CollisionChecker
     curve : PPoly, BPoly, BSpline, planners.Trajectory, planners.ControllerPoints, or ndarray, shape (k, dof)
-        As for `CollisionChecker.certify_trajectory`; or a path, whose straight motions are proven by
-        `CollisionChecker.certify_edges`. A path is drawn over the indices of its configurations, since it has no times.
+        A curve, as for `CollisionChecker.certify_trajectory`, or a path whose straight motions
+        `CollisionChecker.certify_edges` proves. A path has no times and is drawn over the indices of its
+        configurations.
     joint_error : float or array_like, shape (dof,)
         As for `CollisionChecker.certify_trajectory`, in radians or metres.
     ax : matplotlib axes, optional
@@ -350,8 +351,8 @@ def trajectory(checker: CollisionChecker, curve: Any, *, joint_error: ArrayLike 
     Returns
     -------
     matplotlib axes
-        The axes, titled with the verdict of the whole curve. Lines are cut off above the largest distance of a nearest
-        pair.
+        The axes, titled with the verdict of the whole curve. Lines are cut off above the largest distance that the
+        nearest pair has at any time.
 
     Raises
     ------
@@ -496,7 +497,7 @@ def costs(
         Times per item in seconds, keyed by their label in the legend; NaN where a time was not measured. A single
         number is a time that does not depend on the size, and is drawn as a dashed horizontal line.
     size, item : str
-        Labels of the axes.
+        Names of the size and of the item, for the labels of the axes.
     ax : matplotlib axes, optional
         Axes to draw into; a new figure by default.
 
@@ -507,7 +508,8 @@ def costs(
     Raises
     ------
     InputError
-        If there are no sizes or no times, if their numbers differ, or if a value is not above zero.
+        If there are no sizes or no times, if the number of times differs from the number of sizes, or if a value is not
+        above zero.
     MissingExtraError
         If matplotlib is not installed.
 
@@ -561,7 +563,7 @@ def accuracy(counts: Mapping[str, Mapping[str, tuple[int, int]]], *, ax: Any = N
     Raises
     ------
     InputError
-        If there is no rule or no family, or a pair of numbers does not satisfy 0 <= right <= asked.
+        If there is no rule or no family, or a pair of numbers does not satisfy 0 <= right <= total.
     MissingExtraError
         If matplotlib is not installed.
 

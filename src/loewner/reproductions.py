@@ -143,7 +143,7 @@ def reproduction(
     >>> exec(code)
     DISTANCE_TOO_SMALL: wrong by at least 0.5 m
 
-    With a function in place of the other program, here one that always returns 0, the bodies become small:
+    With an engine, here a function that always returns 0, the bodies are reduced to a few corners:
 
     >>> code = reproduction(Body.box([1, 1, 1]), None, Body.box([1, 1, 1]), T, engine=lambda a, b: {"distance": 0.0})
     >>> code.count("0.5]")  # of two tetrahedra

@@ -1,4 +1,4 @@
-"""Make functions of a checker's clearances and distances that PyTorch can differentiate.
+"""Turn a checker's clearances and distances into functions that PyTorch can differentiate.
 
 PyTorch is imported only when a function here is called: ``pip install "loewner[torch]"``. Import this module by its
 full name, ``import loewner.torch``: ``from loewner import torch`` would hide PyTorch's own name.
@@ -22,7 +22,7 @@ __all__ = ["clearance", "distance"]
 
 
 def clearance(checker: CollisionChecker, *, softness: float = 0.005) -> Callable[[Any], Any]:
-    """Make a PyTorch function of `CollisionChecker.clearance`: a smooth certified lower bound.
+    """Make a PyTorch function that computes `CollisionChecker.clearance`, a smooth certified lower bound on distance.
 
     Parameters
     ----------
@@ -48,9 +48,9 @@ def clearance(checker: CollisionChecker, *, softness: float = 0.005) -> Callable
     Notes
     -----
     The function is a ``torch.autograd.Function``: ``backward`` works, and so do ``vmap``, ``grad``, ``jacrev``, ``jvp``
-    and ``jacfwd`` of ``torch.func``. A batch is one call of the kernel, even under ``vmap``. Gradients are computed
-    together with the values if they may be needed. There are no second derivatives: differentiating twice raises an
-    error.
+    and ``jacfwd`` of ``torch.func``. A batch takes one kernel call, even under ``vmap``. Gradients are computed
+    together with the values if the gradients may be needed. Second derivatives are not supported: differentiating twice
+    raises an error.
 
     Results have the type of the configurations. In float32, the bound holds for exactly the given float32 numbers, and
     is rounded down so that it remains a lower bound.
@@ -73,7 +73,7 @@ def clearance(checker: CollisionChecker, *, softness: float = 0.005) -> Callable
 
 
 def distance(checker: CollisionChecker) -> Callable[[Any], Any]:
-    """Make a PyTorch function of the exact `CollisionChecker.distance`, which has kinks.
+    """Make a PyTorch function that computes the exact distance of `CollisionChecker.distance`, a function with kinks.
 
     Parameters
     ----------

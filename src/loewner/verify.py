@@ -1,10 +1,10 @@
-"""Check a file that proves motions free of collisions, in integers and fractions, without the rest of the library.
+"""Check, in integers and fractions and without the rest of the library, a file that proves motions collision-free.
 
 This module also checks proofs that pairs of bodies are free over ranges of the joints between them, or that two bodies
 collide. It needs only Python's standard library, and can be run by itself: ``python verify.py plan.proof``. The page
 docs/proof-format.md describes the files and shows why a file that passes is a proof. Lengths, sines and matrices are
 integers in units of 2^-72. The following bounds on rounding errors are in these units, and hold for the norms of
-vectors and matrices (the root of the sum of squares); lengths that multiply them are in metres.
+vectors and matrices (the root of the sum of squares); lengths that appear as factors are in metres.
 
 - In each entry, the rounding error of a double, a fixed rotation and an axis is less than 1. The error of a sine or
   cosine is less than 2: a tenth for the angle, a thousandth for the series, and 1 for the result. In a joint's rotation
@@ -14,9 +14,9 @@ vectors and matrices (the root of the sum of squares); lengths that multiply the
 - A link is at its parent's position plus a rotated step of length l. The step has an error below 3 l + 8, the parent's
   rotation adds its error times l, and rounding adds 2. With E = TURN (links of the chain + 1) and the length L of the
   chain, the error is at most E (L + 1).
-- A plane's normal n is exact, since any vector is valid. In the other body's frame it has an error of 2 E |n| + 5. A
-  gap therefore has an error of at most (|n| + 1) E (2 X + 4 L + 3), where X is the size of the bodies, plus |n| times
-  the errors of the placed points of both bodies, which are at most ``_Body.fuzz``.
+- A plane's normal n is exact, since any vector is valid. Its error in the other body's frame is 2 E |n| + 5. A gap
+  therefore has an error of at most (|n| + 1) E (2 X + 4 L + 3), where X is the size of the bodies, plus |n| times the
+  errors of the placed points of both bodies, which are at most ``_Body.fuzz``.
 """
 
 import argparse
@@ -72,15 +72,15 @@ class Report:
         ``margins`` has the usual margin, and the number of pairs with another margin. ``deviations`` has the name of
         each value, and how far the value may deviate.
     left_out, uncovered : tuple of (str, str), and of str
-        ``left_out`` lists pairs that the model exempts, and ``uncovered`` bodies with an interior that their pieces do
-        not cover, so that the planes do not exclude it.
+        ``left_out`` lists pairs that the model exempts. ``uncovered`` lists bodies whose pieces do not cover their
+        interior; the planes prove nothing about such an interior.
     points, motions : tuple of tuple of tuple of float, and tuple of (int, bool, bool, int)
         ``points`` has the control points of each motion. ``motions`` has the degree of each motion, whether it starts
         where the previous motion ends, whether its control points are within the limits of the values, and the number
         of its configurations at which planes were checked.
     tightest, common : (str, str, int, Fraction, Fraction, float, Fraction) or None, and (str, str) or None
         ``tightest`` is the check with the least room to spare: two bodies, a motion, an interval, the margin, and the
-        remaining room. If the file claims a common point, ``common`` names the two bodies that have this point.
+        remaining room. If the file claims a common point, ``common`` names the two bodies that share this point.
     rules, contacts : tuple of (str, str, int), and of (str, str, int, Fraction, Fraction, float)
         ``rules`` lists pairs that may be in contact at the start (1) or at the end (2) of motions, or at both (3).
         ``contacts`` lists two bodies, a motion, an interval, and the least distance between the bodies in metres,
@@ -88,8 +88,8 @@ class Report:
     ranges : tuple of (str, str, float, tuple of (str, float, float, bool))
         If the file claims ranges: two bodies, their margin in metres, and the values between them. Each value has a
         name, the ends of the range over which the bodies are farther apart than the margin, and whether the range
-        covers everything that the value can be. The last five entries of ``tightest`` are then the index of the pair,
-        0, 1, the margin, and the remaining room.
+        covers all numbers that the value can have. The last five entries of ``tightest`` are then the index of the
+        pair, 0, 1, the margin, and the remaining room.
     """
 
     model: str
@@ -108,8 +108,8 @@ class Report:
 
     @property
     def stretches(self) -> tuple[Stretch, ...]:
-        """Contacts, joined if they continue in the next motion: two bodies, a motion and t for each end, and the
-        distance.
+        """Contacts, joined if they continue in the next motion: two bodies, the motion and its parameter t at each end
+        of the contact, and the distance.
         """
         found, last = list[Stretch](), dict[tuple[str, str, float], int]()
         for a, b, number, since, until, least in self.contacts:
@@ -797,7 +797,7 @@ def verify(data: bytes) -> Report:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Check a file and print its claim; return 0 if it is proven to be free, 1 if not, and 2 if it cannot be read."""
+    """Check a file and print its claim; return 0 for a proof that bodies are free, 2 for an unreadable file, else 1."""
     parser = argparse.ArgumentParser(description="Check a proof: motions, ranges or bodies are free, or two collide.")
     parser.add_argument("file", type=Path)
     path = parser.parse_args(argv).file

@@ -61,7 +61,7 @@ def path_of(path: Path, robot: loewner.Robot) -> Floats:
 
 
 def is_path(path: Path, times: Sequence[str]) -> bool:
-    """Return whether a file names its columns, as files from `write` do, and the first name is none of `times`."""
+    """Return whether a file names its columns, as files from `write` do, and the first name is not in `times`."""
     if path.suffix.lower() not in WRITTEN:
         return False
     try:
@@ -88,7 +88,7 @@ def write(path: Path, robot: loewner.Robot, rows: Floats) -> None:
 
 
 def given(text: str, name: str, options: argparse.Namespace, robot: loewner.Robot, start: Floats | None) -> Floats:
-    """Read one or more configurations from the name of a state, a file, or numbers; the caller checks the shape.
+    """Read one or more configurations from a state's name, a file, or numbers; the caller checks the shape.
 
     Joints that a state does not name keep their values in `start`.
     """
@@ -111,7 +111,7 @@ def given(text: str, name: str, options: argparse.Namespace, robot: loewner.Robo
 
 
 def one(text: str | None, name: str, options: argparse.Namespace, robot: loewner.Robot) -> Floats | None:
-    """Read one configuration in the same ways; None if `text` is None."""
+    """Read one configuration as `given` does; return None if `text` is None."""
     return None if text is None else robot.checked_one(given(text, name, options, robot, None), name)
 
 

@@ -99,7 +99,7 @@ def apply_rules(scene: loewner.Scene, options: argparse.Namespace) -> None:
 
 
 def add_robot_options(command: argparse.ArgumentParser, *, required: bool = True) -> None:
-    """Add the options of commands that take a robot; a robot that is not required is an option, too."""
+    """Add the options of commands that take a robot; the robot is an option itself unless it is required."""
     option = command.add_argument
     if required:
         option("urdf", type=Path, metavar="URDF", help="the robot: a URDF file")

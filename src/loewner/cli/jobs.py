@@ -38,9 +38,9 @@ def answers(entry: str, tasks: Sequence[dict[str, Any]], jobs: int) -> Iterator[
     entry : str
         Module with a function ``serve_task`` that takes a task and a progress callback and returns the answer.
     tasks : sequence of dict
-        The tasks; their values are any that JSON can represent.
+        The tasks, whose values are any that JSON can represent.
     jobs : int
-        Largest number of processes at a time; together, they use as many threads as this process may use.
+        Largest number of processes at a time; together, the processes use as many threads as this process may use.
     """
     jobs = min(jobs, len(tasks))
     waiting, said = SimpleQueue[int](), SimpleQueue[Event | None]()

@@ -1,10 +1,15 @@
 """Run the command line: parse arguments, call the public API, and print.
 
-The exit statuses are: 0 for done or free; 1 for no path, or for colliding (at least one of many pairs or
-configurations); 2 for an error, or if at least one of many meshes failed; 3 for ambiguous (only for ``loewner check
---method certified``, ``plan``, ``clash``, ``cover``, ``judge`` and ``audit``). For ``loewner report rerun``, 1 means
-that answers differ. The status stays the same if the program that reads the output ends before it has read everything
-(``| head``).
+The exit statuses are:
+
+- 0: done, or free.
+- 1: no path, or colliding (at least one of many pairs or configurations).
+- 2: an error, or at least one of many meshes failed.
+- 3: ambiguous (only for ``loewner check --method certified``, ``plan``, ``clash``, ``cover``, ``judge`` and ``audit``).
+- 4: free, but beyond a limit of the robot (only for ``audit``).
+
+For ``loewner report rerun``, 1 means that answers differ. The status stays the same if the program that reads the
+output ends before it has read everything (``| head``).
 """
 
 from __future__ import annotations

@@ -52,7 +52,7 @@ class PrintPath(argparse.Action):
         self._path = path
 
     def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> NoReturn:
-        """Write the bytes that name the path in the system, so that a program that reads them finds the file."""
+        """Write the bytes that name the path in the file system, so that a program that reads them finds the file."""
         line, binary = f"{self._path}\n", getattr(sys.stdout, "buffer", None)
         if binary is None:  # a caller in Python has replaced standard output
             sys.stdout.write(line)
@@ -99,12 +99,12 @@ def standard_output() -> Iterator[None]:
 def remove_older_proof(path: Path | None) -> None:
     """Remove an older proof before the work for a new one begins, since it could be verified in place of the new one.
 
-    Any other file with this name stays until the new proof replaces it.
+    A file at this path that is not a proof stays until the new proof replaces it.
 
     Raises
     ------
     FileError
-        If the proof could not be written there, or the older proof cannot be removed.
+        If the proof could not be written to this path, or the older proof cannot be removed.
     """
     if path is None:
         return

@@ -123,7 +123,7 @@ def assumed(part: Part) -> dict[str, float]:
 
 
 def end(robot: loewner.Robot, part: Part, row: int) -> Floats:
-    """Return a configuration of a part, with the robot's columns."""
+    """Return one configuration of a part, in the robot's order of columns."""
     if not isinstance(part, planners.ControllerPoints) or part.names is None:
         rows = part if isinstance(part, np.ndarray) else part.positions
         return np.asarray(rows[row])

@@ -1,7 +1,8 @@
 """Compute the overlap, the contact function and near points of two ellipsoids.
 
-Every function takes two `Ellipsoids`, single or batches, and broadcasts their batch shapes. Only the difference of the
-centers is used, so a distant world origin costs no digits, and all quantities are scaled to the size of the ellipsoids.
+Every function takes two `Ellipsoids`, single or batches, and broadcasts their batch shapes. Only the difference between
+the centers is used, so a distant world origin costs no accuracy. All quantities are scaled to the size of the
+ellipsoids.
 """
 
 from __future__ import annotations
@@ -29,8 +30,8 @@ class NearPoints(_validate.Brief):
     Attributes
     ----------
     point_1, point_2 : ndarray, shape (..., 3)
-        Points on the first and second ellipsoids, in metres. If an overlap was found, both are one point that lies in
-        both ellipsoids.
+        Points on the first and second ellipsoids, in metres. If an overlap was found, the two points are equal and lie
+        in both ellipsoids.
     distance : ndarray, shape (...)
         ``|point_2 - point_1|``, in metres; 0 if an overlap was found.
     iterations : ndarray of int, shape (...)
@@ -136,13 +137,13 @@ def near_points(E1: Ellipsoids, E2: Ellipsoids, method: str = "lin-han", angle: 
     method : {"lin-han", "rimon-boyd", "center-line"}
         "lin-han": the true nearest points, to within `angle`. "rimon-boyd": the point on each ellipsoid that growing
         level surfaces of the other ellipsoid touch first. "center-line": the points where the segment between the
-        centers crosses the surfaces. The last two methods are closed forms, whose distance is never below the true
-        distance; "center-line" detects an overlap only on the segment.
+        centers crosses the surfaces. The last two methods are closed forms, and their distance is never below the true
+        distance; "center-line" detects an overlap only if a point of the segment is in both ellipsoids.
     angle : float
         For "lin-han", in radians: at both points, the outward normal and the direction to the other point differ by at
         most this angle. The paper uses 0.01; with 1e-8, the relative error of the distance is about 1e-16, or the
-        rounding error of float64 if that is larger. If an overlap is so shallow that the angle is reached first, a
-        small distance is returned.
+        rounding error of float64 if that is larger. If the search reaches this angle before it detects a shallow
+        overlap, a small distance is returned.
 
     Returns
     -------
@@ -200,7 +201,7 @@ class PairArrays:
     c1 : ndarray, shape (n, dim)
         First centers, in metres.
     scale : ndarray, shape (n,)
-        The powers of two, in metres.
+        The power of two by which each pair's lengths are divided, in metres.
     offset : ndarray, shape (n, dim)
         (c2 - c1) / scale.
     F1, F2 : ndarray, shape (n, dim, dim)

@@ -39,8 +39,8 @@ class Ellipsoids(KeepsReadOnly):
     -----
     Some `inner` ellipsoids of bodies are single points: an open surface without a radius has no interior, so the factor
     of its inner ellipsoid is zero. The semi-axes and the volume of a point are 0. A point contains only its center,
-    which is its support point in every direction, and remains a point when it is moved. Functions of two ellipsoids
-    refuse points.
+    which is its support point in every direction, and remains a point when it is moved. Functions that take two
+    ellipsoids refuse points.
 
     Examples
     --------

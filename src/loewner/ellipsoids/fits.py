@@ -65,9 +65,10 @@ class Fit(_validate.Brief, KeepsReadOnly):
     iterations : int
         Number of steps of the interior-point method and, in high dimension, of the coordinate ascent before it.
     weights : ndarray, shape (m,), or None
-        With ``mvce(points, weights=True)``: the weight of each point in the proof that no ellipsoid is smaller. The
-        weights are nonnegative and sum to 1. The weighted mean of the points nearly equals the ellipsoid's center, and
-        the weighted covariance of the points nearly equals the ellipsoid's shape matrix divided by the dimension.
+        With ``mvce(points, weights=True)``: the weight of each point in the proof that no smaller ellipsoid contains
+        the points. The weights are nonnegative and sum to 1. The weighted mean of the points nearly equals the
+        ellipsoid's center, and the weighted covariance of the points nearly equals the ellipsoid's shape matrix divided
+        by the dimension.
 
     Examples
     --------
@@ -98,15 +99,16 @@ def mvce(
     points : array_like, shape (m, n)
         Points in metres, with m > n >= 1.
     tol : float
-        Largest certified gap in log-volume, in [1e-12, 1].
+        Largest allowed `Fit.gap`, a number in [1e-12, 1].
     center : array_like, shape (n,), or a number
         A prescribed center, such as ``center=0`` for the origin; n points then suffice if they and the center do not
         lie in a hyperplane. By default, the center that makes the ellipsoid smallest is found.
     weights : bool
-        Whether to return the weights of the points as well, which form an optimal design for experiments at these
+        Whether to return the weights of the points as well; these weights form an optimal design for experiments at the
         points.
     progress : callable, optional
-        Called as ``progress(done, 100)`` from time to time, with the share of the requested digits reached, in percent.
+        Called as ``progress(done, 100)`` from time to time, where `done` is the percentage of the requested digits
+        reached.
 
     Returns
     -------
@@ -131,8 +133,8 @@ def mvce(
     reduction to an inscribed ellipsoid is `paper.mvce_by_lifted_mvie`, after ``from loewner import paper``.
 
     The weights form a D-optimal design of experiments at the points, for a linear model with a constant term
-    (Titterington). That is, the weights maximise the determinant of the information matrix, to within twice the gap in
-    its logarithm. With ``center=0``, the model has no constant term.
+    (Titterington). That is, the weights maximise the determinant of the information matrix: its logarithm is within
+    twice the gap of the maximum. With ``center=0``, the model has no constant term.
 
     References
     ----------
@@ -197,12 +199,13 @@ def mvie(
         the polytope.
     b : array_like, shape (m,), optional
     tol : float
-        Largest certified gap in log-volume, in [1e-12, 1].
+        Largest allowed `Fit.gap`, a number in [1e-12, 1].
     center : array_like, shape (n,), or a number, optional
         A prescribed center, such as ``center=0`` for the origin; allowed only with half-spaces. The intersection of the
         half-spaces need not be bounded, provided it contains no line through the center.
     progress : callable, optional
-        Called as ``progress(done, 100)`` from time to time, with the share of the requested digits reached, in percent.
+        Called as ``progress(done, 100)`` from time to time, where `done` is the percentage of the requested digits
+        reached.
 
     Returns
     -------
@@ -328,7 +331,7 @@ def fit_pieces(
         Outward normals from `polytopes.hulls`; up to rounding, each face passes through its own vertices. Slacks are
         measured from the vertices, which are exact, so no offsets are needed.
     tol : float
-        Largest certified gap of every fit, in log-volume.
+        Largest allowed `Fit.gap` of every fit.
     progress : callable, optional
         Called as ``progress(done, total)`` after each block.
 
@@ -341,7 +344,7 @@ def fit_pieces(
     Raises
     ------
     GeometryError, ConvergenceError
-        The message gives the index of the piece.
+        If a piece cannot be fitted; the message gives the index of the piece.
     """
     tolerance, progress = checked_tolerance(tol), _validate.callback(progress, "progress")
     V = _validate.finite_array(vertices, "vertices", (None, 3))

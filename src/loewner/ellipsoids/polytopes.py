@@ -58,7 +58,7 @@ class Polytope(KeepsReadOnly):
     normals : ndarray, shape (f, n)
         Unit outward normals of the faces; coplanar facets are merged.
     offsets : ndarray, shape (f,)
-        The largest normal·vertex for each face, so that up to rounding the polytope is {x : normals x <= offsets}.
+        The largest product normal·vertex for each face. Up to rounding, the polytope is {x : normals x <= offsets}.
     simplices : ndarray of int, shape (s, n)
         The boundary, cut into simplices, as indices of vertices. For n = 3 these are triangles, counter-clockwise when
         seen from outside.
@@ -166,7 +166,7 @@ class Polytope(KeepsReadOnly):
 
 
 def check_enough(points: Floats, name: str, least_dim: int = 1, given: Floats | None = None) -> None:
-    """Check that there are n + 1 points, or n points and a given center, in a space of a sensible dimension."""
+    """Check that there are at least n + 1 points (n with a given center), and that n is a sensible dimension."""
     m, n = points.shape
     if n < least_dim:
         raise InputError(f"{name}: expected points in dimension n >= {least_dim}, found shape {points.shape}")
@@ -238,9 +238,9 @@ def check_halfspaces(A: ArrayLike, b: ArrayLike) -> tuple[Floats, Floats]:
 def interior_point(A: Floats, b: Floats) -> Floats:
     """Find a point that provably satisfies A x < b: the origin, or the point whose least slack is largest.
 
-    A linear program finds the point whose least slack is largest. A solver's tolerance is about 1e-7 of the whole data,
-    not of each row. The program is therefore magnified about its solution and solved again, until the slack clearly
-    exceeds rounding (Gleixner, Steffy and Wolter 2016).
+    A linear program finds the point whose least slack is largest. A solver's tolerance is about 1e-7 relative to the
+    whole data, not to each row. The linear program is therefore magnified about its solution and solved again, until
+    the slack clearly exceeds rounding (Gleixner, Steffy and Wolter 2016).
 
     Raises
     ------
@@ -289,7 +289,7 @@ def interior_point(A: Floats, b: Floats) -> Floats:
 
 
 def center_error(code: int, A: Floats, direction: Floats) -> GeometryError:
-    """Make the error for an unbounded polytope; it names a direction in which the polytope is unbounded."""
+    """Make the error for half-spaces without a center; for an unbounded polytope, it names an unbounded direction."""
     if code != codes.UNBOUNDED:
         return GeometryError("A, b: no center found; the half-spaces are too close to flat or unbounded for float64")
     if not direction.any():  # the normals do not span the space: any vector that is orthogonal to all of them
@@ -405,7 +405,7 @@ _HULL_FAULTS = {
 
 @dataclass(frozen=True, eq=False)
 class Hulls:
-    """Many packed 3-D hulls: with each `start` array, hull i has the rows start[i]:start[i+1] of the data arrays.
+    """Many 3-D hulls, packed: hull i has the rows start[i]:start[i+1] of each data array, by the array's own `start`.
 
     Attributes
     ----------

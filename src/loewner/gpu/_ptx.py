@@ -1,8 +1,8 @@
 """The threads' functions as PTX, which NVIDIA's drivers compile for the GPU at hand.
 
 llvmlite's wheels include LLVM's back end for PTX. It takes the intermediate code that Numba makes from the library's
-own formulas, so the formulas need no second source, and users nothing else to install. PTX that was built with the
-native library is used as it is. Without it, the PTX is made when it is first requested, and kept in the store of
+own formulas, so the formulas need no second source, and users need not install anything else. PTX that was built with
+the native library is used as it is. If there is none, PTX is made when it is first requested, and kept in the store of
 compiled kernels.
 """
 
@@ -40,7 +40,7 @@ KERNELS = {
 
 @cache
 def text() -> bytes:
-    """PTX of all threads' functions, from the build or from the cache, or made now.
+    """Return the PTX of all threads' functions: from the build, from the cache, or compiled now.
 
     Raises
     ------

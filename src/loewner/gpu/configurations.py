@@ -43,16 +43,16 @@ class Checker:
     """A collision checker on a GPU.
 
     The GPU places the robot, compares bounds and ellipsoids, and searches exactly where bounds and ellipsoids do not
-    decide. The checker itself decides the configurations and motions for which single precision proves nothing, about
-    one in a thousand, so the answers are equal to the checker's.
+    decide. The `CollisionChecker` decides the configurations and motions for which single precision proves nothing,
+    about one in a thousand. The answers are therefore equal to the answers of the `CollisionChecker`.
 
     Parameters
     ----------
     checker : CollisionChecker
         The checker of the robot and its scene, which may change between calls.
     fallback : {"error", "cpu"}
-        Whether to raise an error, or to warn once and use the checker, if there is no GPU, its driver is too old, its
-        memory is too small, or its work was lost.
+        The reaction if there is no GPU, its driver is too old, its memory is too small, or its work was lost: "error"
+        raises an error; "cpu" warns once and uses the `CollisionChecker`.
     device : int
         Index of the GPU among those visible to the driver.
 
@@ -134,8 +134,8 @@ class Checker:
         Parameters
         ----------
         Q0, Q1 : array_like or array on the GPU, shape (..., dof)
-            Ends of the motions, broadcast together. If one array is on the GPU, both must be on it, in float32, in C
-            order and of the same shape, and the verdicts refer to exactly these float32 numbers.
+            Ends of the motions, broadcast together. If one array is on the GPU, both must be on the GPU, in float32, in
+            C order and of the same shape. The verdicts then refer to exactly these float32 numbers.
         tolerance : float
             Distance in metres for the motions that are left to the CPU: a motion that comes within this distance of
             colliding may be AMBIGUOUS.

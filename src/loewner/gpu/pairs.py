@@ -43,8 +43,8 @@ def classify(
     Parameters
     ----------
     a, b : Body or Bodies
-        A `Bodies` of n broadcasts with the last batch axis of the poses. The bodies' ellipsoids stay on the GPU as long
-        as the bodies live.
+        A `Bodies` of length n broadcasts with the last batch axis of the poses. The bodies' ellipsoids stay on the GPU
+        as long as the bodies live.
     T_world_a, T_world_b : array_like or array on the GPU, shape (..., 4, 4), or None
         Poses, broadcast together; translation in metres. None is the identity. An array on the GPU must be float32 in C
         order, from CuPy, PyTorch, JAX or any library that supports ``__cuda_array_interface__`` or DLPack, and the
@@ -52,13 +52,13 @@ def classify(
     pairs : array_like of int, shape (..., 2), optional
         Rows of a and of b to compare, instead of broadcasting; see `loewner.classify`. The rows must not be on the GPU.
     refine : bool
-        Whether the CPU settles the pairs that single precision leaves open, about half a percent for round pieces. If
-        False, such pairs stay AMBIGUOUS, which claims nothing, as do pairs with poses that are not rigid motions, and
-        a call with poses on the GPU does not wait for the GPU.
+        Whether the CPU settles the pairs that single precision leaves open, about half a percent of all pairs for round
+        pieces. If False, such pairs and pairs whose poses are not rigid motions are AMBIGUOUS, and a call with poses on
+        the GPU returns without waiting for the GPU.
     fallback : {"error", "cpu"}
-        Whether to raise an error, or to warn once and use the CPU, if there is no GPU, its driver is too old, its
-        memory is too small, or its work was lost. Poses on a GPU always cause an error in these cases, since the CPU
-        cannot read them.
+        The reaction if there is no GPU, its driver is too old, its memory is too small, or its work was lost: "error"
+        raises an error; "cpu" warns once and uses the CPU. Poses on a GPU always cause an error in these cases, since
+        the CPU cannot read them.
     device : int
         Index of the GPU among those visible to the driver.
 

@@ -1,4 +1,4 @@
-"""Code that queries about pairs and configurations share: for missing GPUs, lists for the CPU, and rows of tables."""
+"""Code shared by queries about pairs and configurations: missing GPUs, lists for the CPU, and rows of tables."""
 
 from __future__ import annotations
 

@@ -24,7 +24,8 @@ class ClosedPart:
     Attributes
     ----------
     triangles : ndarray of int, shape (t, 3)
-        Counter-clockwise when seen from outside the solid, which for a cavity means from within the cavity.
+        Triangles, counter-clockwise when seen from outside the solid. For a cavity, outside the solid means within the
+        cavity.
     volume : float
         Enclosed volume without the cavities, in cubic metres.
     """
@@ -34,10 +35,10 @@ class ClosedPart:
 
 
 def closed_parts(vertices: Floats, triangles: Ints) -> list[ClosedPart] | None:
-    """Split a mesh into closed parts; None if its surface has a border or is inconsistently oriented.
+    """Split a mesh into closed parts; return None if the surface has a border or is inconsistently oriented.
 
     Parts may overlap, and may share edges and corners. A part of negative volume is a cavity of the smallest part that
-    contains it; if no part contains it, it was inside out and is reversed.
+    contains it. If no part contains it, the part was inside out and is reversed.
     """
     neighbours = _neighbours(vertices, triangles)
     if neighbours is None:

@@ -1,7 +1,7 @@
 """Find the parts of a mesh's surface outside its convex pieces, bound their distance, and cover them.
 
-A decomposition cuts corners off the mesh, and the missing corners would be free. Its pieces are therefore grown until
-they contain the whole surface.
+A decomposition cuts corners off the mesh, and a body that touches only such a corner would be reported as free. The
+pieces are therefore grown until they contain the whole surface.
 """
 
 from __future__ import annotations
@@ -34,19 +34,18 @@ class Covering:
     Attributes
     ----------
     kind : str
-        ``"cover"``: the pieces were fitted by `Body.cover`, to any body, and the attributes refer to that body.
-        ``"convex"``: the mesh is a union of closed convex parts, and the pieces are the hulls of the parts. ``"hull"``:
-        the only piece is the convex hull of the mesh. ``"decomposition"``: the pieces approximate the mesh.
-        ``"solid"``: the mesh is not closed, and triangles that close its holes were added. ``"swept"``: the pieces
-        contain links of a robot at every point of a curve (`Robot.swept`), and all numbers refer to the swept volume of
-        the links.
+        ``"cover"``: `Body.cover` fitted the pieces to a body, and the attributes refer to that body. ``"convex"``: the
+        mesh is a union of closed convex parts, and the pieces are the hulls of the parts. ``"hull"``: the only piece is
+        the convex hull of the mesh. ``"decomposition"``: the pieces approximate the mesh. ``"solid"``: the mesh is not
+        closed, and triangles that close its holes were added. ``"swept"``: the pieces contain links of a robot at every
+        point of a curve (`Robot.swept`), and all numbers refer to the swept volume of the links.
     exact : bool
-        Whether the union of the pieces contains the whole surface of the mesh, up to rounding errors, which
-        `max_uncovered` then bounds. If true, FREE also applies to the mesh.
+        Whether the union of the pieces contains the whole surface of the mesh, up to rounding errors. If true, FREE
+        also applies to the mesh, and `max_uncovered` bounds the rounding errors.
     max_uncovered : float
         Proven upper bound on the distance from any point of the mesh's surface to the union of the pieces, in metres.
-        If ``margin`` is at least the sum of both bodies' bounds, FREE applies to both surfaces, even if `exact` is
-        false.
+        If the ``margin`` of a query is at least the sum of this bound over both bodies, FREE applies to the surfaces of
+        both meshes, even if `exact` is false.
     excess_volume : float
         Sum of the pieces' volumes divided by the mesh's volume, minus 1. The value measures how much the pieces stick
         out; overlaps count twice, including overlaps of the mesh's closed parts. NaN if the mesh is not closed and
@@ -84,16 +83,16 @@ class CoverReport(_validate.Brief):
     ----------
     outcome : {"covered", "uncovered", "undecided"}
         "covered": each point of the body, including its interior, is proven to be in the model. "uncovered": `witness`
-        is proven to be outside the model. "undecided": neither is proven; some cells as small as the tolerance are in
-        no single element.
+        is proven to be outside the model. "undecided": neither is proven, because some parts of the body, divided down
+        to the tolerance, are in no single element.
     uncovered_share : tuple of float
         Bounds on the share of the body's surface area that is outside the model. The surfaces of all pieces count, even
         where they are inside other pieces. For a curved piece, the area of an inscribed polytope with corners on the
-        surface is measured. A cloud, which has points without triangles, has no area, so that the bounds are (0, 1).
+        surface is measured. For a cloud of points without triangles, which has no area, the bounds are (0, 1).
     depth : tuple of float
         Bounds on the largest distance from a point of the body to the model, in metres.
     witness : ndarray, shape (3,), or None
-        The point of the body that is deepest outside every element, among the points tried.
+        Among the points of the body that were tried, the point that is farthest outside the model.
     excess : tuple of float
         Bounds on the largest distance from a point of the model to the body, in metres.
 

@@ -1,6 +1,6 @@
 """Load triangle meshes and split them into convex pieces.
 
-A file is read completely or refused: half a mesh would be free where the whole mesh collides.
+A file is read completely or refused, since half a mesh could be free where the whole mesh collides.
 """
 
 from __future__ import annotations
@@ -225,9 +225,9 @@ def convex_pieces(
         Whether to grow the pieces of a decomposition until they contain the mesh's whole surface.
     tolerance : float, optional
         The largest distance by which the pieces may stick out of the mesh, in metres. If it is given, the mesh is cut
-        along planes instead of by CoACD, until no piece sticks out farther or `max_pieces` is reached. If a piece still
-        sticks out farther, a warning states by how much. A mesh with holes is always cut along planes; the default
-        tolerance is then 2 % of the diagonal of the bounding box, or more if 2 % would take too much work.
+        along planes instead of by CoACD, until no piece sticks out farther or `max_pieces` is reached. If a piece
+        sticks out farther in the end, a warning states how far. A mesh with holes is always cut along planes; the
+        default tolerance is then 2 % of the diagonal of the bounding box, or more if 2 % would take too much work.
     threshold : float
         CoACD's bound on concavity, from 0.01 to 1. A smaller bound gives more pieces and a closer fit. It applies only
         to meshes without holes.

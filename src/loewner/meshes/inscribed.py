@@ -55,7 +55,7 @@ def inscribed_ellipsoids(
     Raises
     ------
     InputError
-        If shapes are wrong, entries are not finite, indices are out of range, or the count is wrong.
+        If shapes are wrong, entries are not finite, indices are out of range, or `count` is not a positive integer.
 
     Notes
     -----

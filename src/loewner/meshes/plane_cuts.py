@@ -67,7 +67,7 @@ class Cell:
     deepest : ndarray, shape (3,)
         The point of the hull that sticks out most, among the points examined.
     whole : bool
-        Whether no point was found to stick out, or no plane makes progress.
+        Whether the cell stays whole, either because no point was found to stick out or because no plane makes progress.
     """
 
     triangles: Floats

@@ -52,7 +52,7 @@ CHUNK = 16_384
 
 
 class Solid:
-    """A triangle mesh, for distances of points from the solid if the mesh is closed, and otherwise from the surface.
+    """A triangle mesh that measures distances: from the solid if the mesh is closed, and from the surface otherwise.
 
     Parameters
     ----------
@@ -166,7 +166,7 @@ class Protrusions:
     bounds : ndarray, shape (k,)
         Proven upper bound for each piece, in metres.
     found : ndarray, shape (k,)
-        The distance of the farthest point found, which is a lower bound.
+        Distance of each piece's farthest point found, which is a lower bound, in metres.
     points : ndarray, shape (k, 3)
         The farthest point found; NaN if nothing sticks out.
     """
@@ -190,24 +190,24 @@ def protrusions(
     relative : float
         How close the bound must come to the distance found, as a share of that distance.
     together : bool
-        Whether only the piece that sticks out most matters, which lets the search end earlier.
+        Whether only the piece that sticks out most matters; the search can then end earlier.
 
     Notes
     -----
     The distances of two points to the solid differ by at most the distance between the points. One bound for a triangle
     of a piece's boundary is therefore the distance of the triangle's center, negative inside, plus the triangle's
-    radius about the center. The distance to a single triangle of the mesh is a convex function, so its value at the
-    farthest corner is a second bound; the smaller bound counts. A triangle whose bound is above the required bound is
-    halved, or cut along the edges of the mesh triangle in which it nearly lies; the part in the mesh triangle is then
-    settled.
+    radius about the center. The distance to a single triangle of the mesh is a convex function, so its largest value at
+    a corner is a second bound. The smaller of the two bounds counts. A triangle whose bound is above the required bound
+    is halved, or cut along the edges of the mesh triangle in which it nearly lies; the part in the mesh triangle is
+    then settled.
 
     Inside a piece, in a cavity or a groove that the piece fills, the distance may have a greater local maximum. At such
     a maximum, the directions from the nearest points of the surface surround the point, and each direction is a
     combination of outward normals of triangles at its nearest point.
 
     The inside is searched in cubes. A cube has no such maximum if all triangles within reach face one half-space. For
-    any other cube, the first bound above is used, or the cube is divided. All cubes are treated in this second way if
-    the solid is on the outer side of some triangles of the mesh, for instance where a cavity extends beyond its part.
+    any other cube, the bound from the distance of its center is used, or the cube is divided. No cube is exempt if the
+    solid is on the outer side of some triangles of the mesh, for instance where a cavity extends beyond its part.
     """
     cells = np.concatenate([hull.vertices[hull.simplices] for hull in hulls])
     owner = np.repeat(np.arange(len(hulls)), [len(hull.simplices) for hull in hulls])

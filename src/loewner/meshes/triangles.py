@@ -50,7 +50,7 @@ def cut(triangles: Floats, normals: Floats, offsets: Floats, rounding: float) ->
     offsets : ndarray, shape (t,)
     rounding : float
         Corners within this distance of the plane count as lying in it. A triangle in the plane belongs to the side
-        behind it, which contains the solid that the triangle bounds.
+        behind the triangle, since this side contains the solid that the triangle bounds.
 
     Returns
     -------
@@ -90,7 +90,7 @@ def cut(triangles: Floats, normals: Floats, offsets: Floats, rounding: float) ->
 
 
 def squared_distances(points: Floats, triangles: Floats) -> Floats:
-    """Compute the squared distance of each point, shape (n, 3), to its triangle, shape (n, 3, 3), which may be thin."""
+    """Compute squared distances from points, shape (n, 3), to one (maybe thin) triangle each, shape (n, 3, 3)."""
     squared = np.empty(len(points))
     entries.squared_distances_of(np.ascontiguousarray(points), np.ascontiguousarray(triangles), squared)
     return squared
@@ -98,18 +98,19 @@ def squared_distances(points: Floats, triangles: Floats) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class FramedTree:
-    """A tree over triangles, relative to the center of their box and scaled by a power of two to a size near 1.
+    """A tree over triangles whose corners are measured from the center of their box and scaled by a power of two.
 
-    Rounding is then relative to the size of the mesh, and single precision suffices for the boxes of the tree.
+    The scaled size is near 1. Rounding is therefore relative to the size of the mesh, and single precision suffices for
+    the boxes of the tree.
 
     Attributes
     ----------
     origin : ndarray, shape (3,)
     scale : float
     arrays : tuple of ndarray
-        Boxes, children and blocks of the tree, a corner, and the diagonals.
+        Boxes, children and blocks of the tree, the first corner, and the diagonals.
     numbers : ndarray of int64
-        The triangle at each place of the blocks.
+        Index of the triangle at each place in the blocks.
     table : ndarray of int64
         Addresses of the arrays; kernels receive the address of this table.
     """

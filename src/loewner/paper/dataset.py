@@ -1,6 +1,6 @@
 """Draw the paper's data set: pairs of hulls of twenty random points, with the second hull shifted along [1, 1, 1].
 
-The text leaves two readings open. Points "sampled from a unit ball" may be uniform in radius or in volume, and the
+Two phrases of the paper are ambiguous. Points "sampled from a unit ball" may be uniform in radius or in volume, and the
 shift "in the direction [1, 1, 1] by a random number" may use a vector of length 1 or sqrt(3). Uniform radius with the
 unit vector is the default, since it reproduces the paper's share of collisions and its four exact classes
 (docs/design/paper.md). Uniform volume is the second data set.

@@ -243,7 +243,7 @@ ARROWS = (
 def arrow_path(start: str, end: str) -> Floats:
     """Return the corners of an arrow from the border of one box to the border of a second box, shape (2 or 3, 2).
 
-    The arrow runs straight down or sideways. If an answer skips the questions below, it runs sideways, then down.
+    The arrow runs straight down or sideways. An arrow that skips the questions below runs sideways, then down.
     """
     x0, y0, width_0, height_0 = BOXES[start][:4]
     x1, y1, width_1, height_1 = BOXES[end][:4]

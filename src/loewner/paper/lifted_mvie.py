@@ -27,7 +27,7 @@ def mvce_by_lifted_mvie(points: ArrayLike, tol: float = DEFAULT_TOLERANCE) -> Fi
     points : array_like, shape (m, n)
         The points in metres, with m > n >= 1.
     tol : float
-        Largest certified gap in log-volume, in [1e-12, 1].
+        Largest allowed `Fit.gap`, a number in [1e-12, 1].
 
     Returns
     -------
@@ -39,7 +39,7 @@ def mvce_by_lifted_mvie(points: ArrayLike, tol: float = DEFAULT_TOLERANCE) -> Fi
     InputError
         If the shape is wrong, entries are not finite, or the tolerance is out of range.
     GeometryError
-        If there are fewer than n + 1 points, or all lie in a hyperplane.
+        If there are fewer than n + 1 points, or all points lie in a hyperplane.
     ConvergenceError
         If the certified gap exceeds `tol`.
 

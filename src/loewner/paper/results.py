@@ -67,7 +67,7 @@ class Experiment:
     detectors : tuple of Result
         Detectors 1 to 4.
     estimate : Result
-        The rule F_in F_out <= 1; pairs are ambiguous to it if the two exact overlap checks do not settle them.
+        Results of the rule F_in F_out <= 1; a pair is ambiguous if the two exact overlap checks do not settle the pair.
     fittings : tuple of Fitting
         Reliability of each kind of fit, measured on at most the first 2000 polyhedra.
 

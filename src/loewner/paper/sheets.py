@@ -90,7 +90,7 @@ def pairs(experiment: Experiment) -> Sheet:
 
 
 def counts(experiment: Experiment) -> tuple[Sheet, ...]:
-    """Tabulate each detector's confusion matrices (a) and (b) next to the paper's, followed by the estimate's."""
+    """Tabulate the confusion matrices (a) and (b) of each detector, next to the paper's, and then of the estimate."""
     found = tables(experiment)
     return tuple(_matrices(whole, part) for whole, part in zip(found[::2], found[1::2], strict=True))
 

@@ -94,7 +94,7 @@ class Table:
 
 
 def homogeneity(counts: Sequence[int], others: Sequence[int]) -> float:
-    """Compute Pearson's chi-square p-value for two rows of counts having one distribution; NaN if a row is empty."""
+    """Compute Pearson's chi-square p-value for the hypothesis that two rows of counts have one distribution, or NaN."""
     table = np.array([counts, others], dtype=float)
     table = table[:, table.sum(axis=0) > 0]
     rows, columns = table.sum(axis=1), table.sum(axis=0)

@@ -1,8 +1,8 @@
-"""Settle pairs of surfaces in integers where rounding keeps the kernels from deciding.
+"""Settle, in exact integers, pairs of surfaces that rounding keeps the kernels from deciding.
 
-Poses and corners are floats, so all placed corners are integer multiples of one small unit. So are all determinants,
-and their signs are therefore certain. With Python's integers this takes a millisecond, where a kernel takes a
-microsecond, but hardly any pair needs it.
+Poses and corners are floats, so the coordinates of all placed corners are integers in one small unit. Determinants of
+integers are exact, and their signs are therefore certain. A pair takes a millisecond with Python's integers and a
+microsecond in a kernel, but hardly any pair needs integers.
 """
 
 from __future__ import annotations
@@ -146,8 +146,8 @@ def cross(a: Vector, b: Vector) -> Vector:
 def meet(a: list[Vector], b: list[Vector]) -> bool:
     """Whether two triangles, segments or points have a point in common.
 
-    They have no common point if and only if an axis separates them strictly: a normal of the set of their differences,
-    or of the plane or line of this set if it is flat.
+    They have no common point if and only if an axis separates them strictly: a normal of the set of their differences
+    or, if this set is flat, of the plane or line that contains the set.
     """
     return not any(
         max(dot(n, p) for p in a) < min(dot(n, p) for p in b) or max(dot(n, p) for p in b) < min(dot(n, p) for p in a)

@@ -45,7 +45,7 @@ class Measures(NamedTuple):
 
 
 def measure(exact: bool, n: int, operands: Operands) -> Measures:
-    """Bounds on the distances of n pairs and, on request, the distances themselves; poses must be rigid motions."""
+    """Bound the distances of n pairs and, on request, compute the distances as well; poses must be rigid motions."""
     plan, rows, *bodies = operands
     m = n if exact else 0
     numbers, vectors, status = np.empty((3 + exact, n)), np.empty((3, m, 3)), np.zeros(m, dtype=np.int8)

@@ -22,14 +22,14 @@ NO_ROWS = np.empty((2, 0), dtype=np.int64)
 
 
 def settle(mode: int, margin: float, first: int, last: int, operands: Operands, out: NDArray[np.int8]) -> Ints | None:
-    """Settle pairs first .. last.
+    """Settle the pairs k with ``first <= k < last``.
 
     Parameters
     ----------
     mode : int
         `codes.CERTIFY` or `codes.EXACT`.
     margin : float
-        Metres, >= 0.
+        Distance to keep, in metres, >= 0.
     operands : Operands
     out : ndarray of int8
         Receives the verdicts. AMBIGUOUS in mode EXACT means that no search settled the pair; the caller must treat the

@@ -51,9 +51,9 @@ class Overlaps(_validate.Brief):
     pairs : ndarray of int64, shape (m, 2)
         Indices i < j of the bodies, in lexicographic order.
     distance : ndarray, shape (m,)
-        In metres. A negative value is a depth; if a body has several pieces, the depth of the deepest two pieces, as
-        in `Distance`. The value is positive for separate bodies within the margin, and may round to slightly above
-        zero for bodies that just touch.
+        Distance in metres. A negative value is a depth, which for bodies with several pieces is the depth of the
+        deepest two pieces, as in `Distance`. The value is positive for separate bodies within the margin, and may round
+        to slightly above zero for bodies that just touch.
     witness_a, witness_b : ndarray, shape (m, 3)
         Points of bodies i and j in world coordinates, with witness_b - witness_a = distance * normal.
     normal : ndarray, shape (m, 3)
@@ -119,7 +119,7 @@ def overlapping_pairs(
         Distance in metres up to which bodies count as colliding.
     method : {"exact", "certified"}
         "exact" finds the pairs for which `collide` is true. "certified" finds the pairs that neither boxes nor
-        ellipsoids prove free: all colliding pairs and some ambiguous pairs, which `classify` distinguishes.
+        ellipsoids prove free: all colliding pairs and some ambiguous pairs; `classify` distinguishes the two.
     depth : bool
         Whether to compute the distance or depth, normal and witnesses of each pair as well.
 
@@ -139,9 +139,9 @@ def overlapping_pairs(
     UnknownNameError
         If `method` is not one of the names above.
     ConvergenceError
-        If the exact search could not settle a pair; it never returns "free" instead. With ``depth=True``, also if a
-        distance could not be computed, as in `distance`. The `indices` of this error are rows of the list of pairs, and
-        its `partial` has all other results.
+        If the exact search could not settle a pair, which is never reported as free. With ``depth=True``, also if a
+        distance could not be computed, as in `distance`; in this case, `indices` are rows of the list of pairs, and
+        `partial` has all other results.
 
     Examples
     --------

@@ -43,7 +43,8 @@ class FirstContact(_validate.Brief):
     touching_at : float or ndarray
         Time at which the bodies touch or come within the margin. From `free_until` to this time, the distance of the
         bodies changes by no more than the tolerance. For AMBIGUOUS pairs, it is a time not before `free_until` at which
-        the bodies touch or are within the tolerance of touching, or inf if no such time is known. inf if FREE.
+        the bodies touch or are within the tolerance of touching, or inf if no such time is known. If the verdict is
+        FREE, the time is inf.
 
     Examples
     --------
@@ -69,7 +70,7 @@ def first_contact(
     tolerance: float = 1e-6,
     margin: float = 0.0,
 ) -> FirstContact:
-    """Compute when two bodies that move and turn first touch, and prove that they are free until then.
+    """Compute when two bodies that move and turn first touch, and prove that they do not touch before.
 
     The origin of a body moves along a straight line between its two poses, at a constant speed. At the same time, the
     body turns the shorter way, also at a constant rate, about an axis through its origin.
@@ -77,22 +78,22 @@ def first_contact(
     Parameters
     ----------
     a, b : Body or Bodies
-        A `Bodies` of n broadcasts with the last batch axis of the poses.
+        A `Bodies` of length n broadcasts with the last batch axis of the poses.
     motion_a, motion_b : tuple of two array_like, shape (..., 4, 4), or array_like, or None
         The poses (T0, T1) of a body at the beginning and at the end, broadcast together; or a single pose for a body at
         rest. None is the identity.
     tolerance : float
-        Length in metres by which the bodies may approach each other between `free_until` and `touching_at`. It can be
-        as small as about 1e-11 of the lengths involved, and 1e-8 for ellipsoids, cylinders and cones; below that, pairs
-        are AMBIGUOUS.
+        Length in metres by which the bodies may approach each other between `free_until` and `touching_at`. The
+        tolerance can be as small as about 1e-11 of the lengths involved, or 1e-8 of them for ellipsoids, cylinders and
+        cones; with a smaller tolerance, pairs are AMBIGUOUS.
     margin : float
         Distance in metres that the bodies have to keep.
 
     Returns
     -------
     FirstContact
-        The time `free_until` is never late: before it, the pair is free, including all rounding (docs/certified.md,
-        "First contact"). If the bodies touch at the beginning, both times are 0.
+        The pair is proven free before the time `free_until`, including all rounding (docs/certified.md, "First
+        contact"). If the bodies touch at the beginning, both times are 0.
 
     Raises
     ------

@@ -81,19 +81,20 @@ VerdictOrVerdicts = Verdict | Verdicts
 class Distance(_validate.Brief, Generic[Number, Exact, Vector]):
     """Signed distances of bodies in metres, arrays of the batch's shape; negative values are penetration depths.
 
-    All values refer to the nearest two pieces or, if the bodies overlap, to the deepest two. For bodies with several
-    pieces, a negative distance is therefore the depth of that pair alone: the bodies penetrate each other at least that
-    deeply, but separating them can take a longer translation, since another pair of pieces may then be in the way. For
-    a surface the depth is a strict lower bound; for two convex pieces it is as accurate as an exact distance. If the
-    inner ellipsoids of a solid surface prove a greater depth than its triangles, `distance` is the greater depth, while
-    the witnesses and the normal belong to the triangles.
+    All values refer to the nearest two pieces or, if the bodies overlap, to the two pieces that overlap most deeply.
+    For bodies with several pieces, a negative distance is therefore the depth of that pair alone: the bodies penetrate
+    each other at least that deeply, but separating them can take a longer translation, since another pair of pieces may
+    then be in the way. For a surface the depth is a strict lower bound; for two convex pieces it is as accurate as an
+    exact distance. If the inner ellipsoids of a solid surface prove a greater depth than its triangles, `distance` is
+    the greater depth, while the witnesses and the normal belong to the triangles.
 
     Attributes
     ----------
     lower, upper : float or ndarray
         Certified bounds from the ellipsoids: lower <= distance <= upper.
     estimate : float or ndarray
-        A guess, computed in O(1) from the product of the two contact functions, and clamped to the bounds.
+        A guess, computed in O(1) from the product of two contact functions (of the inner and of the outer ellipsoids),
+        and clamped to the bounds.
     distance : float or ndarray, or None
         With ``exact=True``: the distance of the bodies, or minus the depth of the deepest two pieces. This depth is the
         length of the shortest translation that separates the two pieces.
@@ -126,9 +127,9 @@ class Distance(_validate.Brief, Generic[Number, Exact, Vector]):
 
         The wrench consists of a unit force along the normal at the witness, and the moment of that force about the
         world's origin [m]. A twist consists of the velocity of the body's point at the world's origin, and the body's
-        angular velocity. If b moves with a twist, the distance changes at a rate that is the product of twist and
-        wrench; if a moves, at minus this rate. Where the witnesses are not unique (parallel faces or edges), the
-        distance has a kink, and the wrench is the derivative for one choice of witnesses.
+        angular velocity. If b moves with a twist, the distance changes at the rate twist·wrench; if a moves with the
+        twist, at minus this rate. Where the witnesses are not unique (parallel faces or edges), the distance has a
+        kink, and the wrench is the derivative for one choice of witnesses.
 
         Examples
         --------
@@ -192,7 +193,7 @@ class Plan(NamedTuple):
     shape : tuple of int
     total : int
     steps : ndarray of int64, shape (5, d)
-        See `settle_range` in the kernels: the merged shape of the batch, and strides of a, Ta, b and Tb in rows.
+        The merged shape of the batch, and the strides of a, Ta, b and Tb in rows; see `settle_range` in the kernels.
     rows : ndarray of int64, shape (2, total) or (2, 0)
         Rows of a and of b if the pairs are listed by row number; otherwise empty.
     """
@@ -357,7 +358,7 @@ def classify(
     Parameters
     ----------
     a, b : Body or Bodies
-        A `Bodies` of n broadcasts with the last batch axis of the poses.
+        A `Bodies` of length n broadcasts with the last batch axis of the poses.
     T_world_a, T_world_b : array_like, shape (..., 4, 4), or None
         Poses, broadcast together; translation in metres. None is the identity.
     margin : float
@@ -365,7 +366,7 @@ def classify(
         COLLIDING means that they are not.
     pairs : array_like of int, shape (..., 2), optional
         Rows of a and of b to compare, instead of broadcasting: row i of a is body i at pose i, unless a single body or
-        pose serves all rows. Nothing is copied. To compare each of n bodies with each of m bodies, pass
+        pose serves all rows. Bodies and poses are not copied. To compare each of n bodies with each of m bodies, pass
         ``np.indices((n, m)).T``; the result has shape (m, n).
 
     Returns
@@ -448,7 +449,7 @@ def collide(
     Parameters
     ----------
     a, b : Body or Bodies
-        A `Bodies` of n broadcasts with the last batch axis of the poses.
+        A `Bodies` of length n broadcasts with the last batch axis of the poses.
     T_world_a, T_world_b : array_like, shape (..., 4, 4), or None
         Poses, broadcast together; translation in metres. None is the identity.
     method : {"exact", "estimate"}
@@ -474,7 +475,7 @@ def collide(
     UnknownNameError
         If `method` is not one of the names above.
     ConvergenceError
-        If the exact search could not settle a pair; it never returns "free" instead.
+        If the exact search could not settle a pair, which is never reported as free.
 
     References
     ----------
@@ -578,7 +579,7 @@ def distance(
     exact: bool = False,
     pairs: ArrayLike | None = None,
 ) -> Distance:
-    """Bound the signed distance of two bodies with proof and, on request, compute it exactly.
+    """Compute proven bounds on the signed distance of two bodies and, on request, the exact distance.
 
     Parameters
     ----------
@@ -594,7 +595,8 @@ def distance(
     -------
     Distance
         Distances are positive for separate bodies, negative for overlapping bodies, and zero for touching bodies. The
-        signed distance of two bodies is the least over their pairs of pieces; `Distance` explains what depths mean.
+        signed distance of two bodies is the least signed distance of any pair of their pieces; `Distance` explains the
+        meaning of depths.
 
     Raises
     ------
@@ -621,9 +623,9 @@ def distance(
 def push(T_world_body: Poses, wrench: ArrayLike, *, radius: float) -> Floats:
     """Move bodies along wrenches: a step of gradient ascent for distances, or for penalties made of distances.
 
-    Each body moves by the force. It also turns about its own origin by a rotation vector: the moment about this origin,
-    divided by the square of the radius. To first order, a distance with this wrench grows by the squared force plus
-    the squared moment over the squared radius.
+    Each body is translated by the force of its wrench. The body also turns about its own origin by a rotation vector:
+    the moment about this origin, divided by the square of the radius. To first order, a distance with this wrench grows
+    by the squared force plus the squared moment divided by the squared radius.
 
     Parameters
     ----------

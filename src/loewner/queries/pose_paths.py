@@ -54,7 +54,7 @@ class PoseBounds:
 
     At the time t, the body's origin deviates by at most metres + speed |t - since|, and its orientation by at most
     radians + turn |t - since|. A point at the distance ρ from the origin deviates by no more than the first bound plus
-    ρ times the second. The bounds therefore depend on the place of the origin of the body's frame.
+    ρ times the second. The bounds therefore depend on the position of the origin of the body's frame.
 
     Attributes
     ----------
@@ -298,7 +298,8 @@ class PackedPaths(NamedTuple):
     spans : ndarray, shape (bodies,)
         Largest numbers that are added to a time to locate it in the motion [s].
     once : tuple of 2 ndarray
-        The times of all motions that do not repeat, in order; and the same list with times between short turns.
+        The times of all motions that do not repeat, in order; and the same list with additional times between short
+        turns.
     bounds : tuple of PoseBounds
         How far bodies may deviate from their motions or poses.
     numbers : ndarray, shape (len(bounds),)
@@ -354,9 +355,9 @@ class PackedPaths(NamedTuple):
         return out
 
     def off(self, begin: Floats, end: Floats, ticks: Floats | float = 0.0) -> Floats:
-        """Bound how far points of bodies may deviate at times, shape (N,), that are rounded by up to `ticks`.
+        """Bound how far points of bodies may deviate from times `begin` to `end`, shape (N,), rounded by up to `ticks`.
 
-        Between the two times the bound is linear.
+        The bound is linear between the two times.
 
         Returns
         -------
@@ -372,7 +373,7 @@ class PackedPaths(NamedTuple):
         return found.reshape(len(begin), 3 * len(self.bounds))
 
     def knots(self, t0: Floats, t1: Floats, fine: bool) -> Floats:
-        """List in order all times from t0 to t1, shape (N,) each, at which a body changes its rates, and further times.
+        """List in order all times from t0 to t1, shape (N,) each, at which bodies change their rates, and maybe others.
 
         See `_knots` for `fine` and for errors.
         """

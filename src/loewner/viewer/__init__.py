@@ -1,8 +1,8 @@
 """Show two bodies, or a robot in a scene, in the browser (viser), with their verdicts while they move.
 
-By default, only this machine can open the page (see `host`). The page loads nothing from any other address. `pair` and
-`robot` are the two pages, built from `page`, `visuals`, `drawing`, `framing` and `style`. `playing` moves along
-trajectories, `screenshots` takes pictures, and `guard` keeps other machines away.
+By default, only this machine can open the page (see `host` of `show_pair`). The page loads nothing from other
+addresses. `pair` and `robot` are the two pages, built from `page`, `visuals`, `drawing`, `framing` and `style`.
+`playing` moves along trajectories, `screenshots` takes pictures, and `guard` controls access.
 """
 
 from loewner.viewer.pair import PairViewer, show_pair

@@ -59,7 +59,7 @@ AMBIENT = 1.2
 
 
 def add_mesh(scene: Any, name: str, mesh: Mesh, **look: Any) -> Any:
-    """Add triangles to the page's scene, without shadows, for which everything would have to be drawn twice."""
+    """Add triangles to the page's scene, without shadows, since shadows would require drawing everything twice."""
     vertices, triangles = mesh
     return scene.add_mesh_simple(
         name, vertices.astype(np.float32), triangles.astype(np.uint32), cast_shadow=False, receive_shadow=False, **look
@@ -90,7 +90,7 @@ class Points:
     radius: float
 
     def add(self, scene: Any, name: str, look: dict[str, Any]) -> Any:
-        """Add the balls to the page's scene as points, whose size is the radius."""
+        """Add the balls to the page's scene as points whose size is the radius."""
         return scene.add_point_cloud(
             name, self.points.astype(np.float32), look["color"], point_size=self.radius, point_shape="circle",
             precision="float32",

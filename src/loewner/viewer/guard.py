@@ -1,9 +1,9 @@
 """Control access to the page: check each request, for the page or its websocket, before viser receives it.
 
-viser serves any client that can reach its port, and not only users of this machine can: a page of any site, opened in
-a browser here, can reach 127.0.0.1 by a websocket to this address, or by a name that resolves to it. A request from
-such a page can be refused, since it names the page's site as its Origin or Host, which no script in a browser can
-change.
+viser serves any client that can reach its port. Such a client need not be a user of this machine: a page of any site,
+opened in a browser on this machine, can open a websocket to 127.0.0.1, or to a name that resolves to this address. A
+request from such a page can be refused, since its Origin or Host names the page's site, and no script in a browser can
+change these headers.
 """
 
 from __future__ import annotations
@@ -145,12 +145,12 @@ class Guard:
         return None
 
     def admit(self, path: str, response: Any, host: str) -> None:
-        """Add title, style, the token for the websocket and the policy on connections to the page that is sent.
+        """Add to a page, before it is sent, a title, style, the token for the websocket, and the policy on connections.
 
         viser's page follows `?websocket=ws://...` and `?playbackPath=...` to any address and shows the content as its
         own, so a link to this server with such parameters could be used in an attack. The policy allows connections
-        only to this server. It also forbids pages of other machines to frame this page, since they could then collect
-        clicks unnoticed.
+        only to this server. The policy also prevents pages of other machines from framing this page, since such pages
+        could collect clicks unnoticed.
         """
         self._entitle(response)
         response.headers["Content-Security-Policy"] = (
@@ -212,8 +212,8 @@ def install(server: Any, guard: Guard) -> None:
 
     viser has no hook for this, so the guard is installed in the websockets server on which viser is built. That server
     is reached through one of its own connections, opened for this purpose. Earlier clients are disconnected in the same
-    turn of the server's loop, during which no client can connect and the page is still empty. If viser or websockets
-    work differently inside than expected, the installation or the check fails, and no page is left open.
+    turn of the server's loop, during which no client can connect and the page is still empty. If the internals of viser
+    or websockets are not as expected, the installation or the check fails, and no page is left open.
 
     Raises
     ------

@@ -45,8 +45,9 @@ def show_pair(
     margin : float
         Distance in metres that the bodies have to keep.
     mesh_a, mesh_b : path, trimesh.Trimesh or trimesh.Scene, optional
-        The meshes from which the bodies were made, in the frames of the bodies. They form a separate layer, hidden at
-        first, because the pieces, not the meshes, are checked. A body without a mesh shows its pieces in that layer.
+        The meshes from which the bodies were made, in the frames of the bodies. The meshes form a separate layer,
+        hidden at first, because the pieces, not the meshes, are checked. A body without a mesh shows its pieces in that
+        layer.
     host : str
         Address on which the server listens. The default, "::1" and "localhost" restrict the page to this machine. With
         any other host, anyone who has the page's address can open the page and move the bodies. The address ends in a

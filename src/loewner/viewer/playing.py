@@ -70,7 +70,7 @@ class Path:
     duration : float
         Seconds from the first configuration to the last; 0 if all configurations are equal.
     start_time : float
-        Start time on the clock of bodies that follow motions, which is 0.
+        Time of the start on the clock of bodies that follow motions: 0 for a path.
     """
 
     start_time = 0.0
@@ -111,7 +111,7 @@ class Standing:
 
 
 class Executed:
-    """Any other curve in time, such as the points that a controller follows.
+    """A curve in time that is not a `Path`, such as the points that a controller follows.
 
     Parameters
     ----------
@@ -159,7 +159,7 @@ def _located(t: Any, times: Floats) -> tuple[Floats, Ints]:
 
 
 def checked_way(robot: Robot, path: Any, trajectory: Any) -> Trajectory | Path | Executed | None:
-    """Return the path to play; InputError if both kinds are given, or the path is for a different robot."""
+    """Return the path to play; InputError if both arguments are given, or the path is for a different robot."""
     if path is not None and trajectory is not None:
         raise InputError("path, trajectory: expected one of the two, found both")
     if isinstance(path, Trajectory):

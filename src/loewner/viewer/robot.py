@@ -80,13 +80,13 @@ def show_robot(
     checker : CollisionChecker
         Checker of the robot and the scene to show. Moving a body on the page moves it in this scene.
     q : array_like, shape (dof,), optional
-        The first configuration. The default is the start of the path. Without a path, it is the state of the SRDF that
-        names the most joints, or 0 for all joints if there is no state, with joints kept within their limits.
+        The first configuration. The default is the start of the path. Without a path, the default is the state of the
+        SRDF that names the most joints, or 0 for all joints if there is no state, with joints kept within their limits.
     path : array_like, shape (n, dof), or planners.Trajectory, optional
         Two or more configurations of this robot. The page gets a time slider, a button to play the path, a bar that
         shows where samples of the path collide, and a bar that shows where the path is proven free. If bodies of the
         scene follow motions, slider, button and bars also appear without a path. A path without times is played at a
-        speed of 1 rad/s or m/s in terms of `Robot.distances`.
+        speed of 1 rad/s or 1 m/s, as measured by `Robot.distances`.
     trajectory : planners.Trajectory, planners.ControllerPoints, or a SciPy curve, optional
         A trajectory to play instead of a path, as for `CollisionChecker.certify_trajectory`; give either `trajectory`
         or `path`.
