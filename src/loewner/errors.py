@@ -64,7 +64,7 @@ class PoseError(InputError):
 
 
 class ConvergenceError(LoewnerError, ArithmeticError):
-    """An iteration did not reach its certificate, and no guess is returned in its place.
+    """An iteration did not reach its certificate; no guess is returned in place of a certified result.
 
     Attributes
     ----------

@@ -6,7 +6,7 @@ docs/proof-format.md describes the files and shows why a file that passes is a p
 integers in units of 2^-72. The following bounds on rounding errors are in these units, and hold for the norms of
 vectors and matrices (the root of the sum of squares); lengths that appear as factors are in metres.
 
-- In each entry, the rounding error of a double, a fixed rotation and an axis is less than 1. The error of a sine or
+- A double, and each entry of a fixed rotation or of an axis, has a rounding error below 1. The error of a sine or
   cosine is less than 2: a tenth for the angle, a thousandth for the series, and 1 for the result. In a joint's rotation
   c + s e + (1 - c) e e, the terms have errors below 2, 3 and 4 in each entry, and the sum adds 1, so the matrix has an
   error below 30. Multiplying by the fixed rotation and by the parent's rotation increases this to 41 for each link of

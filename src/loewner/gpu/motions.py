@@ -16,14 +16,14 @@ INTERVALS = 64  # entries of a list for each motion; its probes need at least tw
 
 
 def slots(count: int) -> int:
-    """Number of configurations that are placed together at first, for `count` motions."""
+    """Return how many configurations are placed together at first for `count` motions."""
     return 4 * count
 
 
 def certified(
     gpu: Device, tables: Tables, tile: Tile, dof: int, ends: tuple[int, ...], total: int
 ) -> tuple[Memory, Ints]:
-    """Return the verdicts for motions with ends at two addresses, and the indices of motions left to the CPU."""
+    """Return the verdicts for motions whose ends are at two addresses, and the indices of motions left to the CPU."""
     verdicts, left = gpu.memory(total), Left(gpu, total)
     run = _Run(gpu, tables, dof, tile, max(1, min(total, MOTIONS, BENDS // max(1, tables.chains))))
     for first in range(0, total, run.most):

@@ -34,20 +34,20 @@ class Tile(NamedTuple):
 
 
 def room_for(count: int) -> tuple[int, int]:
-    """Smallest power of two that is used for `count` configurations, and its logarithm."""
+    """Return the number of places for `count` configurations, a power of two, and its logarithm."""
     log = max(LEAST, (count - 1).bit_length())
     return 1 << log, log
 
 
 def place(gpu: Device, tables: Tables, tile: Tile, Q: int, spans: int, dof: int, count: int) -> None:
-    """Place links and bodies at the configurations at an address."""
+    """Place links and bodies for the configurations that are stored at an address."""
     t, (S, log_S) = tables, room_for(count)
     gpu.launch("place_links", count, S, Q, spans, dof, t.links, t.joints, t.constants, tile.placed)
     gpu.launch("place_body", t.moving * S, S, log_S, tile.placed, t.bodies, t.balls, t.rows, tile.bounds)
 
 
 def most_of(tables: Tables, count: int) -> int:
-    """Number of configurations in a tile for `count` configurations; very many pairs or links reduce it."""
+    """Return how many of `count` configurations a tile holds; very many pairs or links reduce this number."""
     each = 4 * (columns.LINK_NUMBERS * tables.links + columns.BOUNDS * tables.moving + 4 * SURVIVORS)
     log = min(LOG_TILE, room_for(count)[1])
     while log > LEAST and (tables.pair_count << log > MOST or each << log > BYTES):

@@ -237,7 +237,7 @@ def convex_pieces(
         Seed of CoACD's search.
     progress : callable, optional
         Called as ``progress(done, total)`` after each step; the ratio done / total never decreases. If the mesh is cut
-        along planes, each step stands for a hundredth of its surface.
+        along planes, each step stands for a hundredth of the mesh's surface.
 
     Returns
     -------
@@ -253,15 +253,15 @@ def convex_pieces(
     Warns
     -----
     UserWarning
-        If a mesh to be decomposed has holes, since its inside is then not solid; if the scaled mesh is more than 1000 m
-        or less than 0.1 mm across, since its unit may not be the metre; or if the pieces stick out by more than
+        If a mesh to be decomposed has holes, since a body inside may then be FREE; if the scaled mesh is more than 1000
+        m or less than 0.1 mm across, since its unit may not be the metre; or if the pieces stick out by more than
         `tolerance`.
 
     Notes
     -----
     The closed parts of a mesh are decomposed one by one, even if they overlap or share edges or corners. A part counts
-    as convex if its volume equals the volume of its hull to within 1e-3; its hull is then its only piece. A part of
-    negative volume is a cavity of the part in which it lies.
+    as convex if its volume equals the volume of its hull to within 1e-3; the hull is then the only piece of the part. A
+    part of negative volume is a cavity of the part in which it lies.
 
     Covering is proven, not sampled. A triangle lies in a convex piece if its corners do; a triangle that lies in no
     piece is halved until its parts lie in a piece, nearly lie in one, or are smaller than 0.25 % of the mesh's

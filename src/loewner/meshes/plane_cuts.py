@@ -1,7 +1,7 @@
 """Cut a mesh along planes into convex pieces that stick out of the mesh by no more than a tolerance.
 
 The hull of the surface on one side of a plane contains the solid on that side, since the extreme points of a solid's
-section lie on its surface. The pieces therefore contain the mesh without being grown.
+section lie on the solid's surface. The pieces therefore contain the mesh without being grown.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Format the tables as text, at most 80 columns wide, with our numbers next to the paper's.
 
-Cells with numbers from the paper name the source of the numbers: a table and its cells. All other numbers are counted
-or measured in this run.
+Cells with numbers from the paper also name the table and the cells from which the numbers come. All other numbers are
+counted or measured in this run.
 """
 
 from __future__ import annotations

@@ -108,8 +108,8 @@ class PosePath(_validate.Brief, KeepsReadOnly):
     quaternions : ndarray, shape (n, 4)
         Real part first. Between two times, the body turns the shorter way at a constant rate.
     repeat : bool
-        Whether the motion starts again when it ends. If not, the body waits at the first pose before the motion, and
-        at the last pose after it.
+        Whether the motion starts again when it ends. If false, the body waits at the first pose before the motion, and
+        at the last pose after the motion.
 
     Examples
     --------
@@ -296,7 +296,7 @@ class PackedPaths(NamedTuple):
     far, speeds, turns : ndarray, shape (bodies,)
         Bounds on the entries of positions [m], on speeds [m/s] and on rates of quaternions [1/s].
     spans : ndarray, shape (bodies,)
-        Largest numbers that are added to a time to locate it in the motion [s].
+        The largest number that is added to a time to locate the time in each body's motion [s].
     once : tuple of 2 ndarray
         The times of all motions that do not repeat, in order; and the same list with additional times between short
         turns.
