@@ -126,8 +126,8 @@ def fit(
         Folder for the bodies; it is created if it does not exist. The body of ``part.stl`` is ``part.npz``, and
         ``part.fit.json`` beside it records the mesh and the options.
     root : path, optional
-        A folder that contains all meshes. Each body is written to the same subfolder of `out` in which its mesh is in
-        `root`. By default, all bodies are written to `out` itself.
+        A folder that contains all meshes. If it is given, the body of ``root/a/part.stl`` is ``out/a/part.npz``. By
+        default, all bodies are written to `out` itself.
     decompose, tol, scale, cover, tolerance, threshold, max_pieces, seed
         As for `Body.from_mesh`; `tolerance` is in metres.
     progress : callable, optional

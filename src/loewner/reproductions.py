@@ -103,7 +103,7 @@ def reproduction(
     tolerance: float = 1e-6,
     engine: Callable[[Floats, Floats], Answers] | None = None,
 ) -> str:
-    """Write a one-page program that proves an answer wrong, using only the fractions in Python's standard library.
+    """Write a one-page program that proves an answer wrong, using only Python's standard module ``fractions``.
 
     The program contains the corners, the poses and the answer, as decimals that are read back without loss, and a proof
     of each part that is wrong: a plane between the bodies, two of their points, or a surface around the differences

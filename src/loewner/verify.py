@@ -86,10 +86,10 @@ class Report:
         ``contacts`` lists two bodies, a motion, an interval, and the least distance between the bodies in metres,
         negative for an overlap.
     ranges : tuple of (str, str, float, tuple of (str, float, float, bool))
-        If the file claims ranges: two bodies, their margin in metres, and the values between them. Each value has a
-        name, the ends of the range over which the bodies are farther apart than the margin, and whether the range
-        covers all numbers that the value can have. The last five entries of ``tightest`` are then the index of the
-        pair, 0, 1, the margin, and the remaining room.
+        Each entry of ``ranges``, if the file claims any, has two bodies, their margin in metres, and the values between
+        the bodies. Each value has a name, the ends of the range over which the bodies are farther apart than the
+        margin, and whether the range covers all numbers that the value can have. The last five entries of ``tightest``
+        are then the index of the pair, 0, 1, the margin, and the remaining room.
     """
 
     model: str

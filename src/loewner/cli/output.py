@@ -97,7 +97,7 @@ def standard_output() -> Iterator[None]:
 
 
 def remove_older_proof(path: Path | None) -> None:
-    """Remove an older proof before the work for a new one begins, since it could be verified in place of the new one.
+    """Remove an older proof before work on a new one begins, so that the older proof is never verified by mistake.
 
     A file at this path that is not a proof stays until the new proof replaces it.
 

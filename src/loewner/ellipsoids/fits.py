@@ -133,8 +133,8 @@ def mvce(
     reduction to an inscribed ellipsoid is `paper.mvce_by_lifted_mvie`, after ``from loewner import paper``.
 
     The weights form a D-optimal design of experiments at the points, for a linear model with a constant term
-    (Titterington). That is, the weights maximise the determinant of the information matrix: its logarithm is within
-    twice the gap of the maximum. With ``center=0``, the model has no constant term.
+    (Titterington). That is, the weights maximise the determinant of the information matrix: the determinant's logarithm
+    is within twice the gap of the maximum. With ``center=0``, the model has no constant term.
 
     References
     ----------

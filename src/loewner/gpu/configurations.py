@@ -51,7 +51,7 @@ class Checker:
     checker : CollisionChecker
         The checker of the robot and its scene, which may change between calls.
     fallback : {"error", "cpu"}
-        The reaction if there is no GPU, its driver is too old, its memory is too small, or its work was lost: "error"
+        What to do if there is no GPU, its driver is too old, its memory is too small, or its work was lost: "error"
         raises an error; "cpu" warns once and uses the `CollisionChecker`.
     device : int
         Index of the GPU among those visible to the driver.

@@ -56,7 +56,7 @@ def classify(
         pieces. If False, such pairs and pairs whose poses are not rigid motions are AMBIGUOUS, and a call with poses on
         the GPU returns without waiting for the GPU.
     fallback : {"error", "cpu"}
-        The reaction if there is no GPU, its driver is too old, its memory is too small, or its work was lost: "error"
+        What to do if there is no GPU, its driver is too old, its memory is too small, or its work was lost: "error"
         raises an error; "cpu" warns once and uses the CPU. Poses on a GPU always cause an error in these cases, since
         the CPU cannot read them.
     device : int

@@ -1,4 +1,4 @@
-"""Find the parts of a mesh's surface outside its convex pieces, bound their distance, and cover them.
+"""Find the parts of a mesh's surface that are outside the convex pieces, bound their distance, and cover them.
 
 A decomposition cuts corners off the mesh, and a body that touches only such a corner would be reported as free. The
 pieces are therefore grown until they contain the whole surface.

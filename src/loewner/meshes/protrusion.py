@@ -201,8 +201,8 @@ def protrusions(
     is halved, or cut along the edges of the mesh triangle in which it nearly lies; the part in the mesh triangle is
     then settled.
 
-    Inside a piece, in a cavity or a groove that the piece fills, the distance may have a greater local maximum. At such
-    a maximum, the directions from the nearest points of the surface surround the point, and each direction is a
+    If a piece fills a cavity or a groove of the mesh, the distance may have a greater local maximum inside the piece.
+    At such a maximum, the directions from the nearest points of the surface surround the point, and each direction is a
     combination of outward normals of triangles at its nearest point.
 
     The inside is searched in cubes. A cube has no such maximum if all triangles within reach face one half-space. For

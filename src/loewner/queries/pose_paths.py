@@ -373,7 +373,7 @@ class PackedPaths(NamedTuple):
         return found.reshape(len(begin), 3 * len(self.bounds))
 
     def knots(self, t0: Floats, t1: Floats, fine: bool) -> Floats:
-        """List in order all times from t0 to t1, shape (N,) each, at which bodies change their rates, and maybe others.
+        """List in order at least all times from t0 to t1, shape (N,) each, at which bodies change their rates.
 
         See `_knots` for `fine` and for errors.
         """

@@ -64,7 +64,7 @@ def show_pair(
     Raises
     ------
     MissingExtraError
-        If viser is not installed, or its version cannot be kept from answering foreign requests.
+        If viser is not installed, or its version cannot be made to refuse requests from other sites.
     InputError
         If an operand is not a body, the margin is negative, the host does not belong to this machine, or the port is
         taken; PoseError if a pose is not a rigid motion.

@@ -230,7 +230,7 @@ def proven_along(checker: CollisionChecker, way: Way) -> Proof:
 def worst_along(checker: CollisionChecker, way: Way, proof: Proof) -> float:
     """Return the time, in seconds since the start, at which the least distance of any pair is smallest.
 
-    On a path without times of its own, samples and the places where proofs ended are compared.
+    For a path without times of its own, this is the worst among sampled times and the times at which proofs ended.
     """
     if isinstance(way, (Trajectory, Executed)):
         near = approaches.worst(checker, way.given if isinstance(way, Executed) else way)

@@ -100,7 +100,7 @@ def show_robot(
     Raises
     ------
     MissingExtraError
-        If viser is not installed, or its version cannot be kept from answering foreign requests.
+        If viser is not installed, or its version cannot be made to refuse requests from other sites.
     InputError
         If the configuration or the path does not fit the robot, both `path` and `trajectory` are given, there is
         nothing to check, the host does not belong to this machine, or the port is taken.
@@ -150,8 +150,8 @@ class RobotViewer(Viewer):
     path_verdict : Verdict or None
         The verdict for the whole path or trajectory, which the page shows instead of the verdict for one configuration.
         It is FREE only if the path is proven free at every moment, COLLIDING if a sample or the proof found a
-        collision, and AMBIGUOUS otherwise, also while the proof is running. Contact that `Scene.leave` or `Scene.reach`
-        allows is not a collision. It is None without a path, or while the robot is not on the path.
+        collision, and AMBIGUOUS otherwise, including while the proof is running. Contact that `Scene.leave` or
+        `Scene.reach` allows is not a collision. It is None without a path, or while the robot is not on the path.
     contacts : tuple of Contact
         The pairs that touch or come within their margin.
     bounds : StateDistance
