@@ -164,7 +164,7 @@ def test_every_kernel_is_in_one_group():
 
 @pytest.mark.parametrize("number", [0, 1, 2])
 def test_processes_share_the_work(emit, tmp_path, monkeypatch, number):
-    """Each file is made once, objects after the code of their entries; groups that can wait are last, for all processes."""
+    """Each file is made once, objects after the code of their entries; groups that can wait come last."""
     groups = {"first": ["one", "two"], "second": ["three"], "last": ["four", "five"]}
     (tmp_path / "groups.json").write_text(json.dumps(groups))
     made = []
