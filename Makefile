@@ -60,7 +60,7 @@ built_with = @{ $(BUILD); } & building=$$!; \
 # need are built last, and after it; `make test` waits for them.
 demo: $(BIN)/python
 	@$(MAKE) --no-print-directory -j 2 begin-build $(VENV)/.demo
-	$(COMPILE) --only verdicts robots fits surfaces distances paper
+	$(COMPILE) --only verdicts robots fits surfaces paper
 	$(BIN)/python examples/demo.py
 	@! $(BUILDING) || echo "kernels that the demo does not need are still being built; build/native.log has the progress"
 

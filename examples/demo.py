@@ -182,9 +182,9 @@ def robot_in_shelf(checker: loewner.CollisionChecker, count: int, path: Path) ->
     return draw_shelf(checker, Q, colliding, path)
 
 
-def shelf() -> loewner.Scene:
+def shelf(margin: float = 0.01) -> loewner.Scene:
     """Three boards and two sides, in front of the arm, which keeps a centimetre."""
-    scene = loewner.Scene(margin=0.01)
+    scene = loewner.Scene(margin=margin)
     for name, size, position in (
         ("lower board", [0.3, 0.8, 0.02], [0.65, 0.0, 0.15]),
         ("middle board", [0.3, 0.8, 0.02], [0.65, 0.0, 0.5]),
@@ -228,7 +228,7 @@ def path_in_shelf(checker: loewner.CollisionChecker, path: Path) -> Path:
         "at every configuration on the way, with nothing sampled."
     )
     broken, nearest = sampled_paths(checker, lower, upper)
-    missed = f"{broken} are not free between two looks; the worst comes within {1e3 * nearest:.1f} mm of the shelf."
+    missed = f"{broken} are not free between two looks; the worst comes within {nearest} mm of the shelf."
     console.print(
         f"Of {len(lower) * len(upper)} such paths planned by looking at every 0.05 rad only, "
         + (missed if broken else "all are free between two looks as well.")
@@ -246,24 +246,26 @@ def in_compartments(checker: loewner.CollisionChecker) -> tuple[np.ndarray, np.n
     return lower, upper
 
 
-def sampled_paths(checker: loewner.CollisionChecker, lower: np.ndarray, upper: np.ndarray) -> tuple[int, float]:
-    """How many sampled paths between these have a motion that is not free, and how near the shelf the worst gets."""
-    broken, nearest = 0, np.inf
-    for start in lower:
-        for goal in upper:
-            way = planners.plan(checker, start, goal, search=planners.Search(certified=False, resolution=0.05))
-            found = checker.certify_edges(way[:-1], way[1:])
-            collides = found.verdict == Verdict.COLLIDING
-            if collides.any():
-                broken += 1
-                at = np.insert(
-                    np.tile(np.linspace(0, 1, 200), (collides.sum(), 1)), 0, found.fraction[collides], axis=1
-                )
-                on_way = checker.robot.between(way[:-1][collides, None], way[1:][collides, None], at)
-                near = checker.distance(on_way, exact=True)
-                of_shelf = np.isin(near.names, checker.scene.names).any(axis=-1)
-                nearest = near.distance.min(initial=nearest, where=of_shelf)
-    return broken, nearest
+def sampled_paths(checker: loewner.CollisionChecker, lower: np.ndarray, upper: np.ndarray) -> tuple[int, int]:
+    """How many sampled paths between these have a motion that is not free, and how near the shelf one gets [mm]."""
+    search = planners.Search(certified=False, resolution=0.05)
+    ways = [planners.plan(checker, start, goal, search=search) for start in lower for goal in upper]
+    broken = [way for way in ways if (checker.certify_edges(way[:-1], way[1:]).verdict == Verdict.COLLIDING).any()]
+    nearest = 10
+    while nearest and comes_within(1e-3 * (nearest - 1), checker.robot, broken):
+        nearest -= 1
+    return len(broken), nearest
+
+
+def comes_within(distance: float, robot: loewner.Robot, ways: list[np.ndarray]) -> bool:
+    """Whether a motion on one of these paths provably comes within a distance [m] of the shelf."""
+    checker = loewner.CollisionChecker(robot, shelf(distance))
+    for way in ways:
+        found = checker.certify_edges(way[:-1], way[1:])
+        of_shelf = np.isin(found.names, checker.scene.names).any(axis=-1)
+        if (of_shelf & (found.verdict == Verdict.COLLIDING)).any():
+            return True
+    return False
 
 
 def hand_positions(robot: loewner.Robot, Q: np.ndarray) -> np.ndarray:

@@ -60,16 +60,17 @@ GROUPS = {
     "bodies": ("fits.hulls", "fits.pieces", "fits.mv", "pieces.", "trees.piece_tree", "trees.triangle_tree",
                "narrow.mesh_points", "elementary"),
     "verdicts": ("pipeline.verdicts", "pipeline.fallback", "pipeline.workspace", "pipeline.bounds"),
-    "distances": ("pipeline.distances", "robots.nearest", "ellipsoids.", "paper."),
+    "paper": ("ellipsoids.", "paper."),
     "robots": ("robots.configurations", "robots.motions", "robots.standing", "robots.pair_lists", "robots.kinematics",
                "low_discrepancy"),
     "planning": ("robots.planning", "robots.shortening"),
+    "distances": ("pipeline.distances", "robots.nearest"),
     "arms": ("robots.",),
     "others": ("",),
 }  # fmt: skip
 
 # Groups that the demo does not need: a build in the background has a lower priority for them.
-LATER = ("arms", "others")
+LATER = ("distances", "arms", "others")
 
 # By how much the priority is lower: a program on a second core is not slowed, and a busy machine still ends the build.
 IN_BACKGROUND = 5
