@@ -2,8 +2,8 @@
 
 `description` contains links, joints and the formats of robots, `checking` checks configurations, and `proofs` proves
 motions. `checker` defines `CollisionChecker`, which users call. `sampling` guesses which pairs can never collide.
-`covers` and `cover_files` replace links by a few elements, `swept` finds bodies that contain links along curves, and
-`gradients` prepares queries for JAX and PyTorch.
+`covers` and `cover_files` replace the bodies of links with a few simple shapes, `swept` finds bodies that contain links
+along curves, and `gradients` prepares queries for JAX and PyTorch.
 """
 
 from loewner.robots import covers as _covers  # noqa: F401 - implements methods of Robot, as do the next two

@@ -1,4 +1,4 @@
-"""Check a robot in a scene, at one configuration, at millions of them, or along motions.
+"""Check a robot in a scene, at one configuration, at millions of configurations, or along motions.
 
 A `CollisionChecker` checks arguments, keeps the prepared pairs (`problem`) while the scene does not change, and
 wraps the results of `verdicts`, `proofs` and `distances`. Only this module raises an error for an unsettled answer.
@@ -62,8 +62,8 @@ class CollisionChecker:
         Pairs of links that may touch, in addition to the robot's `disabled_pairs`; for instance the keys of the dict
         that `pairs_by_sampling` returns.
     skip_adjacent : bool, optional
-        Skip pairs of links that are connected by a joint, since most of these overlap by design. By default they are
-        skipped only if the robot was read without an SRDF; an SRDF usually disables such pairs.
+        Skip pairs of links that are connected by a joint, since most such links overlap by design. By default, these
+        pairs are skipped only if the robot was read without an SRDF; an SRDF usually disables such pairs.
 
     Raises
     ------
@@ -84,8 +84,8 @@ class CollisionChecker:
     If no pair is checked (for example, because all pairs are allowed), every configuration is free: see
     `checked_pairs`.
 
-    Several threads may use a checker at once, and others may change its scene: each answer refers to one consistent
-    state of the scene.
+    Several threads may use a checker at once, and other threads may change its scene: each answer refers to one
+    consistent state of the scene.
 
     Examples
     --------
@@ -164,8 +164,8 @@ class CollisionChecker:
 
         Notes
         -----
-        The file contains prepared data, which only the same version of loewner can read. Programs that read the file do
-        not permit the contacts of `Scene.leave` and `Scene.reach` at the ends of motions.
+        The file contains prepared data, which only the same version of loewner can read. In programs that read the
+        file, contacts at the ends of motions count as collisions even if `Scene.leave` or `Scene.reach` permits them.
 
         Examples
         --------
@@ -286,7 +286,7 @@ class CollisionChecker:
         return Verdict(int(out[0])) if checked.ndim == 1 else out.reshape(checked.shape[:-1])
 
     def tiers(self, Q: ArrayLike) -> Settled:
-        """Count the configurations that each kind of test settles in an exact decision.
+        """Count how many configurations each kind of test settles when all configurations are decided exactly.
 
         Parameters
         ----------
@@ -377,7 +377,7 @@ class CollisionChecker:
         steps: int | None = None,
         proof: bool = False,
     ) -> CertifiedMotions:
-        """Prove which straight motions are free of collisions everywhere along the motion.
+        """Prove which straight motions are free of collisions along their whole length.
 
         Parameters
         ----------
@@ -394,15 +394,15 @@ class CollisionChecker:
             Times in seconds at which the motions begin and end, broadcast with the motions; required if bodies of the
             scene follow motions (`Scene.follow`). A motion reaches its fraction f at the time t0 + f (t1 - t0).
         steps : int, optional
-            Largest number of steps of work for each motion. Steps are placed configurations, compared pairs of bodies
-            or pieces, searches, and opened boxes of trees. A motion that needs more steps is AMBIGUOUS, at the fraction
-            and the pair at which its proof stopped. docs/certified.md, "Bounded work", gives the time of a step.
-            Default: no limit.
+            Largest number of steps of work for each motion. A step places a configuration, compares two bodies or
+            pieces, runs a search, or opens a box of a tree. A motion that needs more steps is AMBIGUOUS, with the
+            fraction and the pair at which its proof stopped. docs/certified.md, "Bounded work", gives the time of a
+            step. Default: no limit.
         proof : bool
-            If all motions are free, also write a `Proof` of this, in the order of the flattened batch. Such a proof
-            requires joints that turn or slide, and no bodies that follow motions. The proof states where bodies are in
-            contact at the ends of motions (`Scene.leave`, `Scene.reach`), and how deeply they may overlap there.
-            Successive motions without gaps count as one curve, with a single depth.
+            If all motions are free, also write a `Proof`, with the motions in the order of the flattened batch. Such a
+            proof requires joints that turn or slide, and no bodies that follow motions. The proof states where bodies
+            are in contact at the ends of motions (`Scene.leave`, `Scene.reach`), and how deeply they may overlap there.
+            Successive motions without gaps count as one curve, with a single bound on the depth.
 
         Returns
         -------
@@ -414,7 +414,7 @@ class CollisionChecker:
             If the width of Q0 or Q1 is not dof, an entry is not finite, the shapes do not broadcast, the tolerance is
             not positive and finite, or a joint error is negative; if a motion is so long that it would take more than
             458,752 intervals; if bodies of the scene follow motions and a time is missing, or t1 is before t0; if
-            `steps` is not an integer >= 1; or if a proof of such a robot or scene cannot be written.
+            `steps` is not an integer >= 1; or if a proof is requested and proofs cannot express the robot or the scene.
         UnknownNameError
             As for `collide`.
         ConvergenceError
@@ -424,15 +424,16 @@ class CollisionChecker:
 
         See Also
         --------
-        valid_edges : Checks samples of the motion only. joint_error : Finds the largest joint error that is proven.
+        valid_edges : Checks samples of the motion only.
+        joint_error : Finds the largest joint error that is proven.
 
         Notes
         -----
         Joint values change linearly, and orientations turn at a constant rate along the shorter arc, as in
         `Robot.between`. The proof takes no samples: a plane that separates two bodies proves a whole interval of the
         motion, and an interval without such a plane is halved. docs/certified.md gives the derivation. Surfaces and
-        clouds are replaced with the convex hulls of a few parts and, where these hulls meet, with the triangles or
-        points in them. The first call with a new surface takes longer, since it computes the parts.
+        clouds are replaced with the convex hulls of a few of their parts and, where these hulls meet, with the
+        triangles or points in them. The first call with a new surface takes longer, since it computes the parts.
 
         Pairs named by `Scene.leave` may be in contact at the start of a motion, and pairs named by `Scene.reach` at its
         end. A contact at the start becomes deeper along the motion by no more than the tolerance; a contact at the end
@@ -518,7 +519,7 @@ class CollisionChecker:
             SciPy's types, such as ``CubicSpline(times, path)``, are accepted. The columns are in the order of
             `Robot.configuration_names`, unless the curve itself names its columns. Quaternions are scaled to norm 1.
         tolerance : float
-            Metres, as for `certify_edges`.
+            Distance in metres, as for `certify_edges`.
         joint_error : float or array_like, shape (dof,)
             Radians or metres by which each value may deviate from the curve; FREE covers all such deviations. With an
             error, contact at the ends is not allowed.
@@ -541,9 +542,9 @@ class CollisionChecker:
         Raises
         ------
         InputError
-            If the curve has the wrong type, is for different joints, jumps, has a degree above 7, or has numbers that
-            are not finite or times that do not increase; if the values of a SciPy curve differ from the values that its
-            coefficients define; or as for `certify_edges` if a proof is requested.
+            If the curve has the wrong type, does not match the robot's joints, or is not continuous; if its degree is
+            above 7, a number is not finite, or its times do not increase; if the values of a SciPy curve differ from
+            the values that its coefficients define. If a proof is requested, also as for `certify_edges`.
         ConvergenceError
             As for `certify_edges`.
 
@@ -553,8 +554,8 @@ class CollisionChecker:
         uses bounds on the first and second derivatives; docs/certified.md derives these bounds.
 
         Pairs named by `Scene.leave` may be in contact where the curve begins, and pairs named by `Scene.reach` where it
-        ends, as for `certify_edges`; the ends of the curve's segments do not count. A segment is FREE if it is proven
-        free, except for the contact that these rules allow. With a joint error, contact is not allowed.
+        ends, as for `certify_edges`. The ends of single segments do not count as ends of the curve. A segment is FREE
+        if it is proven free, except for the contact that these rules allow. With a joint error, contact is not allowed.
 
         Examples
         --------
@@ -672,8 +673,8 @@ class CollisionChecker:
         The gradient is n · (J_b x_b - J_a x_a), with the normal n from a to b and the Jacobians J of the witnesses,
         regarded as points fixed to their links. Where the nearest pair or its witnesses are not unique (two pairs tie,
         or faces or edges are parallel), the distance has a kink, and the gradient is the derivative for one of the
-        choices. The derivative with respect to a quaternion is taken through its rotation, so its component along the
-        quaternion is 0.
+        choices. The derivative with respect to a quaternion accounts only for the rotation that the quaternion
+        represents, so its component along the quaternion is 0.
 
         Examples
         --------
@@ -767,8 +768,8 @@ class CollisionChecker:
         t : float or array_like, shape (...), optional
             As for `collide`.
         within : float
-            The largest distance of a listed pair, in metres, >= 0; pairs in contact are always listed. Margins are
-            ignored.
+            The largest distance at which a pair is listed, in metres, >= 0. Pairs in contact are always listed. Margins
+            are ignored.
         gradient : bool
             Also compute the derivatives of the distances with respect to the configuration.
 

@@ -91,7 +91,7 @@ class Model:
     notes: list[str] = field(default_factory=list)
 
     def note(self, what: str, names: Iterable[str]) -> None:
-        """Add a note about the things with these names, if there are any."""
+        """Add a note that lists the given names, unless there are none."""
         if listed := list(names):
             self.notes.append(f"{what}: {some(listed)}")
 
@@ -167,7 +167,7 @@ def read_model(file: Path, format: str | None = None) -> Model:
     Raises
     ------
     FileError
-        If the file is missing or malformed, or a key occurs twice. The message gives the place.
+        If the file is missing or malformed, or a key occurs twice. The message names the place in the file.
     InputError
         If the format cannot be determined from the name.
     MissingExtraError
@@ -205,7 +205,7 @@ def _read(parse: Callable[[bytes, Path, str], Node], file: Path, what: str) -> N
 
 
 def format_of(file: Path, format: str | None) -> str:
-    """Return the format of a file, by its suffix unless it is given; see `read_model`."""
+    """Return the given format or, if it is None, the format that the file's suffix determines; see `read_model`."""
     if format is not None:
         return _validate.choice(format, "format", FORMATS)
     if file.suffix.lower() not in BY_SUFFIX:

@@ -1,4 +1,4 @@
-"""Cover the links of robots by simple shapes, and judge such models from other programs, link by link."""
+"""Cover the links of robots with simple shapes, and judge such models from other programs, link by link."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ LEAST, LARGEST, FIRST, STEPS, ENOUGH, POWER = 1e-4, 10.0, 0.03, 8, 0.92, 0.8
 
 
 def cover(self: Robot, kind: Kind, *, n: int | None, protrusion: float | None, progress: Progress | None) -> Robot:
-    """Implement `Robot.cover`, which has the defaults."""
+    """Implement `Robot.cover`, whose signature has the defaults."""
     _validate.callback(progress, "progress")
     if not self.bodies:
         raise InputError("expected a robot with bodies, found one without")
@@ -68,7 +68,7 @@ def cover(self: Robot, kind: Kind, *, n: int | None, protrusion: float | None, p
 
 
 def with_bodies(robot: Robot, bodies: Mapping[str, Body], ignored: frozenset[Pair] | None = None) -> Robot:
-    """Return the same robot with other bodies and, if given, with other exempt pairs in place of its rules."""
+    """Return the same robot with other bodies and, if given, with other exempt pairs instead of its rules on pairs."""
     made = replace(robot, bodies=Named("link with a body", bodies), shapes=Named("link with shapes of a URDF", {}))
     return made if ignored is None else replace(made, disabled_pairs=ignored, _ruled=True)
 
@@ -86,8 +86,8 @@ def listed_pairs(robot: Robot) -> frozenset[Pair] | None:
 def new_contacts(robot: Robot, model: Robot) -> list[tuple[Pair, float, float]]:
     """Find the pairs that meet in sampled configurations with the model's bodies, but not with the robot's own bodies.
 
-    Each pair comes with two shares of random configurations: the share in which only the model's bodies meet, and the
-    share in which the model's bodies meet at all.
+    The result states two shares of the configurations for each pair: the share in which the model's bodies meet but the
+    robot's own bodies do not, and the share in which the model's bodies meet.
     """
     Q = robot.random_configurations(TRIED)
     theirs = CollisionChecker(model)
@@ -163,7 +163,7 @@ def _of_number(robot: Robot, kind: Kind, n: int, progress: Progress | None) -> d
 
 
 def covered_by(self: Robot, model: Robot, tolerance: float | None, progress: Progress | None) -> dict[str, CoverReport]:
-    """Implement `Robot.covered_by`, which has the defaults."""
+    """Implement `Robot.covered_by`, whose signature has the defaults."""
     _validate.instance(model, "model", Robot)
     _validate.callback(progress, "progress")
     found = {}

@@ -39,7 +39,7 @@ class Measure:
             return (down, gradients.astype(Q.dtype, copy=False)) if gradient else (down,)
 
     def expect_width(self, shape: tuple[int, ...]) -> None:
-        """Refuse configurations of another robot by their shape, before they have values."""
+        """Refuse configurations whose shape does not match the robot, before their values are known."""
         expect_width(self.checker.robot, shape, "Q")
 
     def named(self, function: Callable[[Any], Any]) -> Callable[[Any], Any]:
@@ -49,7 +49,7 @@ class Measure:
         return function
 
     def no_second_derivatives(self) -> InputError:
-        """Return the error for second derivatives: zeros would be wrong, but would go unnoticed."""
+        """Return the error for second derivatives: if zeros were returned instead, the mistake would go unnoticed."""
         return InputError(
             f"{self.name}: expected to be differentiated once, found a second derivative, which it does not have; "
             "use a method that needs gradients alone (L-BFGS, Gauss-Newton), or stop the gradient here"

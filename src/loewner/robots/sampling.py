@@ -53,8 +53,8 @@ def pairs_by_sampling(
 
     Notes
     -----
-    "never" is not a proof: ten thousand samples are likely to miss a pair that meets in one configuration of a million.
-    Pass the pairs to `Robot.disabling`, all of them or only certain kinds.
+    "never" is not a proof: ten thousand samples are likely to miss a pair that meets in one configuration in a million.
+    Pass the pairs, or only the pairs with certain reasons, to `Robot.disabling`.
 
     Examples
     --------

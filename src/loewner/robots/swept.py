@@ -1,9 +1,9 @@
-"""Swept volumes: a body that provably contains links wherever they are on a curve, and how far it sticks out.
+"""Swept volumes: make a body that is proven to contain links all along a curve, and bound how far it sticks out.
 
-The curve is evaluated at knots, which are so close together that all points of a link stay near the chords between
-them. Consider the hull of a convex piece's positions at two knots. Grown by the largest distance of points from the
-chords, this hull contains the piece all the way between the two knots. docs/certified.md, "Swept volumes", derives this
-and the bound on the excess.
+The curve is evaluated at knots. The knots are so close together that each point of a link stays near the chords between
+its positions at successive knots. Consider the hull of a convex piece's positions at two knots. If this hull is grown
+by the largest distance of points from their chords, it contains the piece all the way between the two knots.
+docs/certified.md, "Swept volumes", derives this containment and the bound on the excess.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Find the pairs of bodies that can meet but, by the rules of the robot and the scene, may not touch."""
+"""Find the pairs of bodies that can meet but, under the rules of the robot and the scene, must not touch."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _carried: WeakKeyDictionary[Attachment, tuple[Body, Packed]] = WeakKeyDictionary
 
 
 def prepared(robot: Robot, scene: Scene, skipped: Iterable[Pair], version: int, before: Problem | None) -> Problem:
-    """Prepare all pairs that can meet but may not touch.
+    """Prepare all pairs of bodies that can meet but must not touch.
 
     Parameters
     ----------
@@ -38,9 +38,9 @@ def prepared(robot: Robot, scene: Scene, skipped: Iterable[Pair], version: int, 
     skipped : iterable of pairs of str
         Pairs of links that may touch, in addition to the pairs that the scene allows.
     version : int
-        The scene's version, read before any of its other contents.
+        The scene's version, which must be read before any other contents of the scene.
     before : Problem or None
-        The result for an earlier version and the same robot.
+        The result for the same robot and an earlier version of the scene.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Compute a robot's distances from obstacles and from itself, for the nearest or all near pairs, with gradients."""
+"""Compute a robot's distances from obstacles and itself, for the nearest pair or all near pairs, with gradients."""
 
 from __future__ import annotations
 
@@ -163,7 +163,7 @@ def nearest_columns(ready: Problem, Q: Floats, exact: bool, *, care: bool = True
 
 
 def near_pairs(ready: Problem, Q: Floats, within: float) -> Ints:
-    """List, as (configuration, pair), the pairs that balls and boxes do not prove farther apart than a distance."""
+    """List (configuration, pair) for all pairs that balls and boxes do not prove to be farther apart than `within`."""
     listed = np.empty((max(64, 4 * len(Q)), 2), dtype=np.int64)
     memory = workspace(ready.memory_of_nearest)
     while True:
@@ -184,7 +184,7 @@ def gradients(ready: Problem, Q: Floats, bodies: Ints, witness: Floats, normal: 
 
 
 def by_pair(ready: Problem, Q: Floats, within: float, gradient: bool) -> PairDistances:
-    """Compute exact distances of all pairs within a distance; see `CollisionChecker.distance_by_pair`."""
+    """Compute the exact distances of all pairs that are near enough; see `CollisionChecker.distance_by_pair`."""
     listed = near_pairs(ready, Q, within)
     _validate.fits_memory(len(listed) * 256, f"distances of {len(listed)} pairs")
     distance, vectors = np.empty(len(listed)), [np.empty((len(listed), 3)) for _ in range(3)]

@@ -1,4 +1,4 @@
-"""Sample motions between given ends: first the ends, then the middle, then successively finer.
+"""Sample motions between given ends: first the ends, then the middle, then points in successively finer steps.
 
 Collisions tend to be found early in this order.
 """
@@ -34,12 +34,12 @@ MOST_STEPS = 2**24
 
 
 def steps(lengths: Floats, step: float) -> Ints:
-    """Count the steps, no longer than `step`, into which edges of these lengths are divided.
+    """Count the steps, of length at most `step`, into which edges of the given lengths are divided.
 
     Raises
     ------
     InputError
-        If there are more than `MOST_STEPS`.
+        If an edge needs more than `MOST_STEPS` steps.
     """
     longest = float(np.max(lengths, initial=0.0))
     if not longest / step <= MOST_STEPS:
@@ -50,7 +50,7 @@ def steps(lengths: Floats, step: float) -> Ints:
 
 
 def nearly_whole(quotients: Floats) -> Ints:
-    """Find quotients that overflowed, or that rounding may have moved across a whole number."""
+    """Return the indices of quotients that overflowed, or that rounding may have moved across an integer."""
     with np.errstate(invalid="ignore"):
         far = np.abs(quotients - np.rint(quotients)) > NEARLY_WHOLE * (1.0 + quotients)
     return np.flatnonzero(~far)
@@ -93,7 +93,7 @@ def coarse_first(parts: int) -> Floats:
 
 
 def ends(robot: Robot, Q0: ArrayLike, Q1: ArrayLike) -> tuple[Floats, Floats, tuple[int, ...]]:
-    """Check and broadcast the ends of motions; return each as rows of configurations, and the shape of the motions."""
+    """Check and broadcast the starts and ends of motions; return both as rows, and the shape of the batch."""
     a, b = robot.checked(Q0, "Q0"), robot.checked(Q1, "Q1")
     if a.ndim == b.ndim == 1:
         return a[None], b[None], ()

@@ -63,24 +63,24 @@ class Problem:
     Attributes
     ----------
     robot : Robot
-        The robot, with a floating joint after its own joints for each body that follows a motion.
+        The robot. After its own joints, it has a floating joint for each body that follows a motion.
     version, structure_version : int
         Versions of the scene's state.
     names : tuple of str
-        Names of all bodies: first the bodies that move with links, then the static ones.
+        Names of all bodies: first the bodies that move with links, then the static bodies.
     packs : tuple of Packed
-        The bodies in the same order; moving bodies in the frame of their link.
+        The bodies in the same order, each moving body in the frame of its link.
     moving, packed : Packed
-        The moving bodies together, and all bodies together.
+        The moving bodies joined into one object, and all bodies joined into one object.
     link, pairs, margins, order
         See `records.Problem`.
     leaving, reaching : ndarray of bool, shape (pairs,)
         Whether a pair may be in contact at the start, or at the end, of a motion: see `Scene.leave` and `Scene.reach`.
     hits : ndarray of int64, shape (pairs,)
-        Number of collisions found for each pair; no other array changes. Threads may lose each other's counts, but
-        these affect only the order of the pairs.
+        Number of collisions found for each pair; no other array changes. Threads may lose each other's counts, but the
+        counts affect only the order of the pairs.
     lasting : ndarray
-        Memory of the other arrays of `records.Problem` and `records.MotionTables` that depend on no pose (`lay_out`).
+        Memory for the other arrays of `records.Problem` and `records.MotionTables` that depend on no pose (`lay_out`).
     block : ndarray
         The table of addresses of the arrays of `records.Problem` and then of `records.MotionTables`, followed by the
         arrays of `standing`. Each state of the scene has its own block (`place_static`).
@@ -154,7 +154,7 @@ class Problem:
     def with_pairs(
         self, pairs: Ints, margins: Floats, leaving: Bools | None = None, reaching: Bools | None = None, **changes: Any
     ) -> Problem:
-        """Set other pairs, and further attributes on request."""
+        """Set other pairs and, on request, other attributes."""
         made = Problem.of(
             self.robot, (self.version, self.structure_version), self.names, self.packs, self.link, pairs, margins,
             leaving, reaching, self.moving, self.packed,
@@ -179,7 +179,7 @@ class Problem:
         return ordered
 
     def with_paths(self, paths: tuple[PosePath, ...], bounds: dict[str, PoseBounds]) -> Problem:
-        """Set the motions that bodies follow, and bounds on bodies in time; all other data stays valid."""
+        """Set the motions that bodies follow, and bounds on their poses over time; all other data stays valid."""
         place = {name: k for k, name in enumerate(self.names) if name in bounds}
         numbers = np.array([place.get(name, -1) for name in bounds], dtype=np.int64)
         return self._changed(paths=PackedPaths.of(paths, tuple(bounds.values()), numbers))
@@ -196,7 +196,7 @@ class Problem:
         return made
 
     def with_poses(self, poses: Floats, version: int) -> Problem:
-        """Place the static bodies at their poses, shape (bodies, 4, 4), in a version of the scene."""
+        """Place the static bodies at their poses, shape (bodies, 4, 4), for a version of the scene."""
         moved = self._placed(poses, version=version)
         if self.given is not None:
             Problem._without_errors.hand_on(self, moved, lambda known: known.with_poses(poses, version))
@@ -223,7 +223,7 @@ class Problem:
         return bodies_of(self.packed)
 
     def body(self, k: int) -> Body:
-        """Return one of the bodies."""
+        """Return the body with the given index."""
         return Body(self.packs[k])
 
     @property
@@ -315,7 +315,7 @@ class Problem:
 
     @kept
     def open_cut(self) -> Problem | None:
-        """The problem with the surfaces of static bodies without solids cut into small parts, if there are any."""
+        """The problem with surfaces of static bodies without solids cut into small parts; None if there are none."""
         return self._of_parts(in_open_parts(self.packs, self._stand))
 
     @property
@@ -333,7 +333,7 @@ class Problem:
 
     @kept
     def in_small_parts(self) -> Problem:
-        """The problem for proofs by planes between parts alone."""
+        """The problem for proofs that use only planes between parts, with surfaces cut into small parts."""
         return self._of_parts(in_small_parts(self.packs)) or self
 
     def _of_parts(self, packs: list[Packed]) -> Problem | None:
@@ -347,7 +347,7 @@ class Problem:
 
     @kept
     def starts_matter(self) -> bool:
-        """Whether a motion that the kernel proves is free only if its start is free as well."""
+        """Whether the kernel's proof that a motion is free is valid only if the motion's start is free."""
         return bool((self.packed.layout[:, columns.KIND] == columns.SOLID).any())
 
     @kept
@@ -371,7 +371,7 @@ class Problem:
 
     @kept
     def unruled(self) -> Problem:
-        """The problem without the pairs that may be in contact."""
+        """The problem without the pairs that may be in contact at the start or the end of a motion."""
         return self.only(np.flatnonzero(~(self.leaving | self.reaching)))
 
     @kept
@@ -400,7 +400,7 @@ class Problem:
         return self.with_pairs(self.pairs, margins, self.leaving, self.reaching)
 
     def off_at(self, t: float) -> Floats:
-        """Bound how far points of each pair's bodies that follow motions may be off at a time [m], shape (pairs,)."""
+        """Bound, for each pair, the sum of the position errors of its moving bodies at a time [m], shape (pairs,)."""
         if self.paths is None or not self.paths.bounds:
             return np.zeros(len(self.pairs))
         at = np.array([t])
@@ -432,14 +432,14 @@ class Problem:
         return np.ascontiguousarray(np.concatenate([moving, standing], axis=1))
 
     def poses_in_turn(self, Q: Floats) -> Iterator[tuple[int, Floats]]:
-        """Yield the poses of all bodies for one block of configurations after another, and each block's first index."""
+        """Yield, for successive blocks of configurations, the index of the first one and the poses of all bodies."""
         each = max(1, min(IN_TURN, POSES_AT_ONCE // max(1, len(self.names))))
         for first in range(0, len(Q), each):
             yield first, self.poses(Q[first : first + each])
 
 
 def rigid_with(robot: Robot) -> Ints:
-    """Return for each link the first link with which it is rigidly joined."""
+    """Return, for each link, the first link to which it is rigidly joined."""
     parent, kind = robot.tree.parent, robot.tree.kind
     return np.asarray(np.where(kind == columns.FIXED, parent, np.arange(len(parent))))
 

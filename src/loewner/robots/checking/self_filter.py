@@ -68,12 +68,12 @@ def off_the_robot(
     Returns
     -------
     ndarray, shape (m, 3)
-        The remaining points, in their order; with `mask`, an ndarray of bool, shape (...).
+        The remaining points, in the same order; with `mask`, an ndarray of bool, shape (...).
 
     Raises
     ------
     InputError
-        If a shape is wrong or a number is not finite or not positive.
+        If a shape is wrong, `q` or `time` is not finite, or `clear` is not positive.
     ConvergenceError
         As for `collide`.
 

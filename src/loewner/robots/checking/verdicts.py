@@ -26,7 +26,7 @@ from loewner.scenes.scene import Contact
 
 @dataclass(frozen=True)
 class Settled:
-    """Numbers of configurations, by the tier that settled them.
+    """Numbers of configurations, by the kind of test that settled them.
 
     Attributes
     ----------
@@ -141,7 +141,7 @@ def is_free(ready: Problem, q: Floats) -> bool:
 
 
 def is_sampled_free(ready: Problem, a: Floats, b: Floats, step: float) -> bool:
-    """Return whether one motion is proven free at samples at most `step` apart; an unsettled motion is not."""
+    """Return whether one motion is proven free at samples at most `step` apart; if unsettled, it counts as not free."""
     settled = ready.single.motion(a, b, step, edges.coarse_first)
     if settled is None:
         return bool(sampled(ready, a[None], b[None], step)[0][0] == codes.FREE)
@@ -193,7 +193,7 @@ def verdicts_at(ready: Problem, q: Floats) -> NDArray[np.int8]:
 
 
 def pair_verdicts(ready: Problem, T: Floats, off: Floats | None = None) -> NDArray[np.int8]:
-    """Compute the verdict of every pair with the bodies at T; AMBIGUOUS if unsettled, or if overflow distorts T.
+    """Compute the verdict of every pair at the poses T; AMBIGUOUS if unsettled, or if overflow distorts T.
 
     Margins are increased by `off`, shape (pairs,).
     """
@@ -207,9 +207,9 @@ def pair_verdicts(ready: Problem, T: Floats, off: Floats | None = None) -> NDArr
 
 
 def collisions_by_pair(ready: Problem, Q: Floats, t: Floats | None = None) -> Bools:
-    """Return whether each pair collides at each configuration, shape (N, pairs); ConvergenceError if unsettled.
+    """Return whether each pair collides at each configuration, shape (N, pairs), or raise a ConvergenceError.
 
-    Bodies that follow motions may deviate by the amounts for the times t, shape (N,).
+    Bodies that follow motions may deviate from their poses by the bounds for the times t, shape (N,).
     """
     _validate.fits_memory(len(Q) * len(ready.pairs), f"{len(Q)} configurations of {len(ready.pairs)} pairs of bodies")
     out = np.empty((len(Q), len(ready.pairs)), dtype=bool)

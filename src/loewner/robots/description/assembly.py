@@ -1,4 +1,4 @@
-"""Assemble robots: several next to each other, one on a moving base, or one with another body on a joint."""
+"""Assemble robots: join several robots, put a robot on a moving base, or add a body on a joint."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ LIMITED = ("revolute", "prismatic")
 
 
 class Source(NamedTuple):
-    """The source of the description of a robot, or of a part of one.
+    """The source from which a robot, or a part of a robot, was read.
 
     Attributes
     ----------
@@ -132,7 +132,7 @@ def part(self: R, name: str) -> Part[R]:
     Parameters
     ----------
     name : str
-        The part's name in `Robot.join`; for a robot that was joined twice, "outer/inner".
+        The part's name in `Robot.join`; for a part of a part, "outer/inner".
 
     Returns
     -------
@@ -170,7 +170,7 @@ def add_base(self: R, kind: Literal["planar", "floating"], bounds: ArrayLike | N
     bounds : array_like, shape (2, 2) for a planar base or (3, 2) for a floating one, optional
         Lowest and highest position along each axis, in metres. By default there are no limits.
     name : str
-        Prefix of the new joints and links.
+        Prefix of the names of the new joints and links.
 
     Returns
     -------
@@ -184,7 +184,7 @@ def add_base(self: R, kind: Literal["planar", "floating"], bounds: ArrayLike | N
         If the bounds have the wrong shape, a lower bound is above the upper bound, or a name is taken; or if
         `with_body` has added a body in the world, which would move with the base.
     UnknownNameError
-        If there is no such kind.
+        If `kind` is unknown.
 
     Examples
     --------
@@ -300,7 +300,7 @@ def with_body(
     """Return the same robot with a body as an additional link, on its own joint.
 
     A door, a drawer or a moving obstacle thus becomes part of the configuration, and its motions are proven together
-    with the robot's. If the parent has a body, the parent and the new link are an adjacent pair.
+    with the robot's motions. If the parent has a body, the parent and the new link are an adjacent pair.
 
     Parameters
     ----------
@@ -313,8 +313,7 @@ def with_body(
     joint : str
         Kind of the joint.
     parent : str, optional
-        The link to which the joint belongs. Default: the world; in this case, place the robot or add its base
-        beforehand.
+        The link to which the joint belongs. Default: the world. In that case, place the robot or add its base first.
     axis : array_like, shape (3,)
         Axis along which the joint slides or about which it turns.
     limits : (float, float), optional
@@ -322,8 +321,9 @@ def with_body(
     velocity : float, optional
         Largest rate of a joint with one value [rad/s or m/s], for trajectories. By default the rate is unknown.
     mimic : (str, float, float), optional
-        Makes a joint with one value follow a joint of the robot: the other joint's name, a multiplier and an offset.
-        The limits of the other joint are narrowed to values at which this joint is within its own limits.
+        The name of a joint of the robot that the new joint follows, a multiplier and an offset; only for a joint with
+        one value. The limits of the followed joint are narrowed to values at which the new joint is within its own
+        limits.
 
     Returns
     -------
@@ -334,8 +334,8 @@ def with_body(
     ------
     InputError
         If a name is taken, `body` is not a body, the axis has no direction, or limits are missing or not in order; if a
-        velocity or a mimic is given for a joint that does not have exactly one value; or if a joint that is to be
-        followed would have no values left.
+        velocity or a mimic is given for a joint that does not have exactly one value; or if the narrowed limits of the
+        followed joint would contain no values.
     PoseError
         If the pose is not a rigid motion.
     UnknownNameError

@@ -27,7 +27,7 @@ PRIMITIVES: dict[str, Callable[[Any, float], Body]] = {
 
 
 def coal_body(shape: Any, meshes: str, tol: float) -> Body:
-    """Make the body of a shape; Coal uses half lengths.
+    """Make the body of a shape of Coal, which stores half lengths.
 
     Parameters
     ----------

@@ -249,7 +249,7 @@ def _union(parts: list[Body]) -> Body:
 
 
 def mesh_file(shape: Shape, link: str, urdf: Path, folders: Sequence[str | os.PathLike[str]]) -> Path:
-    """Find a file that a URDF names."""
+    """Find the mesh file that a URDF names for a shape of a link."""
     homes = _homes(urdf)
     looked = list(dict.fromkeys(_candidates(shape.file_name, homes, folders)))
     for path in looked:

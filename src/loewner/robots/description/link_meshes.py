@@ -37,7 +37,7 @@ Choice = Literal["hull", "solid", "open"]
 
 
 def mesh_body(mesh: Any, model: str, tol: float) -> Body:
-    """Make the body of a mesh, as `Body.from_mesh` takes it, in one of the representations `link_bodies.MODELS`."""
+    """Make a body, in one of the representations `link_bodies.MODELS`, of a mesh that `Body.from_mesh` accepts."""
     if model == "surface":
         return Body.from_surface(mesh)
     if model != "auto":
@@ -68,7 +68,7 @@ def described(body: Body) -> str:
 
 
 def warn_of_open_meshes(title: object, named: Iterable[tuple[str, str]], instead: str) -> None:
-    """Name all meshes that have no inside in their present form, in one warning.
+    """Warn once about all meshes that have no inside in their present form, by name.
 
     Parameters
     ----------
@@ -91,7 +91,7 @@ def warn_of_open_meshes(title: object, named: Iterable[tuple[str, str]], instead
 
 
 def hull_or_solid(vertices: Floats, triangles: Ints) -> tuple[Choice, tuple[Floats, Ints], int]:
-    """Choose the body of a mesh: a hull can be much larger, and an open surface has no inside.
+    """Choose between the hull and the solid of a mesh: a hull can be much larger, and an open mesh has no inside.
 
     Parameters
     ----------

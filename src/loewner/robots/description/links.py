@@ -44,8 +44,8 @@ class Joint:
     T_parent_joint : array_like, shape (4, 4), optional
         Pose of the joint in the frame of the parent; translation in metres. Default: the identity.
     T_joint_child : array_like, shape (4, 4), optional
-        Pose of the child in the frame that the joint moves. If it is given for a joint that moves, the joint's frame
-        becomes a link without a body, CHILD/NAME. Default: the identity.
+        Pose of the child in the frame that the joint moves. If it is given for a joint that moves, the frame that the
+        joint moves becomes a link without a body, with the name CHILD/NAME. Default: the identity.
     axis : array_like, shape (3,)
         Axis in the frame of the joint; its length does not matter.
     lower, upper : float or array_like, shape (3,)
@@ -54,7 +54,7 @@ class Joint:
     velocity, acceleration, jerk : float, optional
         Largest rates of a joint with one value [rad or m per s, s² and s³], above 0. By default they are unknown.
     mimic : (str, float, float), optional
-        Makes a joint with one value follow another joint: the other joint's name, a multiplier and an offset.
+        The name of another joint that this joint follows, a multiplier and an offset; only for a joint with one value.
     reference : float
         The value [rad or m] at which the motion of a revolute or prismatic joint is the identity.
 
@@ -243,7 +243,7 @@ def unit_axis(axis: ArrayLike, name: str) -> Floats:
 
 
 def checked_mimic(mimic: Any, what: str) -> Mimic:
-    """Check the rule of a joint that follows another: the other's name, a multiplier and an offset."""
+    """Check the rule of a joint that follows another joint: the other joint's name, a multiplier and an offset."""
     if not isinstance(mimic, (tuple, list)) or len(mimic) != 3 or not isinstance(mimic[0], str):
         raise InputError(
             f"{what}: expected the name of a joint, a multiplier and an offset, found {_validate.short(mimic)}"

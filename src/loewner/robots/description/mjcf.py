@@ -26,9 +26,9 @@ KINDS = {"slide": "prismatic", "ball": "ball", "free": "floating"}
 def description_of(model: MjcfModel) -> tuple[Description, dict[str, Body]]:
     """Read the links and joints of a model, and the bodies of the links.
 
-    Each body of the model is a link in its own frame. If several joints move a body, or its joint's anchor is not its
-    origin, a chain of links without bodies is inserted above the body. Each additional part of a body is a link fixed
-    to it.
+    Each body of the model is a link in its own frame. If several joints move a body, or the anchor of its joint is not
+    at the body's origin, a chain of links without bodies is inserted above the body. Each additional part of a body is
+    a link that is fixed to the body's own link.
     """
     above: dict[str, Joint] = {}
     joints: dict[str, Joint] = {}
@@ -52,7 +52,7 @@ def description_of(model: MjcfModel) -> tuple[Description, dict[str, Body]]:
 
 
 def semantics_of(model: MjcfModel, robot: Description) -> Semantics:
-    """Return keyframes as states and, as disabled pairs, the pairs of links that MuJoCo skips."""
+    """Return the keyframes as states, and the pairs of links that MuJoCo skips as disabled pairs."""
     states, theirs = {}, qpos_columns(robot)
     uncoupled = []
     for name, qpos in model.keyframes.items():

@@ -1,4 +1,4 @@
-"""Make robots from other libraries' models: their shapes as bodies of links, and the order of their configurations."""
+"""Make robots from other libraries' models: make bodies of their shapes, and convert their configurations."""
 
 from __future__ import annotations
 
@@ -64,10 +64,10 @@ class Order(NamedTuple):
     width : int
         Number of values of a configuration.
     columns : mapping
-        Maps each joint to the columns of its values, in our order; if one value has two columns, they are its cosine
-        and sine.
+        Maps each joint to the columns of its values, in the robot's order. If a single value has two columns, they are
+        its cosine and sine.
     constants : mapping
-        Maps each column whose value does not change to this value.
+        Maps each column that is constant to its value.
     """
 
     width: int
@@ -84,11 +84,13 @@ class Layout(KeepsReadOnly):
     names : tuple of str
         The joint of each column of the model, for messages.
     source, factors, offsets : ndarray, shape (width,)
-        Each column of the model is a multiple of one of our columns, plus a constant; columns beyond ours are zero.
+        Each column of the model is a multiple of one of the robot's columns, plus a constant; `source` is dof where the
+        robot's column is replaced with zero.
     own : ndarray, shape (dof,)
-        The column of the model that equals each of our columns.
+        For each of the robot's columns, the column of the model that equals it.
     turning : ndarray, shape (k, 3)
-        Our columns that the model represents by a cosine and a sine, and the columns of the cosine and the sine.
+        The robot's columns that the model represents by a cosine and a sine, and the model's columns of the cosine and
+        the sine.
     """
 
     names: tuple[str, ...]
@@ -99,19 +101,19 @@ class Layout(KeepsReadOnly):
     turning: Ints
 
     def exported(self, Q: Floats) -> Floats:
-        """Convert our configurations, shape (..., dof), to the model's configurations."""
+        """Convert the robot's configurations, shape (..., dof), to the model's configurations."""
         q = self.exported_rates(Q) + self.offsets
         for column, cosine, sine in self.turning.tolist():
             q[..., cosine], q[..., sine] = _elementary.cos(Q[..., column]), _elementary.sin(Q[..., column])
         return q
 
     def exported_rates(self, rates: Floats) -> Floats:
-        """Convert rates of our values to rates of the model's values, which must contain no cosines and sines."""
+        """Convert rates of the robot's values to rates of the model's values, which must not be cosines and sines."""
         padded = np.concatenate([rates, np.zeros((*rates.shape[:-1], 1))], axis=-1)
         return np.asarray(self.factors * padded[..., self.source])
 
     def imported(self, q: Floats, tolerance: float) -> Floats:
-        """Convert the model's configurations, shape (..., width), to ours; they must satisfy the model's couplings."""
+        """Convert the model's configurations, shape (..., width), which must satisfy its couplings, to the robot's."""
         Q = q[..., self.own]
         for column, cosine, sine in self.turning.tolist():
             Q[..., column] = _elementary.arctan2(q[..., sine], q[..., cosine])
@@ -128,13 +130,13 @@ class Layout(KeepsReadOnly):
 def layout_of(
     order: Order, own_columns: Mapping[str, slice], above: Sequence[str], tree: Tree, references: Mapping[str, float]
 ) -> Layout:
-    """Determine how configurations of a robot correspond to its model's.
+    """Determine how a robot's configurations correspond to the configurations of its model.
 
     Parameters
     ----------
     order : Order
     own_columns : mapping
-        Maps each joint to its columns in our configurations.
+        Maps each joint to its columns in the robot's configurations.
     above : sequence of str
         The joint above each link of the tree; empty if there is none.
     tree : Tree
@@ -240,7 +242,7 @@ def warn_of_fixed_contacts(
 
 
 def unique(names: Sequence[str], scopes: Sequence[str]) -> list[str]:
-    """Return the names, with their scopes if a name occurs twice, and with underscores if scopes are not enough."""
+    """Return unique names: a name that occurs twice gets its scope, and underscores if the scope is not enough."""
     found: list[str] = []
     for name, scope in zip(names, scopes, strict=True):
         made = name if names.count(name) == 1 else f"{scope}::{name}"
@@ -249,6 +251,6 @@ def unique(names: Sequence[str], scopes: Sequence[str]) -> list[str]:
 
 
 def expect(given: object, kind: str, what: str) -> None:
-    """Refuse an object if neither its class nor a base class has this name."""
+    """Refuse an object if neither its class nor a base class has the name `kind`."""
     if kind not in (base.__name__ for base in type(given).__mro__):
         raise InputError(f"{what}: expected a {kind}, found {_validate.short(given)}")

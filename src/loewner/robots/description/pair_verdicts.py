@@ -56,7 +56,7 @@ class ProvenPair(_validate.Brief):
     distance : float
         The least signed distance that was found [m]; a negative value is a depth. NaN if none could be computed.
     nearest : ndarray, shape (dof,), or None
-        A configuration with this distance; values on which the pair does not depend are as in
+        A configuration at which the bodies have this distance; values on which the pair does not depend are as in
         `Robot.configuration`.
     colliding, free : ndarray, shape (dof,), or None
         A configuration at which the bodies are within the margin, as `CollisionChecker.collide` confirms, and a
@@ -182,8 +182,8 @@ class ProvenPairs:
         Raises
         ------
         InputError
-            If a proven range is narrower than the hard limits, unless `narrower` is given; or if the margin is not 0
-            and a pair is ALWAYS within it, since this does not prove contact.
+            If a proven range is narrower than the hard limits, unless `narrower` is true; or if the margin is not 0 and
+            a pair is ALWAYS within it, since this does not prove contact.
         FileError
             If the file is not an SRDF of this robot, or cannot be read or written.
         """

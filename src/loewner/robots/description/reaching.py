@@ -1,4 +1,4 @@
-"""Find configurations at which a link has a given pose: prepare the kernel's tables, and wrap its answers."""
+"""Find configurations at which a link has a given pose: prepare the kernel's tables, and wrap the kernel's answers."""
 
 from __future__ import annotations
 
@@ -55,8 +55,8 @@ class Reached(_validate.Brief):
     Attributes
     ----------
     configuration : ndarray, shape (..., dof)
-        A solution or, if none was found, the nearest configuration. With a checker, the solution is free if any
-        solution is.
+        A solution or, if none was found, the nearest configuration. With a checker, the solution is free if any of the
+        solutions found is free.
     reached : bool or ndarray, shape (...)
         Whether the configuration is a solution; with a checker, only a free configuration counts.
     residual : ndarray, shape (..., 2)
@@ -229,7 +229,7 @@ def checked_tolerance(tolerance: ArrayLike) -> Floats:
 
 
 def targets_of(T: Floats) -> Floats:
-    """Make the rotations of poses orthonormal up to rounding; they may be off by `tolerances.ROTATION_TOLERANCE`."""
+    """Make rotations of poses, which may be off by `tolerances.ROTATION_TOLERANCE`, orthonormal up to rounding."""
     for _ in range(3):
         R = T[..., :3, :3]
         square = product(R.swapaxes(-1, -2), R)
@@ -260,7 +260,7 @@ def refuse_unsteady(chain: Chain, link: str) -> None:
 
 
 class Answers(NamedTuple):
-    """The kernel's results for each pose: distinct solutions, their number, and the first or nearest configuration."""
+    """The kernel's results for each pose: distinct solutions, their number, and the first solution or nearest try."""
 
     solutions: Floats
     counts: Ints
@@ -298,7 +298,7 @@ def solve(chain: Chain, T: Floats, starts: Floats, seeds: Floats, most: int, tol
 
 
 class Solutions(NamedTuple):
-    """All solutions as configurations, with their poses and which are free, in the order of `Reached.solutions`."""
+    """All solutions, with the index of the pose and whether each is free, in the order of `Reached.solutions`."""
 
     Q: Floats
     poses: Ints

@@ -127,26 +127,28 @@ class Robot(KeepsReadOnly):
         Joints with values of their own, that is, movable joints that do not mimic another joint, in the order of the
         URDF.
     configuration_names : tuple of str
-        Meaning of the entries of a configuration. A joint with one value (rad or m) appears by its name; a planar joint
-        j has "j/x", "j/y" [m] and "j/theta" [rad]; a floating joint has "j/x", "j/y", "j/z" [m] and the unit quaternion
+        Names of the entries of a configuration. A joint with one value (rad or m) appears by its name; a planar joint j
+        has "j/x", "j/y" [m] and "j/theta" [rad]; a floating joint has "j/x", "j/y", "j/z" [m] and the unit quaternion
         "j/qw", "j/qx", "j/qy", "j/qz"; a ball joint, which exists only in MJCF, has only the four quaternion entries.
     lower, upper : ndarray, shape (dof,)
         Limits for sampling, planning and `reach`, in radians for joints that turn and metres for joints that slide;
         infinite for values without limits. These limits are within the limits and the soft limits
-        (``<safety_controller>``) of the file, and they keep mimicking joints within their own limits. All functions
-        accept configurations outside the limits; a configuration far outside causes a single warning (see `checked`).
+        (``<safety_controller>``) of the file, and they keep each mimicking joint within its own limits. All functions
+        accept configurations outside the limits; the first configuration far outside them causes a warning (see
+        `checked`).
     hard_lower, hard_upper : ndarray, shape (dof,)
-        Limits of the joints in the file. A plan may start outside `lower` and `upper`, within these limits.
+        Limits of the joints in the file. A plan may start outside `lower` and `upper` if its start is within these
+        limits.
     velocity, acceleration, jerk : ndarray, shape (dof,)
-        The largest rates of each value [rad or m per s, s² and s³]: the URDF's limits, or less if a mimic joint would
-        otherwise exceed its own limit. NaN if the URDF gives no positive limit, and for planar and floating joints.
-        Only URDF 1.2 has acceleration and jerk limits.
+        The largest rates of each value [rad or m per s, s² and s³]: the URDF's limits, or lower values if a mimicking
+        joint would otherwise exceed its own limit. NaN if the URDF gives no positive limit, and for planar and floating
+        joints. Only URDF 1.2 has acceleration and jerk limits.
     bodies : dict
         Maps the names of links with collision geometry to a `Body` in the frame of the link. For this and the next
         three attributes, looking up an unknown name raises an UnknownNameError that lists the known names.
     shapes : dict
-        Maps link names to a description of the body of each collision shape of a URDF, in the order of the file: "box",
-        "hull, sticks out by up to 0.4 mm", "pieces, 3 that stick out by up to 2 mm", "solid, 1,234 triangles", "surface
+        Maps link names to descriptions of the bodies of their collision shapes, in the order of the URDF: "box", "hull,
+        sticks out by up to 0.4 mm", "pieces, 3 that stick out by up to 2 mm", "solid, 1,234 triangles", "surface
         without an inside, 96 triangles", "solid of a nearly closed mesh, 804 triangles", "hull of an open mesh".
     groups : dict
         Maps group names to joint names, from the SRDF.
@@ -157,12 +159,13 @@ class Robot(KeepsReadOnly):
     disabled_pairs : frozenset
         Sorted pairs of links that the SRDF exempts from checking.
     adjacent_pairs : frozenset
-        Sorted pairs of links with bodies that are connected directly by a joint, or through links without bodies and at
-        most one moving joint.
+        Sorted pairs of links with bodies. The links of a pair are connected directly by a joint, or by a chain of links
+        without bodies and at most one moving joint.
     mimics : dict
-        Maps the name of each mimicking joint to the other joint's name and the factor between their rates.
+        Maps the name of each mimicking joint to the name of the joint that it mimics and the factor between their
+        rates.
     tree : Tree
-        The arrays that kernels take; described in ``loewner/_kernels/robots/kinematics.py``.
+        Arrays for the kernels, described in ``loewner/_kernels/robots/kinematics.py``.
     urdf : Path
         The file that was read: a URDF or an MJCF. For a description given as a string, or a robot made in memory, it is
         a placeholder name in the current working directory.
@@ -247,28 +250,28 @@ class Robot(KeepsReadOnly):
             "loewner[xacro]"``). The expansion evaluates Python expressions in the file, so read only files that you
             trust. Line numbers in messages then refer to the expanded text.
         text : str, optional
-            The contents of a URDF or xacro file instead of a path, such as ROS's ``/robot_description``. Relative paths
-            of meshes in the text are resolved from the working directory.
+            The contents of a URDF or xacro file, given instead of `path`; for instance, the text in ROS's
+            ``/robot_description``. Relative paths of meshes in the text are resolved from the working directory.
         xacro_args : mapping of str to str, number or bool, optional
-            Values for the arguments of a xacro file. If they are given, a file with any name is expanded. ``$(find
-            package)`` is the folder of a package; see `package_dirs`.
+            Values for the arguments of a xacro file. If `xacro_args` is given, a file is expanded even if its name does
+            not end in ``.xacro``. ``$(find package)`` is the folder of a package; see `package_dirs`.
         srdf : path, optional
-            A file with groups, states and disabled pairs. A file whose name ends in ``.xacro`` is expanded as well.
+            A file with groups, states and disabled pairs. It is expanded if its name ends in ``.xacro``.
         package_dirs : path or iterable of paths
-            Packages, or folders that contain packages, for ``package://`` and ``model://``. The folders that ROS names
-            in the environment, and the folders above the URDF, are also searched.
+            Packages, or folders that contain packages, in which to find ``package://`` and ``model://`` paths. The
+            folders in ROS's environment variables and the folders above the URDF are also searched.
         meshes : {"auto", "hull", "pieces", "surface"}
-            Representation of each collision mesh. "auto", the default: the hull of a closed mesh if it is proven to
-            stick out by at most the larger of 1 mm and 1 % of the mesh's diameter, and otherwise the solid that the
-            mesh encloses. Holes of a nearly closed mesh are closed first; for any other mesh, the hull is used.
-            `shapes` describes the results. "hull": the convex hull, which contains the mesh. "pieces": convex pieces
-            (`Body.from_mesh`), into which a non-convex mesh is split once (see `cache`). "surface": its triangles
-            (`Body.from_surface`), including the enclosed space if the mesh is closed.
+            Representation of each collision mesh. "auto", the default: a closed mesh becomes its hull if the hull is
+            proven to stick out by at most the larger of 1 mm and 1 % of the mesh's diameter, and otherwise the solid
+            that the mesh encloses. Holes of a nearly closed mesh are closed first; any other open mesh becomes its
+            hull. The attribute `shapes` describes the results. "hull": the convex hull, which contains the mesh.
+            "pieces": convex pieces, into which `Body.from_mesh` splits a non-convex mesh. "surface": the mesh's
+            triangles (`Body.from_surface`), and the space that they enclose if the mesh is closed.
         decompose : bool
             True means the same as ``meshes="pieces"``.
         pairs : {"adjacent", "proven"}, optional
             Which pairs are exempt from checking if there is no SRDF. "adjacent", the default: links that are connected
-            by a joint. "proven": also the pairs that are proven to collide at no configuration, or at all
+            by a joint. "proven": in addition, the pairs that are proven to collide at no configuration, or at all
             configurations (`prove_pairs`).
         tol : float
             Certified log-volume gap of all fits.
@@ -300,11 +303,12 @@ class Robot(KeepsReadOnly):
         Warns
         -----
         UserWarning
-            With "auto", if meshes are not closed; one warning names all of them. If the URDF or the SRDF has parts that
-            its format does not define (docs/robots.md); if the limits of a mimicking joint would leave the other joint
-            hardly any range. If the SRDF names links or joints that the robot does not have, or none that it has; if it
-            is for a different robot; or if it contains passive joints, or a base that moves. If a body is probably not
-            in metres, or the angles of an origin or the limits of revolute joints are probably not in radians.
+            If `meshes` is "auto" and meshes are not closed; one warning names all of them. If the URDF or the SRDF has
+            parts that its format does not define (docs/robots.md). If the limits of a mimicking joint would leave the
+            other joint hardly any range. If the SRDF is for a different robot, names links or joints that the robot
+            does not have, names none that it has, or contains passive joints or a base that moves. If a body is
+            probably not in metres, or the angles of an origin or the limits of revolute joints are probably not in
+            radians.
 
         Examples
         --------
@@ -457,10 +461,10 @@ class Robot(KeepsReadOnly):
         ----------
         model : mujoco.MjModel
         data : mujoco.MjData, optional
-            Supplies the poses of mocap bodies and the active constraints. Default: as in the model.
+            Supplies the poses of mocap bodies and the active constraints. By default, the model supplies them.
         couplings : bool
-            Let joints follow others if an active equality couples them linearly. If it is False, or there are no such
-            equalities, a configuration equals `qpos`, entry by entry.
+            Let a joint follow another one if an active equality couples the two linearly. If `couplings` is False, or
+            there are no such equalities, a configuration equals `qpos`, entry by entry.
         tol : float
             Certified log-volume gap of the fits of meshes.
 
@@ -472,8 +476,8 @@ class Robot(KeepsReadOnly):
         Raises
         ------
         InputError
-            If `model` or `data` are not MuJoCo's, or belong to different models; if a geom that collides is a signed
-            distance field.
+            If `model` or `data` is not an object of MuJoCo, or `data` belongs to a different model; if a geom that
+            collides is a signed distance field.
         GeometryError
             If a mesh that collides is flat.
 
@@ -516,22 +520,22 @@ class Robot(KeepsReadOnly):
     @classmethod
     @guarded
     def footprint(cls, polygon: ArrayLike, *, height: float, bounds: ArrayLike | None = None) -> Robot:
-        """Make a mobile base: a polygon with a height that slides and turns on the plane z = 0.
+        """Make a mobile base that slides and turns on the plane z = 0: a polygon with a height.
 
         Parameters
         ----------
         polygon : array_like, shape (n, 2)
-            Corners in the frame of the base, in metres, in either order. It need not be convex.
+            Corners in the frame of the base, in metres, clockwise or counterclockwise. The polygon need not be convex.
         height : float
             Height in metres.
         bounds : array_like, shape (2, 2), optional
-            Lowest and highest x and y, in metres; planning requires them.
+            Lowest and highest x, then lowest and highest y, in metres; planning requires these bounds.
 
         Returns
         -------
         Robot
-            A robot with the link "footprint" on the joints ``base/x``, ``base/y`` and ``base/theta``, as from
-            `add_base`. The base may move in every direction: a proof of its motions is valid for a base that can drive
+            A robot whose link "footprint" moves on the joints ``base/x``, ``base/y`` and ``base/theta``, as from
+            `add_base`. The base may move in every direction: proofs of its motions are valid for a base that can drive
             sideways.
 
         Raises
@@ -565,7 +569,7 @@ class Robot(KeepsReadOnly):
         ----------
         links : mapping from str to Body, None, or list of (Body, pose)
             The body of each link, in the frame of the link. None stands for a link without a body. For several bodies,
-            give each with its pose of shape (4, 4) in the link, with translation in metres.
+            pair each body with its pose in the frame of the link, of shape (4, 4) with translation in metres.
         joints : iterable of Joint
             Joints that connect all links to one root. The order of the joints is the order of the values in a
             configuration.
@@ -581,13 +585,12 @@ class Robot(KeepsReadOnly):
         Raises
         ------
         InputError
-            If links and joints do not form a tree; if a name is used twice, limits are not in order, or a value is
-            given that this kind of joint does not have.
+            If links and joints do not form a tree; if a name is used twice, limits are not in order, or a joint is
+            given a value that its kind does not have.
         PoseError
             If a pose is not a rigid motion.
         UnknownNameError
-            If a joint, a mimicking joint or a pair refers to a name that does not exist, or there is no such kind of
-            joint.
+            If a joint, a mimicking joint or a pair refers to a name that does not exist, or a joint's kind is unknown.
 
         Warns
         -----
@@ -621,7 +624,7 @@ class Robot(KeepsReadOnly):
         mimic: Mapping[str, tuple[str, float, float]] | None = None,
         tol: float = 1e-4,
     ) -> Robot:
-        """Read a robot, with the world around it, from a plant of Drake and its scene graph.
+        """Read a robot, with the world around it, from a Drake plant and its scene graph.
 
         The pairs that Drake's collision filters exclude are in `disabled_pairs`. `imported` and `exported` convert
         configurations. docs/howto/other-models.md lists the correspondences.
@@ -632,11 +635,11 @@ class Robot(KeepsReadOnly):
             A finalized plant.
         scene_graph : pydrake.geometry.SceneGraph
         context : pydrake.systems.framework.Context, optional
-            The context of the whole diagram, for geometry, filters, poses of frames, and locked joints, which become
-            fixed. Default: as in the model.
+            The context of the whole diagram, which supplies geometry, filters, poses of frames and locked joints.
+            Locked joints become fixed. By default, the model supplies these values.
         mimic : mapping, optional
-            Joints that follow others, as ``{joint: (other, gear ratio, offset)}`` with the robot's names, since Drake's
-            Python cannot read couplers.
+            Joints that follow others, as ``{joint: (other, gear ratio, offset)}`` with the robot's names. Drake's
+            Python interface cannot read couplers.
         tol : float
             Certified log-volume gap of the fits of meshes.
 
@@ -644,8 +647,8 @@ class Robot(KeepsReadOnly):
         -------
         Robot
             Every body of the plant is a link with the same name, or with the name MODEL::NAME if several models use the
-            name. Each shape of the world is a separate link, and so are shapes of a body with other filters than the
-            body's first shape.
+            name. Each shape of the world is a separate link, as is each shape of a body if its filters differ from the
+            filters of the body's first shape.
 
         Raises
         ------
@@ -661,7 +664,7 @@ class Robot(KeepsReadOnly):
         -----
         UserWarning
             If the plant has more constraints than `mimic` couples, or geometry that is deformable or not part of the
-            plant; if bodies that are fixed to each other collide, which is not checked.
+            plant; if bodies that are fixed to each other collide, since such pairs are not checked.
 
         Examples
         --------
@@ -691,16 +694,16 @@ class Robot(KeepsReadOnly):
         model : pinocchio.Model
         geometry_model : pinocchio.GeometryModel
         meshes : {"auto", "hull", "pieces", "surface"}
-            Representation of triangle meshes, as for `from_urdf`. By default, as in Coal, a mesh consists of its
-            triangles; the space that a closed mesh encloses is included as well.
+            Representation of triangle meshes, as for `from_urdf`. By default, a mesh consists of its triangles, as in
+            Coal, and of the space that it encloses if it is closed.
         tol : float
             Certified log-volume gap of the fits of meshes.
 
         Returns
         -------
         Robot
-            Every body frame is a link with the same name. Each shape of the universe is a separate link, and so are
-            shapes of a link that are checked against other shapes than the link's first shape.
+            Every body frame is a link with the same name. Each shape of the universe is a separate link, as is each
+            shape of a link that is not checked against the same shapes as the link's first shape.
 
         Raises
         ------
@@ -712,8 +715,8 @@ class Robot(KeepsReadOnly):
         Warns
         -----
         UserWarning
-            If bodies that are fixed to each other collide, which is not checked; if there are shapes but no pairs; or
-            if meshes are not closed, with "auto".
+            If bodies that are fixed to each other collide, since such pairs are not checked; if there are shapes but no
+            pairs; or if `meshes` is "auto" and meshes are not closed.
 
         Examples
         --------
@@ -742,13 +745,13 @@ class Robot(KeepsReadOnly):
         Returns
         -------
         ndarray, shape (..., nq)
-            Positions of Drake's plant, q of pinocchio, or qpos of MuJoCo, with the values of joints that mimic others.
+            Positions of Drake's plant, q of pinocchio, or qpos of MuJoCo, including the values of mimicking joints.
 
         Raises
         ------
         InputError
-            If the robot was made in another way, or has gained values since, for example by `join`; in this case, use
-            the parts.
+            If the robot was made in another way, or has gained values since then. After `join`, for example, convert
+            the configurations of each part.
 
         Examples
         --------
@@ -765,7 +768,7 @@ class Robot(KeepsReadOnly):
         ----------
         q : array_like, shape (..., nq)
         tolerance : float
-            Largest deviation [rad or m] from the robot's values, for values that follow others or are constant.
+            Largest deviation [rad or m] of a mimicking or constant value from the value that the robot determines.
 
         Returns
         -------
@@ -774,8 +777,8 @@ class Robot(KeepsReadOnly):
         Raises
         ------
         InputError
-            If values deviate by more than the tolerance or are not finite, or if the width differs from the model's.
-            Also as for `exported`.
+            If values deviate by more than the tolerance or are not finite, or if the width of `q` is not the model's
+            number of values. Also as for `exported`.
 
         Examples
         --------
@@ -797,7 +800,7 @@ class Robot(KeepsReadOnly):
 
     @guarded
     def as_scene(self, q: ArrayLike) -> Scene:
-        """Return the bodies, at their poses for a configuration, as a scene for other robots to avoid.
+        """Return a scene of the robot's bodies at one configuration, for other robots to avoid.
 
         Parameters
         ----------
@@ -806,8 +809,7 @@ class Robot(KeepsReadOnly):
         Returns
         -------
         Scene
-            Bodies have the names of their links. Pairs that are exempt from checking for the robot may touch in the
-            scene.
+            Bodies have the names of their links. Pairs that the robot exempts from checking may touch in the scene.
 
         Examples
         --------
@@ -824,13 +826,13 @@ class Robot(KeepsReadOnly):
         return scene
 
     def to_urdf(self, path: str | os.PathLike[str], *, mesh_prefix: str = "") -> None:
-        """Write the robot as a URDF, with an SRDF of the same stem, for other programs and for `from_urdf`.
+        """Write the robot as a URDF, with an SRDF with the same stem, for other programs and for `from_urdf`.
 
-        Together the files describe the same kinematics, limits, rates, groups, states and shapes, up to the rounding of
-        poses, and a `CollisionChecker` checks the same pairs. A root link "world" is added if the robot has several
-        roots or is placed. Links fixed to this root can be adjacent through it, so do not pass ``skip_adjacent=True``
-        in this case. Visual geometry, masses and efforts are not written. Limits that are narrower than `hard_lower`
-        and `hard_upper` become soft limits.
+        Together, the two files describe the robot's kinematics, limits, rates, groups, states and shapes, up to the
+        rounding of poses, and a `CollisionChecker` of the robot read from them checks the same pairs. A root link
+        "world" is added if the robot has several roots or is placed. In that case, do not pass ``skip_adjacent=True``,
+        since links fixed to "world" can count as adjacent. Visual geometry, masses and efforts are not written. Where
+        `lower` and `upper` are narrower than `hard_lower` and `hard_upper`, they become soft limits.
 
         Pass the SRDF to `from_urdf`, too: without the SRDF, pairs that this robot checks may be exempt. A solid is
         written as its triangles, which some other programs replace with the solid's convex hull. Existing files are
@@ -899,7 +901,7 @@ class Robot(KeepsReadOnly):
     def placed(self, T_world_base: ArrayLike) -> Robot:
         """Return the same robot with its root link at a pose of shape (4, 4) instead of the world's origin.
 
-        If the robot has been placed before, the new pose replaces the old one. A robot that was joined from several is
+        If the robot has been placed before, the new pose replaces the old one. A robot that was made by `join` is
         placed as a whole: the poses of its parts are relative to this pose.
 
         Parameters
@@ -946,9 +948,9 @@ class Robot(KeepsReadOnly):
         Returns
         -------
         Robot
-            Its configurations are the parts' configurations, one after another. Groups, states and disabled pairs are
-            kept; pairs of links from different parts are checked. If only some parts have disabled pairs, the adjacent
-            pairs of the other parts are disabled, too.
+            Each configuration of the robot consists of the parts' configurations, one after another. Groups, states and
+            disabled pairs are kept; pairs of links from different parts are checked. If only some parts have disabled
+            pairs, the adjacent pairs of the other parts are disabled, too.
 
         Raises
         ------
@@ -980,7 +982,7 @@ class Robot(KeepsReadOnly):
         Parameters
         ----------
         pairs : iterable of pairs of str
-            For instance the pairs that `pairs_by_sampling` returns.
+            Pairs of link names, for instance the pairs that `pairs_by_sampling` returns.
 
         Returns
         -------
@@ -1011,20 +1013,21 @@ class Robot(KeepsReadOnly):
         scene: Scene | None = None,
         progress: Progress | None = None,
     ) -> Body:
-        """Make a body that provably contains links wherever they are along a whole curve.
+        """Make a body that is proven to contain given links at every instant of a curve.
 
         Parameters
         ----------
         curve : PPoly, BPoly, BSpline, planners.Trajectory, planners.ControllerPoints, or array_like
             As for `CollisionChecker.certify_trajectory`; or a path of straight motions, shape (k, dof).
         links : str or iterable of str, optional
-            Names of links with bodies, or of bodies that are attached to links in `scene`. Default: all of them.
+            Names of links with bodies, or of bodies that are attached to links in `scene`. Default: all such links and
+            bodies.
         tolerance : float
             The largest distance in metres by which the body may stick out of the links' swept volume. A larger
             tolerance gives fewer pieces.
         joint_error : float, or array_like of shape (dof,)
             Largest deviation of each value from the curve [rad or m]. The body also contains the links at such
-            deviations, which count as sticking out.
+            deviations; the space that this adds counts as sticking out.
         scene : Scene, optional
             Bodies that are attached in the scene are carried along; other bodies of the scene are ignored.
         progress : callable, optional
@@ -1049,7 +1052,7 @@ class Robot(KeepsReadOnly):
 
         See Also
         --------
-        CollisionChecker.certify_trajectory : Whether a curve is free, without a body in between.
+        CollisionChecker.certify_trajectory : Proves that a curve is free, without making a body.
 
         Notes
         -----
@@ -1094,24 +1097,24 @@ class Robot(KeepsReadOnly):
             least one body of each pair must move. Default: the pairs that the SRDF or the MJCF exempts from checking,
             or all pairs of links with bodies if neither has rules on pairs.
         margin : float
-            A distance in metres that counts as contact; larger margins of the scene are kept.
+            Distance in metres within which bodies count as in contact; larger margins of the scene still apply.
         limits : mapping from str to (float, float), optional
-            Ranges of values, keyed by their names in `configuration_names`, in radians or metres. All other values have
-            the hard limits of the file; a joint without limits makes a full turn, or as many turns as the joints that
-            follow it need to return.
+            Ranges of values, keyed by their names in `configuration_names`, in radians or metres. Every other value
+            ranges between the hard limits of the file. A joint without limits makes a full turn, or as many turns as
+            the joints that mimic it need to return to their starting angles.
         scene : Scene, optional
             A scene with other bodies. Bodies that are attached in the scene move with the robot's links.
         boxes : int
             Largest number of boxes of configurations that are examined, for all pairs together.
         cache : bool
-            Keep answers about the hard limits, without a margin or a scene, on disk, so that later calls only read
-            them. The key of an answer covers everything on which the answer depends.
+            Keep answers on disk, so that later calls only read them, if there are no `limits`, no margin and no scene.
+            The key of an answer covers everything on which the answer depends.
         progress : callable, optional
             Called as ``progress(done, total)`` with numbers of pairs.
         proof : bool
             Write a proof of all rows, `ProvenPairs.proof`, for other programs to verify. All rows must be NEVER, all
             bodies must consist of convex pieces, and all joints must turn or slide, with at most eight ranges of values
-            between the two bodies.
+            between the two bodies of a pair.
 
         Returns
         -------
@@ -1123,12 +1126,12 @@ class Robot(KeepsReadOnly):
         UnknownNameError
             If there is no such link, body or value.
         InputError
-            If an entry is not a pair of two different bodies, or neither of the two moves; if a link has no body; if
-            the lower end of a range is above the upper one; if the robot has no collision geometry; or if a body of the
+            If an entry is not a pair of two different bodies, or neither body moves; if a link has no body; if the
+            lower end of a range is above the upper one; if the robot has no collision geometry; or if a body of the
             scene follows a motion. With `proof`, also if a row is not NEVER, or if the format cannot express the model
             or the proof within 5 MB.
         ConvergenceError
-            With `proof`, if a pair comes too near to its margin for the format.
+            With `proof`, if a pair comes so near to its margin that the format cannot express a proof.
 
         See Also
         --------
@@ -1138,8 +1141,8 @@ class Robot(KeepsReadOnly):
         -----
         NEVER and ALWAYS are proofs, like FREE in `CollisionChecker.certify_edges`; docs/certified.md derives the
         bounds. Planar joints need ranges for their positions, and pairs with a floating or ball joint between them are
-        OPEN. A pair with many joints between its bodies takes many boxes: a pair with six or more joints rarely
-        settles.
+        OPEN. A pair with many joints between its bodies takes many boxes, so that a pair with six or more joints is
+        rarely decided.
 
         Examples
         --------
@@ -1167,22 +1170,22 @@ class Robot(KeepsReadOnly):
         scene: Scene | None = None,
         boxes: int = 100_000,
     ) -> dict[str, tuple[float, float]]:
-        """Find the largest range of joints about a configuration for which pairs are proven not to collide.
+        """Find the largest ranges of joint values about a configuration in which pairs are proven not to collide.
 
         Parameters
         ----------
         joints : str or iterable of str
             The name of one value, or of several values, as in `configuration_names`. The range of a single value ends
             where contact begins, up to 1e-9 rad or m, or at the value's limit. The range of several values is a box:
-            all of its ends are at the same fraction of the way to their limits.
+            each end is at the same fraction of the way from the configuration to that value's limit.
         about : array_like, shape (dof,), optional
-            The configuration about which the range extends; all other values stay fixed. Default: `configuration`.
+            The configuration about which the range extends; all other values stay fixed. Default: `configuration()`.
         pairs : iterable of pairs of str, optional
             As for `prove_pairs`. Default: the pairs that a `CollisionChecker` of this robot checks.
         margin, limits, scene
             As for `prove_pairs`.
         boxes : int
-            Largest number of boxes that are examined for each range of several values that is tried.
+            Largest number of boxes that are examined each time a range of several values is tried.
 
         Returns
         -------
@@ -1193,7 +1196,7 @@ class Robot(KeepsReadOnly):
         ------
         InputError
             As for `prove_pairs`; also if there are no pairs, the configuration is outside the limits, or pairs collide
-            there.
+            at it.
         UnknownNameError
             If there is no such value, link or body.
 
@@ -1222,9 +1225,10 @@ class Robot(KeepsReadOnly):
     ) -> Robot:
         """Replace the body of each link by a union of simple shapes that is proven to contain it.
 
-        Shapes that stick out of links can meet where the links never do, so that a planner may find no path. Pairs of
-        such links are found in random configurations. A pair that is proven never to collide (`prove_pairs`) is added
-        to `disabled_pairs`; other pairs stay checked, and a warning lists the pairs that always meet.
+        Shapes that stick out of links can meet although the links never do, so that a planner may find no path. Random
+        configurations reveal such pairs of links. If `prove_pairs` proves that the links of a pair never collide, the
+        pair is added to `disabled_pairs`. Other pairs stay checked, and a warning lists the pairs whose shapes always
+        meet.
 
         Parameters
         ----------
@@ -1252,7 +1256,7 @@ class Robot(KeepsReadOnly):
         Warns
         -----
         UserWarning
-            If shapes of links that may collide meet in all configurations that were tried.
+            If the shapes of a pair that is still checked meet in all configurations that were tried.
 
         See Also
         --------
@@ -1272,12 +1276,12 @@ class Robot(KeepsReadOnly):
     def covered_by(
         self, model: Robot, *, tolerance: float | None = None, progress: Progress | None = None
     ) -> dict[str, CoverReport]:
-        """Prove for each link that another robot's body for this link contains it, or find where it does not.
+        """Prove, link by link, that another robot's bodies contain this robot's links, or find where they do not.
 
         Parameters
         ----------
         model : Robot
-            A robot with links of the same names and frames, such as the result of `with_cover`.
+            A robot whose links have the same names and frames, such as the result of `with_cover`.
         tolerance : float, optional
             As for `Body.covered_by` [m].
         progress : callable, optional
@@ -1308,7 +1312,7 @@ class Robot(KeepsReadOnly):
         path: str | os.PathLike[str],
         format: Literal["curobo", "vamp", "foam", "pyroki", "urdf", "mjcf", "scene"] | None = None,
     ) -> Robot:
-        """Return the same robot with the bodies of links from a file, for instance a planner's spheres.
+        """Return the same robot with link bodies that are read from a file, for instance a planner's spheres.
 
         The pairs that the file ignores replace the robot's `disabled_pairs`; a file without rules on pairs leaves
         `disabled_pairs` unchanged. docs/howto/covers.md lists the formats.
@@ -1316,13 +1320,13 @@ class Robot(KeepsReadOnly):
         Parameters
         ----------
         path : path
-            A configuration of cuRobo, its file of spheres, or an XRDF; a URDF from VAMP or foam with spheres; a JSON
-            file with spheres for pyroki or from foam; any URDF, with the SRDF of the same stem if there is one; an MJCF
-            file whose bodies have the names of the links; or a scene whose bodies have these names, and poses in the
-            frames of the links.
+            A cuRobo configuration or sphere file, or an XRDF; a URDF with spheres, from VAMP or foam; a JSON file with
+            spheres, for pyroki or from foam; any other URDF, which is read with the SRDF with the same stem if there is
+            one; an MJCF file whose bodies have the names of the links; or a scene whose bodies have the names of the
+            links and poses in the frames of the links.
         format : str, optional
-            The program for which the file was made. By default the suffix and the keys determine the format. The
-            numbers of "curobo", "vamp", "foam" and "pyroki" are rounded to float32, as these programs do.
+            The program for which the file was made. By default the suffix and the keys determine the format. In the
+            formats "curobo", "vamp", "foam" and "pyroki", numbers are rounded to float32, as in these programs.
 
         Returns
         -------
@@ -1331,7 +1335,7 @@ class Robot(KeepsReadOnly):
         Raises
         ------
         FileError
-            If the file is missing or malformed, or has no shapes; the message gives the place.
+            If the file is missing or malformed, or has no shapes; the message names the place in the file.
         UnknownNameError
             If the file has shapes for a link that the robot does not have, or there is no such format.
         InputError
@@ -1364,23 +1368,22 @@ class Robot(KeepsReadOnly):
         """Write the bodies of links, and the pairs that need no check, for a planner.
 
         The shapes in the file contain the bodies of this robot: numbers are rounded outward to float32 for programs
-        that use it, and shapes whose angles are rounded are 1 nm larger on each side. `with_cover` reads the file, so
-        that `covered_by` can prove that its shapes contain the links. Existing files are replaced.
+        that use float32, and shapes whose angles are rounded are enlarged by 1 nm on each side. `with_cover` reads the
+        file, so that `covered_by` can prove that the shapes in the file contain the links. Existing files are replaced.
 
         Parameters
         ----------
         path : path
         format : str, optional
-            "curobo": the keys of a configuration for spheres and pairs (.yml). "vamp" and "foam": a URDF of spheres,
-            with an SRDF of the same stem. "pyroki": JSON, with ignored pairs in ``STEM.ignored.json``. "urdf": as
-            `to_urdf`, with each capsule written as a cylinder and two spheres. "mjcf": a model for MuJoCo. "scene":
-            bodies in the frames of links (.yaml). By default the suffix determines the format.
+            "curobo": the keys for spheres and pairs in a cuRobo configuration (.yml). "vamp" and "foam": a URDF of
+            spheres, with an SRDF with the same stem. "pyroki": JSON, with ignored pairs in ``STEM.ignored.json``.
+            "urdf": as `to_urdf`, with each capsule written as a cylinder and two spheres. "mjcf": a model for MuJoCo.
+            "scene": bodies in the frames of links (.yaml). By default the suffix determines the format.
 
         Raises
         ------
         InputError
-            If the format does not have the bodies' shapes, or the suffix does not determine the format. Also as for
-            `to_urdf`.
+            If the format cannot express a shape, or the suffix does not determine the format. Also as for `to_urdf`.
         UnknownNameError
             If there is no such format.
         FileError
@@ -1400,7 +1403,7 @@ class Robot(KeepsReadOnly):
         ----------
         pairs : iterable of pairs of str
         name : str
-            The caller's name for the argument, for messages.
+            Name of the argument in error messages.
 
         Returns
         -------
@@ -1471,13 +1474,13 @@ class Robot(KeepsReadOnly):
         Q : array_like, shape (..., dof)
         link : str
         point : array_like, shape (3,), optional
-            In the frame of the link, in metres. Default: the link's origin.
+            The point in the frame of the link, in metres. Default: the link's origin.
 
         Returns
         -------
         ndarray, shape (..., 6, dof)
-            In the world's axes, one column per value of the configuration: three rows for the velocity of the point
-            [m], then three for the angular velocity of the link [rad], per unit of that value.
+            One column per value of the configuration, in the world's axes. The first three rows are the velocity of the
+            point [m], and the last three rows are the angular velocity of the link [rad], both per unit of the value.
 
         Raises
         ------
@@ -1488,7 +1491,7 @@ class Robot(KeepsReadOnly):
 
         Notes
         -----
-        The columns of a quaternion are derivatives through the rotation that it represents: a change of its length
+        The columns of a quaternion account only for the rotation that the quaternion represents: a change of its length
         alone does not turn the link.
 
         Examples
@@ -1532,20 +1535,20 @@ class Robot(KeepsReadOnly):
         joints : str or iterable of str, optional
             A group, or names of joints. Only these joints move. Default: all joints that move the link.
         start : array_like, shape (..., dof), optional
-            Start configurations, broadcast with the poses. All other joints keep their start values. The start is also
-            the first seed, after being moved into the limits. The second seed is the answer for the previous pose, so
-            pass the poses of a line in order. Default: `configuration()`, moved into the limits.
+            Start configurations, broadcast with the poses. Joints that are not in `joints` keep their start values. The
+            start is also the first seed, after being moved into the limits. The second seed is the answer for the
+            previous pose, so pass the poses of a line in order. Default: `configuration()`, moved into the limits.
         seeds : int
             Number of further configurations from which to search, spread evenly within the limits; at least 1.
         checker : CollisionChecker, optional
-            Look for a solution that is free, according to `CollisionChecker.collide`.
+            Look for a solution at which this checker's `CollisionChecker.collide` finds no collision.
         all : bool
             Return all distinct solutions found. Otherwise the search for a pose ends with its first solution.
         tolerance : array_like, shape (6,), optional
             Largest deviations to either side, in the frame of the target: three lengths along x, y and z [m], the tilts
             of the link's z axis about x and y [rad], and the spin about the z axis [rad]. ``inf`` leaves a direction
             free. ``[0, 0, 0, inf, inf, inf]`` seeks a position only, and ``[0, 0, 0, 0, 0, inf]`` a position and a z
-            axis. With both tilts a and b in use, the z axis deviates by up to arccos(cos a + cos b - 1). Default:
+            axis. If the tilts may be up to a and b, the z axis deviates by up to arccos(cos a + cos b - 1). Default:
             zeros.
 
         Returns
@@ -1564,14 +1567,14 @@ class Robot(KeepsReadOnly):
 
         Notes
         -----
-        Solutions are within the limits, except for values that are kept from a start outside them. They meet the
-        tolerance to 1e-10 m and rad, times one plus the sum of the absolute values of the pose's coordinates in metres.
-        A search that finds no solution does not prove that no solution exists; more seeds find more solutions. A joint
-        that can turn by more than a whole turn is returned at the angle nearest to the start. Which solution comes
-        first does not depend on the number of threads.
+        Solutions are within the limits, except for values that are kept from a start outside them. For a pose at (x, y,
+        z) in metres, they meet the tolerance up to 1e-10 (1 + abs(x) + abs(y) + abs(z)) m and rad. A search that finds
+        no solution does not prove that no solution exists; more seeds find more solutions. A joint that can turn by
+        more than a whole turn is returned at the angle nearest to the start. Which solution comes first does not depend
+        on the number of threads.
 
-        Each seed is improved by damped Newton steps, eight seeds at a time, and is abandoned when the steps gain too
-        little. A redundant arm has infinitely many solutions; nearly every seed finds another one.
+        Each seed is improved by damped Newton steps, eight seeds at a time, and is abandoned when the steps bring too
+        little progress. A redundant arm has infinitely many solutions; nearly every seed finds a different solution.
 
         Examples
         --------
@@ -1609,7 +1612,7 @@ class Robot(KeepsReadOnly):
         Q : array_like, shape (..., dof)
             The columns of a table with column names must be in the order of `configuration_names`.
         name : str
-            The caller's name for the argument, for messages.
+            Name of the argument in error messages.
 
         Returns
         -------
@@ -1664,7 +1667,7 @@ class Robot(KeepsReadOnly):
         ----------
         q : array_like, shape (dof,)
         name : str
-            The caller's name for the argument, for messages.
+            Name of the argument in error messages.
 
         Returns
         -------
@@ -1688,8 +1691,8 @@ class Robot(KeepsReadOnly):
         Parameters
         ----------
         values : dict or str, optional
-            Values keyed by joint name or configuration name, or the name of a state. All other joints are at 0, or at
-            the identity quaternion, even if this is outside their limits.
+            Values keyed by joint name or configuration name, or the name of a state. Joints without a given value are
+            at 0, or at the identity quaternion, even if 0 is outside their limits.
 
         Returns
         -------
@@ -1698,7 +1701,7 @@ class Robot(KeepsReadOnly):
         Raises
         ------
         UnknownNameError
-            The message lists the valid names.
+            If a name is unknown; the message lists the valid names.
         InputError
             If `values` is neither a mapping nor the name of a state, or a value is not a finite number.
 
@@ -1734,14 +1737,14 @@ class Robot(KeepsReadOnly):
         """Draw n configurations uniformly within the limits, shape (n, dof).
 
         A value without limits is drawn from -π .. π (even a length, in metres); quaternions are uniform. A value with
-        one limit is drawn from a range that starts at the limit and has length 2π, or extends to the far end of -π .. π
-        if that is farther. A limit outside ±1e6 does not set the range, but is still respected.
+        one limit is drawn from a range that starts at the limit and extends over 2π, or to the far end of -π .. π if
+        that end is farther away. A limit outside ±1e6 does not set the range, but is still respected.
 
         Parameters
         ----------
         n : int
         seed : int
-            Both are non-negative.
+            `n` and `seed` are not negative.
 
         Returns
         -------
@@ -1771,13 +1774,14 @@ class Robot(KeepsReadOnly):
 
     @guarded
     def usual_range(self, reach: float) -> tuple[Floats, Floats]:
-        """Return finite limits to search within, shape (dof,) each, inside `lower` and `upper`.
+        """Return finite limits for a search, each of shape (dof,), within `lower` and `upper`.
 
         Parameters
         ----------
         reach : float
-            Sets the bound of a value without a limit, or with a limit outside ±1e6, which some programs write for "no
-            limit". The bound is this far from 0, or twice as far from the value's other limit if that is farther out.
+            Replaces a missing limit, or a limit outside ±1e6, which some programs write for "no limit". The new limit
+            is at the distance `reach` from 0, or at twice that distance from the value's other limit if that is farther
+            out.
 
         Returns
         -------
@@ -1799,7 +1803,9 @@ class Robot(KeepsReadOnly):
 
     @guarded
     def distances(self, Q0: ArrayLike, Q1: ArrayLike) -> OneOrMany:
-        """Compute Euclidean distances of configurations in joint units; orientations count by the angle between them.
+        """Compute Euclidean distances between configurations, in the units of the joints.
+
+        The difference between two orientations is the angle between them.
 
         Parameters
         ----------
@@ -1872,7 +1878,7 @@ class Robot(KeepsReadOnly):
 
 
 def named_joints(robot: Robot, joints: str | Iterable[str] | None) -> list[str]:
-    """Return the names of the joints of a group, of given joints or of all joints, at least one."""
+    """Return the names of a group's joints, of the given joints or of all joints; refuse an empty list."""
     if isinstance(joints, str):
         _validate.known(joints, "joints", (*robot.groups, *robot.joint_names))
         names = list(robot.groups.get(joints, (joints,)))
@@ -1886,7 +1892,7 @@ def named_joints(robot: Robot, joints: str | Iterable[str] | None) -> list[str]:
 
 
 def chain_to(robot: Robot, link: str, joints: str | Iterable[str] | None = None) -> reaching.Chain:
-    """Return the joints that place a link, in the form that `Robot.reach` takes; its arguments are checked here."""
+    """Check the arguments of `Robot.reach` that name a link and joints, and return the chain of joints to the link."""
     _validate.known(link, "link", robot.link_names)
     moving = named_joints(robot, joints)
     key = link, tuple(moving)
@@ -1925,7 +1931,7 @@ def expect_width(robot: Robot, shape: tuple[int, ...], name: str) -> None:
 
 
 def exported_rates(robot: Robot, rates: Floats) -> Floats:
-    """Convert rates of a robot's values to the order of its model; see `Robot.exported`."""
+    """Convert rates of a robot's values to the order of the robot's model; see `Robot.exported`."""
     if not robot.runs_straight or len(robot._known_layout.turning):
         raise InputError("robot: expected joints of one value each, found quaternions, or cosines and sines")
     return robot._known_layout.exported_rates(rates)
@@ -1950,7 +1956,7 @@ def link_poses(robot: Robot, Q: Floats) -> Floats:
 
 
 def interpolated(robot: Robot, a: Floats, b: Floats, at: Floats) -> Floats:
-    """Interpolate between checked configurations, see `Robot.between`; fractions have a final axis of length 1."""
+    """Interpolate between checked configurations as in `Robot.between`; fractions have a final axis of length 1."""
     Q = np.where(at == 1, b, a + at * (b - a))  # the sum may miss b by a rounding of a
     for quaternion in robot._quaternions.values():
         p = a[..., quaternion]
@@ -1967,7 +1973,7 @@ def interpolated(robot: Robot, a: Floats, b: Floats, at: Floats) -> Floats:
 
 
 def on_the_way(robot: Robot, a: Floats, b: Floats) -> Floats:
-    """Return the ends b with the quaternion signs that `between` uses; at half a turn, rounding decides."""
+    """Return the ends b with the quaternion signs that `between` uses; at half a turn, rounding decides the sign."""
     if robot.runs_straight:
         return b
     ends = b.copy()
@@ -2024,13 +2030,13 @@ def _nearer(p: Floats, q: Floats) -> tuple[Floats, Floats]:
 
 
 def first_shown(robot: Robot) -> tuple[str | None, Floats]:
-    """Return the state that names the most joints and its configuration, or zero; joints are within their limits."""
+    """Return the state with the most joints, or None, and its configuration, or zero, moved into the limits."""
     state = max(robot.states, key=lambda name: len(robot.states[name][1]), default=None)
     return state, np.clip(robot.configuration(state), robot.lower, robot.upper)
 
 
 def drawn(robot: Robot) -> tuple[list[Shape], dict[str, Floats], str]:
-    """Return shapes of links, poses of all links, and a note, for the configuration that is shown first."""
+    """Return the shapes and the poses of links, and a note, for the configuration that a picture shows first."""
     state, q = first_shown(robot)
     poses = dict(zip(robot.link_names, robot.forward_kinematics(q), strict=True))
     shapes = [

@@ -144,7 +144,7 @@ class Shape:
 
 
 class Mimic(NamedTuple):
-    """The rule of a joint that follows another: its value is multiplier * (value of the other joint) + offset."""
+    """The rule of a joint that follows another joint: its value is multiplier * (value of the other joint) + offset."""
 
     joint: str
     multiplier: float
@@ -155,12 +155,12 @@ class Mimic(NamedTuple):
 class Joint:
     """A joint: `kind` is URDF's type, and the unit vector `axis` and the pose `origin` are in URDF's frames.
 
-    A joint in memory has the line 0. The axis of a joint without an axis has no meaning.
+    A joint made in memory has the line 0. The `axis` of a joint whose kind has no axis is meaningless.
 
     `velocity`, `acceleration` and `jerk` are the largest rates of the joint's value [rad or m per s, s² and s³], or NaN
     if the URDF gives no positive rates. The child is at `origin` when the value is `reference`. `lower` and `upper` are
-    the limits in the file; `soft` are narrower limits, from its controller and from the joints that mimic it. `bounds`
-    are the lower and upper limits of the first values of a joint with several values; URDF has no such limits.
+    the limits in the file; `soft` are narrower limits, from the joint's controller and from the joints that mimic it.
+    `bounds` are the lower and upper limits of the first values of a joint with several values; URDF has no such limits.
     """
 
     name: str
@@ -198,7 +198,8 @@ class Description:
         Maps every link name to the link's collision shapes; parents come before children, siblings are in the file's
         order.
     joints : dict
-        Maps joint names to joints, in the file's order. No joint mimics another mimic joint: such chains are resolved.
+        Maps joint names to joints, in the file's order. No joint mimics a joint that itself mimics another: such chains
+        are resolved.
     joint_above : dict
         Maps each link name except the root's to the joint above the link.
     only_visual : tuple of str
@@ -286,7 +287,8 @@ def read_visuals(path: Path, text: str | None) -> tuple[dict[str, list[Shape]], 
     shapes : dict
         Maps link names to visual shapes, for links that have any.
     faults : list of str
-        Faults of the shapes that were omitted: visual geometry affects no query, so a broken shape is not an error.
+        Faults of the shapes that were omitted. A broken visual shape is not an error, since visual geometry affects no
+        query.
 
     Raises
     ------

@@ -33,7 +33,7 @@ class Watch(KeepsReadOnly):
     robot : str
         The robot's name, for the warning.
     names : sequence of str
-        The entries of a configuration.
+        Names of the entries of a configuration.
     lower, upper : ndarray, shape (dof,)
         Limits; infinite where there are none.
     turns : sequence of bool
@@ -46,12 +46,12 @@ class Watch(KeepsReadOnly):
     turns, free : tuple of bool
         As given.
     range : ndarray, shape (2, dof)
-        Least and largest values that need no warning. The array object stays the same, but its range may widen.
+        Least and largest values that need no warning. The array object stays the same, but its entries may change to a
+        wider range.
 
     Notes
     -----
-    After one warning, only values that cannot be used in computations are looked for. Copies of a robot share one
-    watch.
+    After one warning, only values that cannot be used in computations are detected. Copies of a robot share one watch.
     """
 
     def __init__(

@@ -1,6 +1,7 @@
 """Expand xacro files to URDF, with the package xacro.
 
-Xacro files contain Python expressions. They are evaluated only if the caller names such a file or passes arguments.
+Xacro files contain Python expressions. The expressions are evaluated only if the caller names such a file or passes
+arguments.
 """
 
 from __future__ import annotations
@@ -87,7 +88,7 @@ def expanded(
 
 
 def refuse_unused(arguments: Mapping[str, object], used: set[str]) -> None:
-    """Refuse arguments that no file declares or reads: most are misspelt.
+    """Refuse arguments that no file declares or reads, since most of them are misspelt.
 
     Raises
     ------

@@ -44,7 +44,7 @@ DESCRIBING = frozenset(("link", "joint", "collision", "mimic"))
 
 
 class Element(_xml.Element):
-    """An element of a file at a path, with errors that name the file and the line."""
+    """An XML element, with errors that name the file and the line."""
 
     __slots__ = ("path",)
 

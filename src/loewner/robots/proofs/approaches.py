@@ -2,8 +2,8 @@
 
 A piece is sampled, and a descent starts from the smallest distance. The proof of motions then shows that all pairs keep
 all but a hundredth of this distance. If the proof fails, it names a time at which a pair is nearer, and the search
-continues there. No planes exist where the robot collides: such pieces are divided until no point moves farther within a
-part than the bounds may differ.
+continues there. Where the robot collides, no separating planes exist. Such pieces are divided into parts until no point
+moves farther within a part than the two bounds may differ.
 """
 
 from __future__ import annotations
@@ -64,14 +64,14 @@ class ClosestApproach(_validate.Brief):
     times : ndarray, shape (n + 1,)
         Times in seconds at which the pieces begin and end.
     lower : ndarray, shape (n,)
-        Proven lower bounds in metres. No pair of bodies is nearer than this at any instant of the piece; a negative
-        value bounds the depth of all overlaps. The bound is -inf if surfaces overlap, since their depths have no upper
-        bound.
+        Proven lower bounds in metres. No pair of bodies is nearer than this bound at any instant of the piece; a
+        negative value bounds the depth of all overlaps. The bound is -inf if surfaces overlap, since their depths have
+        no upper bound.
     distance : ndarray, shape (n,)
-        The least distance found: the exact distance at ``time``, or minus the depth. The distance is at least `lower`,
-        and larger by at most a hundredth or 10 µm, unless a search ended early.
+        The least distance found: the exact distance at ``time``, or minus the depth. It exceeds `lower` by at most the
+        larger of 10 µm and a hundredth of the distance, unless a search ended early.
     time : ndarray, shape (n,)
-        Seconds.
+        Times of the least distances, in seconds.
     names : ndarray of str, shape (n, 2)
         The pair of bodies that is nearest at that time.
 
@@ -100,7 +100,7 @@ class ClosestApproach(_validate.Brief):
 
     @property
     def close(self) -> NDArray[np.bool_]:
-        """Whether the two bounds of a piece differ by at most a hundredth of the distance, or by 10 µm."""
+        """Whether the two bounds of a piece differ by at most 10 µm or by at most a hundredth of the distance."""
         return np.asarray(self.distance - self.lower <= _allowed(self.distance) * (1 + 1e-9))
 
     @pictured
@@ -140,7 +140,8 @@ def closest(self: Any, curve: Any, *, t0: float | None = None) -> ClosestApproac
 
     See Also
     --------
-    certify_trajectory : Proves only that pairs keep their margins, in less time. distance : At single configurations.
+    certify_trajectory : Proves only that pairs keep their margins, in less time.
+    distance : Computes distances at single configurations.
 
     Notes
     -----
@@ -163,7 +164,7 @@ def closest(self: Any, curve: Any, *, t0: float | None = None) -> ClosestApproac
 
 
 def measured(ready: Problem, curve: Curve, number: int = 0) -> ClosestApproach:
-    """Measure the curve with a given number, whose courses include the poses of the moving bodies."""
+    """Measure a curve whose courses include the poses of moving bodies; error messages give the curve's number."""
     expect_pairs(ready, "closest")
     ready, curve = ready.without_margins, curve._replace(off=curve.off[:, : curve.courses.shape[2]])
     search = Search(ready, curve)
@@ -199,8 +200,8 @@ class Measured(NamedTuple):
     Attributes
     ----------
     near : ClosestApproach
-        The approach of all pairs. Pairs that may be in contact at the beginning or the end are left out on proven
-        pieces on which they come within their margins.
+        The approach of all pairs. A pair that may be in contact at the beginning or the end does not count on proven
+        pieces on which the pair comes within its margin.
     allowed : dict of (str, str) to ClosestApproach
         The approach of each pair that may be in contact.
     contacts : ndarray, shape (m, 2)
@@ -213,7 +214,7 @@ class Measured(NamedTuple):
 
 
 def along(checker: Any, curve: Curve, unproven: Ints) -> Measured:
-    """Measure a curve from `curves.proven`, whose pieces with the given numbers are not proven free."""
+    """Measure a curve from `curves.proven`; `unproven` are the numbers of the pieces that are not proven free."""
     ready: Problem = checker._ready(timed=bool(checker.scene.following)).as_given
     whole, allowed = cut_in_time(checker.robot, ready, curve), dict[Pair, ClosestApproach]()
     if len(ready.ruled) < len(ready.pairs):
@@ -238,7 +239,7 @@ def along(checker: Any, curve: Curve, unproven: Ints) -> Measured:
 
 
 def worst(checker: Any, given: Any) -> ClosestApproach:
-    """Measure a curve in any form, where pairs that may touch keep their margins or are not proven."""
+    """Measure a curve in any form; pairs that may touch count only where they keep their margins or are not proven."""
     curve, found = proven(checker, given, 0.0)
     return along(checker, curve, np.flatnonzero(found.segments.verdict != codes.FREE)).near
 
@@ -249,8 +250,8 @@ def contacts(ready: Problem, curve: Curve, pieces: Ints, approach: ClosestApproa
     Returns
     -------
     ndarray, shape (m, 2)
-        Seconds. The robot collides at both times, which are as near to the ends of the collision as floating-point
-        numbers get. A collision ends at the latest where the pieces end.
+        Times in seconds. The robot collides at both times, which are as near to the ends of the collision as
+        floating-point numbers get. A collision ends at the latest where the pieces end.
     """
     found: list[tuple[float, float]] = []
     for group in np.split(pieces, np.flatnonzero(np.diff(pieces) > 1) + 1) if len(pieces) else []:
@@ -279,7 +280,7 @@ def _allowed(distance: Floats) -> Floats:
 
 
 class Search:
-    """The least distance found on each piece of a curve, and its location; at first, from a few samples per piece.
+    """The least distance found on each piece of a curve, and its location; initially from a few samples per piece.
 
     Attributes
     ----------
@@ -316,7 +317,7 @@ class Search:
         return np.asarray(distance)
 
     def descend(self, pieces: Ints, shares: Floats) -> None:
-        """Descend into the valleys around fractions of pieces."""
+        """Search for smaller distances around the given fractions of pieces."""
         half, middle = WIDE, shares.copy()
         for _ in range(STEPS):
             if len(pieces) == 0:

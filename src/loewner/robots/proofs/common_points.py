@@ -34,7 +34,7 @@ APEXES, TRIANGLES = 4, 2
 
 
 def blocks(packs: Sequence[Packed], poses: Floats, near: Floats) -> Iterator[bytes]:
-    """Make the contents of proofs that two bodies have a common point, likely points first.
+    """Make the contents of proofs that two bodies have a common point, beginning with the likeliest points.
 
     Parameters
     ----------

@@ -36,7 +36,7 @@ class TrajectoryContact(_validate.Brief):
     ----------
     verdict : Verdict
         FREE: proven free at every instant of the curve. COLLIDING: the robot collides at `touching_at`, which may be
-        rounded. AMBIGUOUS: the robot comes within the tolerance at `free_until`, and no collision is known.
+        rounded. AMBIGUOUS: the robot comes within the tolerance of contact at `free_until`, and no collision is known.
     free_until : float
         Seconds; inf if FREE. At every real time from the start of the curve until this time, every pair is proven to be
         farther apart than its margin, or in contact as `Scene.leave` or `Scene.reach` allows. At this time, the pair is
@@ -81,7 +81,7 @@ def first_contact(
     curve : PPoly, BPoly, BSpline, planners.Trajectory, planners.ControllerPoints, or a list of curves
         As for `certify_trajectory`. Bodies that follow motions move at the same times.
     tolerance : float
-        Metres. Where the proof ends, a pair is within this distance of its margin.
+        Distance in metres. Where the proof ends, a pair is within this distance of its margin.
     t0 : float, optional
         Offset in seconds that is added to the curve's times, as for `certify_trajectory`.
 
@@ -97,16 +97,17 @@ def first_contact(
 
     See Also
     --------
-    certify_trajectory : Proves only that the curve is free, in less time. loewner.first_contact : For two bodies.
+    certify_trajectory : Proves only that the curve is free, in less time.
+    loewner.first_contact : Finds the first contact of two bodies.
 
     Notes
     -----
     The first piece that is not proven free is cut into eight parts, repeatedly, until the pair is within the tolerance
     where the proof ends. The proof ends earlier if many triangles of two surfaces come near each other at the same
-    time, or if rounding matters, which is about 1e-11 of the lengths involved and 2e-14 of the times.
+    time, or if rounding matters. Rounding is about 1e-11 of the lengths involved and 2e-14 of the times.
 
     Contact that `Scene.leave` or `Scene.reach` allows on this curve is not reported. A contact at the end that becomes
-    deeper than its rule allows is reported from where it begins.
+    deeper than its rule allows is reported from the time at which it begins.
 
     Examples
     --------

@@ -77,7 +77,7 @@ class Run(NamedTuple):
     Attributes
     ----------
     number : ndarray of int64, shape (n,)
-        The segments.
+        The segment of each course.
     low, high : ndarray, shape (n,)
         The fractions of the segments at which the courses begin and end.
     courses : ndarray, shape (n, degree + 1, dof)
@@ -99,7 +99,7 @@ class Run(NamedTuple):
         return cls(np.arange(len(courses)), np.zeros(len(courses)), np.ones(len(courses)), courses, off)
 
     def place(self, k: int, fraction: float) -> tuple[int, float]:
-        """Return the segment that contains a fraction of a course, and the fraction of that segment."""
+        """Return the segment that contains a fraction of a course, and the corresponding fraction of the segment."""
         return int(self.number[k]), float(self.low[k] + fraction * (self.high[k] - self.low[k]))
 
     def backwards(self) -> Run:
@@ -108,7 +108,7 @@ class Run(NamedTuple):
         return Run(self.number[::-1], self.high[::-1], self.low[::-1], courses, off)
 
     def rows(self, first: int, last: int) -> Run:
-        """Take the courses from `first` to before `last`."""
+        """Take the courses from `first` up to, but not including, `last`."""
         rows = slice(first, last)
         return Run(self.number[rows], self.low[rows], self.high[rows], self.courses[rows], self.off[rows])
 
@@ -133,7 +133,7 @@ class Stage(NamedTuple):
     Attributes
     ----------
     problem : Problem
-        The pair or, on a stretch of contact, its pieces and the planes behind which they may not go.
+        The pair or, on a stretch of contact, its pieces and the planes behind which the pieces must not go.
     run : Run
     tolerance : float
         Distance in metres from an allowed contact or margin at which the proof may already fail.
@@ -437,7 +437,7 @@ class _Touched(NamedTuple):
 
 
 def contact_normals(ready: Problem, pair: int, Q: Floats, tolerance: float) -> Floats:
-    """Find normals of the pieces that touch at `Q[0]`; the other rows of `Q` are later configurations of the motion.
+    """Find contact normals of the pieces that touch at `Q[0]`; the other rows of `Q` come later in the motion.
 
     Returns
     -------

@@ -57,7 +57,8 @@ class Curve(NamedTuple):
     off : ndarray, shape (n, dof)
         Bounds on the rounding error of each value.
     carried : tuple of (str, str)
-        Bodies that the robot has to carry, mapped to their links; an empty link for a body that it must not carry.
+        Each body that the robot has to carry, with the link that carries it; the link is empty for a body that the
+        robot must not carry.
     """
 
     names: tuple[str, ...] | None
@@ -76,14 +77,14 @@ class CertifiedTrajectory(_validate.Brief):
     verdict : Verdict
         FREE: every pair is proven to be farther apart than its margin at every instant, except for contact at the ends
         that `Scene.leave` or `Scene.reach` allows. COLLIDING: the robot collides at ``time``, which may be rounded.
-        AMBIGUOUS: at ``time`` a pair comes within its margin and the tolerance, or arithmetic could not settle it;
+        AMBIGUOUS: at ``time`` a pair comes within the tolerance of its margin, or arithmetic could not settle the pair;
         treat the curve as not free.
     time : float
         Seconds; NaN if FREE. If COLLIDING, the robot may also collide earlier.
     names : tuple of str
         The pair of bodies; empty strings if FREE.
     first : float
-        Seconds; the curve is proven free at least until this time. inf if FREE.
+        Seconds; the curve is proven free at least until this time, which is inf if FREE.
     times : ndarray, shape (n + 1,)
         Times at which the segments begin and end.
     segments : CertifiedMotions
@@ -115,7 +116,7 @@ class CertifiedTrajectory(_validate.Brief):
 
     @property
     def first(self) -> float:
-        """Time until which the curve is proven free, at least: the start of its first segment that is not FREE.
+        """Time until which the curve is at least proven free: the start of its first segment that is not FREE.
 
         The time is inf if the curve is FREE. With bodies that follow motions, segments also begin where the bodies
         change their rates; `CollisionChecker.first_contact` is more precise.
@@ -135,7 +136,7 @@ def certified(
 ) -> list[CertifiedTrajectory]:
     """Prove which curves are free, including all configurations that deviate by no more than `joint_error`.
 
-    Proofs of free curves are written if there is a model for them. Each curve may take `steps` steps of work.
+    If `model` is given, proofs of free curves are written. Each curve may take at most `steps` steps of work.
     """
     curves = [curve._replace(off=curve.off + joint_error) for curve in curves]
     curves = [cut_in_time(robot, ready, curve) for curve in curves]
@@ -202,7 +203,7 @@ def hits(ready: Problem, curve: Curve, times: Floats) -> Ints:
 
 
 def of_segments(times: Floats, segments: CertifiedMotions) -> CertifiedTrajectory:
-    """Make the result of a curve from the earliest of its worst segments."""
+    """Make the result of a curve from its first COLLIDING segment or, if there is none, its first AMBIGUOUS segment."""
     for verdict in (Verdict.COLLIDING, Verdict.AMBIGUOUS):
         for k in np.flatnonzero(segments.verdict == verdict)[:1]:
             time = times[k] + segments.fraction[k] * (times[k + 1] - times[k])
@@ -236,7 +237,7 @@ def of_path(robot: Robot, rows: Floats) -> Curve:
 
 
 def sampled(robot: Robot, curve: Curve, found: CertifiedTrajectory) -> tuple[Floats, Ints, Floats]:
-    """Return `MEASURED` samples in equal steps, then a sample at the verdict's time of each segment that is not FREE.
+    """Sample a curve at `MEASURED` equally spaced times, then at the verdict's time of each segment that is not FREE.
 
     Returns
     -------
@@ -260,7 +261,7 @@ def sampled(robot: Robot, curve: Curve, found: CertifiedTrajectory) -> tuple[Flo
 def curves_of(robot: Robot, scene: Scene, given: Any, t0: float | None = None) -> list[Curve]:
     """Return the courses of one curve, or of each curve in a list; errors as for `curve_of`.
 
-    The scene must have attached the bodies that the robot carries on a curve.
+    Bodies that the robot carries on a curve must be attached in the scene.
     """
     if isinstance(given, (list, tuple)):
         curves = [started(robot, one, f"curve {k}", t0) for k, one in enumerate(given)]
@@ -272,7 +273,7 @@ def curves_of(robot: Robot, scene: Scene, given: Any, t0: float | None = None) -
 
 
 def expect_carried(held: Mapping[str, str], carried: Iterable[Pair]) -> None:
-    """Refuse bodies that the robot carries, mapped to their links, unless these links carry them."""
+    """Raise an error unless `held` maps the bodies in `carried` to the links that have to carry them."""
     for body, link in carried:
         if not link and body in held:
             raise InputError(
@@ -288,7 +289,7 @@ def expect_carried(held: Mapping[str, str], carried: Iterable[Pair]) -> None:
 
 
 def started(robot: Robot, given: Any, name: str, t0: float | None = None) -> Curve:
-    """Return the courses of a curve, shifted by `t0` seconds; a trajectory's default is its own start time."""
+    """Return the courses of a curve, shifted by `t0` seconds or, by default, by the curve's own start time."""
     curve = curve_of(robot, given, name)
     own = t0 is None
     later = _validate.real(getattr(given, "start_time", 0.0) if own else t0, "start_time" if own else "t0")
@@ -305,8 +306,8 @@ def curve_of(robot: Robot, given: Any, name: str) -> Curve:
     ------
     InputError
         If the curve has the wrong type, its columns do not match the robot, a number is not finite, times do not
-        increase, the degree is above 7, the curve jumps, or the values of a SciPy curve differ from the values that its
-        coefficients define.
+        increase, the degree is above 7, the curve is not continuous, or the values of a SciPy curve differ from the
+        values that its coefficients define.
     """
     with np.errstate(over="ignore", invalid="ignore"):  # refused below
         curve = form_of(given, name)
@@ -501,7 +502,7 @@ def _refuse_faults(robot: Robot, curve: Curve, name: str) -> None:
 
 
 def joint_errors(robot: Robot, given: ArrayLike, name: str = "joint_error") -> Floats:
-    """Expand a tolerance, one number or one per value, to the allowed deviation of each value, shape (dof,)."""
+    """Expand a joint error, one number or one per value, to the allowed deviation of each value, shape (dof,)."""
     if isinstance(given, float) and 0.0 <= given < np.inf:
         return np.full(robot.dof, given)  # the checks take as long as the proof of a motion
     array = _validate.finite_array(given, name, ("...",))

@@ -1,9 +1,9 @@
 """Motions of a robot among bodies that follow motions of their own, treated together as motions of one robot.
 
-A body that follows a motion is a link on a floating joint (`assembly.with_moving_bodies`). Between two of its times,
-the body moves straight and turns at a constant rate, as such a joint does. A motion of the robot is therefore cut at
-these times, and each piece is proven as usual. The ends of pieces are rounded; docs/certified.md, "Motions in time",
-derives the bounds below.
+A body that follows a motion is a link on a floating joint (`assembly.with_moving_bodies`). Between two successive times
+of its motion, the body moves straight and turns at a constant rate, as such a joint does. A motion of the robot is
+therefore cut at these times, and each piece is proven as usual. The ends of pieces are rounded; docs/certified.md,
+"Motions in time", derives the bounds below.
 """
 
 from __future__ import annotations
@@ -48,9 +48,9 @@ class Pieces(NamedTuple):
     owner : ndarray of int64, shape (M,)
         The motion to which each piece belongs.
     low, high : ndarray, shape (M,)
-        The fractions of that motion at which the piece begins and ends.
+        The fractions of the motion at which each piece begins and ends.
     times : ndarray, shape (M, 2)
-        Seconds.
+        The times at which each piece begins and ends, in seconds.
     courses : ndarray, shape (M, degree + 1, dof + 7 bodies)
     off : ndarray, shape (M, dof + 7 bodies + 3 growing)
         How far values may deviate from the courses, and how far points of bodies may deviate (`PackedPaths.off`).
@@ -72,7 +72,7 @@ def with_bodies(ready: Problem, Q: Floats, t: Floats) -> Floats:
 
 
 def free_at(ready: Problem, Q: Floats, t: Floats) -> Bools:
-    """Return which values of `with_bodies`, at times of shape (N,), are proven free for all places of the bodies."""
+    """Return which rows of `with_bodies`, at times t, shape (N,), are proven free for all possible poses of bodies."""
     paths = ready.paths
     if paths is None or not paths.bounds:
         return verdicts.free(ready, Q)
@@ -83,7 +83,7 @@ def free_at(ready: Problem, Q: Floats, t: Floats) -> Bools:
 
 
 def pieces(robot: Robot, paths: PackedPaths, courses: Floats, off: Floats, t0: Floats, t1: Floats) -> Pieces:
-    """Cut courses of a robot, from t0 to t1, and append the courses of moving bodies.
+    """Cut a robot's courses from t0 to t1 where moving bodies change their rates, and append the bodies' courses.
 
     Parameters
     ----------
@@ -200,7 +200,7 @@ def prove_edges(
     """Prove which straight motions between `ends`, shape (N, dof) each, at `times` are free.
 
     COLLIDING is confirmed at the configuration and the time that a user computes from the fraction. Each motion may
-    take `steps` steps of work.
+    take at most `steps` steps of work.
     """
     (a, b), (t0, t1) = ends, times
     courses = straight(robot, a, b)

@@ -31,14 +31,14 @@ NO_CLEARANCES = np.empty(0)
 
 @dataclass(frozen=True, eq=False, repr=False)
 class CertifiedMotions(_validate.Brief):
-    """Whether motions are free of collisions everywhere along the motion.
+    """Whether motions are free of collisions along their whole length.
 
     Attributes
     ----------
     verdict : Verdict, or ndarray of int8
         FREE: every pair is proven to be farther apart than its margin at every real fraction from 0 to 1. COLLIDING:
-        the configuration at `fraction` collides. AMBIGUOUS: at `fraction` a pair comes within its margin and the
-        tolerance, or arithmetic could not settle it; treat the motion as not free.
+        the configuration at `fraction` collides. AMBIGUOUS: at `fraction` a pair comes within the tolerance of its
+        margin, or arithmetic could not settle the pair; treat the motion as not free.
     fraction : float or ndarray
         Fraction of the motion, as in `Robot.between`; NaN if FREE. If COLLIDING, the configuration at this fraction
         collides, but earlier configurations may collide as well.
@@ -80,13 +80,13 @@ class CertifiedMotions(_validate.Brief):
 
 
 class Limit(NamedTuple):
-    """Limits on the work of motions; the motions of a group, which are successive, share a limit.
+    """Limits on the work of proofs; groups of successive motions share a limit.
 
     Attributes
     ----------
     steps : int or ndarray of int64, shape (groups,)
     first : ndarray of int, shape (groups + 1,)
-        The first motion of each group, followed by the number of motions.
+        Index of the first motion of each group, followed by the number of motions.
     """
 
     steps: int | Ints
@@ -103,7 +103,7 @@ class Found(NamedTuple):
         confirms it.
     fractions : ndarray, shape (N,)
     pairs : ndarray of int64, shape (N,)
-        Indices of the pairs; -1 for none.
+        Indices of the pairs; -1 if there is no pair.
     work : ndarray of int64, shape (N, 3)
         Numbers of poses, of searches, and of steps.
     """
@@ -119,7 +119,7 @@ class Found(NamedTuple):
         Raises
         ------
         InputError
-            The message gives the number of the first such motion.
+            If there is such a motion; the message gives the number of the first one.
         """
         for k in (self.verdicts == codes.TOO_LONG).nonzero()[0][:1]:
             raise InputError(
@@ -157,7 +157,7 @@ def settle(
     courses : ndarray, shape (N, degree + 1, dof)
         See `courses`; in C order and writeable.
     tolerance : float
-        Metres.
+        Distance in metres, as for `CollisionChecker.certify_edges`.
     off : ndarray, shape (N, dof + 3 growing), optional
         How far each value may deviate from the course at any fraction; FREE covers all such deviations. The last
         columns bound how far points of bodies may deviate, in the form that the kernel takes; COLLIDING counts these
@@ -167,7 +167,7 @@ def settle(
         these distances, too.
     limit : Limit, optional
     as_given : bool
-        Whether COLLIDING refers to bodies at their given poses, without their errors.
+        Whether COLLIDING refers to bodies at their given poses, without pose errors.
 
     Notes
     -----

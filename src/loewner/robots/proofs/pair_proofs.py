@@ -33,22 +33,23 @@ def prove(
     T_world_a, T_world_b : array_like, shape (4, 4), or None
         Poses; translation in metres. None is the identity.
     margin : float
-        Distance in metres that the bodies have to keep. If the bodies are farther apart than this, the proof shows it.
+        Distance in metres that the bodies have to keep. If the bodies are farther apart than the margin, the proof
+        shows it.
 
     Returns
     -------
     Proof
-        Its `verdict` is FREE or COLLIDING. A proof of FREE contains planes between the bodies, only one plane if both
-        bodies are single pieces. A proof of COLLIDING contains a common point.
+        Its `verdict` is FREE or COLLIDING. A proof of FREE contains planes between the bodies, or a single plane if
+        both bodies are single pieces. A proof of COLLIDING contains a common point.
 
     Raises
     ------
     PoseError, InputError
-        As for `collide`, and if there is more than one pair.
+        As for `collide`; also if more than one pair is given.
     ConvergenceError
         If the format cannot express a proof of the answer. There are four possible reasons: the bodies are apart, but
-        not by more than the margin; the bodies touch or nearly touch, so that no point is inside both, or no plane is
-        between them, by more than rounding; a surface takes part in a collision; or hulls of parts of surfaces and
+        not by more than the margin; the bodies touch or nearly touch, so that rounding leaves no point inside both
+        bodies, or no plane between them; a surface takes part in a collision; or hulls of parts of surfaces and
         clouds meet although the bodies do not.
 
     Examples

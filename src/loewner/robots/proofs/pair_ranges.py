@@ -1,10 +1,10 @@
 """Decide which pairs of bodies can ever collide, at any configuration within the ranges of the joints between them.
 
 Only the joints between two bodies matter, so the search space is small. A box of configurations, with one range for
-each value, is proven by the kernel that proves motions: along its longest side as a motion, with its other sides as
-joint deviations from that motion. Boxes that are not proven are halved. A pair that collides in every configuration is
-proven by its depth: two convex pieces meet in a whole box if they overlap more deeply than any of their points moves
-within the box. See docs/certified.md, "Pairs over whole ranges".
+each value, is proven by the kernel that proves motions: the longest side of the box is the motion, and the other sides
+are deviations of values from the motion. Boxes that are not proven are halved. A pair that collides in every
+configuration is proven by its depth: two convex pieces meet in a whole box if they overlap more deeply than any of
+their points moves within the box. See docs/certified.md, "Pairs over whole ranges".
 """
 
 from __future__ import annotations
@@ -436,7 +436,7 @@ def prove_pairs(
     proof: bool,
     only_free: bool = False,
 ) -> ProvenPairs:
-    """Implement `Robot.prove_pairs`, which has the defaults; `only_free` omits the least distances of other pairs."""
+    """Implement `Robot.prove_pairs`, whose signature has the defaults; `only_free` omits distances of other pairs."""
     cache = _validate.flag(cache, "cache")
     margin = _validate.positive_scalar(margin, "margin", zero=True)
     boxes = _validate.whole_number(boxes, "boxes", 1)
@@ -482,7 +482,7 @@ def free_range(
     scene: Scene | None,
     boxes: int,
 ) -> dict[str, tuple[float, float]]:
-    """Implement `Robot.free_range`, which has the defaults."""
+    """Implement `Robot.free_range`, whose signature has the defaults."""
     names = [joints] if isinstance(joints, str) else _validate.listed(joints, "joints", wanted="a name or several")
     for name in names:
         _expect_value(self, name, "joints")

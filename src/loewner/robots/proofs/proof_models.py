@@ -48,7 +48,7 @@ PAIR = "a", "b"
 
 
 class Links(NamedTuple):
-    """Links in the order of the format, as arrays with an entry or a row for each.
+    """Links in the order of the format, as arrays with an entry or a row for each link.
 
     Attributes
     ----------
@@ -77,7 +77,7 @@ class Links(NamedTuple):
 
 
 class Pieces(NamedTuple):
-    """Pieces of all bodies; `points` are corners of a hull, or the center and three rows of another piece's factor.
+    """Pieces of all bodies; `points` are a hull's corners, or another piece's center and the three rows of its factor.
 
     Attributes
     ----------
@@ -95,7 +95,7 @@ class Pieces(NamedTuple):
 
 
 class Placed(NamedTuple):
-    """Bodies at their places.
+    """Bodies, with their poses in the frames of their links.
 
     Attributes
     ----------
@@ -123,7 +123,7 @@ class Model(NamedTuple):
     Attributes
     ----------
     data : bytes
-        The block of the file.
+        The block of the file that describes the model.
     links : Links
     link : ndarray of int64, shape (bodies,)
         Numbers of links; -1 for the world.
@@ -161,7 +161,7 @@ def model_of(ready: Problem) -> Model:
     Raises
     ------
     InputError
-        If the format cannot express it.
+        If the format cannot express the model.
     """
     known = _known.get(ready)
     if known is not None:
@@ -181,7 +181,7 @@ def model_of(ready: Problem) -> Model:
 
 
 def model_of_pair(packs: Sequence[Packed], cut: Sequence[Packed], poses: Floats, margin: float) -> Model:
-    """Make the model of two static bodies, which it calls a and b.
+    """Make the model of two static bodies, which have the names a and b in the model.
 
     Parameters
     ----------
@@ -193,7 +193,7 @@ def model_of_pair(packs: Sequence[Packed], cut: Sequence[Packed], poses: Floats,
     Raises
     ------
     InputError
-        If lengths are longer than checkers accept.
+        If a length exceeds the largest length that checkers accept.
     """
     none, nothing = np.array([-1]), np.zeros((1, 3))
     identity = quaternions_of(np.eye(3)[None])

@@ -51,7 +51,7 @@ def prove_by_rules(
     """Prove which straight motions between configurations a and b, shape (N, dof) each, are free.
 
     Pairs named by `Scene.leave` and `Scene.reach` may be in contact at the ends, unless there is a joint error. Each
-    motion may take `steps` steps of work.
+    motion may take at most `steps` steps of work.
     """
     courses = straight(ready.robot, a, b)
     off = deviations(courses, joint_error)
@@ -82,7 +82,7 @@ def apply_rules(
     off : ndarray, shape (N, dof)
         How far values may deviate from the courses.
     first : ndarray of int, shape (curves + 1,)
-        The first segment of each curve, and N.
+        Index of the first segment of each curve, followed by N.
     tolerance : float
         In metres.
     found : Found
@@ -116,7 +116,7 @@ def apply_rules(
 
 
 def deviations(courses: Floats, joint_error: Floats | None) -> Floats | None:
-    """Add the rounding of configurations that users compute from a course to a joint error; None if there is no error.
+    """Add to a joint error the rounding of configurations that users compute from a course; None without an error.
 
     Returns
     -------

@@ -1,8 +1,8 @@
 """Write proofs that pairs are never nearer than a margin over ranges of values; see docs/proof-format.md.
 
-The box of all values between two bodies is halved until a plane separates the bodies in each part. The plane is
-perpendicular to the shortest connection between the bodies at the center of the box, and its condition refers to the
-box's corners. Boxes are examined in batches, in floating point, with room for the checkers' rounding.
+The box of all values of the joints between two bodies is halved until a plane separates the bodies in each part. The
+plane is perpendicular to the shortest connection between the bodies at the center of the box, and its condition refers
+to the box's corners. Boxes are examined in batches, in floating point, with room for the checkers' rounding.
 """
 
 from __future__ import annotations

@@ -130,8 +130,8 @@ def _expect_tree(
 def still(model: Model, room: float, normal: Floats | None = None) -> bytes | None:
     """Make the tree for two static bodies, with a gap that exceeds the margin by `room` times all lengths.
 
-    A normal in the world, from the first body to the second one, is tried before a search for others. If planes that
-    the format can express do not separate the bodies, the result is None.
+    If `normal` is given, in world axes and from the first body to the second one, it is tried before other normals. If
+    planes that the format can express do not separate the bodies, the result is None.
     """
     none = np.empty((1, 2, 0))
     prepared = _Prepared(model, _NO_TREE, np.zeros(2, dtype=np.int64))

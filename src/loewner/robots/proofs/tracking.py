@@ -29,7 +29,7 @@ def largest(ready: Problem, a: Floats, b: Floats, weights: Floats, most: float, 
     """Compute the largest e <= most for which all motions are proven free within the joint errors e * weights.
 
     The motions are between configurations a and b, shape (N, dof) each. The result may be too small by a factor of up
-    to `NEAR`; it is 0.0 if `FIRST` is not proven.
+    to `NEAR`; it is 0.0 if the motions are not proven free within the error `FIRST`.
     """
     starts, ends = a, b
     low, high, e = 0.0, math.inf, min(FIRST, most)
@@ -59,7 +59,8 @@ def joint_error(
         Configurations, with motions between them as in `certify_edges`; a single configuration represents a robot at
         rest.
     weights : float or array_like, shape (dof,)
-        Each value may deviate by the error times its weight. Default: all equal, in radians or metres.
+        Each value may deviate by the error times its weight. By default, all weights are 1, for radians and metres
+        alike.
     most : float
         The largest error to try.
     tolerance : float

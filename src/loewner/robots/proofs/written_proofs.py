@@ -85,7 +85,7 @@ class Proof:
 
     @property
     def model_hash(self) -> str:
-        """SHA-256 of the model, in hexadecimal digits; `CollisionChecker.model_hash` computes it without a proof."""
+        """SHA-256 of the model, in hexadecimal digits; `CollisionChecker.model_hash` returns it without a proof."""
         return hashlib.sha256(self.model).hexdigest()
 
     @property
@@ -95,10 +95,10 @@ class Proof:
 
     @property
     def motions(self) -> list[Floats]:
-        """Control points of each motion, shape (degree + 1, dof); a straight motion has its two ends.
+        """Control points of each motion, shape (degree + 1, dof); for a straight motion, its two ends.
 
-        An InputError is raised if the file has no motions that can be read. `verify` does more: it proves that the
-        motions are free.
+        An InputError is raised if the file has no motions that can be read. Only `verify` checks that the motions are
+        free.
         """
         claim = _HEAD.unpack_from(self.data)[2]
         if claim != FREE:
@@ -238,8 +238,8 @@ def proof_of(model: Model, ready: Problem, courses: Floats, deviations: Floats, 
     deviations : ndarray, shape (dof,)
         How far each value may deviate from the courses.
     tolerance : float or None
-        Distance in metres by which allowed contacts may become deeper than at the ends of joined motions; None if
-        contact rules do not apply.
+        Distance in metres by which allowed contacts may become deeper than they are at the ends of joined motions; None
+        if contact rules do not apply.
 
     Raises
     ------
