@@ -73,7 +73,7 @@ def off_the_robot(
     Raises
     ------
     InputError
-        If a shape is wrong, `q` or `time` is not finite, or `clear` is not positive.
+        If a shape is wrong, ``q`` or ``time`` is not finite, or ``clear`` is not positive.
     ConvergenceError
         As for `collide`.
 

@@ -45,8 +45,8 @@ class ProvenPair(_validate.Brief):
         NEVER: the bodies are proven to be farther apart than the margin at every configuration of the range. ALWAYS:
         the bodies are proven to be within the margin at every configuration of the range. SOMETIMES: the bodies are
         within the margin at ``colliding``, but not at ``free``. CAN: the bodies are within the margin at ``colliding``,
-        and no configuration without contact was found. OPEN: no contact was found, and part of the range could not be
-        proven; see ``reason``.
+        and no configuration without contact was found. OPEN: no contact was found, and a part of the range could not be
+        proven free of contact; see ``reason``.
     columns : tuple of str
         The values on which the pair depends, named as in `Robot.configuration_names`.
     lower, upper : ndarray, shape (columns,)

@@ -98,7 +98,7 @@ class Chain(NamedTuple):
     path : ndarray of int64, shape (L,)
         The links of the robot's tree that the joints move.
     usual : ndarray, shape (2, K)
-        Finite limits within which seeds are drawn.
+        Finite limits within which seeds are sampled.
     kept : dict
         Values derived from the chain: tables of seeds, keyed by the number of seeds.
     """

@@ -160,7 +160,7 @@ class Robot(KeepsReadOnly):
         Sorted pairs of links that the SRDF exempts from checking.
     adjacent_pairs : frozenset
         Sorted pairs of links with bodies. The links of a pair are connected directly by a joint, or by a chain of links
-        without bodies and at most one moving joint.
+        without bodies, with at most one moving joint.
     mimics : dict
         Maps the name of each mimicking joint to the name of the joint that it mimics and the factor between their
         rates.
@@ -274,7 +274,7 @@ class Robot(KeepsReadOnly):
             by a joint. "proven": in addition, the pairs that are proven to collide at no configuration, or at all
             configurations (`prove_pairs`).
         tol : float
-            Certified log-volume gap of all fits.
+            Largest certified log-volume gap of all fits.
         cache : bool
             Keep the bodies of meshes and the proofs of pairs on disk, keyed by content, so that later calls only read
             them.
@@ -303,7 +303,7 @@ class Robot(KeepsReadOnly):
         Warns
         -----
         UserWarning
-            If `meshes` is "auto" and meshes are not closed; one warning names all of them. If the URDF or the SRDF has
+            If ``meshes="auto"`` and meshes are not closed; one warning names all of them. If the URDF or the SRDF has
             parts that its format does not define (docs/robots.md). If the limits of a mimicking joint would leave the
             other joint hardly any range. If the SRDF is for a different robot, names links or joints that the robot
             does not have, names none that it has, or contains passive joints or a base that moves. If a body is
@@ -408,14 +408,14 @@ class Robot(KeepsReadOnly):
         path : path
             MJCF file, or a URDF that MuJoCo accepts.
         tol : float
-            Certified log-volume gap of the fits of meshes.
+            Largest certified log-volume gap of the fits of meshes.
 
         Returns
         -------
         Robot
             The root link is the world, and each colliding geom of the world is a separate link fixed to the root. Every
-            MuJoCo body is a link, in MuJoCo's frame. If several joints move one link, they are chained through links
-            without bodies.
+            MuJoCo body is a link, with the frame that the body has in MuJoCo. If several joints move one link, they are
+            chained through links without bodies.
 
         Raises
         ------
@@ -466,7 +466,7 @@ class Robot(KeepsReadOnly):
             Let a joint follow another one if an active equality couples the two linearly. If `couplings` is False, or
             there are no such equalities, a configuration equals `qpos`, entry by entry.
         tol : float
-            Certified log-volume gap of the fits of meshes.
+            Largest certified log-volume gap of the fits of meshes.
 
         Returns
         -------
@@ -641,7 +641,7 @@ class Robot(KeepsReadOnly):
             Joints that follow others, as ``{joint: (other, gear ratio, offset)}`` with the robot's names. Drake's
             Python interface cannot read couplers.
         tol : float
-            Certified log-volume gap of the fits of meshes.
+            Largest certified log-volume gap of the fits of meshes.
 
         Returns
         -------
@@ -697,7 +697,7 @@ class Robot(KeepsReadOnly):
             Representation of triangle meshes, as for `from_urdf`. By default, a mesh consists of its triangles, as in
             Coal, and of the space that it encloses if it is closed.
         tol : float
-            Certified log-volume gap of the fits of meshes.
+            Largest certified log-volume gap of the fits of meshes.
 
         Returns
         -------
@@ -716,7 +716,7 @@ class Robot(KeepsReadOnly):
         -----
         UserWarning
             If bodies that are fixed to each other collide, since such pairs are not checked; if there are shapes but no
-            pairs; or if `meshes` is "auto" and meshes are not closed.
+            pairs; or, with ``meshes="auto"``, if meshes are not closed.
 
         Examples
         --------
@@ -1043,8 +1043,8 @@ class Robot(KeepsReadOnly):
         Raises
         ------
         InputError
-            As for `CollisionChecker.certify_trajectory`; also if the tolerance is not positive and finite, is too small
-            to be met, or is so small that the curve has to be divided.
+            As for `CollisionChecker.certify_trajectory`; also if the tolerance is not positive and finite, or too small
+            to be met, or so small that the curve would need too many poses of links.
         UnknownNameError
             If there is no such link or body.
         GeometryError
@@ -1179,7 +1179,8 @@ class Robot(KeepsReadOnly):
             where contact begins, up to 1e-9 rad or m, or at the value's limit. The range of several values is a box:
             each end is at the same fraction of the way from the configuration to that value's limit.
         about : array_like, shape (dof,), optional
-            The configuration about which the range extends; all other values stay fixed. Default: `configuration()`.
+            The configuration about which the range extends; values that are not in `joints` stay fixed. Default:
+            `configuration()`.
         pairs : iterable of pairs of str, optional
             As for `prove_pairs`. Default: the pairs that a `CollisionChecker` of this robot checks.
         margin, limits, scene
@@ -1223,7 +1224,7 @@ class Robot(KeepsReadOnly):
         protrusion: float | None = None,
         progress: Progress | None = None,
     ) -> Robot:
-        """Replace the body of each link by a union of simple shapes that is proven to contain it.
+        """Replace the body of each link with a union of simple shapes that is proven to contain it.
 
         Shapes that stick out of links can meet although the links never do, so that a planner may find no path. Random
         configurations reveal such pairs of links. If `prove_pairs` proves that the links of a pair never collide, the
@@ -1617,7 +1618,7 @@ class Robot(KeepsReadOnly):
         Returns
         -------
         ndarray, shape (..., dof)
-            `Q` itself if possible.
+            `Q` itself if it already has this form.
 
         Raises
         ------
@@ -1672,7 +1673,7 @@ class Robot(KeepsReadOnly):
         Returns
         -------
         ndarray, shape (dof,)
-            `q` itself if possible.
+            `q` itself if it already has this form.
 
         Raises
         ------

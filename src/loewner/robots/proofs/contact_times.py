@@ -45,7 +45,7 @@ class TrajectoryContact(_validate.Brief):
         Seconds; the earliest time of a known collision, or inf if no collision is known. This time exceeds `free_until`
         by the time that the pair needs to cross the tolerance, unless the pair grazes before it collides.
     names : tuple of str
-        The pair; empty strings if FREE.
+        The pair that comes into contact; empty strings if FREE.
 
     Examples
     --------

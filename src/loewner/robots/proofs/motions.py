@@ -36,9 +36,10 @@ class CertifiedMotions(_validate.Brief):
     Attributes
     ----------
     verdict : Verdict, or ndarray of int8
-        FREE: every pair is proven to be farther apart than its margin at every real fraction from 0 to 1. COLLIDING:
-        the configuration at `fraction` collides. AMBIGUOUS: at `fraction` a pair comes within the tolerance of its
-        margin, or arithmetic could not settle the pair; treat the motion as not free.
+        FREE: every pair is proven to be farther apart than its margin at every real fraction from 0 to 1, except for
+        contact at the ends that `Scene.leave` or `Scene.reach` allows. COLLIDING: the configuration at `fraction`
+        collides. AMBIGUOUS: at `fraction` a pair comes within the tolerance of its margin, or arithmetic could not
+        settle the pair; treat the motion as not free.
     fraction : float or ndarray
         Fraction of the motion, as in `Robot.between`; NaN if FREE. If COLLIDING, the configuration at this fraction
         collides, but earlier configurations may collide as well.

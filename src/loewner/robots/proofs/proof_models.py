@@ -54,7 +54,7 @@ class Links(NamedTuple):
     ----------
     names : list of str
     above : ndarray of int64
-        -1 for the world.
+        Index of the link above; -1 for the world.
     moves : ndarray of int64
         STAYS, TURNS or SLIDES.
     value : ndarray of int64
@@ -85,7 +85,7 @@ class Pieces(NamedTuple):
     kind : ndarray of int64
     radius : ndarray
     points : list of ndarray, shape (k, 3)
-        In the body's frame.
+        Points in the frame of the body.
     """
 
     start: Ints
@@ -103,7 +103,7 @@ class Placed(NamedTuple):
     link : ndarray of int64, shape (bodies,)
         Numbers of links; -1 for the world.
     turn, shift : ndarray, shapes (bodies, 3, 3) and (bodies, 3)
-        From the frame of each body to the frame of its link.
+        Rotation and translation from the frame of each body to the frame of its link.
     pieces : Pieces
     hollow : ndarray of bool, shape (bodies,)
         Whether bodies have an interior that their parts do not cover.
@@ -123,12 +123,12 @@ class Model(NamedTuple):
     Attributes
     ----------
     data : bytes
-        The block of the file that describes the model.
+        The block of the file that contains the model.
     links : Links
     link : ndarray of int64, shape (bodies,)
         Numbers of links; -1 for the world.
     turn, shift : ndarray, shapes (bodies, 3, 3) and (bodies, 3)
-        From the frame of each body to the frame of its link.
+        Rotation and translation from the frame of each body to the frame of its link.
     pieces : Pieces
     pairs : ndarray of int64, shape (pairs, 2)
     margins : ndarray, shape (pairs,)
