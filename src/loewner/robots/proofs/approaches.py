@@ -1,9 +1,9 @@
 """Bound how near a robot comes to contact on each piece of a curve: from below by a proof, and from above by a sample.
 
-A piece is sampled, and a descent starts from the smallest distance. The proof of motions then shows that all pairs keep
-all but a hundredth of this distance. If the proof fails, it names a time at which a pair is nearer, and the search
-continues there. Where the robot collides, no separating planes exist. Such pieces are divided into parts until no point
-moves farther within a part than the two bounds may differ.
+A piece is sampled, and a descent starts from the smallest distance. A proof of the piece as a motion then shows that
+every pair keeps this distance, less a hundredth. If the proof fails, it names a time at which a pair is nearer, and the
+search continues there. Where the robot collides, no separating planes exist. Such pieces are divided into parts until
+no point moves farther within a part than the two bounds may differ.
 """
 
 from __future__ import annotations
