@@ -1,9 +1,9 @@
 /* Python calls the native library through this extension: `Library` opens a library, and `Kernel` calls one of its
-   functions. `pairs.c` and `configurations.c` contain queries that take one call from the arguments to the answer. A
-   function of the library has the form int32 loewner_NAME(const int64 *arguments, int64 *results). A number takes one
-   slot; an array takes a slot for its address and one for each length. In a result, each array is preceded by the
-   address of a record that describes its memory; loewner_release frees the memory. Nothing here depends on Numba, and
-   the library does not depend on Python. */
+   functions. `pairs.c` and `configurations.c` answer common queries, each in a single call from Python. A function of
+   the library has the form int32 loewner_NAME(const int64 *arguments, int64 *results). A number takes one slot; an
+   array takes a slot for its address and one for each length. In a result, each array is preceded by the address of a
+   record that describes its memory; loewner_release frees the memory. Nothing here depends on Numba, and the library
+   does not depend on Python. */
 
 #include "call.h"
 #include "system.h"
@@ -121,7 +121,7 @@ static int put_number(char kind, PyObject *given, int64_t *slot)
     return *slot == -1 && PyErr_Occurred() ? -1 : 0;
 }
 
-/* Make one result from its slots; its memory is released even after an error. */
+/* Make one result from its slots; the memory behind them is released even after an error. */
 static PyObject *taken(const Kernel *kernel, const Word *word, const int64_t **slot)
 {
     if (word->kind == 'A') {
@@ -224,7 +224,7 @@ static PyObject *library_new(PyTypeObject *type, PyObject *arguments, PyObject *
     const char *found = dlsym(handle, "loewner_build");
     if (found == NULL || strcmp(found, build) != 0) {
         PyErr_Format(PyExc_OSError, "expected a library built from %s, found %s", build, found ? found : "another");
-        dlclose(handle); /* closed after the message, which quotes it */
+        dlclose(handle); /* closed only now, since the message quotes a text in the library */
         return NULL;
     }
     Library *library = new_object(type);

@@ -3,12 +3,12 @@
 #ifndef LOEWNER_CALL_H
 #define LOEWNER_CALL_H
 
-/* Only names and layouts that Python 3.11 and all later versions share, so that one file serves them all. */
+/* Use only names and layouts that Python 3.11 and all later versions share, so that one file serves them all. */
 #define Py_LIMITED_API 0x030B0000
 #define PY_SSIZE_T_CLEAN
 #define NPY_NO_DEPRECATED_API NPY_1_23_API_VERSION
 #define PY_ARRAY_UNIQUE_SYMBOL loewner_array_api
-#ifndef HOLDS_ARRAY_API /* one file imports NumPy for all */
+#ifndef HOLDS_ARRAY_API /* one file imports NumPy for all files */
 #define NO_IMPORT_ARRAY
 #endif
 #include <Python.h>
@@ -27,7 +27,7 @@ typedef struct {
 
 typedef struct {
     PyObject_HEAD
-    PyMethodDef definition; /* of the built-in function that calls the kernel from Python, see `library_kernel` */
+    PyMethodDef definition; /* for the built-in function that calls the kernel from Python, see `library_kernel` */
     Function function;
     void (*release)(void *);
     PyObject *library, *name;

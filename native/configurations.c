@@ -1,7 +1,7 @@
-/* Queries for one configuration of a robot, and for one motion, each as a single call from Python. These are the usual
-   case.
+/* Queries for one configuration of a robot, and for one motion. Each is a single call from Python; such queries are the
+   most frequent ones.
 
-   `Configurations` holds the data that `robots.problem` prepared, and is made anew whenever the data are. */
+   `Configurations` holds the data that `robots.problem` prepared, and is replaced whenever these data change. */
 
 #include "single.h"
 
@@ -14,21 +14,21 @@ typedef struct {
     PyObject *held; /* owners of the memory of the other fields */
     Function check_configurations, check_motion;
     int64_t pack, problem, memory, width, piece_pairs;
-    const double *least, *most; /* limits without a warning: `Watch` may move them outwards */
+    const double *least, *most; /* limits within which there is no warning: `Watch` may widen them */
     Array1 hits;
 } Configurations;
 
-/* Number of pairs of pieces above which other threads may run meanwhile. */
+/* Number of pairs of pieces above which other threads may run during a call. */
 #define MANY 64
 
-/* The entries of a configuration of the usual kind, whose values cause neither an error nor a warning; else NULL. */
+/* The entries of a configuration if it is of the usual kind and causes neither an error nor a warning; else NULL. */
 static const double *take_configuration(const Configurations *self, PyObject *given)
 {
     if (!is_plain(given, 1) || PyArray_DIM((PyArrayObject *)given, 0) != self->width)
         return NULL;
     const double *entries = PyArray_DATA((PyArrayObject *)given);
     for (int64_t k = 0; k < self->width; k++)
-        if (!(self->least[k] <= entries[k] && entries[k] <= self->most[k])) /* neither holds for NaN */
+        if (!(self->least[k] <= entries[k] && entries[k] <= self->most[k])) /* false for NaN */
             return NULL;
     return entries;
 }
@@ -102,7 +102,7 @@ static double exact_length(const double *a, const double *b, int64_t count)
 }
 
 /* The number of steps of a motion, as in `edges.steps`; 0 if Python has to take the long way. A quotient within
-   NEARLY_WHOLE of an integer may have been rounded to the other side of it. */
+   NEARLY_WHOLE of an integer may have been rounded to the wrong side of this integer. */
 static int64_t steps_of(const double *a, const double *b, int64_t count, double step)
 {
     double squared = 0;
@@ -144,10 +144,9 @@ static int64_t looked_at(const Configurations *self, const double *start, const 
     return results.verdict == CODE_COLLIDING ? -results.total : results.total;
 }
 
-/* motion(q0, q1, resolution, order): the number of configurations checked, negative if the last ones collide; or None.
-
-   order(steps) returns the fractions of the motion in the order in which they are checked. It runs in Python, and its
-   exceptions, such as an interrupt, are passed on to the caller. */
+/* motion(q0, q1, resolution, order): the number of configurations that were checked, negative if the last ones collide;
+   or None. order(steps) returns the fractions of the motion in the order in which they are checked. The function
+   `order` runs in Python, and its exceptions, such as an interrupt, are passed on to the caller. */
 static PyObject *configurations_motion(Configurations *self, PyObject *const *given, Py_ssize_t count)
 {
     if (count != 4 || !PyFloat_CheckExact(given[2]))
@@ -160,7 +159,7 @@ static PyObject *configurations_motion(Configurations *self, PyObject *const *gi
         Py_RETURN_NONE;
     int64_t steps = steps_of(start, end, self->width, step);
     PyObject *fractions = fractions_of(given[3], steps);
-    /* Take both again: Python code ran in between, and may have changed them. */
+    /* Read both configurations again, since Python code ran in between and may have changed them. */
     start = take_configuration(self, given[0]);
     end = take_configuration(self, given[1]);
     int64_t found =

@@ -1,5 +1,4 @@
-/* Queries for one pair of bodies, each as a single call from Python, which handles the usual case from the arguments
-   to the answer. */
+/* Queries for one pair of bodies. Each is a single call from Python, which is enough in the usual case. */
 
 #include "single.h"
 
@@ -15,7 +14,7 @@ static const double identity[16] = {1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0,
 
 /* -- bodies and poses ---------------------------------------------------------------------------------------------- */
 
-/* Number of pairs of pieces above which other threads may run meanwhile; for fewer, this costs more than it gains. */
+/* Number of pairs of pieces above which other threads may run during a call; for fewer, this costs too much. */
 #define MANY 64
 
 static PyObject *word_exact, *name_packed, *name_handle;
@@ -39,7 +38,7 @@ static int take_pose(PyObject *given, Array3 *poses)
     return PyArray_DIM(array, 0) == 4 && PyArray_DIM(array, 1) == 4;
 }
 
-/* Take a body, exactly of the class Body, and its pose; false if they are unusual. */
+/* Take a body, whose class must be exactly Body, and its pose; false if the body or the pose is unusual. */
 static int take_side(PyObject *class, PyObject *body, PyObject *pose, Side *side)
 {
     side->packed = NULL;
@@ -75,7 +74,7 @@ static int take_margin(PyObject *given, double *margin)
     return *margin >= 0 && *margin < INFINITY;
 }
 
-/* How many pieces a body has: the rows of the first array behind its handle, see `records.py`. */
+/* The number of pieces of a body: the rows of the first array behind its handle, see `records.py`. */
 static int64_t piece_count(const Side *side)
 {
     return ((const int64_t *)side->handle)[1];
@@ -200,7 +199,7 @@ static int measured(const Pairs *self, int wanted, const Side *a, const Side *b,
         return 1;
     if (!isfinite(number[VALUE]))
         return 0;
-    /* The bounds are proven and the value is only computed, so it is moved to the nearest bound if it lies outside. */
+    /* The bounds are proven, but the value is only computed, so a value outside is moved to the nearest bound. */
     number[VALUE] = fmax(number[LOWER], fmin(number[VALUE], number[UPPER]));
     return number[VALUE] != 0; /* NumPy decides the sign of a zero */
 }
@@ -222,7 +221,7 @@ static PyObject *field_of(const Found *found, int place, int wanted)
     return place < NUMBERS ? PyFloat_FromDouble(found->number[place]) : vector_of(found->vector[place - NUMBERS]);
 }
 
-/* Make a Distance with these fields. Its class prevents changes of fields, but not their first assignment. */
+/* Make a Distance with these fields. The class prevents changes to fields, but not their first assignment. */
 static PyObject *distance_of(PyObject *class, const Found *found, int wanted)
 {
     PyObject *made = new_of_object((PyTypeObject *)class, no_arguments, NULL);

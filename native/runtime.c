@@ -1,6 +1,6 @@
-/* The parts of Numba's run time that kernels need: memory that counts its references. The layout of a description is
-   Numba's (numba/core/runtime/nrt.cpp); compiled code updates the count by itself, and calls NRT_MemInfo_call_dtor when
-   the count reaches zero. `tests/test_native.py` compares both with the installed Numba. */
+/* The parts of Numba's run time that kernels need: reference-counted memory. The layout of a description is Numba's
+   (numba/core/runtime/nrt.cpp); compiled code updates the count by itself, and calls NRT_MemInfo_call_dtor when the
+   count reaches zero. `tests/test_native.py` compares the layout with the installed Numba's. */
 
 #include "system.h"
 
@@ -16,7 +16,7 @@ typedef struct {
 
 EXPORTED const char loewner_build[] = LOEWNER_BUILD;
 
-/* Number of descriptions that were made and not given back; it is zero while no kernel runs, see
+/* Number of descriptions that were made and not given back. It is zero while no kernel runs, see
    `tests/test_native.py`. */
 EXPORTED size_t loewner_held;
 

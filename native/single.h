@@ -1,8 +1,8 @@
-/* Shared by the queries of single pairs and single configurations.
+/* Declarations that the queries for single pairs and single configurations share.
 
    A query returns None if an argument is not of the usual kind, or if the answer takes more than one call of a kernel.
-   Python then goes the long way, with all checks and errors. The queries themselves raise nothing, so that no error has
-   two texts. */
+   Python then goes the long way, with all checks and errors. The queries themselves raise no errors, so that the text
+   of each error exists only once. */
 
 #ifndef LOEWNER_SINGLE_H
 #define LOEWNER_SINGLE_H
@@ -12,15 +12,15 @@
 
 #include <stddef.h>
 
-/* At least `size` bytes for kernels to write to, which belong to this thread; NULL if there are none.
+/* At least `size` bytes for kernels to write to, which belong to this thread; NULL if they cannot be allocated.
 
-   The next call overwrites them. No Python code runs between the call of a kernel and the last use of its results:
-   the handler of a signal waits until the interpreter continues, and no Python object is allocated before that. So a
-   thread never needs this memory twice at a time. */
+   The next call overwrites these bytes. No Python code runs between the call of a kernel and the last use of its
+   results: the handler of a signal waits until the interpreter continues, and no Python object is allocated before
+   that. A thread therefore never needs this memory twice at a time. */
 void *thread_memory(size_t size);
 
-/* Call a kernel, and let other threads run meanwhile if the call takes long; return its code, 0 unless memory ran
-   out. */
+/* Call a kernel, and let other threads run meanwhile if the call takes long; return the kernel's code, which is 0
+   unless memory ran out. */
 int32_t call_kernel(Function function, const void *arguments, void *results, int is_long);
 
 /* Whether an object is a kernel with this signature; false with an exception. */

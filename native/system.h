@@ -1,5 +1,5 @@
-/* Libraries, memory that begins at a cache line, and memory of threads: Windows has other names for these than
-   POSIX. The part for Windows has not been tried. */
+/* Libraries, memory that begins at a cache line, and memory of threads, for which Windows and POSIX have different
+   names. The part for Windows has not been tried. */
 
 #ifndef LOEWNER_SYSTEM_H
 #define LOEWNER_SYSTEM_H
@@ -21,7 +21,7 @@
 
 #define EXPORTED __declspec(dllexport)
 
-/* All memory that files with this header free was allocated in this way. */
+/* Files with this header free only memory that was allocated in this way. */
 #define aligned_alloc(alignment, size) _aligned_malloc(size, alignment)
 #define free _aligned_free
 

@@ -33,7 +33,7 @@ typedef struct {
 enum { INTEGERS, DOUBLES, SINGLES, BYTES };
 static const int64_t item_sizes[] = {8, 8, 4, 1};
 
-/* The file that this thread opens. */
+/* The path of the file that this thread opens. */
 static _Thread_local const char *opened_path;
 
 static loewner_status damaged(const char *what)
@@ -193,7 +193,7 @@ static loewner_status check_nodes(const double *nodes, int64_t room, int64_t ver
     int is_sound = 1;
     for (int64_t k = 0; is_sound && k < count; k++) {
         if (depth[k] < 0)
-            continue; /* nothing leads there */
+            continue; /* no node leads to this one */
         double first = nodes[2 * k], last = nodes[2 * k + 1];
         if (last >= 0) {
             is_sound = 0 <= first && first < last && last <= (double)vertices && fmod(first, POINT_BLOCK) == 0 &&
@@ -249,8 +249,8 @@ static loewner_status check_trees(const Pack *pack)
                 if (child >= 0) {
                     is_sound &= begin <= child && child < g && !has_parent[child];
                     if (is_sound)
-                        has_parent[child] = 1; /* it must be a tree: in any other graph, a walk would follow all
-                                                  paths */
+                        has_parent[child] = 1; /* a group has only one parent: in any graph other than a tree, a walk
+                                                  would follow all paths */
                     if (is_sound && height[g] <= height[child])
                         height[g] = (int8_t)(height[child] + 1);
                 } else /* an unused place contains -1 */
@@ -339,7 +339,7 @@ static loewner_status take_surface(const File *file, int64_t at, Array2 arrays[S
             is_sound = ~child >> LEAF_BITS < leaves;
             continue;
         }
-        if (child == 0) { /* an unused place: its box is empty, and nothing opens it */
+        if (child == 0) { /* an unused place: its box is empty, and no walk opens it */
             const float *half = boxes + 6 * WIDE_SURFACE * node + 3 * WIDE_SURFACE + s % WIDE_SURFACE;
             is_sound = half[0] == -INFINITY && half[WIDE_SURFACE] == -INFINITY && half[2 * WIDE_SURFACE] == -INFINITY;
             continue;

@@ -1,4 +1,4 @@
-/* Chunks of targets in a control loop, as in `loewner/planners/gates.py`, one course after another. */
+/* Checks of chunks of targets in a control loop, one course after another, as in `loewner/planners/gates.py`. */
 
 #include "internal.h"
 
@@ -31,7 +31,7 @@ typedef struct {
     Stop motion_stop, brake_stop;
 } Chunk;
 
-/* Why a proof ended, or 0 if it did not, and the work of all proofs in a check. */
+/* The reason why a proof failed, or 0, and the work of all proofs in a check. */
 typedef struct {
     int32_t reason;
     int64_t pair, most, work;
@@ -41,14 +41,14 @@ typedef struct {
 struct loewner_gate {
     const loewner_checker *checker;
     loewner_workspace *workspace;
-    int64_t dof, most, steps, pieces; /* `pieces` is the largest number of times of a brake */
+    int64_t dof, most, steps, pieces; /* `pieces` is the largest number of times in a brake */
     int on_path, has_jerk, has_last, wants_scale;
     double latency, horizon, tolerance, now;
-    double *strongest, *jerk, *fastest, *error, *rate_error, *widened, *looser, *resting, *q, *at; /* the first are VECTORS */
+    double *strongest, *jerk, *fastest, *error, *rate_error, *widened, *looser, *resting, *q, *at; /* nine vectors and `at` */
     double *times, *states, *courses, *seconds, *out[3];
     int64_t pieces_made, rows_needed; /* pieces and rows of the brake in the arrays; the row before the first counts */
     Chunk last, made, slower;
-    uint64_t structure; /* structure when the last chunk was made */
+    uint64_t structure; /* the scene's serial number when the last chunk was made */
     Known *seen, *allowed; /* bodies now, and at the time of the last new chunk */
     size_t known, room;
     void *memory;
@@ -330,10 +330,10 @@ static int goes_on(loewner_gate *gate, int64_t tick, const double *targets, int6
     for (int64_t k = 0; k <= made->braked; k++)
         made->ends[k] = last->ends[tick + k] - tick;
     int64_t first = made->first > 0 ? made->first : 0;
-    while (gate->on_path && made->braked >= first && made->ends[made->braked] > count) /* its path was longer */
+    while (gate->on_path && made->braked >= first && made->ends[made->braked] > count) /* its path had more targets */
         made->braked--;
     const Stop none = {-1, 0, -1, 0}, stops[] = {later(last->motion_stop, tick), later(last->brake_stop, tick)};
-    int is_same = is_same_world(gate); /* a failure stays known if all its targets are still there */
+    int is_same = is_same_world(gate); /* a failure stays known if all targets that it depends on are still there */
     made->motion_stop = is_same && stops[0].needed <= count ? stops[0] : none;
     made->brake_stop = is_same && stops[1].needed <= count ? stops[1] : none;
     return 1;
@@ -407,7 +407,7 @@ static double stopping_time(const loewner_gate *gate, int64_t c, double v)
     return v <= strongest * strongest / jerk ? 2 * sqrt(v / jerk) : v / strongest + strongest / jerk;
 }
 
-/* Limit on the steps for a brake as a whole: about as many as one interval takes. */
+/* Limit on the steps for proving a brake as a whole: about as many as one interval takes. */
 static int64_t steps_of_whole(const loewner_gate *gate)
 {
     return gate->checker->state.pairs > LEAST_STEPS ? gate->checker->state.pairs : LEAST_STEPS;
@@ -456,7 +456,7 @@ static loewner_status prove_brake(loewner_gate *gate, double begin, double dt, c
     TRY(CALL(courses_of_brakes, &made, .courses = {gate->courses, pieces, points, dof},
              .seconds = {gate->seconds, pieces}, BRAKE(gate)));
     if (rate == NULL || pieces > 1) {
-        /* A long brake that fails usually fails at its end, where no interval has to be halved. */
+        /* First check the end, where a long brake fails most often: no interval has to be halved there. */
         double *still = gate->courses + pieces * points * dof;
         for (int k = 0; k < 2; k++)
             memcpy(still + k * dof, gate->states + 3 * pieces * dof, (size_t)dof * sizeof *still);
@@ -474,7 +474,7 @@ static loewner_status prove_brake(loewner_gate *gate, double begin, double dt, c
                         proof);
 }
 
-/* Prove motions, and then the brakes from their ends, for as long as they are free. */
+/* Prove motions, and then the brakes from their ends, until one of them is not free. */
 static loewner_status prove_chunk(loewner_gate *gate, Chunk *chunk, Proof *proof)
 {
     int64_t dof = gate->dof, growing = gate->checker->state.growing;
@@ -514,14 +514,14 @@ static loewner_status prove_chunk(loewner_gate *gate, Chunk *chunk, Proof *proof
         chunk->ends[tick] = chunk->count;
         TRY(brake_from(gate, chunk, tick));
         int64_t end = gate->on_path ? gate->rows_needed - 1 : tick;
-        int is_covered = gate->on_path && growing == 0 && end <= chunk->motions; /* proven, at all times */
+        int is_covered = gate->on_path && growing == 0 && end <= chunk->motions; /* by the motions, at all times */
         if (!is_covered)
             TRY(prove_brake(gate, chunk->t0 + chunk->dt * (double)tick, chunk->dt,
                             gate->on_path ? NULL : chunk->rates + tick * dof, steps, proof));
         if (proof->reason) {
             if (proof->reason == LOEWNER_REASON_CONTACT)
                 proof->reason = LOEWNER_REASON_BRAKE;
-            /* After the last target, a brake would take another path if there were more targets. */
+            /* If there were more targets, a brake that goes beyond the last target would take another path. */
             chunk->brake_stop.tick = -1;
             if (end <= chunk->count)
                 chunk->brake_stop = stop_at(tick, end, proof);
@@ -569,7 +569,7 @@ static loewner_status find_scale(loewner_gate *gate, Proof *proof, double *scale
 
 /* -- checks -------------------------------------------------------------------------------------------------------- */
 
-/* How many targets are within the limits, and the joint that violates them; -1 if all are within. */
+/* How many targets precede the first one outside the limits, and the joint that violates them, or -1. */
 static int64_t within_limits(const loewner_gate *gate, const double *q, const double *targets, int64_t count, double dt,
                              int32_t *joint)
 {
@@ -577,7 +577,7 @@ static int64_t within_limits(const loewner_gate *gate, const double *q, const do
     for (int64_t k = 0; k < count; k++)
         for (int64_t c = 0; c < gate->dof; c++) {
             double to = targets[k * gate->dof + c], from = k == 0 ? q[c] : targets[(k - 1) * gate->dof + c];
-            double speed = fabs(to - from) / dt - (k == 0 ? gate->error[c] / dt : 0); /* the command was elsewhere */
+            double speed = fabs(to - from) / dt - (k == 0 ? gate->error[c] / dt : 0); /* `q` is not the command */
             if (to < lower[c] || to > upper[c] || speed > gate->fastest[c] * (1 + SAME_TICK)) {
                 *joint = (int32_t)c;
                 return k;
@@ -621,8 +621,8 @@ static loewner_status answer_with(loewner_gate *gate, int32_t state, int64_t ste
     return LOEWNER_OK;
 }
 
-/* Begin a new chunk, or prove one that continues the last one, starting from the last command. A pair that is not free
-   at the robot's position becomes the result of the proof. */
+/* Begin a new chunk, or prove anew a chunk that continues the last one; both start from the last command. A pair that
+   is not free at the robot's position becomes the result of the proof. */
 static loewner_status begin_chunk(loewner_gate *gate, int goes_on, const double *q, const double *dq,
                                   const double *targets, int64_t count, double dt, double now, int64_t late,
                                   Proof *proof)
@@ -660,8 +660,8 @@ static loewner_status begin_chunk(loewner_gate *gate, int goes_on, const double 
     return LOEWNER_OK;
 }
 
-/* Make this chunk the last one that may run. If it continues the last one, the present poses of bodies are within the
-   older bounds, and new motions are proven for the present poses only. */
+/* Make this chunk the most recent one that may run. If it continues the previous one, the present poses of bodies are
+   within the older bounds, and new motions are proven for the present poses only. */
 static void adopt(loewner_gate *gate)
 {
     const Chunk made = gate->made;
@@ -713,8 +713,8 @@ static loewner_status judge(loewner_gate *gate, const double *q, const double *d
         return answer_with(gate, proof.reason ? LOEWNER_GATE_PREFIX : LOEWNER_GATE_GO, steps, 1,
                            dt * (double)gate->last.braked, &proof, answer);
     }
-    off = -1; /* the last chunk that may run continues until the robot brakes; with a latency, the brake begins
-                 elsewhere for each tick */
+    off = -1; /* the last chunk that may run goes on until the robot brakes; with a latency, this is at a different
+                 place for each tick */
     int64_t here = next_tick(gate, q, dq, from, to, &off, -1), other = next_tick(gate, q, dq, from, to, &off, here);
     int is_sure = other < 0 || (here > 0 && (double)here == rint((now - gate->last.t0) / gate->last.dt));
     off = -1;

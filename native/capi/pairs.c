@@ -9,7 +9,7 @@
 static const double identity[16] = {1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1};
 static const int64_t no_rows[1];
 
-/* One side of a query for kernels: some of the bodies of a pack, as a pack of their own. */
+/* One side of a query for kernels: several bodies of a pack, as a pack of their own. */
 typedef struct {
     struct pieces pieces;
     int64_t start[2], step, pose_step;
@@ -109,7 +109,7 @@ static loewner_status settle(loewner_workspace *workspace, int mode, const loewn
         return fail(LOEWNER_BAD_ARGUMENT, "margin, verdicts: expected a number >= 0 and a pointer, found others");
     HOLD(workspace);
     TRY(scratch(workspace, kernels()->settle_memory));
-    workspace->serial = 0; /* its memory is overwritten */
+    workspace->serial = 0; /* the workspace's memory for a checker is overwritten */
     const struct settle_range asked = {
         .mode = mode, .margin = margin, .stop = count, .plan = {plan, 5, 1}, .rows = {no_rows, 2, 0},
         .pack_a = (int64_t)&sides[0].pieces, .Ta = sides[0].poses, .pack_b = (int64_t)&sides[1].pieces,
@@ -140,7 +140,7 @@ void write_distance(loewner_distance *found, const double *lower, const double *
     int is = is_settled && isfinite(values[k]);
     found->lower = lower[k];
     found->upper = upper[k];
-    /* The bounds are proven, but the value is only computed, so it is moved between them. */
+    /* The bounds are proven, but the value is only computed, so a value outside is moved to the nearest bound. */
     found->distance = is ? fmax(lower[k], fmin(values[k], upper[k])) : NAN;
     for (int vector = 0; vector < 3; vector++)
         for (int c = 0; c < 3; c++)

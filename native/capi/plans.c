@@ -12,7 +12,7 @@
 typedef struct {
     const loewner_checker *checker;
     loewner_workspace *workspace;
-    const double *joint_error; /* NULL for none */
+    const double *joint_error; /* NULL if there is no error */
     int64_t handles[7];
     double lengths[2];
 } Judge;
@@ -20,9 +20,9 @@ typedef struct {
 /* A search in the form that kernels take, and its memory. */
 typedef struct {
     struct search arrays;
-    int64_t dof, joints, state[STATE]; /* numbers of values of a configuration, and of values that move */
+    int64_t dof, joints, state[STATE]; /* number of values of a configuration, and number of values that move */
     int64_t *columns, *turning;
-    double reach[3], *lower, *upper, *start, *goals; /* `goals` holds the free ones */
+    double reach[3], *lower, *upper, *start, *goals; /* `goals` holds the free goals */
     size_t goal_count;
 } Search;
 
@@ -77,7 +77,7 @@ static loewner_status is_free_at(const Judge *judge, const double *q, int *is)
     int64_t at = -1;
     TRY(collide(judge->checker, judge->workspace, CODE_EXACT, q, 1, &verdict));
     if (verdict == LOEWNER_FREE && judge->joint_error != NULL)
-        TRY(is_free(judge, q, 0, 2, &at)); /* prove a motion that stays there */
+        TRY(is_free(judge, q, 0, 2, &at)); /* prove a motion that stays at this configuration */
     *is = verdict == LOEWNER_FREE && at < 0;
     return LOEWNER_OK;
 }
@@ -98,7 +98,7 @@ static loewner_status make_search(const Judge *judge, const double *start, const
     search->lower = block + 2 * dof;
     search->upper = block + 3 * dof;
     double *weights = block + 4 * dof;
-    search->start = memcpy(block + 7 * dof, start, sizeof(double) * (size_t)dof); /* may lie in the workspace */
+    search->start = memcpy(block + 7 * dof, start, sizeof(double) * (size_t)dof); /* `start` may lie in the workspace */
     search->goals = block + 8 * dof;
     for (int64_t c = 0; c < dof; c++) {
         if (joints != NULL && !joints[c])
@@ -270,7 +270,7 @@ static loewner_status check_plan_options(const loewner_checker *checker, const l
 static loewner_status choose_goals(const Judge *judge, Search *search, const double *goals, size_t goal_count)
 {
     size_t dof = (size_t)search->dof;
-    size_t named = goal_count; /* in a message: the first goal within the limits, if there is one */
+    size_t named = goal_count; /* goal that a message names: the first one within the limits, if there is one */
     int is = outside(search, search->start) < 0;
     if (is)
         TRY(is_free_at(judge, search->start, &is));

@@ -14,7 +14,7 @@ _Static_assert(CODE_FREE == LOEWNER_FREE && CODE_COLLIDING == LOEWNER_COLLIDING 
 
 loewner_status check_count(size_t n, size_t doubles, const char *name)
 {
-    const size_t most = ((size_t)1 << 56) / sizeof(double) / doubles; /* more than any address space holds */
+    const size_t most = ((size_t)1 << 56) / sizeof(double) / doubles; /* more numbers than any address space holds */
     if (n > most)
         return fail(LOEWNER_BAD_ARGUMENT, "%s: expected at most %zu, found %zu", name, most, n);
     return LOEWNER_OK;
@@ -464,7 +464,7 @@ static double off_at(const loewner_checker *checker, int64_t place, double t, do
     off = bounds->metres + reach * bounds->radians;
     if (bounds->speed > 0 || bounds->turn > 0)
         off += (bounds->speed + reach * bounds->turn) * (fabs(t - bounds->since) + late);
-    return fmin(off * (1 + 0x1p-44), 1e100); /* also if it is not a number */
+    return fmin(off * (1 + 0x1p-44), 1e100); /* 1e100 for NaN, too */
 }
 
 /* After the values of a motion, write the deviations of bodies in the kernel's form. */
@@ -521,7 +521,7 @@ loewner_status prove(const loewner_checker *checker, loewner_workspace *workspac
             pairs[k] = -1;
         } else if (verdicts[k] == CODE_BY_CARE ||
                    (verdicts[k] == LOEWNER_COLLIDING && (degree > 1 || file->quaternion_count > 0))) {
-            /* COLLIDING only if the configuration that a user computes from the fraction collides. */
+            /* A motion is COLLIDING only if the configuration that a user computes from the fraction collides. */
             int8_t found;
             evaluate(file, course, degree, fractions[k], q);
             TRY(collide(checker, workspace, CODE_EXACT, q, 1, &found));
@@ -598,7 +598,7 @@ static int64_t steps_of(const loewner_proof_options *options)
     return options != NULL && options->steps > 0 && options->steps < CODE_NO_LIMIT ? options->steps : CODE_NO_LIMIT;
 }
 
-/* Write how many steps the motions took, beginning with the first. */
+/* Write how many steps each motion took; `first` is the index of the first motion. */
 static void write_steps(const loewner_workspace *workspace, const loewner_proof_options *options, size_t first,
                         size_t count)
 {

@@ -34,7 +34,7 @@ static void leave_state(State *state)
 
 /* -- packs of chosen bodies ---------------------------------------------------------------------------------------- */
 
-/* The first link with which a link is rigidly joined; -1 is the world. */
+/* The link that a link is rigidly joined to: its parent if its joint is fixed, or else itself; -1 is the world. */
 static int64_t rigid_link(const Tree *tree, int64_t link)
 {
     return tree->kind[link] == FIXED ? tree->parent[link] : link;
@@ -136,7 +136,7 @@ static int64_t row_of(const int64_t *rows, int64_t count, int64_t width, int64_t
     return -1;
 }
 
-/* Whether the bodies are exactly the bodies of the file, all present, with its pairs. */
+/* Whether the bodies are exactly the bodies of the file, with the file's pairs, and all of them are present. */
 static int is_as_saved(const loewner_checker *checker)
 {
     int is = checker->body_count == checker->file->bodies && checker->rule_count == 0;
@@ -153,7 +153,7 @@ typedef struct {
     double *margins;
 } Rules;
 
-/* Append a rule for two bodies. `touch` is -1 if the rule is only about the margin; `margin` is -1 if it has none. */
+/* Append a rule for two bodies. `touch` is -1 if the rule only sets a margin; `margin` is -1 if it sets none. */
 static void add_rule(const State *state, Rules *rules, int64_t a, int64_t b, int64_t touch, double margin)
 {
     const int64_t row[RULE] = {state->place[a], state->place[b], touch, 1};
@@ -161,13 +161,13 @@ static void add_rule(const State *state, Rules *rules, int64_t a, int64_t b, int
     rules->margins[rules->count++] = margin;
 }
 
-/* List the rules of the file, of the user, and of attached bodies, which may touch the robot's own bodies on their
-   touch links. */
+/* List the rules of the file and of the user, and rules for attached bodies: they may touch the robot's own bodies on
+   their touch links. */
 static void list_rules(const loewner_checker *checker, const State *state, Rules *rules)
 {
     const File *file = checker->file;
     int64_t at = 0;
-    for (int64_t a = 0; a < file->moving; a++) /* the file lists all pairs of a body that moves in it */
+    for (int64_t a = 0; a < file->moving; a++) /* for each body that moves in the file, the file lists all its pairs */
         for (int64_t b = a + 1; b < file->bodies; b++) {
             const int64_t *pair = file->pair_list + 2 * at;
             int is_listed = at < file->pairs && pair[0] == a && pair[1] == b;
@@ -354,7 +354,7 @@ static loewner_status renew(loewner_checker *checker)
         leave_state(state);
         *state = made;
         checker->serial = atomic_fetch_add(&serials, 1);
-    } else { /* workspaces stay prepared, since all arrays stay where they are */
+    } else { /* workspaces remain valid, since all arrays stay where they are */
         copy_poses(checker, state);
         for (Half *half = state->halves; half < state->halves + CUTTINGS; half++)
             if (half->block != NULL)
@@ -782,7 +782,7 @@ loewner_status loewner_checker_allow(loewner_checker *checker, int32_t a, int32_
         return fail(LOEWNER_BAD_ARGUMENT,
                     "expected a pair that was checked when the file was saved, found %.100s and %.100s",
                     checker->bodies[rule->a].name, checker->bodies[rule->b].name);
-    /* Pairs are checked unless the file excludes them, which a rule may do for two static bodies. */
+    /* Pairs are checked unless the file excludes them, which a rule of the file may do for two static bodies. */
     int is_ruled = row_of(file->rules, file->rule_count, 3, rule->a, rule->b) >= 0;
     rule->touch = allowed ? 1 : is_ruled ? 0 : -1;
     return LOEWNER_OK;

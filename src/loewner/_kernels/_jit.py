@@ -132,7 +132,7 @@ class _Cache(NullCache):
     def _key(self, signature: Any, codegen: Any) -> str:
         """Name of a file: the kernel, and a hash of everything that determines its code."""
         triple, cpu, features = codegen.magic_tuple()
-        # Parts are the same for all processors that fuse products.
+        # A part has the same code for all processors that fuse products.
         target = (triple, _fused.can_fuse(cpu, features)) if self._form == "part" else (triple, cpu, features)
         made_of = MADE_WITH, self._form, repr(signature), target, _identity(self._kernel)
         module = self._kernel.__module__.removeprefix("loewner._kernels.")
@@ -173,7 +173,7 @@ class _Cache(NullCache):
         if self._form == "part":
             _Cache._made[key] = data.library, data.fndesc, data.environment, data.signature
         if data.lifted or data.library.has_dynamic_globals or not _store.is_usable():
-            return  # the code contains addresses of this process, or its origin is unknown
+            return  # the code contains addresses of this process, or its sources are unknown
         if self._form == "part":
             self._expect_imported(data.library, self._behind(sig))
             if any(part.key == "" for part in data.library.called if isinstance(part, _parts.PartLibrary)):

@@ -147,7 +147,7 @@ class PartLibrary(_FusedLibrary):
 
 RUNTIME = "Numba's run time"
 
-_read: dict[str, PartLibrary] = {}  # parts by key, since two libraries with the same functions must not be linked
+_read: dict[str, PartLibrary] = {}  # parts by key, since two libraries that define the same functions cannot be linked
 
 
 def library_of(codegen: Any, key: str) -> PartLibrary:

@@ -7,7 +7,7 @@ import zlib
 from functools import cache
 from pathlib import Path
 
-# The archive of kernels in a wheel, and the modules next to it, which Python imports even with a native library.
+# The archive of kernels in a wheel, and the modules outside it, which Python imports even with a native library.
 ARCHIVE = "sources.zip"
 LOOSE = ("__init__.py", "_sealed.py", "_sources.py", "codes.py", "columns.py", "records.py", "tolerances.py")
 

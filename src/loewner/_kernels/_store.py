@@ -24,7 +24,7 @@ from loewner._kernels import _sealed, _sources
 
 FOLDER = _sources.cache_folder() / "kernels"
 
-# Number of seconds until an unused file is removed, and until a file in use is marked again.
+# Seconds without use after which a file is removed, and seconds after which a file in use is marked as used again.
 KEPT, DAY = 30 * 86_400.0, 86_400.0
 
 # Modules on which any kernel may depend without importing them, because argument types select vector operations.

@@ -3,9 +3,9 @@
 FREE, COLLIDING, AMBIGUOUS = 0, 1, 2
 
 # Codes in place of a verdict. INEXACT means that exact integers must decide (`fallback`). LEFT means that a GPU thread
-# leaves the pair to the CPU (above AMBIGUOUS, see `threads.pairs`). For a motion, TOO_LONG means that it takes too many
-# intervals, BY_CARE that it collides if `collide` confirms it, and UNFINISHED that no steps are left. MAY_BE_HIT means
-# that a body that is not at its given pose may be hit.
+# leaves the pair to the CPU; LEFT outranks AMBIGUOUS, see `threads.pairs`. For a motion, TOO_LONG means that it takes
+# too many intervals; BY_CARE, that it collides if `collide` confirms this; UNFINISHED, that no steps are left; and
+# MAY_BE_HIT, that a body may be hit, but not at its given pose.
 INEXACT, LEFT, TOO_LONG, BY_CARE, UNFINISHED, MAY_BE_HIT = 3, 4, 5, 6, 7, 8
 
 # A limit on steps that is never reached, for proofs without a limit.
@@ -27,7 +27,7 @@ CERTIFY, EXACT = 0, 1
 # normal of their ellipsoids.
 BY_SPHERE, BY_OUTER, BY_INNER, BY_PLANE, BY_SEARCH, OPEN = 0, 1, 2, 3, 4, 5
 TIERS = 6
-UNSURE = TIERS  # not a tier: `certificate.certify` returns it if a better s may settle the pair
+UNSURE = TIERS  # not a tier: `certificate.certify` returns UNSURE if a better parameter s may settle the pair
 
 # Faults of a pose.
 RIGID, NOT_FINITE, LAST_ROW, NOT_ORTHONORMAL, REFLECTION = 0, 1, 2, 3, 4

@@ -11,7 +11,7 @@ POLYTOPE, ELLIPSOID, CYLINDER, CONE, SEGMENT, POINT = 0, 1, 2, 3, 4, 5
 OUTER_CENTER = 0
 OUTER_RADIUS = 3  # upper bound on the largest semi-axis of the outer ellipsoid
 INNER_CENTER = 4
-REACH = 7  # upper bound on the distance of any point of the piece or its ellipsoids from the body's origin
+REACH = 7  # upper bound on the distance from the body's origin to any point of the piece or its ellipsoids
 OUTER_SHAPE = 8
 INNER_SIGMA = 14  # lower bound on the smallest semi-axis of the inner ellipsoid
 OUTER_SIGMA = 15  # lower bound on the smallest semi-axis of the outer ellipsoid
@@ -19,13 +19,13 @@ INNER_SHAPE = 16
 INVERSE_INNER_SIGMA = 22  # upper bound on 1 / INNER_SIGMA
 HOT = 24  # the vectorised stages read only the columns before this one
 ROUNDING = 24  # radius of the ball added to the core
-FRAME_CENTER, FRAME_FACTOR = 25, 28  # c and F (row by row) of the image of a unit shape
+FRAME_CENTER, FRAME_FACTOR = 25, 28  # c and F (row by row): F x + c maps a unit shape to the core
 COLUMNS = 37
 
 KIND, POINTS_FROM, POINTS_TO, SURFACE_AT, LAYOUT = 0, 1, 2, 3, 4
-PLANES_FROM, PLANES_TO = 3, 4  # columns of the stored layout; no kernel needs the planes
+PLANES_FROM, PLANES_TO = 3, 4  # columns of the stored layout only, since no kernel needs the planes
 
-# Columns of a piece's row in `part_start`, if there are surfaces; each holds a row of `parts`.
+# Columns of a piece's row in `part_start`, if there are surfaces; each column contains the index of a row of `parts`.
 PART_OUTER, PART_INNER, PART_STOP, PARTS = 0, 1, 2, 3
 
 BLOCK = 8  # points in a block, see `pieces.support`
@@ -33,12 +33,12 @@ CACHE_LINE = 64  # bytes
 
 # A polytope with more than LARGE vertices is MAPPED. With LARGE vertices or fewer, searching all of them is as fast.
 LARGE = 128
-DEEPEST = 14  # limit on the divisions of a cell, since the vertices of a flat face share the cells around its normal
+DEEPEST = 14  # limit on divisions of a cell, since the vertices of a flat face share the cells around the face's normal
 GRID = 1 << DEEPEST
 
 WIDE = 8  # boxes in a group of a tree
 NODE_BITS = 4  # binary logarithm of the number of boxes in a node of a tree over triangles
-FEW = 8  # with fewer pieces, each is tried
+FEW = 8  # a body with fewer pieces has no tree: each piece is tried
 
 # -- robots, described in `robots.kinematics` and `robots.placement` -------------------------------
 
@@ -58,7 +58,7 @@ MULTIPLIER, OFFSET, BENT, LINK_CONSTANTS = CONSTANTS, CONSTANTS + 1, CONSTANTS +
 LINK_OF_BODY, FIRST_PIECE, LAST_PIECE, BODY_INTEGERS = 0, 1, 2, 4
 BALL_RADIUS, BALL_REACH, BALL_NUMBERS = 3, 4, 8
 
-# A placed link's rotation by rows, its translation, and bounds on the errors of both, in units of the roundoff.
+# Columns of a placed link: its rotation by rows, its translation, and bounds on the errors of both, in roundoffs.
 LINK_AT, TURN_OFF, SHIFT_OFF, LINK_NUMBERS = 9, 12, 13, 14
 
 # For searches, a piece's int32 row holds its kind, its first vertex, and the index after its last vertex. Its float32
@@ -79,7 +79,7 @@ STARTS, GOALS = 1, 2  # configurations in the trees from the start and from the 
 OF_START, OF_GOAL = 3, 4  # nodes at which the trees met
 MOTIONS = 5  # motions that were tried
 RANDOM = 6  # state of the random numbers
-POSES, SEARCHES, STEPS_LEFT = 7, 8, 9  # work of proofs, see `robots.motions`
+POSES, SEARCHES, STEPS_LEFT = 7, 8, 9  # tally of the proofs: poses, searches and remaining steps, see `robots.motions`
 ROWS = 10  # number of rows of the path, once the trees have met
 STATE = 11
 STEP, BOUND, GAP = 0, 1, 2  # entries of `records.Search.reach`
@@ -93,4 +93,4 @@ MOVES_OF_LINK, LINK_OF_CHAIN = 0, 3
 AXIS, CHAIN_CONSTANTS = LINK_CONSTANTS, LINK_CONSTANTS + 3
 
 LEAST, MOST, HOW, RANGE = 0, 1, 2, 3  # rows of the ranges of values
-PLAIN, HELD, WRAPS, FAR, TURNS, REST = 0, 1, 2, 3, 4, 5  # how a value moves
+PLAIN, HELD, WRAPS, FAR, TURNS, REST = 0, 1, 2, 3, 4, 5  # entries of the row HOW: how a value moves

@@ -56,7 +56,7 @@ PER_LOG_2 = 1.4426950408889634
 
 MANTISSA = 52  # bits
 BIAS = 1023  # added to exponents
-SMALLEST = 2.0**-1022  # smaller numbers have fewer bits
+SMALLEST = 2.0**-1022  # the smallest normal number
 SQRT_2 = float(np.sqrt(2.0))
 OVERFLOW, UNDERFLOW = 709.782712893384, -745.2  # the exponential is infinite above the first, and zero below the second
 
@@ -106,7 +106,7 @@ def exponential(x):
         return 0.0 if x <= UNDERFLOW else x if x != x else np.inf
     k = round_to_even(x * PER_LOG_2)
     half = round_to_even(0.5 * k)
-    # Multiply by 2^k in two steps, as the largest and smallest results require.
+    # Multiply by 2^k in two steps, since 2^k itself may overflow or underflow.
     return _reduced_exponential(x, k) * power_of_two(half) * power_of_two(k - half)
 
 

@@ -204,8 +204,8 @@ class MotionTables(NamedTuple):
 # Types of the arrays of `MotionTables`, in the notation of `entries`.
 MOTION_WORDS = "I1 I1 F2 F2 F1 I1 I1 I1 F1 F1"
 
-# The table of `MotionTables` follows the table of a `Problem`. These are the rows of the arrays in both, the byte at
-# which `MotionTables` begins, and the number of words of both, in whole cache lines.
+# The table of `MotionTables` follows the table of a `Problem`. Below are the rows of the arrays in both tables, the
+# byte at which `MotionTables` begins, and the number of words of both tables, in whole cache lines.
 PROBLEM_ROWS = {name: row for row, name in enumerate((*Tree._fields, *Problem._fields[1:]))}
 MOTION_ROWS = {name: row for row, name in enumerate(MotionTables._fields, len(PROBLEM_ROWS))}
 MOTIONS = 8 * ENTRIES * len(PROBLEM_ROWS)

@@ -3,8 +3,8 @@
 UNIT_ROUNDOFF = 2.0**-53
 SINGLE_ROUNDOFF = 2.0**-24
 
-# Bound on the relative rounding error of a shape matrix that was formed from its factor, rotated, and applied to a
-# vector, in units of trace(Q) |n|²: for squared widths, and for P n in levels.
+# Bounds on the rounding errors of products with a shape matrix Q that was formed from its factor and rotated: of
+# squared widths nᵀQn, in units of trace(Q) |n|², and of Qn, in units of trace(Q) |n|.
 SHAPE_ROUNDINGS = 128.0 * UNIT_ROUNDOFF  # certified.md B1, B2
 
 # Bounds on the errors of positions (translation, rotated center, dot product), in units of the lengths that were added.

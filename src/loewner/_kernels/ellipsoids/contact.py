@@ -57,7 +57,7 @@ def polynomials(P, Q, r):
     # For two spheres, F is largest at s = (radius of a) / (sum of radii). In general, use the widths along r.
     hp = sqrt(maximum(dot(apply_symmetric(P, r), r), 0.0))
     hq = sqrt(maximum(dot(apply_symmetric(Q, r), r), 0.0))
-    # Without the small terms, concentric ellipsoids (r = 0) would lead to 0 / 0; F is 0 everywhere, and any s is valid.
+    # The small terms avoid 0 / 0 for concentric ellipsoids (r = 0), for which F is 0 everywhere and any s is valid.
     s = (hp + 1e-300) / (hp + hq + 2e-300)
     # Convert the coefficients to powers of s, for Horner's rule.
     d = d0, d1 - 3.0 * d0, 3.0 * d0 - 2.0 * d1 + d2, d3 - d0 + d1 - d2
@@ -80,7 +80,7 @@ def newton_step(d, q, s):
     g = slope_f * value_d - f * slope_d
     slope_g = bend_f * value_d - f * bend_d
     t = s - g * value_d / (slope_g * value_d - 2.0 * g * slope_d)
-    # F is concave, so a step past the end is simply clamped; a NaN (from r = 0) becomes the lower guard.
+    # F is concave, so a step past the end is simply clamped; a NaN (from r = 0) becomes `low`.
     low = 0.125 * s
     high = 0.875 + 0.125 * s
     return minimum(maximum(t, low), high)
@@ -191,7 +191,7 @@ def nearness(P, Q, r, n, s, sigma_a, sigma_b, size):
     # Level of each point in its own ellipsoid: the width, plus the effect of rounding P n.
     level_a = u * (width_p + SHAPE_ROUNDINGS * trace(P) * length / sigma_a)
     level_b = s * (width_q + SHAPE_ROUNDINGS * trace(Q) * length / sigma_b)
-    # The difference of the two points, computed as r - K n; it is zero in exact arithmetic.
+    # The difference between the two points, computed as r - K n, is zero in exact arithmetic.
     gap = r[0] - u * Pn[0] - s * Qn[0], r[1] - u * Pn[1] - s * Qn[1], r[2] - u * Pn[2] - s * Qn[2]
     slack = sqrt(dot(gap, gap)) + position_error(size, UNIT_ROUNDOFF)
     common = level_b + slack / sigma_b

@@ -51,7 +51,7 @@ def _slope(P, Q, r, s):
         u * P[3] + s * Q[3], u * P[4] + s * Q[4], u * P[5] + s * Q[5],
     )  # fmt: skip
     A = adjugate(K)
-    # For needles no digit of the determinant is correct, perhaps not even its sign. The adjugate is accurate, so the
+    # For needles, no digit of the determinant is correct, perhaps not even its sign. The adjugate is accurate, so the
     # direction of n is correct.
     inverse = 1.0 / absolute(K[0] * A[0] + K[1] * A[1] + K[2] * A[2])
     n = scaled(inverse, apply_symmetric(A, r))

@@ -38,7 +38,7 @@ def contact_of_pair(F1, F2, r):
     P, Q = shape_matrix(F1), shape_matrix(F2)
     loss = max(_loss(P), _loss(Q))
     if loss <= TRUSTED_LOSS:
-        # Lengths in units of E1's size keep the cubes of the determinants in range.
+        # Lengths in units of E1's size keep the cubes of the determinants within the range of doubles.
         k = 1.0 / (P[0] + P[3] + P[5])
         h = math.sqrt(k)
         value, s = contact(

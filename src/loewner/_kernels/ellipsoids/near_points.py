@@ -113,7 +113,7 @@ def exit_of_ray(G, p, e):
     a, b, c = dot(v, v), dot(v, w), min(dot(w, w) - 1.0, 0.0)
     root = math.sqrt(b * b - a * c)
     if b > 0.0:
-        return -c / (b + root)  # the same number as below, but without cancellation
+        return -c / (b + root)  # equals the result below, but without cancellation
     return (root - b) / a
 
 
@@ -296,7 +296,7 @@ def lin_han(F1, G1, F2, G2, r, angle):
     iterations : int
     status : int
     """
-    # The radius of curvature on the surface is at least smin²|A x|, with A = GᵀG: a ball of this radius stays inside.
+    # The radius of curvature at x is at least smin²|A x|, with A = GᵀG, so a ball of this radius fits inside at x.
     k1 = 1.0 / largest_eigenvalue(G1)
     k2 = 1.0 / largest_eigenvalue(G2)
     p1, p2 = (0.0, 0.0, 0.0), r
@@ -356,14 +356,14 @@ def _newton(F1, G1, F2, G2, r, last, angle):
         a1, a2 = dot(e1, w), dot(e2, w)
         steepness = math.sqrt(a1 * a1 + a2 * a2)
         distance = math.sqrt(dot(w, w))
-        # x2 - x1 has rounding errors relative to r and, through the direction of Fᵀn, to |F|²/h, so angles cannot be
-        # resolved more finely.
+        # The rounding errors of x2 - x1 are proportional to r and, through the direction of Fᵀn, to |F|²/h. They limit
+        # how finely angles can be resolved.
         rounding = 8.0 * EPS * (size + square1 / h1 + square2 / h2)
         if steepness <= rounding or between(w, n) <= angle:
             if gap > 0.0:
                 return x1, x2, distance, iteration, SEPARATE
             if gap >= -rounding:
-                return x1, x1, 0.0, iteration, OVERLAP  # apart by less than a rounding error, so they touch
+                return x1, x1, 0.0, iteration, OVERLAP  # within a rounding error of touching: counts as touching
             break
         if iteration >= PLAIN_STEPS + NEWTON_STEPS:
             break

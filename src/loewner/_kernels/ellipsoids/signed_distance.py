@@ -47,16 +47,16 @@ DAMPING_LIMIT = 1e3  # damping, relative to the size, above which a step no long
 MAX_SWEEPS = 12  # Jacobi's method needs 3 or 4 sweeps
 MAX_SECULAR = 60  # the secular equation usually takes 4 or 5 steps
 
-# Relative gap that the proof of a global minimum may leave open, and largest number of intervals that it may examine.
-# The rounding error of D itself is about 1e-15. Both are choices, not bounds: they affect the reported gap.
+# Largest relative gap that the proof of a global minimum may leave, and largest number of intervals it may examine. The
+# rounding error of D itself is about 1e-15. Both constants are choices, not bounds: they affect the reported gap.
 PROOF_GAP = 1e-11
 MAX_INTERVALS = 600
 GROWTH = 16.0  # factor between the distances of successive intervals from the minimum, in log r
 _STACK = 160
 
 # The proof by an inner ellipsoid requires that M - h s is positive definite by a margin: SPARE times h s, plus
-# PIVOT_ROUNDINGS roundings of the trace of M, about twice the rounding of its entries and pivots. Both are choices, not
-# bounds: no verdict depends on them.
+# PIVOT_ROUNDINGS roundings of the trace of M (about twice the rounding of M's entries and pivots). Both constants are
+# choices, not bounds: no verdict depends on them.
 SPARE = 1e-3
 PIVOT_ROUNDINGS = 64.0
 
@@ -146,7 +146,7 @@ def descend(FA, FB, c, n, size):
     for _ in range(MAX_STEPS):
         if slope <= rounding:
             break
-        # The step leads downward only if the least eigenvalue is positive.
+        # The step leads downward only if the least eigenvalue of the Hessian is positive.
         mean = 0.5 * (h11 + h22)
         half = 0.5 * (h11 - h22)
         spread = np.sqrt(half * half + h12 * h12)
@@ -189,7 +189,7 @@ def _inner_shape(FA, FB, n):
     a0, a1, a2 = apply(FA, u), apply(FA, e), apply(FA, g)
     e, g = across(v)
     b0, b1, b2 = apply(FB, v), apply(FB, e), apply(FB, g)
-    # The rotation or reflection that remains free in O is chosen to maximise the sum of a1 · b1 and a2 · b2.
+    # Choose the rotation or reflection that remains free in O so that it maximises the sum of a1 · b1 and a2 · b2.
     one, two = dot(a1, b1) + dot(a2, b2), dot(a1, b2) - dot(a2, b1)
     three, four = dot(a1, b1) - dot(a2, b2), dot(a1, b2) + dot(a2, b1)
     mirrored = three * three + four * four > one * one + two * two
@@ -240,7 +240,7 @@ def descend_eight(FA, FB, c, n, size, wanted):
     for _ in range(MAX_PLAIN):
         if movemask(going) == 0:
             break
-        # The step leads downward only if the least eigenvalue is positive.
+        # The step leads downward only if the least eigenvalue of the Hessian is positive.
         half = 0.5 * (h11 - h22)
         lowest = 0.5 * (h11 + h22) - sqrt(half * half + h12 * h12)
         lift = maximum(1e-3 * slope - lowest, 0.0)
@@ -358,7 +358,7 @@ def boundary_depth(m0, m1, m2, x, y, z):
     w2 = z / (g2 + t) if a2 > 0.0 else 0.0
     level = m0 * w0 * w0 + m1 * w1 * w1 + m2 * w2 * w2
     if t == 0.0 and level < 1.0:
-        # The hard case: c has no component along the shortest axis, so the normal may lean to either side of it.
+        # The hard case: c has no component along the shortest axis, so the normal may lean to either side of this axis.
         lean = np.sqrt((1.0 - level) / least) if least > 0.0 else 1.0
         if g0 == 0.0:
             w0 = lean
@@ -457,7 +457,7 @@ def global_minimum(FA, FB, c, n, size):
     if is_least(FA, FB, n, h):
         return n, h, h, slope
 
-    # Branch and bound over r. The bound is tightest near the known minimum, and the intervals grow away from it.
+    # Branch and bound over r. The bound is tightest near the known minimum, so intervals farther from it are larger.
     small_a, large_a = _axes(P, V)
     small_b, large_b = _axes(Q, V)
     first, last = 0.5 * small_a / large_b, 2.0 * large_a / small_b

@@ -15,14 +15,14 @@ WORD = 64
 # Numbers stored for a candidate: its center, its axis, the inverse squared length of the axis, and its radius.
 ROWS = 8
 
-# An exchange compares the candidates of one point on about SEEN missed points.
+# An exchange compares the candidates of one point on a sample of about SEEN missed points.
 SEEN = 128
 
 # Largest number of exchanges for each initially chosen candidate, and number of exchanges after which a candidate may
 # be dropped again.
 STEPS_EACH, WAITS = 50, 3
 
-# Stride through the missed points, which is a prime.
+# Stride through the missed points: a prime number.
 STRIDE = 7919
 
 
@@ -177,7 +177,7 @@ def _exchange(count, steps, by_point, by_candidate, missed, chosen, found):
     dropped first, until some are.
     """
     m = len(by_candidate)
-    # How many chosen candidates hold each point, and the sum of their indices: the index itself if there is only one.
+    # How many chosen candidates hold each point, and the sum of their indices (for a single candidate, its index).
     held, holder = np.zeros(count, np.int64), np.zeros(count, np.int64)
     # The weights of the points, which are integers; and for each chosen candidate, the total weight of the points that
     # no other chosen candidate holds.

@@ -60,7 +60,7 @@ def center_in(A, b, x, frame, shift, negligible):
         if not whiten(A, slack, work, frame):
             shift[:] = 0.0
             return UNBOUNDED
-        # In the frame the Hessian is the identity, so the Newton step is minus the sum of the rows.
+        # In this frame, the Hessian is the identity, so the Newton step is minus the sum of the rows.
         for j in range(n):
             z[j] = 0.0
         for i in range(m):

@@ -51,7 +51,7 @@ STEP_CAP = 0.9999
 CENTRING_FLOOR = 1e-15
 MAX_ITERATIONS = 100
 MAX_ROUNDS = 200
-# Up to DIRECT_LIMIT points, the solver takes all of them; for more, an active set is faster (measured: from about 60).
+# The solver takes all points if there are at most DIRECT_LIMIT; for more, an active set is faster (from about 60).
 DIRECT_LIMIT = 64
 # A point leaves the active set when its weight is below LIGHT and its squared radius below NEAR.
 LIGHT = 1e-6
@@ -332,7 +332,7 @@ def spread_points(points, flatness, chosen, origin, frame):
         for k in range(n):
             norm += basis[j, k] * basis[j, k]
         widest = max(widest, np.sqrt(norm))
-        # Two coordinates in the same place may differ by up to 2 n roundings of the largest coordinate.
+        # Rounding alone can give a width of up to 2 n roundings of the largest coordinate.
         if not width > max(flatness * widest, 4.0 * n * ROUNDING * size):
             return FLAT, j, width, widest
         orthonormalise(basis[j], basis, j, n)
@@ -530,7 +530,7 @@ def fit_outer(points, tol, flatness, center, factor):
     far = np.empty(2 * n)
     far_at = np.empty(2 * n, np.int64)
     iterations = 0
-    # The first rounds only look for the points that matter, so they need not be solved to the end.
+    # The first rounds only look for the points that matter, so an inaccurate solution suffices in them.
     inner_tol = 0.25 * tol if direct else max(0.25 * tol, 0.01)
     gap = np.inf
     for _ in range(MAX_ROUNDS):
@@ -546,7 +546,7 @@ def fit_outer(points, tol, flatness, center, factor):
             center[j] = origin[j] + value
         if direct:
             break
-        # Points up to this far out cost at most half the tolerance; points farther out join the set.
+        # Points with a squared radius up to exp(tol / n) cost at most half the tolerance; farther points join the set.
         reach = farthest_by_sector(points, center, factor, exponential(tol / n), far, far_at)
         fresh = 0
         for j in range(2 * n):

@@ -65,11 +65,11 @@ BLOCK = 128  # piece pairs that are settled together
 
 NEWTON_STEPS = 12
 
-# Error of squared widths, and of levels through P n, that a shape matrix causes, in units of the roundoff times trace
-# |n|². The bound serves both precisions; its derived values are for single precision, in which they are larger.
+# Errors that a shape matrix Q causes in squared widths nᵀQn and in Qn, in units of the roundoff times trace(Q) |n|² and
+# trace(Q) |n|. The constant serves both precisions; its derived values are the larger ones, for single precision.
 SHAPE_ERROR = SHAPE_ROUNDINGS / UNIT_ROUNDOFF  # certified.md B4, B5
 
-# A pair is given up only if F differs from 1 by at least SURE (SINGLE_SURE in single precision). The band costs little
+# A pair is given up only if F differs from 1 by at least SURE (SINGLE_SURE in single precision). This band costs little
 # and leaves room for the rounding of F (see `_doubt`). No proof depends on it, since such a pair is left OPEN.
 SURE, SINGLE_SURE = 1e-6, 2e-3
 
@@ -172,7 +172,7 @@ def rounded_size(a, reach_a, b, reach_b):
 def _clear(r, radii, size, margin, unit):
     """Mask of bounding spheres certainly farther apart than the margin."""
     far = radii + position_error(size, unit) + margin
-    # the second comparison is for squares that overflow
+    # The second comparison decides if squares overflow.
     widest = maximum(absolute(r[0]), maximum(absolute(r[1]), absolute(r[2])))
     return (dot(r, r) * (1.0 - 16.0 * unit) > far * far) | (widest * (1.0 - 8.0 * unit) > far)
 
@@ -190,7 +190,7 @@ def _best(P, Q, r):
     d, q, s = polynomials(P, Q, r)
     for _ in range(NEWTON_STEPS):
         s = newton_step(d, q, s)
-    s = select((trace(P) <= 0.0) | (trace(Q) <= 0.0), 0.5, s)  # for a point, K is singular at the maximum
+    s = select((trace(P) <= 0.0) | (trace(Q) <= 0.0), 0.5, s)  # K is singular at the maximum if an ellipsoid is a point
     return s, normal_at(P, Q, r, s)[1]
 
 

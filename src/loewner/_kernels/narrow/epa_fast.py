@@ -27,7 +27,7 @@ from loewner._kernels.pieces.shapes import rotation_of
 from loewner._kernels.simd.vectors import broadcast, load, mask_of, maximum, minimum, movemask, select, store
 from loewner._kernels.tolerances import POSITION_ROUNDINGS
 
-MAX_CORNERS = 1024  # per polytope; with more, transforming all corners to the world frame costs more than it saves
+MAX_CORNERS = 1024  # limit per polytope; with more, transforming all corners to the world frame does not pay off
 MAX_FACES = 64  # each face takes one bit of the masks; hulls of 20 points need 20 to 30
 MAX_POINTS = MAX_FACES // 2 + 2  # by Euler's formula
 
@@ -66,8 +66,8 @@ FOOT_SLACK = 1e-9
 # Indices of the points and the faces of the first shell.
 _P0, _P1, _P2, _P3 = 0, 1, 2, 3
 
-# The twin of each half-edge of the first shell. A face has three entries and an unused one; the faces are (1 2 3), (0 3
-# 2), (0 1 3) and (0 2 1).
+# The twin of each half-edge of the first shell. Each face has three entries and one unused entry; the faces are (1 2
+# 3), (0 3 2), (0 1 3) and (0 2 1).
 _FIRST_TWINS = (13, 5, 9, 0, 10, 1, 12, 0, 14, 2, 4, 0, 6, 0, 8, 0)
 
 THIRD = 1.0 / 3.0
@@ -334,7 +334,7 @@ def _expand(W, K, live, seen, w):
         offset = W[_OFFSET + last]
         if offset < least:
             nearest, least = last, offset
-    # Walk along the rim: the walk must return to its start after all of its edges, and not earlier.
+    # Walk along the rim: the walk must return to its start after all edges of the rim, and not earlier.
     back = 0
     g = last
     for _ in range(count):
@@ -440,7 +440,7 @@ def _witness(W, K, live, f, window, result):
     a, b, c = _foot(W, K, f)
     inside = min(a, min(b, c))
     if not inside >= 0.0:
-        # A parallelogram (a face spanned by two edges) is two triangles here, and f may be the wrong one of them.
+        # A parallelogram (a face spanned by two edges) is two triangles here, and f may be the wrong triangle.
         rest = _not_above(W, live, window)
         while rest != 0:
             g = _first_bit(rest)

@@ -322,10 +322,10 @@ def _expanded(A, B, shift, accuracy, first, work, result):
     for f in range(4):
         alive[f] = True
     if _flat_normal(S, error, result):
-        # Cores that span no volume (points, parallel segments) have depth zero: perpendicular to their plane or line,
-        # they already touch. The caller has the deepest points from GJK.
+        # Cores that span no volume (points, parallel segments) have depth zero: a shift perpendicular to their plane or
+        # line separates them at once. The caller has the deepest points from GJK.
         return NO_VOLUME, NO_VOLUME, False
-    # Faces 0..3 lie opposite corners 0..3; once oriented, each runs counter-clockwise seen from outside.
+    # Faces 0..3 lie opposite corners 0..3; once oriented, each face's corners run counter-clockwise seen from outside.
     if _volume(S) < 0.0:  # swap two corners so that the faces of the fixed table below point outward
         for c in range(9):
             S[0, c], S[1, c] = S[1, c], S[0, c]
@@ -394,8 +394,8 @@ def _expanded(A, B, shift, accuracy, first, work, result):
     # the best normal span a much finer face.
     if upper - lower > WITNESS_WINDOW * error and _fine_foot(A, B, shift, S, used, result):
         return lower, upper, astray
-    # Several faces may share the nearest plane; on curved pieces, thin faces lie within rounding of it. The face that
-    # contains the foot of the origin determines the witnesses.
+    # Several faces may share the nearest plane; on curved pieces, thin faces lie within rounding of this plane. The
+    # face that contains the foot of the origin determines the witnesses.
     window = lower + max(upper - lower, WITNESS_WINDOW * error)
     best = -np.inf
     for f in range(counts[0]):

@@ -63,7 +63,7 @@ PRODUCT_ERROR = 72.0  # certified.md B10
 # longest point's length.
 VOLUME_ERROR = 98.0  # certified.md B11
 SUM_ERROR = 632.0  # certified.md B12
-# Error of a determinant due to its points, in roundoffs times the lengths and the square of the longest point's length.
+# Error of a determinant due to its points' errors, in roundoffs times the lengths and the longest point's square.
 POINT_ERROR = 64.0  # certified.md B13
 
 SHORT = 1e-30  # directions with a smaller square are not trusted, since the square may lack digits
@@ -124,7 +124,7 @@ def put(memory, at, k, i, j, ka, kb, n):
 @inline
 def takes(layout, piece):
     """Whether the functions below take a piece."""
-    piece = np.uint64(piece)  # unsigned, so that it cannot count from the end
+    piece = np.uint64(piece)  # unsigned, since a signed index could count from the end
     return (layout[piece, KIND] == POLYTOPE) & (layout[piece, POINTS_TO] - layout[piece, POINTS_FROM] <= MOST)
 
 
@@ -224,7 +224,7 @@ def plane(sa, la, xa, i, Ta, r, sb, lb, xb, j, Tb, q, n):
     error = WIDTH_ERROR * SINGLE_ROUNDOFF * (np.float64(sa[i, REACH]) + np.float64(sb[j, REACH]))
     error += position_error(abs(tx) + abs(ty) + abs(tz), UNIT_ROUNDOFF)
     squared = x * x + y * y + z * z
-    # Longer vectors may overflow single precision.
+    # Squares above 1 / SHORT may overflow single precision.
     return (gap > error * np.sqrt(squared)) & (squared > SHORT) & (squared < 1.0 / SHORT)
 
 
@@ -280,7 +280,7 @@ def advance(A, B, C, E, two, three, f, g, h):
     B, C = selected(second, C, selected(third, E, B)), selected(second, E, selected(third, B, C))
     plane = two | three
 
-    # For a triangle, the origin is over its inside, or beyond edge A B or A C.
+    # For a triangle, the origin projects into the triangle, or lies beyond edge A B or A C.
     AB, AC = minus(B, A), minus(C, A)
     normal = cross(AB, AC)
     beyond_c = plane & (dot(cross(normal, AC), A) < 0.0)
@@ -289,7 +289,7 @@ def advance(A, B, C, E, two, three, f, g, h):
     swap = beyond_c & (dot(AC, A) < 0.0)
     B = selected(swap, C, B)
 
-    # For a line, the origin is beside its inside, or beyond A.
+    # For a segment, the origin projects into the segment, or lies beyond A.
     AB = minus(B, A)
     beside = dot(AB, A) < 0.0
     across = cross(cross(AB, A), AB)

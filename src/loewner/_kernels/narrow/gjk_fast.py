@@ -24,10 +24,10 @@ from loewner._kernels.simd.memory import Arena, floats
 from loewner._kernels.tolerances import LEAST_SQUARE, UNIT_ROUNDOFF
 
 DECIDE_ROUNDS = 24
-MEASURE_ROUNDS = 64  # hulls need six rounds, and at most twelve; curved pieces converge linearly
+MEASURE_ROUNDS = 64  # hulls usually need six rounds, and at most twelve; curved pieces converge linearly
 
-# A support point that is already in the simplex ends the search; its bounds must then agree
-# to within LAST_GAP times the error of a height.
+# A support point that is already in the simplex ends the search; the bounds on the distance must then agree to within
+# LAST_GAP times the error of a height.
 LAST_GAP = 16.0
 
 # If the squared sine at a corner of a triangle is below THIN, the triangle's normal is made orthogonal to the edges.
@@ -280,7 +280,7 @@ def measuring(supports):
         p = scaled(-1.0 / np.sqrt(dot(n, n)), n)
         first = p
         k = 0
-        # The simplex b, c, e, newest point first, and the rounds in which its points were found.
+        # The simplex b, c, e (newest point first), and the rounds in which b, c and e were found.
         b = c = e = (0.0, 0.0, 0.0)
         from_b = from_c = from_e = 0
         largest = 0.0
@@ -306,7 +306,7 @@ def measuring(supports):
             closed = length - plane <= DISTANCE_TOLERANCE * length + ERROR_SHARE * error
             if r == 1:
                 if closed:
-                    continue  # the point is no nearer, and the plane is no bound for this direction
+                    continue  # the point is no nearer, and `plane` is not a bound for this direction
             else:
                 if plane - error > lower:
                     lower = plane - error
@@ -333,7 +333,7 @@ def measuring(supports):
                 if k == 3:
                     ab, ac, ae = minus(b, a), minus(c, a), minus(e, a)
                     face_bc = cross(ab, ac)
-                    # If positive, the origin lies beyond the face of b, c and the new point, opposite e.
+                    # The origin lies beyond the face of b, c and the new point, opposite e, if `beyond_e` is positive.
                     volume = dot(face_bc, ae)
                     sign = np.copysign(1.0, volume)
                     beyond_e = sign * dot(face_bc, a)
@@ -342,8 +342,8 @@ def measuring(supports):
                     count = (beyond_e > 0.0) + (beyond_b > 0.0) + (beyond_c > 0.0)
                     if count == 0:
                         doubt = VOLUME_ERROR * UNIT_ROUNDOFF * largest * largest * largest
-                        # The base, -|volume| minus the other three, must exceed its rounding error too: for flat
-                        # tetrahedra its sign is noise.
+                        # The base, -|volume| minus the other three products, must also be negative beyond its rounding
+                        # error: for flat tetrahedra, its sign is noise.
                         base = -(abs(volume) + beyond_e + beyond_b + beyond_c)
                         if beyond_e < -doubt and beyond_b < -doubt and beyond_c < -doubt and base < -doubt:
                             status = OVERLAPPING
@@ -382,7 +382,7 @@ def measuring(supports):
             if length <= reach:
                 status = TOUCHING
                 break
-            # Without progress, or too near contact for these products, leave the pair to `gjk_robust.run`.
+            # If there is no progress, or contact is too near for these products, `gjk_robust.run` must search the pair.
             if not (4.0 * error < length < before):
                 break
         if status == NEAREST:

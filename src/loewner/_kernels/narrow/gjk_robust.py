@@ -23,7 +23,7 @@ from loewner._kernels.pieces.shapes import placed_support, reach, rotation_of
 from loewner._kernels.tolerances import LEAST_SQUARE, UNIT_ROUNDOFF
 
 # Pairs of polytopes need only a few rounds, because they have finitely many vertices; curved pieces converge at least
-# linearly. This limit only excludes an endless loop.
+# linearly. MAX_ROUNDS only prevents an endless loop.
 MAX_ROUNDS = 512
 
 # A distance is final when its upper and lower bounds differ by less than DISTANCE_TOLERANCE times the distance, plus

@@ -55,18 +55,18 @@ GROWTH = 1.02
 # Half size of the box, in the ellipsoid's metric, in which a round searches for triangles.
 REACH = 6.0
 
-# Limit on the planes of a round. A plane represents all triangles beyond it, and triangles in front of it by up to
-# CLOSE times its distance. This factor doubles after every further STEP planes, so that there are never too many.
+# Limit on the planes of a round. A plane represents all triangles beyond it, and also triangles in front of it by at
+# most CLOSE times its distance. CLOSE is doubled after every further STEP planes, so that the limit suffices.
 MOST_PLANES = 120
 STEP = 20
 CLOSE = 0.01
 
-# A fit may meet triangles that a plane represents only nearly. Up to STEP triangles then get planes of their own, at
-# most REPAIRS times.
+# A fit may meet triangles that a plane represents only approximately. Up to STEP triangles then get planes of their
+# own, at most REPAIRS times.
 REPAIRS = 3
 
-# Number of seeds that grow as far as they can, since one large ellipsoid is worth most. Later seeds stay out of the
-# existing ellipsoids, up to planes at the distance BEYOND from the centers, in units of the semi-axes.
+# Number of seeds that grow as far as they can, since one large ellipsoid is worth most. Planes keep later seeds out of
+# the existing ellipsoids, at the distance BEYOND from their centers, in units of the semi-axes.
 UNCUT = 5
 BEYOND = 0.2
 
@@ -211,7 +211,7 @@ def least_in(mesh, child, center, G, first, last):
     a, b, c = walk.corners_of(mesh.tree.blocks, leaf_of(child))
     a, b, c = minus(a, center), minus(b, center), minus(c, center)
     bits = (1 << size_of(child)) - 1
-    for k in range(last - 1, first - 1, -1):  # a leaf seen before can only be beyond the new planes
+    for k in range(last - 1, first - 1, -1):  # newest first: only new planes can cover a leaf seen before
         n, edge = normal(mesh, k), mesh.edges[k]
         bits &= ~movemask((dot(a, n) >= edge) & (dot(b, n) >= edge) & (dot(c, n) >= edge))
         if bits == 0:
@@ -447,7 +447,7 @@ def find_seeds(mesh, wanted, seeds, radii):
     for i in range(wanted):
         t = min(np.searchsorted(cumulated, (i + 0.5) / wanted * area), len(cumulated) - 1)
         a, b, c = walk.corners_at(tree.blocks, t // LEAF * BLOCK, t % LEAF)
-        # Points in the triangle follow a sequence without gaps, since a triangle may be a whole side of the mesh.
+        # Points in the triangle follow a low-discrepancy sequence, since one triangle may be a whole side of the mesh.
         x = (0.5 + 0.7548776662466927 * i) % 1.0
         y = (0.5 + 0.5698402909980532 * i) % 1.0
         if x + y > 1.0:

@@ -254,7 +254,7 @@ def direction(S, k, v, d):
         sign = 1.0 if side >= 0.0 else -1.0
         d[0], d[1], d[2] = sign * nx, sign * ny, sign * nz
         _unit(d)
-        # A thin triangle's product is only roughly perpendicular to its edges. The longer edge is used last.
+        # A thin triangle's normal is only roughly perpendicular to the edges. Correct it along the longer edge last.
         if ux * ux + uy * uy + uz * uz > wx * wx + wy * wy + wz * wz:
             _without(d, wx, wy, wz)
             _without(d, ux, uy, uz)

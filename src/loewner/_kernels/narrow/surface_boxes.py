@@ -80,7 +80,7 @@ def is_solid(P):
     return P.layout[P.piece, KIND] == SOLID
 
 
-# Reads the tree of a surface at the address of the table of its arrays.
+# Reads the tree of a surface, given the address of the table of its arrays.
 tree_at = reader(record_kind(Tree, "S1 I1 F1 F1 S1"))
 
 

@@ -259,7 +259,7 @@ def _middle_gaps(a, b):
     n = minus(plus(plus(b[0], b[1]), b[2]), plus(plus(a[0], a[1]), a[2]))
     near = walk.least(dot(b[0], n), dot(b[1], n), dot(b[2], n))
     gap = maximum(near - walk.most(dot(a[0], n), dot(a[1], n), dot(a[2], n)), 0.0)
-    return gap * gap * BELIEVED / (dot(n, n) + 1e-300)  # the centers may coincide
+    return gap * gap * BELIEVED / (dot(n, n) + 1e-300)  # 1e-300 avoids 0 / 0 if the centers coincide
 
 
 @njit()

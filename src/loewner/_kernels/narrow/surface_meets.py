@@ -63,7 +63,7 @@ def surface_pair(A, B, near, far, memory, listed_at, room, steps=NO_LIMIT):
         AMBIGUOUS if pairs are open, or if it is open whether something lies within a solid.
     open_pairs : int
     """
-    # Addresses of NumPy arrays have another type; without this conversion, everything would be compiled again.
+    # Addresses of NumPy arrays have another integer type; without this conversion, everything would be compiled again.
     asked = Asked(near, far, np.int64(memory), np.int64(listed_at), room)
     walk.left_of(asked.memory)[0] = steps
     return _settled(A, B, asked) if is_surface(A) else _settled(B, A, asked)
@@ -143,7 +143,7 @@ def _leaves(A, B, child_a, child_b, shift, size, asked, open_pairs):
         if far == 0.0:
             bits &= ~beside
         else:
-            # If rounding exceeds the corners' own error, the search decides.
+            # Distances within eight corner errors of a limit are left to the search.
             squared = squared_distances(a, b)
             within = max(near - 8.0 * error, 0.0)
             beyond = far + 8.0 * error

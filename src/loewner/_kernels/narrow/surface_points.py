@@ -137,7 +137,7 @@ def _windings(a, q, i, j, k, backward, lean, size, memory):
         w0, w1, w2 = w0 * sign, w1 * sign, w2 * sign
         d0, d1, d2 = u0 * v1 - u1 * v0, u1 * v2 - u2 * v1, u2 * v0 - u0 * v2
         across = maximum(_largest(u0, u1, u2), _largest(v0, v1, v2))
-        # Error of a coordinate across the ray: the error of the point, and rounding of the lean times the length ahead.
+        # Error of a coordinate across the ray: the point's error, and the rounding of the slope times the length ahead.
         off = 2.0 * error + ahead * (4.0 * UNIT_ROUNDOFF)
         limit = across * (8.0 * off) + across * across * (8.0 * UNIT_ROUNDOFF)
         left = (d0 > limit) & (d1 > limit) & (d2 > limit)
@@ -180,7 +180,7 @@ def _count(bits):
 def nearest_point(A, x, size, memory):
     """Distance of a point, in the world's axes from the translation of A, from surface A, and its nearest point."""
     a, R = surface_of(A), rotation_of(A)
-    # Use A's axes, which may deviate from orthonormal ones by 1e-6; the triangles are already placed.
+    # Boxes are compared in A's axes, which may be off from orthonormal axes by 1e-6; triangles, in the world's axes.
     single = singles((dot((R[0], R[3], R[6]), x), dot((R[1], R[4], R[7]), x), dot((R[2], R[5], R[8]), x)))
     slack = np.float32(1e-5 * size)
     lanes, placed = walk.lanes_of(memory), walk.placed_of(memory)

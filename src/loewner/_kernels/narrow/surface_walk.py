@@ -23,7 +23,7 @@ from loewner._kernels.trees.triangle_tree import BLOCK, LEAF, LEVELS, WIDE, size
 # Error of a coordinate of a placed corner, in roundoffs of the lengths involved.
 CORNER_ERROR = 16.0 * UNIT_ROUNDOFF  # certified.md B36, B42
 
-# Poses may stretch lengths by 1e-6, and bounds are squared and rounded; BELIEVED times a squared lower bound is valid.
+# Poses may stretch lengths by 1e-6, and bounds are squared and rounded; BELIEVED times a squared bound stays valid.
 BELIEVED = 1.0 - 1e-5  # certified.md B41
 
 # Boxes are searched in the order of their squared lower bounds plus MIDDLES times the squared distance between
@@ -31,7 +31,7 @@ BELIEVED = 1.0 - 1e-5  # certified.md B41
 MIDDLES = 0.1
 
 STACK = 2 * LEVELS * WIDE  # number of entries, for two trees
-PLANES, PLANE = 4, 4  # number of kept planes; numbers of each plane: a normal and an offset
+PLANES, PLANE = 4, 4  # number of kept planes, and of numbers per plane: a normal and an offset
 PARTING = 14  # numbers that describe a plane between two surfaces at two poses, see `surface_swept`
 ORIGIN = (0.0, 0.0, 0.0)
 
@@ -43,7 +43,7 @@ MEMORY = Arena(
     placed=floats(3 * BLOCK),  # the corners of two leaves, one of them at two poses
     vertices=floats(gjk_fast.ENTRIES), result=floats(9),  # memory of a search
     planes=floats(PLANES * PLANE), parting=floats(PLANES * PARTING),
-    bounds=floats(STACK, 2),  # for each entry, a squared lower bound on the distance and the order of the search
+    bounds=floats(STACK, 2),  # for each entry, a squared lower bound on the distance, and the key that orders entries
     lanes=floats(2 * WIDE),
     first=TRIANGLE, second=TRIANGLE,
     left=integers(1),  # how many more steps walks may take

@@ -26,9 +26,9 @@ LEAF = 32  # a cell with at most LEAF vertices (four blocks) is not divided furt
 # Division stops when the leaves hold MOST_COPIES copies of a vertex on average; two or three are usual.
 MOST_COPIES = 8
 
-# Amount, relative to the largest coordinate, by which another vertex must be farther. Each of the two products with a
-# direction whose entries are at most 1 has an error of 9u; rounding that moves a direction into a neighbouring cell (by
-# 4u in two entries) changes them by 16u.
+# A cell omits a vertex only if another one is farther by CLEARANCE times the largest coordinate. Each of their two
+# products with a direction (entries at most 1) has an error of 9u; rounding that moves a direction into a neighbouring
+# cell, by 4u in two entries, changes the difference of the products by 16u.
 CLEARANCE = 64.0 * UNIT_ROUNDOFF  # certified.md B18
 
 

@@ -108,7 +108,7 @@ def _fill(made, chosen):
             if len(made.part_start) > 0:
                 part = _copy_parts(pack, first + n, made, piece + n, part)
         for n in range(WIDE * groups):
-            # A child is a group, or a piece if negative; an unused place has -1, or still leads to a piece of the body.
+            # A negative child is a piece, any other child a group; an unused place has -1, or still leads to a piece.
             child = pack.children[WIDE * from_group + n]
             if child >= 0:
                 child += group - from_group

@@ -7,9 +7,9 @@ from loewner._kernels.codes import LAST_ROW, NOT_FINITE, NOT_ORTHONORMAL, REFLEC
 from loewner._kernels.simd.vectors import ALL, LANES, absolute, gather_transpose, movemask
 from loewner._kernels.tolerances import ROTATION_TOLERANCE
 
-# Allowance for checking eight poses at once, whose roundings differ from the check of a single pose. The certificate
-# allows slightly more, so that every pose that fails also has a fault when it is checked alone; the search for faults
-# allows slightly less, so that it misses none.
+# Allowance for the check of eight poses at once, which rounds differently from the check of a single pose. The
+# certificate allows slightly more, so that every pose that fails also has a fault when it is checked alone; the search
+# for faults allows slightly less, so that it misses none.
 HAIR = 1e-9
 
 

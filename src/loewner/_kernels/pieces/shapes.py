@@ -98,7 +98,7 @@ def _asking(prefetch):
     @inline
     def ask(layout, vertices, piece):
         """Prefetch the vertices of a small polytope in single precision."""
-        piece = np.uint64(piece)  # unsigned, so that it cannot count from the end
+        piece = np.uint64(piece)  # unsigned, since a signed index could count from the end
         if layout[piece, KIND] == POLYTOPE:
             first, last = 3 * layout[piece, POINTS_FROM], 3 * layout[piece, POINTS_TO] - 1
             # Prefetch three blocks without a branch, as in `support.extent`.
@@ -130,7 +130,7 @@ def unit_support(kind, x, y, z):
         if length == 0.0:
             return 0.0, 0.0, np.copysign(1.0, z)
         return x / length, y / length, np.copysign(1.0, z)
-    if kind == CONE:  # compare the rim of its base with the apex: |xy| - z against z
+    if kind == CONE:  # compare the rim of the cone's base with its apex: |xy| - z against z
         if length == 0.0:
             return 0.0, 0.0, np.copysign(1.0, z)
         if z > length - z:

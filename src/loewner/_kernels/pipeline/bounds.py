@@ -357,12 +357,12 @@ def _first_upper_bounds(count, work):
         sigma_a, sigma_b = load(a.sigma, at), load(b.sigma, at)
         F, n = normal_at(P, Q, r, s)
         level, best, depth = nearness(P, Q, r, n, s, sigma_a, sigma_b, size)
-        # If the bound is NaN, use the centers, which are points of the ellipsoids, too.
+        # If the bound is NaN, use the centers, since they are also points of the ellipsoids.
         centers = sqrt(dot(r, r)) * (1.0 + 8.0 * UNIT_ROUNDOFF)
         best = select(best < np.inf, best, centers + SHAPE_ROUNDINGS * size)
         best = select(level <= 1.0, -maximum(depth, 0.0), best)
         store(queue.above, at, best)
-        # How the rounding of P n and Q n affects the levels, per length of n.
+        # Effect of the rounding of P n and Q n on the levels, per length of n.
         store(search.width_p, at, SHAPE_ROUNDINGS * trace(P) / sigma_a)
         store(search.width_q, at, SHAPE_ROUNDINGS * trace(Q) / sigma_b)
         _store_rows(search.n, at, n)
@@ -448,7 +448,7 @@ def write_bounds(count, operands, work):
         for _ in range(POLISH_ROUNDS):
             _polish_upper_bounds(count, work)
     for k in range(count):
-        if not queue.below[k] > -np.inf:  # NaN from an overflow: the weakest bound is still valid
+        if not queue.below[k] > -np.inf:  # NaN from an overflow: use the weakest bound, which is always valid
             queue.below[k] = -2.0 * queue.size[k]
 
 

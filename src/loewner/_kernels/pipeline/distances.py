@@ -60,7 +60,7 @@ SETTLED_CURVED = 1e-3
 
 NEVER = -1.0  # a tolerance at which no distance is settled
 
-# Allowed difference between a depth and its witnesses along the normal, relative to the lengths involved.
+# Allowed deviation of the vector between two witnesses from depth times normal, relative to the lengths involved.
 WITNESSES = 1e-5
 
 SETTLED_DISTANCE, NOT_SETTLED = 0, 1
@@ -221,7 +221,7 @@ def _distance_with_care(A, B, shift, n, error, inside, work, result):
         write_simplex(G, k, weights, d, result)
         return upper, upper - lower
     if k == 4:
-        # Only rounding leads here, when it made a flat simplex seem to contain the origin.
+        # This happens only if rounding made a flat simplex seem to contain the origin.
         return -np.inf, np.inf
     nx, ny, nz = result[0], result[1], result[2]
     write_simplex(G, k, weights, d, result)
@@ -310,9 +310,9 @@ def _of_surfaces(A, B, lane, queue, known, searches):
         A, B, _column(queue.normal, lane), limit, searches.faces, searches.edges, searches.surfaces, searches.result
     )
     if value == np.inf and not known <= above:
-        return Measured(np.inf, np.inf, NEVER, ra, rb)  # the ellipsoids prove that something is nearer
+        return Measured(np.inf, np.inf, NEVER, ra, rb)  # the ellipsoids prove that the pieces are nearer than this
     value = value - ra - rb
-    if value < 0.0:  # a depth is a lower bound in spite of rounding
+    if value < 0.0:  # the returned depth must be a lower bound in spite of rounding
         value = min(value + position_error(size, UNIT_ROUNDOFF), 0.0)
     return Measured(value, gap, SETTLED, ra, rb)
 
@@ -427,7 +427,7 @@ def _record(lane, queue, Ta, measured, result, exact):
     pairs = queue.pairs
     k, ka = pairs.pair[lane], pairs.pose_a[lane]
     value, gap, tolerance, ra, rb = measured
-    # The ellipsoids' bound may be better. A value far below this bound is not valid, even if its own bounds agree.
+    # The ellipsoids' bound may be better. A value far below their bound is not valid, even if its own bounds agree.
     gap = min(gap, abs(value - queue.below[lane]))
     if not gap <= tolerance * queue.size[lane]:
         exact.status[k] = NOT_SETTLED
@@ -463,8 +463,8 @@ def _room(kept, left):
     if kept + QUEUED <= len(left.pieces):
         return left
     more = Left(np.empty((2 * kept + QUEUED, LEFT_INTEGERS), np.int64), np.empty((2 * kept + QUEUED, LEFT_FLOATS)))
-    # Entries are copied by loops, here and elsewhere, since Numba would raise a Python error if the shapes of two
-    # arrays differed.
+    # Entries are copied by loops, here and elsewhere: for assignments of slices, Numba would add the Python error that
+    # it raises if shapes differ.
     for n in range(kept):
         for c in range(LEFT_INTEGERS):
             more.pieces[n, c] = left.pieces[n, c]
@@ -498,7 +498,7 @@ def _measure_many(wanted, k, ia, ka, ib, kb, operands, work, kept, left, bounds,
     steps = np.empty(piece_tree.STEPS, np.int64)
     numbers = np.empty(piece_tree.NUMBERS)
     piece_tree.begin(a, ia, operands.poses_a, ka, b, ib, operands.poses_b, kb, steps, numbers)
-    # With a first bound on the distance, the walk skips most pairs.
+    # The walk starts with a bound on the distance, so that it skips most pairs.
     i, j = piece_tree.nearest_centers(a, ia, b, ib, numbers, SEED_ROUNDS)
     pair_list.put(queue_of(queued_at(work)).pairs, 0, k, i, j, ka, kb)
     found = 1
@@ -558,7 +558,7 @@ def distance_range(wanted, start, stop, plan, rows, pack_a, Ta, pack_b, Tb, memo
     operands = Operands(pack_a, Ta, pack_b, Tb)
     a, b = pieces_of(pack_a), pieces_of(pack_b)
     shape, body_a, pose_a, body_b, pose_b = plan[0], plan[1], plan[2], plan[3], plan[4]
-    # The lists have no room at first: an array made here, even an empty one, would be an allocation in every query.
+    # The lists have no room at first, since making an array here, even an empty one, would allocate in every query.
     left = Left(integers_at(memory, (0, LEFT_INTEGERS)), floats_at(memory, (0, LEFT_FLOATS)))
     count, kept = 0, 0
     for k in range(start, stop):

@@ -59,7 +59,7 @@ ROUNDS = 256  # hulls need seven rounds; only motions that graze within the tole
 # Steps assume SHARE of the curvature that the bounds allow. The optimum is flat: 0.3 and 0.6 take 2 % more rounds. A
 # step that is not proven is multiplied by a factor from LEAST to REDUCED, see `_reduced`.
 SHARE, LEAST, REDUCED = 0.4, 0.3, 0.8
-REACHED = 0.5  # fraction of the widest step by which to go back from a plane that is not yet proven
+REACHED = 0.5  # fraction of the widest step by which to go back from an unproven plane, see `_reduced`
 
 # Fractions of the tolerance: how far from contact the last step but one ends, and how far apart the last two times may
 # be.
@@ -127,7 +127,7 @@ def write_motion(first, last, poses, row, motion):
         return False
     axis, angle = (0.0, 0.0, 1.0), 0.0
     if sine > 0.0 and not same:
-        # Compute the tangent of a quarter of the angle.
+        # Compute the angle from the tangent of its quarter.
         axis, angle = scaled(1.0 / sine, v), 4.0 * arc_tangent(sine, w + np.sqrt(sine * sine + w * w))
     # R exp(a [k]) = R k k' + sin(a) R [k] + cos(a) (R - R k k')
     k, Rk = axis, apply(R, axis)
@@ -245,7 +245,7 @@ def _look_at_surface(A, B, n, margin, far, memory):
         return verdict == COLLIDING, n, -np.inf, np.inf, n, n
     size, error = lengths(A, B, shift), rounding_error(A, B, shift)
     value, _ = surface_distance(A, B, n, 2.0 * size, faces_of(memory), edges_of(memory), work, result)
-    # The verdict for a slightly smaller distance proves it, or for one still smaller if faces are parallel.
+    # The verdict for a slightly smaller distance proves it; if faces are parallel, `keep` must be smaller still.
     share, keep, verdict = NEAR, 0.0, AMBIGUOUS
     while verdict != FREE and share < 1.0:
         keep = min(value, 2.0 * size) * (1.0 - share) - 4.0 * error
@@ -373,7 +373,7 @@ def _between_pieces(A, B, horizon, margin, tolerance, memory):
         w = at - t
         if r > 0:
             _place(motions, at, poses)
-            if at >= horizon and not surface:  # the current plane often holds to the end
+            if at >= horizon and not surface:  # the current plane often proves the rest of the motion
                 shift = shift_between(A, B)
                 low, _, _ = _gap_along(A, B, shift, normal, rounding_error(A, B, shift))
                 if min(gap, low - far) > lost_between(speed, bend, 0.0, w):
@@ -418,8 +418,8 @@ def _between_pieces(A, B, horizon, margin, tolerance, memory):
             if nearing > 0.0:
                 due, before = gap / nearing, BEFORE * tolerance / speed
                 last = (LAST * tolerance + gap) / speed
-                # Go beyond the expected contact, but at most as far again: a search that cannot settle such a shallow
-                # contact settles one nearer to touching.
+                # Go beyond the expected contact, by at most the time until it: a search that cannot settle such a
+                # shallow contact can settle a contact that is nearer to touching.
                 w = min(0.5 * (due + last), 2.0 * due) if due + before <= last else min(w, due - before)
         else:
             w = _reduced(w, gap, nearing, low, curve) if curve > 0.0 else 0.5 * w

@@ -63,7 +63,7 @@ FAR, CLOSE = 1, 2
 DISTINCT = 4  # no pair of bodies is listed twice, since each body is one piece
 CONSECUTIVE = 8  # the listed pairs are consecutive
 PREFETCHING = 16  # the list `ahead` contains the entries of a later block
-BEST = 32  # the pairs need the s at the maximum of the contact function, which the first guesses missed
+BEST = 32  # the first guesses of s missed the maximum of the contact function, which these pairs need
 
 AHEAD = 6  # piece pairs between the prefetch of their vertices and their use
 
@@ -265,7 +265,7 @@ def _search_one(query, k, i, j, ka, kb, normal, work, out, tally):
         query.a, i, query.poses_a, ka, query.b, j, query.poses_b, kb, query.margin, normal, NO_LIMIT, exact_of(work)
     )
     tally[tier] += 1
-    # In a body with many pieces, another pair may have been found colliding meanwhile.
+    # Another pair of pieces of the same bodies may have been found colliding meanwhile.
     if verdict != FREE and out[k] != COLLIDING:
         out[k] = verdict
 
@@ -487,7 +487,7 @@ def settle_range(mode, margin, start, stop, plan, rows, pack_a, Ta, pack_b, Tb, 
                     _picked(listed.pose_a, ahead.pose_a, more, rows, 0, k, stop, step[2])
                     _picked(listed.pose_b, ahead.pose_b, more, rows, 1, k, stop, step[3])
                 else:
-                    # Along the last axis the rows are arithmetic progressions.
+                    # Along the last axis, the rows are arithmetic progressions.
                     more = min(more, shape[last] - k % shape[last])
                     first = rows_of(k, shape, rows, body_a, body_b, pose_a, pose_b)
                     _progressions(work, count, more, k, first, step)
@@ -500,7 +500,7 @@ def settle_range(mode, margin, start, stop, plan, rows, pack_a, Ta, pack_b, Tb, 
                 return False
             waiting = carried[N_UNSURE]
             if waiting >= ENOUGH or (waiting > 0 and k == stop):
-                # The waiting pairs replace the block this time; their results do not predict those for later blocks.
+                # The waiting pairs replace this block; their results do not predict the results of later blocks.
                 carried[N_UNSURE] = 0
                 for lane in range(waiting):
                     pair_list.copy(listed, lane, unsure_of(work), lane)

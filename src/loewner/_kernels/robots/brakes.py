@@ -10,14 +10,14 @@ import numpy as np
 from loewner._kernels._jit import inline, njit
 from loewner._kernels.tolerances import UNIT_ROUNDOFF
 
-# Times closer together than NEAR times a brake's duration are merged, since rounding would affect such a short
-# piece.
+# Times closer together than NEAR times a brake's duration are merged, since rounding would affect a piece of this
+# length.
 NEAR = 1e-9
 
 # Steps of Newton's method, or of bisection, for the time at which a distance is covered.
 STEPS = 64
 
-# Allowed error, relative to the values, of the deviation between a brake and a single course for all of it.
+# Allowed error, relative to the values, of the deviation between a brake and a single course for the whole brake.
 WHOLE_ROUNDINGS = 128.0 * UNIT_ROUNDOFF  # certified.md, "Gates", derives 63 roundings
 
 

@@ -64,7 +64,7 @@ RUN = 1024  # pairs of pieces in a run
 
 _ROW = 10  # numbers of an ellipsoid: center, shape matrix, lengths from which they are computed
 _BODY = 7  # numbers of a body: middle of its ellipsoids' centers, their distance from it, extreme semi-axes, reach
-_MIDDLE = 4  # vectors of a body: the same middle in the world, and lengths
+_MIDDLE = 4  # vectors of a body: this middle in the world, and the lengths from which it is computed
 _ENTRY = 2  # vectors of a pair of pieces in a run: gap, and the s at the maximum of F
 _WHICH = 4  # integers of a pair: bodies and pieces
 _LEAST, _SUM, _TOTALS = 0, LANES, 2 * LANES
@@ -339,8 +339,8 @@ def clearances(gradient, softness, start, stop, Q, pack, problem_handle, memory,
                 continue
             for i in range(piece_start[one], piece_start[one + 1]):
                 for j in range(piece_start[other], piece_start[other + 1]):
-                    # A run ends after RUN pairs, excluded or not, because which pairs are excluded depends on the other
-                    # configurations.
+                    # Excluded pairs count towards a run's RUN pairs, so that runs end at the same pairs even though the
+                    # other configurations affect which pairs are excluded.
                     if passed // RUN > run:
                         _sum_up(count, gradient, softness, pack, problem_handle, memory, dof)
                         count, run = 0, passed // RUN

@@ -68,8 +68,8 @@ WAITING = 512  # piece pairs that may wait for the exact search
 
 GROUPS = MOST // SINGLE_LANES  # groups of sixteen configurations in a block
 
-# Numbers of pairs of bodies that are culled together. Small batches start with a group of FIRST pairs: these usually
-# collide, and the rest is then skipped.
+# How many pairs of bodies are culled together. Small batches start with a group of FIRST pairs: these usually collide,
+# and the other pairs are then skipped.
 TOGETHER, FIRST = 64, 4
 
 
@@ -89,8 +89,8 @@ MEMORY = Arena(
     steps=integers(piece_tree.STEPS),
     numbers=floats(piece_tree.NUMBERS),
     exact=raw(exact.SIZE),
-    codes=integers(TOGETHER * GROUPS),  # pairs left by bounds, with the first of their sixteen configurations
-    masks=integers(TOGETHER * GROUPS),  # the configurations among the sixteen, as bits
+    codes=integers(TOGETHER * GROUPS),  # pairs that bounds leave open, with the first of their sixteen configurations
+    masks=integers(TOGETHER * GROUPS),  # as bits, which of the sixteen configurations they leave open
     way=floats(MOST, DOF),  # configurations of a motion
     placed=integers(MOVING),  # whether moving bodies are placed
     placement=PLACEMENT,
@@ -216,7 +216,7 @@ def _search(query, held):
         margin, shift = margins[p], shift_between(A, B)
         widest = max(abs(shift[0]), abs(shift[1]), abs(shift[2]))
         if widest - rounding_error(A, B, shift) > reach(A) + reach(B) + margin:
-            # The pieces are apart. Beyond the range of single precision, the squares in the search would overflow.
+            # The pieces are apart. The search is skipped, since its squares may exceed the range of single precision.
             tiers[s] = max(tiers[s], BY_OUTER)
             continue
         verdict, tier, _ = exact_piece_pair(
@@ -267,7 +267,7 @@ def _certify(query, keep, count, held):
         if not certificate.certify_best(
             count, keep, pieces.hot, poses, True, pieces.hot, poses, True, listed, tier, normals
         ):
-            tier[:count] = OPEN  # an overflow made the pose of a link non-rigid: nothing is proven about it
+            tier[:count] = OPEN  # an overflow made the pose of a link non-rigid, so no pair of the list is proven
     refined = query.mode == CERTIFY and has_parts(pieces)
     for lane in range(count):
         code = listed.pair[lane]
@@ -295,7 +295,7 @@ def _certify(query, keep, count, held):
             _mark_open(query, s)
     if _ended(query):
         return 0
-    # This is the last step, since it writes its own lists to `listed`.
+    # Settle waiting pairs last, since this writes its own lists to `listed`.
     if held > WAITING - BLOCK:
         held = _settle_waiting(query, held)
     return held
@@ -421,7 +421,7 @@ def _settle_block(query, Q, first, last, S):
             p = _pair(codes[n])
             one, other = problem.pairs[p, 0], problem.pairs[p, 1]
             if problem.margins[p] != keep:
-                # All pairs of a list have the same margin.
+                # All pairs of a list must have the same margin.
                 if count > 0:
                     held = _certify(query, keep, count, held)
                     count = 0

@@ -51,12 +51,12 @@ from loewner._kernels.simd.vectors import (
 )
 from loewner._kernels.tolerances import UNIT_ROUNDOFF
 
-# Rounding error of a computed deviation, per joint, in units of the lengths times one plus the squares of the turns.
+# Rounding error of a deviation, in units of n (1 + D² + θ²) q, times L for positions, with the letters of certified.md.
 LINE_ROUNDINGS = 256.0 * UNIT_ROUNDOFF  # certified.md B55
 
 SPARE = 1e-9  # relative allowance for the rounding of third derivatives and of lengths, see docs/certified.md
 
-MIDDLE = 0.125  # largest value of s (1 - s) / 2: bounds a curve's distance from its chord over its second derivative
+MIDDLE = 0.125  # largest value of s (1 - s) / 2; times a second derivative, it bounds the distance from the chord
 
 # Largest number of Newton steps towards a configuration; a good guess needs three.
 STEPS = 32
@@ -68,8 +68,8 @@ NEARLY = 0.01
 # shorter.
 SHARE, GROWTH, SHRINKING = 0.85, 4.0, 64.0
 
-# The shortest motion, as a fraction of the line; and the longest line [m], on which the shortest motions are at most
-# 0.15 m long.
+# The shortest motion, as a fraction of the line; and the longest line [m], on which the shortest motions are about 0.15
+# m long.
 LEAST_MOTION, LONGEST = 2.0**-16, 1e4
 
 # The largest angle of a line [rad]: at half a turn, rounding would decide which way around is shorter.

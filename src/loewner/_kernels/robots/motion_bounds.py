@@ -44,8 +44,8 @@ SMALLEST_TURN = 1e-15  # rad; larger than the error of the angle between two equ
 
 
 # All control points of a quaternion must extend along the first one by at least LEAST_NORM times their largest norm;
-# otherwise the orientation might turn arbitrarily fast. Any two points of such a course extend along each other, which
-# is the condition on its parts.
+# otherwise, the orientation might turn arbitrarily fast. Any two points of such a course then form an acute angle,
+# which is all that is required of the course's parts.
 LEAST_NORM = 0.75
 
 
@@ -168,7 +168,7 @@ def _orientation(course, at, width):
         turn, astray = _arc(course, at)
         return turn, 0.0, SLERP_ROUNDINGS + NORM_SHARE * astray
     p = _derivatives(course, at, 4, width)
-    # All control points extend at least this far along the first one, and so does the curve.
+    # All control points extend at least this far along the first one, and so do all points of the curve.
     least = np.inf
     for k in range(course.shape[0]):
         reached = 0.0
@@ -364,7 +364,7 @@ def ways_between(tables, rates, body, link, fixed):
     for k in range(down_from, down_to):
         joint = tables.path_link[k]
         turn, slide = rates.turn[joint], rates.slide[joint]
-        # Seen from this side, the joint first slides.
+        # On this side, a joint slides before it turns, so its own turn counts as well.
         bend += 2.0 * slide * rest
         rest = max(rest - turn, 0.0)
         travel += rates.far[joint]
@@ -372,7 +372,7 @@ def ways_between(tables, rates, body, link, fixed):
         bend += far * (turn + 2.0 * rest)
         bend += rates.turning[joint] * (reach[body, joint] + travel) + rates.sliding[joint]
         speed += far + slide
-    # Rounding error of `rest` from the differences: a few roundings of the whole, for each joint.
+    # The differences that make up `rest` add a few roundings of `every` for each joint.
     return Ways((bend + 1e-12 * every * speed) * UPWARD, speed * UPWARD, every * UPWARD, turning * UPWARD, travel)
 
 

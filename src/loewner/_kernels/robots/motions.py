@@ -94,8 +94,8 @@ from loewner._kernels.trees.piece_tree import open_group, reach_of
 FIRST_OFF = 0.02
 MOST_BLOCKS = MOST_INTERVALS // 7
 
-# Slightly more than the distance at which `collide` may report contact, so that it reports no configuration of a free
-# motion.
+# Slightly more than the distance (in rounding errors) at which `collide` may report contact, so that `collide` does not
+# report contact at any configuration of a free motion.
 CLEAR_ROUNDINGS = TOUCH_ROUNDINGS + 64.0  # certified.md B32
 
 # An interval that fails is AMBIGUOUS once its points move by less than DECIDED times the tolerance; the rest of the
@@ -105,7 +105,7 @@ DECIDED = 0.5
 # If joints may stray, an interval is settled once its points move by less than SETTLED_STRAY times V(δ).
 SETTLED_STRAY = 0.125
 
-# Strays that move no point by more than ROUNDED_STRAY times the tolerance count as rounding, such as the strays of
+# Strays count as rounding if they move no point by more than ROUNDED_STRAY times the tolerance, as is the case for
 # bodies that follow a motion.
 ROUNDED_STRAY = 1e-3
 
@@ -118,12 +118,12 @@ LISTED = 128
 LISTED_WAYS = 6 * LANES
 _NORMALS = LANES
 
-# Number of pairs of surfaces in a block whose answers are kept for their other parts, and how many integers each pair
-# has.
+# Number of pairs of surfaces in a block whose answers are kept for other parts of the same surfaces, and number of
+# integers for each pair.
 ANSWERS, ANSWER = 64, 5
 
-# Number of pairs that are tested before the bounds for whole blocks are compared; planners put the pairs that collide
-# often there.
+# Number of pairs that are tested before the bounds for whole blocks are compared; planners put pairs that often collide
+# first.
 FIRST_PAIRS = 4
 
 # If the ellipsoids of two pieces are nearer to each other than DEEP times the distance at which they touch, the pieces
@@ -132,11 +132,11 @@ DEEP = 0.7
 
 PARTS = 8  # parts into which an interval is cut at once
 
-# Factors by which the work for triangles may grow: MORE after one cut, MOST_MORE after two or if no cut is left.
+# Factors by which the work for triangles may grow: MORE after one cut, MOST_MORE after two or if no cut follows.
 MORE, MOST_MORE = 8, 64
 
-# A cut divides a width by eight, and fractions of 1 have 53 bits, so after seventeen cuts there is no number between
-# the ends.
+# A cut divides a width by eight, and fractions of 1 have 53 bits, so an interval can be too narrow for another cut
+# after seventeen cuts.
 DEPTH = 19
 STACK = 4 * DEPTH  # a halved interval leaves one part waiting, three times for each cut
 
@@ -253,8 +253,8 @@ MEMORY = Arena(
     order=integers(PAIRS),  # order of the pairs
     off=floats(DOF),  # allowed deviations of the values from the motion
     strays=_RATES,  # the resulting deviations of joints
-    growth=floats(MOVING + STANDING, 2),  # how far points of bodies may be off at the start [m], and how this grows
-    most_growth=floats(3),  # likewise for all static bodies, then whether any body may be off
+    growth=floats(MOVING + STANDING, 2),  # how far bodies' points may be off at the start [m], and how fast this grows
+    most_growth=floats(3),  # likewise for all static bodies, and then whether any body may be off
 )  # fmt: skip
 _times_of, _scratch_of, _relative_of, _waiting_of, _waiting_normals_of = MEMORY.accessors(
     "times scratch relative waiting waiting_normals"
@@ -723,7 +723,7 @@ def _halve(motion, near, back, low, high, n, tally):
         if last - first == 1:
             a, b = times[depth, first], times[depth, last]
             if depth + 1 >= DEPTH or not (a < a + (b - a) / PARTS < a + (b - a) * (1.0 - 1.0 / PARTS) < b):
-                return AMBIGUOUS, a, False  # there is no number between the two
+                return AMBIGUOUS, a, False  # there is no room for eight parts between the two times
             at = depth * _POSES
             both = at + PARTS + 1
             _cut(motion, near, depth + 1, a, b, poses, at + first, at + last, poses, both + first, both + last)
@@ -1229,7 +1229,7 @@ def _settle_block(motion, low, high, found, tally):
         swept.done[body] = 0
     found = _settle_pairs(motion, low, widest, found, tally)
     if found.verdict == MAY_BE_HIT:
-        # The motion is not FREE. From now on bodies are at their given poses, and only a collision counts.
+        # The motion is not FREE. From now on, bodies are at their given poses, and only a collision counts.
         _growth_of(motion)[:] = 0.0
         _most_growth_of(motion)[:] = 0.0
         found = _settle_pairs(motion, low, widest, Found(AMBIGUOUS, found.t, found.pair), tally)
@@ -1276,14 +1276,14 @@ def _settle_pairs(motion, low, widest, found, tally):
             if live == 0:
                 continue
             if motion.strays:
-                # Both values bound how far the two bodies can approach each other.
+                # Both values bound how much nearer to each other strays can bring the two bodies.
                 stray = min(stray, _stray(motion, one, problem.link[one], problem.link[other]))
                 slack += stray
             seen = _ways(motion, False, one, problem.link[one], problem.link[other])
             bend, speed = seen.bend, seen.speed
             live &= near_moving(problem, one, other, margin + slack + bend * widest * widest / 8.0, swept, scratch)
         if speed == 0.0 and _margin(motion, pair)[1] == 0.0:
-            live &= 1  # the pair does not change along the motion
+            live &= 1  # the two bodies do not move relative to each other
         if live != 0:
             found, count = _list_pair(motion, pair, live, bend, speed, slack, stray, found, count, tally)
             if _hit(found):
@@ -1305,7 +1305,7 @@ def _certify(motion, tally):
     rounding = 8.0 * off + 4.0 * tables.chain[2] * length
     rounding += CLEAR_ROUNDINGS * position_error(4.0 * length, UNIT_ROUNDOFF)
     skew = 2.0 * turned + 2.0 * tables.chain[2]
-    astray = 2.0 * (1.0 + skew) * (turns * length + slides)  # for all joints together, and any two bodies
+    astray = 2.0 * (1.0 + skew) * (turns * length + slides)  # for all joints together and any two bodies
     if astray < ROUNDED_STRAY * motion.tolerance:
         rounding, strays = rounding + astray, False
     motion = Motion(

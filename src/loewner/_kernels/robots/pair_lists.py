@@ -36,7 +36,7 @@ BALL, STANDING, STANDING_ROWS, STANDING_POSES = (
 PATH_START, PATH_LINK, REACHES, EXACT_ROWS, SIZES, ORDER, GROUP_START, GROUP_PAIRS, GROUPS, CHAIN = MOTION_ROWS.values()
 
 # Cosines of eighths of a turn, at which a joint's rotation is compared with an orthonormal one. The difference is a sum
-# of waves of up to twice the angle, and its maximum is less than twice the largest of eight samples.
+# of waves in the angle and in twice the angle, so its maximum is less than twice the largest of eight samples.
 _DIAGONAL = math.sqrt(0.5)
 COSINES = 1.0, _DIAGONAL, 0.0, -_DIAGONAL, -1.0, -_DIAGONAL, 0.0, _DIAGONAL
 

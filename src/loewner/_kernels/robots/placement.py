@@ -178,7 +178,7 @@ def _place_pieces(pieces, ball, body, R, t, S, at, to, write):
     center, half = found.outer, _half_widths(found)
     wide = (OFF * found.length + LEAST) + ball[body, 3] * UP
     if piece_start[body + 1] - p > 1:
-        # This box around the ball's center contains the boxes of the pieces if there are few, and the ball otherwise.
+        # This box around the ball's center contains the pieces' boxes if there are few pieces, and the ball otherwise.
         center = plus(apply(R, (ball[body, 0], ball[body, 1], ball[body, 2])), t)
         length = (absolute(t[0]) + absolute(t[1]) + absolute(t[2]) + ball[body, 4]) * UP
         wide = wide + OFF * length

@@ -32,7 +32,7 @@ HALF, INSIDE = 3, 6
 # Columns of bodies: the link in the model, the robot's link that has its pose, and the cluster of all its pieces.
 LINK, PLACED_BY, ROOT = 0, 1, 2
 
-# Columns of joints: how they move, the length of the axis along which they slide, rotation, translation and unit axis.
+# Columns of joints: how they move, the norm of a sliding joint's axis vector, rotation, translation and unit axis.
 # Integer columns: the link above, and the number of links above. The columns of speeds on a motion come last.
 TURNS = 1.0
 MOVES, LENGTH, TURN, SHIFT, AXIS = 0, 1, 2, 11, 14
@@ -42,10 +42,10 @@ RATE, BEND, OFF, FAR = 0, 1, 2, 3
 # Tokens of the trees.
 HALVED, FIRST_DIVIDED, SECOND_DIVIDED, SAME, AXES, NORMAL, DOUBLES = 0, 1, 2, 3, 4, 16, 18
 
-# Largest depth of a tree, which keeps the digits of intervals few; checkers allow 64 levels.
+# Largest depth of a tree, which limits the digits of an interval's ends; checkers allow 64 levels.
 DEEPEST = 40
 
-# Factor on the lengths of the right-hand side, as room for checkers that compute with enclosures.
+# Factor that enlarges the required gaps, as room for checkers that compute with enclosures.
 SHARE = 1.0 + 2e-9
 
 # The entries of a normal are rounded to integers of at most LARGEST. Rounding turns the normal, so SCALES scales are
@@ -70,8 +70,8 @@ LEVELS = 6
 KEPT = 1 << LEVELS
 SLOTS = KEPT + 1 + DEEPEST
 
-# For each pair, `state` has the side and the last normal that a search found, and the token and the last plane named;
-# then the sides and the normals that are given. GJK finds no normal for pieces that touch or overlap.
+# For each pair, `state` holds the side and the normal that a search found last (RECENT), the token and the plane that
+# were named last (NAMED), and given sides and normals (GIVEN). GJK finds no normal if pieces touch or overlap.
 RECENT, NAMED, GIVEN, EACH = 0, 4, 8, 4
 
 
@@ -583,7 +583,7 @@ def _settled(model, pair, clusters, sides, width, limits, deep, still, state, sc
         SHARE * (pair.margin + pair.deviation[1] + pair.curvature[1] * square),
     )
     if not deep:
-        # No gap is larger than the distance of two points of the bodies.
+        # No gap is larger than the distance between any point of one body and any point of the other.
         p, q = _three(model.boxes, clusters[0], INSIDE), _three(model.boxes, clusters[1], INSIDE)
         first = minus(image(sides.turns[0][0], sides.shifts[0][0], q), p)
         last = minus(image(sides.turns[0][1], sides.shifts[0][1], q), p)

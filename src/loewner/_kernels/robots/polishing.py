@@ -27,7 +27,7 @@ from loewner._kernels.simd.memory import held
 # Fractions of the steps that cut and that move a corner; all other steps straighten a joint.
 CUTS, MOVES = 0.2, 0.6
 
-# Corners are left out before every SKIP_EVERY-th step.
+# Before every SKIP_EVERY-th step, corners are left out where possible.
 SKIP_EVERY = 32
 
 # Size of a move, as a fraction of the corner's distance from the straight path: lower and upper limits, and factors

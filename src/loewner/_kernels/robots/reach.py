@@ -80,10 +80,10 @@ DAMPING, LEAST_DAMPING = 0.02, 1e-24
 
 LONGEST = 1.0  # rad; the largest turn of a joint in a step
 
-# After every PATIENCE steps, a seed is abandoned unless its squared error has fallen below GAIN times the old one.
+# After every PATIENCE steps, a seed is abandoned unless its squared error has fallen below GAIN times the previous one.
 PATIENCE, GAIN = 6, 0.7
 
-# Two solutions are the same if they differ by less than SAME in every value [rad or m].
+# Two solutions count as the same if they differ by less than SAME in every value [rad or m].
 SAME = 1e-4
 
 FAULTS = 6  # coordinates of a link's deviation from its target

@@ -150,7 +150,7 @@ def _swept(kind, center, radius, axis):
     """The farthest reach of a ball from a joint's axis, and the ball about the region swept as the joint turns."""
     if kind in (FIXED, PRISMATIC):
         return 0.0, center, radius
-    # A floating or ball joint may turn about any axis through its origin, so its own axis is set to 0.
+    # A floating or ball joint may turn about any axis through its origin, so its `axis` is 0 here.
     onto = scaled(dot(axis, center), axis)
     r = minus(center, onto)
     far = np.sqrt(dot(r, r)) + radius
@@ -286,7 +286,7 @@ def _place(pieces, problem, tables, moving, k, balls):
         rows[row, INVERSE_INNER_SIGMA] *= UP
         for column in range(HOT):  # numbers that are too large become infinite and certify nothing
             problem.standing_rows[row, column] = rows[row, column]
-        # The box of a piece is no larger than the box of its ellipsoid or the box of its corners.
+        # A piece lies in the box of its ellipsoid and, if it is a polytope, in the box of its corners.
         more = SHAPE_ROUNDINGS * (shape[0] + shape[3] + shape[5])
         half = np.sqrt(shape[0] + more), np.sqrt(shape[3] + more), np.sqrt(shape[5] + more)
         low, high = minus(center, half), plus(center, half)

@@ -388,7 +388,7 @@ def share_of_roots(typingctx, x, y):
     return signature(x, x, y), generate
 
 
-# After this is added to an integer, the lowest bits contain the number plus the bias of exponents.
+# After this is added to an integer, the lowest bits contain the integer plus the bias of exponents.
 _TO_EXPONENT = 1.5 * 2.0**52 + 1023.0
 
 
@@ -590,7 +590,7 @@ def gather_transpose_single(typingctx, table, width, rows, at, column):
 
 
 # LLVM's number is 3 for the first-level cache and 2 for the second-level cache. Only two dozen lines can be pending in
-# the first, and more in the second.
+# the first-level cache, and more in the second-level cache.
 _FIRST_LEVEL, _SECOND_LEVEL = 3, 2
 
 

@@ -209,7 +209,7 @@ def begin_motion(thread, most, moving, bends, state, items, capacity):
     at = add_to(items, 0, parts)
     if at + parts > capacity:
         raise_to(state, thread, LEFT_OPEN)
-        # Write as many as fit, since every listed interval is read.
+        # Write as many intervals as fit, since every listed interval is read.
         parts = max(0, min(parts, capacity - at))
     k = 0
     while k < parts:

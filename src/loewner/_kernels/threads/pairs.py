@@ -62,7 +62,7 @@ def _row_of(k, plan, axes, operand):
     axis = axes - 1
     while axis > 0:
         length = integer_at(plan, axis)
-        # Numbers of pairs fit into 31 bits, and a GPU needs four times as long for 64-bit divisions.
+        # Divide in 32 bits: numbers of pairs fit into 31 bits, and 64-bit divisions take a GPU four times as long.
         above = np.int64(np.uint32(k) // np.uint32(length))
         row += (k - above * length) * integer_at(plan, operand * axes + axis)
         k = above

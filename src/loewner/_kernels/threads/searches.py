@@ -134,7 +134,7 @@ def _farthest_of_curve(core, n):
     elif core.kind == CYLINDER or core.kind == CONE:
         length = sqrt(maximum(m[0] * m[0] + m[1] * m[1], tiny))
         around = 1.0 / length
-        if core.kind == CONE:  # compare its base circle with its apex: |xy| - z against z
+        if core.kind == CONE:  # compare the cone's base circle with its apex: |xy| - z against z
             apex = m[2] > length - m[2]
             around, along = select(apex, nought, around), select(apex, lane_of(1.0), lane_of(-1.0))
     elif core.kind != SEGMENT:
@@ -215,7 +215,7 @@ def search(upper, first, last, swept, lower, n, keep, off):
             B = A
         else:
             f, g, h, base, normals = faces(A, B, C, E)
-            # The origin is inside, farther from the faces than the error of a point.
+            # The origin is inside if it is farther from all faces than the error of a point.
             cube = SINGLE_ROUNDOFF * largest * sqrt(largest)
             last_normal = cross(minus(E, B), minus(C, B))
             inside = (f < -_slack(normals[0], point_off, VOLUME_ERROR * cube)) & three

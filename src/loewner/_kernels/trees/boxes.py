@@ -29,12 +29,12 @@ LEVELS = 22  # 8^22 > 2^63: more levels than any index can need
 # The curve has 2^20 steps along each axis; the size class takes the next four bits.
 STEPS = np.uint64(20)
 SIZE_CLASSES = 16
-SIZE_RATIO = 0.25  # bodies of one class differ by up to this ratio in size
+SIZE_RATIO = 0.25  # ratio between the size limits of successive classes
 
 DIGIT = np.uint64(11)  # bits per pass of the radix sort
 PASSES = 6
 
-# The largest bound of a box. Boxes that fill up a group start at infinity, so they meet none.
+# The largest bound of a box. Boxes that pad a group start at infinity, so they meet no box.
 MOST = 1.7e308
 
 

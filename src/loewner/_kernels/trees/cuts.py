@@ -20,12 +20,12 @@ from loewner._kernels.simd.vectors import LANES, broadcast, highest, load, lowes
 from loewner._kernels.trees.triangle_tree import principal
 
 # Assumed thickness of a flat part, relative to the whole; of a flat box, relative to its longest side, so that the
-# shorter of two equal areas is chosen; and of a flat ellipsoid, which needs little, relative to its longest side and to
-# the coordinates.
+# shorter of two boxes with equal areas is chosen; and of a flat ellipsoid, relative to its longest side and to the
+# coordinates.
 THICKNESS, FLAT_BOX, FLAT_OVAL, DIGITS = 0.01, 0.01, 1e-4, 1e-8
 
-# Each side of a cut gets at least one in LEAST_SHARE items. With one in 16, successive cuts leave three quarters of a
-# part, and no more is proven.
+# Each side of a cut gets at least one in LEAST_SHARE items. With 16 instead, each cut would often leave three quarters
+# of a part on one side, without proving more.
 LEAST_SHARE = 4
 
 # Largest number of triangles that suggest axes; number of directions in which points of a hull are sought; and number
@@ -36,11 +36,11 @@ MOST_ASKED, LOOKS, MOST_EDGES = 128, 64, 8
 # a cut.
 BINS, FEW, MANY = 128, 32, 512
 
-# Bound on the rounding of a rotation and its inverse, by a matrix that is orthonormal up to a few roundings.
+# Bound on the rounding error of rotating, and rotating back, by a matrix that is orthonormal up to a few roundings.
 TURN_ROUNDINGS = 128 * 2.0**-53
 
-# Rounds of the search for a small ellipsoid, its least semi-axis relative to the box, and an allowance for rounding:
-# coordinates relative to the box are off by 1e-7 at most.
+# Number of rounds in the search for a small ellipsoid, least semi-axis of the ellipsoid relative to the box, and an
+# allowance for rounding, since coordinates relative to the box are off by at most 1e-7.
 ROUNDS, LEAST_AXIS, WIDER = 24, 1e-2, 1.0 + 1e-3
 
 # Least factor of the ellipsoid's shape, for parts whose points all coincide.
@@ -224,7 +224,7 @@ def _measure(corners, n, part, thick, grown, numbers):
         best = _along_faces(some, count, middle, least, best)
         for k in range(first, last):
             v = _normal(corners, n, k)
-            # Count triangles as thin slabs: a flat box has a volume, too, which triangles far apart do not fill.
+            # Count triangles as thin slabs: a flat box then has a volume, too, and triangles far apart do not fill it.
             filled += thick * 0.5 * np.sqrt(dot(v, v))
     low, high = _box(corners, n, first, last, best)
     for c in range(9):
@@ -436,7 +436,7 @@ def _divided(corners, n, order, begin, items, along, key, rest, lists):
         order[start + k] = order[np.uint64(ahead[k])]
     for k in range(count):
         order[start + kept + k] = begin[k]
-    # Equal items, or middles that differ by rounding, may all be on one side; any cut is then as good.
+    # If items are equal, or their centers differ by rounding, all may be on one side; any other cut is then as good.
     return first + np.int64(kept) if kept > 0 and count > 0 else middle
 
 

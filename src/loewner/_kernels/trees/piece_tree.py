@@ -199,7 +199,7 @@ def nearest_centers(a, ia, b, ib, numbers, rounds):
     i = a.piece_start[ia]
     for _ in range(rounds):
         best = np.inf
-        # Squared distance of a's center from b's center, in b's frame.
+        # Find the piece of a whose center is nearest to the center of piece j, in b's frame.
         for piece in range(a.piece_start[ia], a.piece_start[ia + 1]):
             squared = 0.0
             for row in range(3):

@@ -42,11 +42,11 @@ OVAL = 9 * WIDE  # numbers of the ellipsoids
 # Numbers of a box while the tree is built: its lower corner, its upper one negated, and two zeros.
 BOX = 8
 
-BINS, FEW_BINS, MANY = 16, 8, 256  # FEW_BINS are used for at most MANY triangles
+BINS, FEW_BINS, MANY = 16, 8, 256  # FEW_BINS bins are used for at most MANY triangles
 DEEP = 40  # after this number of splits, ranges are halved, so that no tree is deeper than LEVELS
 LEVELS = DEEP + 28  # enough to halve 2^31 triangles down to leaves
 
-MOST_BELOW = 80  # triangles below a node whose boxes are all, or nearly all, leaves
+MOST_BELOW = 80  # largest number of triangles below a node whose boxes are all, or nearly all, leaves
 
 # Least relative thickness of an ellipsoid, and the factor by which it is wider than its corners require, since single
 # precision can turn it by a part in ten million.
@@ -294,8 +294,8 @@ def _enclose(vertices, triangles, order, first, last, turns, ellipsoids, at):
             xx, xy, xz, yy, yz, zz = xx + p * p, xy + p * q, xz + p * r, yy + q * q, yz + q * r, zz + r * r
     radius = np.sqrt(radius) + _LEAST
     U, spread = principal(xx / count, xy / count, xz / count, yy / count, yz / count, zz / count, turns)
-    # Half widths along the axes, however accurate these are: a direction without width still gets the bound on
-    # rounding.
+    # Half widths along the axes, which need not be accurate: a direction in which the corners have no width still gets
+    # the least thickness.
     least = FLATTEST * np.sqrt(max(spread[0], max(spread[1], spread[2]))) + _LEAST
     a, b, c = (
         np.sqrt(max(spread[0], 0.0)) + least, np.sqrt(max(spread[1], 0.0)) + least, np.sqrt(max(spread[2], 0.0)) + least
@@ -472,7 +472,7 @@ def _bin(box, n, axis, low, scale, used):
 @njit()
 def _split_by_rank(box, order, first, last, axis, halve):
     """Split boxes by their middles along an axis: into equal parts, or into two leaves at least cost."""
-    # Use Shell's sort, which is the shortest code; ranges to halve are either short or pathological.
+    # Use Shell's sort, which needs the least code; ranges to halve are either short or pathological.
     gap = 1
     while gap < (last - first) // 3:
         gap = 3 * gap + 1
