@@ -144,7 +144,7 @@ static PyObject *pairs_classify(Pairs *self, PyObject *const *given, Py_ssize_t 
 
 /* -- distances ----------------------------------------------------------------------------------------------------- */
 
-/* Indices of the numbers and the vectors of a `loewner.Distance`, in its order. */
+/* Indices of the numbers and of the vectors of a `loewner.Distance`, in the order of its fields. */
 enum { LOWER, UPPER, ESTIMATE, VALUE, NUMBERS };
 enum { WITNESS_A, WITNESS_B, NORMAL, VECTORS };
 static const char *const field_texts[NUMBERS + VECTORS] = {

@@ -180,7 +180,7 @@ static int rises(const int64_t *starts, int64_t count, int64_t total)
 
 /* -- packs --------------------------------------------------------------------------------------------------------- */
 
-/* Check the nodes of a large hull (`directions.py`), which follow its vertices: two numbers for each, `room` in all. */
+/* Check the nodes of a large hull (`directions.py`), which follow its vertices: two numbers per node, `room` in all. */
 static loewner_status check_nodes(const double *nodes, int64_t room, int64_t vertices)
 {
     int64_t count = room / 2;

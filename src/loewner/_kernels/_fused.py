@@ -63,7 +63,7 @@ def _name(kind: str) -> str:
 def _of_function(text: str, used: set[str]) -> str:
     """Rewrite the text of a function; `used` gains the kinds of numbers in fused products."""
     lines = text.split("\n")
-    uses = Counter(_VALUE.findall(text))  # the definition counts as a use
+    uses = Counter(_VALUE.findall(text))  # the definition of a name counts as a use
     products = dict[str, tuple[int, str, str]]()  # line and factors of each product in the current block
     for at, line in enumerate(lines):
         if not line.startswith(" "):
@@ -79,7 +79,7 @@ def _of_function(text: str, used: set[str]) -> str:
         product = next((one for one in (first, second) if one in products and uses[one] == 2), None)
         if product is None:
             continue
-        # x y + z; x y - z = x y + (-z); z - x y = (-x) y + z. Changing a sign is exact.
+        # The fused forms: x y + z, x y - z = x y + (-z), and z - x y = (-x) y + z. Changing a sign is exact.
         place, x, y = products.pop(product)
         z = second if product == first else first
         before = []

@@ -161,7 +161,7 @@ class _Cache(NullCache):
             why = f"cannot be read ({error.strerror or error})"
         except _sealed.DamagedFileError as error:
             key, why = error.args[0].stem, "is damaged"
-        except Exception as error:  # the file is sealed, but unusable
+        except Exception as error:  # the file is intact, but cannot be used
             why = f"is not understood ({type(error).__name__})"
         _say(f"{_store.path_of(key)} {why}; compiling it anew")
         with suppress(OSError):
@@ -218,8 +218,8 @@ class _Stored(CPUDispatcher):
         arguments, _ = normalize_signature(sig)
         if tuple(arguments) in self.overloads:
             return self.overloads[tuple(arguments)].entry_point
-        # The order matters: a thread that held a claim while it waited for the lock would block the thread that has the
-        # lock.
+        # Take the lock before the claim: otherwise, a thread could wait for the lock while it holds a claim for which
+        # the thread with the lock waits.
         with global_compiler_lock, self._cache.claimed(arguments, self.targetctx.codegen()):
             return super().compile(sig)
 

@@ -33,7 +33,7 @@ ALWAYS = ("_numba", "_jit", "_parts", "_fused", "simd/memory", "simd/scalars", "
 _IMPORT = re.compile(r"^ *(?:from|import) +loewner\._kernels([\w.]*)(?: +import +(\([^)]*\)|[^\n]*))?", re.MULTILINE)
 _PREFIX = "loewner._kernels"
 
-_edited: list[str] = []  # modules that were imported after an edit
+_edited: list[str] = []  # modules whose files were edited before they were imported
 
 
 @cache

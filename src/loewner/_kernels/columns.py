@@ -31,7 +31,7 @@ PART_OUTER, PART_INNER, PART_STOP, PARTS = 0, 1, 2, 3
 BLOCK = 8  # points in a block, see `pieces.support`
 CACHE_LINE = 64  # bytes
 
-# A polytope with more than LARGE vertices is MAPPED. With LARGE vertices or fewer, searching all of them is as fast.
+# A polytope with more than LARGE vertices is MAPPED. With fewer, searching all vertices is as fast as using a map.
 LARGE = 128
 DEEPEST = 14  # limit on divisions of a cell, since the vertices of a flat face share the cells around the face's normal
 GRID = 1 << DEEPEST
@@ -49,12 +49,12 @@ BOUNDS = 8  # columns of a row of bounds
 
 # -- robots on a GPU, described in `threads.configurations` ----------------------------------------
 
-# Columns of a link's int32 row, and columns of its float32 row after CONSTANTS; the last entry of each line is the
+# Columns of a link's int32 row, and columns of its float32 row after CONSTANTS; the last name on each line is the
 # length of the row.
 PARENT_OF_LINK, KIND_OF_LINK, COLUMN_OF_LINK, LINK_INTEGERS = 0, 1, 2, 4
 MULTIPLIER, OFFSET, BENT, LINK_CONSTANTS = CONSTANTS, CONSTANTS + 1, CONSTANTS + 2, 40
 
-# Columns of a body's int32 row, and of the ball around a moving body: center, radius, largest distance from the origin.
+# Columns of a body's int32 row, and of a moving body's ball: center, radius, largest distance from the body's origin.
 LINK_OF_BODY, FIRST_PIECE, LAST_PIECE, BODY_INTEGERS = 0, 1, 2, 4
 BALL_RADIUS, BALL_REACH, BALL_NUMBERS = 3, 4, 8
 
@@ -75,9 +75,9 @@ LEVER, CHAIN_NUMBERS = 2, 4
 # -- planners: state of the search for a path ------------------------------------------------------
 
 ITERATION = 0
-STARTS, GOALS = 1, 2  # configurations in the trees from the start and from the goals
+STARTS, GOALS = 1, 2  # numbers of configurations in the trees from the start and from the goals
 OF_START, OF_GOAL = 3, 4  # nodes at which the trees met
-MOTIONS = 5  # motions that were tried
+MOTIONS = 5  # number of motions that were tried
 RANDOM = 6  # state of the random numbers
 POSES, SEARCHES, STEPS_LEFT = 7, 8, 9  # tally of the proofs: poses, searches and remaining steps, see `robots.motions`
 ROWS = 10  # number of rows of the path, once the trees have met

@@ -12,7 +12,7 @@ POSITION_ROUNDINGS = 64.0 * UNIT_ROUNDOFF  # certified.md B3, B14, B19, B30, B33
 POSITION_ERROR = POSITION_ROUNDINGS / UNIT_ROUNDOFF  # certified.md B6
 
 # Allowed deviation of RᵀR from the identity (largest entry). It admits poses that passed through float32 (about 1e-7
-# for each product), and is far too small for an intended scale or shear.
+# for each product), but no intended scale or shear.
 ROTATION_TOLERANCE = 1e-6
 
 # Factor by which lengths, bounds and their sums are rounded up in single precision.

@@ -145,7 +145,7 @@ def separation(P, Q, r, n, size):
 def gap_bound(offset, width_p, width_q, length, size):
     """The bound of `separation` from n·r, the two outward widths and |n|."""
     bound = (offset - width_p - width_q) / length - position_error(size, UNIT_ROUNDOFF)
-    # The quotient itself is rounded, so step away from it in the safe direction.
+    # The division rounds as well, so the bound is lowered by more than this rounding.
     return bound - 8.0 * UNIT_ROUNDOFF * absolute(bound)
 
 

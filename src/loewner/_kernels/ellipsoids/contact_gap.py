@@ -98,7 +98,7 @@ def contact_gap(P, Q, r, s, size):
     `size` is the sum of the lengths from which r is computed. On overflow the bound is -inf.
     """
     _, _, n, _, _, _, _, _, _, _ = _slope(P, Q, r, s)
-    concentric = dot(r, r) <= 0.0  # any direction gives a valid bound
+    concentric = dot(r, r) <= 0.0  # for these, any direction gives a valid bound
     n = selected(concentric, (broadcast(1.0), broadcast(0.0), broadcast(0.0)), n)
     squared = dot(n, n)
     width_p, _ = outward_width(P, n, squared)

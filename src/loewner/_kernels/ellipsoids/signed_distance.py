@@ -51,7 +51,7 @@ MAX_SECULAR = 60  # the secular equation usually takes 4 or 5 steps
 # rounding error of D itself is about 1e-15. Both constants are choices, not bounds: they affect the reported gap.
 PROOF_GAP = 1e-11
 MAX_INTERVALS = 600
-GROWTH = 16.0  # factor between the distances of successive intervals from the minimum, in log r
+GROWTH = 16.0  # ratio between the distances of successive intervals from the minimum, in log r
 _STACK = 160
 
 # The proof by an inner ellipsoid requires that M - h s is positive definite by a margin: SPARE times h s, plus
@@ -335,7 +335,7 @@ def boundary_depth(m0, m1, m2, x, y, z):
     m0, m1, m2 = max(m0, least), max(m1, least), max(m2, least)
     g0, g1, g2 = m0 - least, m1 - least, m2 - least
     a0, a1, a2 = np.sqrt(m0) * abs(x), np.sqrt(m1) * abs(y), np.sqrt(m2) * abs(z)
-    t = max(0.0, max(a0 - g0, max(a1 - g1, a2 - g2)))  # where the largest term reaches 1, left of the root
+    t = max(0.0, max(a0 - g0, max(a1 - g1, a2 - g2)))  # start where the largest term is 1, left of the root
     for _ in range(MAX_SECULAR):
         q0 = a0 / (g0 + t) if a0 > 0.0 else 0.0
         q1 = a1 / (g1 + t) if a1 > 0.0 else 0.0

@@ -155,7 +155,7 @@ def fit_halfspaces(A, b, x, tol, negligible, center, factor, shift):
                 value -= A[i, j] * center[j]
                 error += abs(A[i, j] * center[j])
             error *= (n + 2) * ROUNDING
-            lam[i] /= slack[i]  # the multiplier of the scaled row, converted to the unit row
+            lam[i] /= slack[i]  # convert the multiplier from the scaled row to the unit row
             slack_low[i] = value - error
             slack[i] = value + error
         gap = inscribe(A, slack_low, slack, factor, lam)

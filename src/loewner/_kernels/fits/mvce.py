@@ -288,7 +288,7 @@ def spread_points(points, flatness, chosen, origin, frame):
     basis = np.zeros((n, n))
     differences = np.empty((n, n))
     direction = np.empty(n)
-    size = 0.0  # largest coordinate: its rounding error is the noise in every width
+    size = 0.0  # largest coordinate, whose rounding error affects every width
     widest = 0.0
     for j in range(n):
         # The coordinate axis that the basis covers least so far, made orthogonal to the basis (twice, since one pass
@@ -530,7 +530,7 @@ def fit_outer(points, tol, flatness, center, factor):
     far = np.empty(2 * n)
     far_at = np.empty(2 * n, np.int64)
     iterations = 0
-    # The first rounds only look for the points that matter, so an inaccurate solution suffices in them.
+    # The first rounds only look for the points that matter, so inaccurate solutions suffice.
     inner_tol = 0.25 * tol if direct else max(0.25 * tol, 0.01)
     gap = np.inf
     for _ in range(MAX_ROUNDS):

@@ -111,7 +111,7 @@ def fit_inner(vertices, normals, tol, outer_center, outer_factor, center, factor
             value += outer_factor[j, k] * x[k]
         center[j] = outer_center[j] + value
     for i in range(m):
-        lam[i] /= slack_high[i]  # the multiplier of the scaled row, converted to the unit normal
+        lam[i] /= slack_high[i]  # convert the multiplier from the scaled row to the unit normal
         if not many:
             slack_low[i], slack_high[i] = face_slacks(vertices, normals[i], center)
     if many:

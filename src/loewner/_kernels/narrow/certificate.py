@@ -66,7 +66,7 @@ BLOCK = 128  # piece pairs that are settled together
 NEWTON_STEPS = 12
 
 # Errors that a shape matrix Q causes in squared widths nᵀQn and in Qn, in units of the roundoff times trace(Q) |n|² and
-# trace(Q) |n|. The constant serves both precisions; its derived values are the larger ones, for single precision.
+# trace(Q) |n|. The constant covers both precisions; single precision has the larger errors.
 SHAPE_ERROR = SHAPE_ROUNDINGS / UNIT_ROUNDOFF  # certified.md B4, B5
 
 # A pair is given up only if F differs from 1 by at least SURE (SINGLE_SURE in single precision). This band costs little

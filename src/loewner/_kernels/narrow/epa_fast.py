@@ -28,7 +28,7 @@ from loewner._kernels.simd.vectors import broadcast, load, mask_of, maximum, min
 from loewner._kernels.tolerances import POSITION_ROUNDINGS
 
 MAX_CORNERS = 1024  # limit per polytope; with more, transforming all corners to the world frame does not pay off
-MAX_FACES = 64  # each face takes one bit of the masks; hulls of 20 points need 20 to 30
+MAX_FACES = 64  # each face takes one bit of a mask; hulls of 20 points need 20 to 30 faces
 MAX_POINTS = MAX_FACES // 2 + 2  # by Euler's formula
 
 # The flat workspace holds the corners of A and of B (x, y and z in rows of MAX_CORNERS), the normals and offsets of the
@@ -310,7 +310,7 @@ def _expand(W, K, live, seen, w):
         f = _first_bit(rest)
         rest &= rest - 1
         for e in range(3):
-            # Write every side, but keep only sides whose other face stays, so that there is no branch to predict.
+            # Write every side; the next side overwrites it unless the face beyond it stays. This avoids a branch.
             twin = K[_TWIN + 4 * f + e]
             K[_RIM + count] = twin
             K[_RIM_FROM + count] = K[_ORIGIN + 4 * f + e]
@@ -385,7 +385,7 @@ def overlap_depth(A, B, n, W, K, result):
     lower, upper : float
         Bounds on the depth to within rounding; `upper` belongs to the support plane of the normal.
     """
-    # Inlined, so that only three arrays are passed; passing the arrays of A and B would take as long as this function.
+    # This function is inlined, since passing the arrays of A and B would take as long as the function itself.
     shift = shift_between(A, B)
     error = rounding_error(A, B, shift)
     corners_a = A.layout[A.piece, POINTS_TO] - A.layout[A.piece, POINTS_FROM]

@@ -144,7 +144,7 @@ def _flat_normal(S, error, result):
     if long <= 4.0 * error:
         nx, ny, nz = 1.0, 0.0, 0.0
     elif area <= 4.0 * error * long:
-        # For a line, take any perpendicular direction.
+        # If the points lie on a line, take any direction perpendicular to this line.
         if abs(ex) <= abs(ey) and abs(ex) <= abs(ez):
             nx, ny, nz = 0.0, -ez, ey
         elif abs(ey) <= abs(ez):

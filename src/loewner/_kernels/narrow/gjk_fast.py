@@ -128,7 +128,7 @@ def decide(A, B, shift, W, ends, n, error):
     first = n
     p = negated(n)
     k = 0
-    # The simplex consists of the newest point a and the points that remain among the older b, c, e.
+    # The simplex consists of the newest point a and of up to three older points b, c, e.
     b = c = e = (0.0, 0.0, 0.0)
     largest = 0.0
     for _ in range(DECIDE_ROUNDS):

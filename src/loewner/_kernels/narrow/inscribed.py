@@ -66,11 +66,11 @@ CLOSE = 0.01
 REPAIRS = 3
 
 # Number of seeds that grow as far as they can, since one large ellipsoid is worth most. Planes keep later seeds out of
-# the existing ellipsoids, at the distance BEYOND from their centers, in units of the semi-axes.
+# most of each existing ellipsoid; in units of the semi-axes, BEYOND is their distance from the ellipsoid's center.
 UNCUT = 5
 BEYOND = 0.2
 
-# Allowed gap of the fits in log-volume: the fits lose less volume than the planes exclude.
+# Allowed gap of the fits in log-volume. It costs less volume than the planes exclude.
 FIT_TOLERANCE = 1e-3
 
 # Point of an ellipsoid, in units of its semi-axes, at which the winding number is computed.

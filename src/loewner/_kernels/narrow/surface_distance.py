@@ -95,11 +95,11 @@ def _between_pieces(A, B, shift, n, memory, result):
         return above, above - below
     G, weights, v, d = np.empty((4, 9)), np.empty(4), np.empty(3), np.empty(3)
     _, below, above, k = run(A, B, shift, n, 0.0, False, G, weights, v, d)
-    radii = radius(A) + radius(B)  # radii that `run` subtracts
+    radii = radius(A) + radius(B)  # `run` subtracts these radii
     if k == 4:  # the cores have a point in common; `run` has not written its weights
         above = -radii
         weigh_inside(G, weights, v)
-    below = max(below, -radii)  # cores that certainly intersect do not get here
+    below = max(below, -radii)  # cores that certainly intersect were settled before
     write_simplex(G, k, weights, d, result)
     return above + radii, above - below
 

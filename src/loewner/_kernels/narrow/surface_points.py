@@ -20,8 +20,8 @@ from loewner._kernels.trees.triangle_tree import BLOCK, LEAF, ROWS, WIDE, leaf_o
 # Where a point may lie, in order of increasing danger.
 OUTSIDE, UNKNOWN, WITHIN = 0, 1, 2
 
-# Slopes of rays towards the two other axes, since a ray along an axis would meet many edges of typical meshes. Each of
-# six rays changes the slopes by a further tenth, and both stay positive.
+# Slopes of rays, which run near one axis, towards the other two axes: a ray along an axis would meet many edges of
+# typical meshes. Each of six rays changes the slopes by a further tenth, and both slopes stay positive.
 LEAN_I, LEAN_J = 0.07391, 0.61803
 
 

@@ -23,7 +23,7 @@ from loewner._kernels.simd.vectors import lowest, maximum, minimum, movemask, ne
 from loewner._kernels.trees.triangle_tree import BLOCK, LEAF, WIDE, leaf_of, size_of
 
 # Limits on the searches for one interval and on the steps of the walk: beyond these, halving the interval is faster.
-# Short intervals get a multiple of both limits, since in their halves just as many triangles may come near.
+# Short intervals get a multiple of both limits, since just as many triangles may come near in each of their halves.
 MOST_SEARCHES, MOST_STEPS = 256, 4096
 
 # An entry of the stack is the number of a box, shifted by ENTRY bits, plus ALL or the number of one of the leaf's

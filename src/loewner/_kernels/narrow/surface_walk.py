@@ -364,7 +364,7 @@ def unit(n):
 def keep_plane(B, shift, R, n, size, planes, k):
     """Keep as plane k, in the axes R of a surface's frame, a lower bound on the places of B along n."""
     length = np.sqrt(dot(n, n))
-    if not 0.0 < length < np.inf:  # then write a plane with nothing beyond it
+    if not 0.0 < length < np.inf:  # n has no direction: write a plane with nothing beyond it
         planes[PLANE * k], planes[PLANE * k + 1], planes[PLANE * k + 2] = ORIGIN
         planes[PLANE * k + 3] = -np.inf
         return

@@ -136,7 +136,7 @@ def unit_support(kind, x, y, z):
         if z > length - z:
             return 0.0, 0.0, 1.0
         return x / length, y / length, -1.0
-    return np.nan, np.nan, np.nan  # for a kind without a branch above, nothing may be proven
+    return np.nan, np.nan, np.nan  # a kind without a branch above: NaN, so that nothing is proven
 
 
 @inline

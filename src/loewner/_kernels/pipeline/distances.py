@@ -414,7 +414,7 @@ def measure_late(late, operands, queued, left, exact):
         ra, rb = radius(A), radius(B)
         missed = _miss(result, value + ra + rb)
         if np.isnan(missed) or (value < 0.0 and missed > WITNESSES * queue.size[lane]):
-            tolerance = NEVER  # a depth that its witnesses do not confirm, or points that are not numbers
+            tolerance = NEVER  # a depth that its witnesses do not confirm, or witnesses that are not numbers
         _record(lane, queue, Ta, Measured(value, gap, tolerance, ra, rb), result, exact)
 
 
@@ -427,7 +427,7 @@ def _record(lane, queue, Ta, measured, result, exact):
     pairs = queue.pairs
     k, ka = pairs.pair[lane], pairs.pose_a[lane]
     value, gap, tolerance, ra, rb = measured
-    # The ellipsoids' bound may be better. A value far below their bound is not valid, even if its own bounds agree.
+    # The ellipsoids' bound may be better. A value far below it is not valid, even if the search's bounds agree.
     gap = min(gap, abs(value - queue.below[lane]))
     if not gap <= tolerance * queue.size[lane]:
         exact.status[k] = NOT_SETTLED
@@ -463,8 +463,8 @@ def _room(kept, left):
     if kept + QUEUED <= len(left.pieces):
         return left
     more = Left(np.empty((2 * kept + QUEUED, LEFT_INTEGERS), np.int64), np.empty((2 * kept + QUEUED, LEFT_FLOATS)))
-    # Entries are copied by loops, here and elsewhere: for assignments of slices, Numba would add the Python error that
-    # it raises if shapes differ.
+    # Entries are copied by loops, here and elsewhere, because an assignment of slices, compiled by Numba, would raise a
+    # Python error if their shapes differed.
     for n in range(kept):
         for c in range(LEFT_INTEGERS):
             more.pieces[n, c] = left.pieces[n, c]

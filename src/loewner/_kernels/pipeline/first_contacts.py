@@ -56,8 +56,8 @@ NEARLY_HALF_TURN = 1e-6
 
 ROUNDS = 256  # hulls need seven rounds; only motions that graze within the tolerance need all of them
 
-# Steps assume SHARE of the curvature that the bounds allow. The optimum is flat: 0.3 and 0.6 take 2 % more rounds. A
-# step that is not proven is multiplied by a factor from LEAST to REDUCED, see `_reduced`.
+# Steps assume the fraction SHARE of the curvature that the bounds allow. The optimum is flat: 0.3 and 0.6 take 2 % more
+# rounds. A step that is not proven is multiplied by a factor from LEAST to REDUCED, see `_reduced`.
 SHARE, LEAST, REDUCED = 0.4, 0.3, 0.8
 REACHED = 0.5  # fraction of the widest step by which to go back from an unproven plane, see `_reduced`
 
@@ -406,7 +406,7 @@ def _between_pieces(A, B, horizon, margin, tolerance, memory):
                 return FREE, horizon, np.inf, r
         elif r == 0:
             break
-        # Even at full speed, the gap takes some time to close.
+        # Even at full speed, the gap does not close before t + gap / speed.
         if (hit - t) * speed - gap <= tolerance:
             return COLLIDING, min(t + gap / speed, hit), hit, r
         if horizon < 1.0 and (horizon - t) * speed <= tolerance:  # t is within the tolerance of the known contact

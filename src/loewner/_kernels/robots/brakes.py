@@ -14,7 +14,7 @@ from loewner._kernels.tolerances import UNIT_ROUNDOFF
 # length.
 NEAR = 1e-9
 
-# Steps of Newton's method, or of bisection, for the time at which a distance is covered.
+# Largest number of Newton or bisection steps in the search for the time at which a distance is covered.
 STEPS = 64
 
 # Allowed error, relative to the values, of the deviation between a brake and a single course for the whole brake.

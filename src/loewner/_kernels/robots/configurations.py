@@ -74,7 +74,7 @@ TOGETHER, FIRST = 64, 4
 
 
 MEMORY = Arena(
-    listed=pair_list.arena(BLOCK),  # for the certificate: `pair` is MOST p + s, other rows are rows of the placement
+    listed=pair_list.arena(BLOCK),  # `pair` is MOST p + s (pair, configuration); the rest are rows of the placement
     pieces_a=integers(BLOCK),  # rows of the listed pieces in the packed pieces
     pieces_b=integers(BLOCK),
     found_a=integers(BLOCK),  # pieces found in trees

@@ -132,7 +132,7 @@ def _of_course(degree, width, size, first, second):
         return _Derivatives(size, first, 0.0)
     off = PART_ROUNDINGS * degree * size if width < 1.0 and first > 0.0 else 0.0
     first += 2.0 * off
-    # The difference of two differences loses digits.
+    # A difference between two differences loses digits.
     second += 4.0 * off + 4.0 * UNIT_ROUNDOFF * first
     return _Derivatives(size + off, degree * first / width, degree * (degree - 1) * second / (width * width))
 

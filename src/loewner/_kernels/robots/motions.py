@@ -102,7 +102,7 @@ CLEAR_ROUNDINGS = TOUCH_ROUNDINGS + 64.0  # certified.md B32
 # tolerance is left for the convergence of the search.
 DECIDED = 0.5
 
-# If joints may stray, an interval is settled once its points move by less than SETTLED_STRAY times V(δ).
+# If joints may stray, intervals are settled once points move by less than SETTLED_STRAY times V(δ) of certified.md.
 SETTLED_STRAY = 0.125
 
 # Strays count as rounding if they move no point by more than ROUNDED_STRAY times the tolerance, as is the case for
@@ -138,7 +138,7 @@ MORE, MOST_MORE = 8, 64
 # A cut divides a width by eight, and fractions of 1 have 53 bits, so an interval can be too narrow for another cut
 # after seventeen cuts.
 DEPTH = 19
-STACK = 4 * DEPTH  # a halved interval leaves one part waiting, three times for each cut
+STACK = 4 * DEPTH  # each cut is three halvings, and each halving leaves one part waiting
 
 _POSES = 2 * (PARTS + 1)
 
@@ -240,7 +240,7 @@ MEMORY = Arena(
     course=raw(8 * MOST_POINTS * DOF),
     part=raw(8 * MOST_POINTS * DOF),  # control points of the course, for a block
     scratch_points=floats(MOST_POINTS),  # for `write_part`
-    part_times=floats(LANES),  # eight fractions, and the gaps there
+    part_times=floats(LANES),  # eight fractions; `gaps` holds the gaps there
     gaps=floats(4 * LANES),
     planes=floats((2 + 4 * LINKS) * LANES),  # see `strays`
     cut_links=floats(_LINK_ENTRIES),  # links in an interval that is cut, see `kinematics`
@@ -734,7 +734,7 @@ def _halve(motion, near, back, low, high, n, tally):
         middle = (first + last) // 2
         t, width = times[depth, middle], times[depth, last] - times[depth, first]
         toward = negated(n if stands else _to_world(poses, both + middle, n))
-        # The exact test of surfaces takes longer than planes, so it is tried after these have failed.
+        # The exact test of surfaces takes longer than tests with planes, so it is tried only after they have failed.
         waits = has_surface
         if not waits:
             hit = _test_middle(motion, near, t, width, poses, at + middle, both + middle, toward, tally)

@@ -536,7 +536,7 @@ def _search(model, pair, clusters, sides, need, limits, deep, state, spare, memo
                 state[row, RECENT] = side
                 return (DOUBLES if doubles else NORMAL) + side, N, spare, False
             spare = max(spare[0], first - keep), max(spare[1], last - keep)
-    # There is no plane for the interval, but there may be one at each end. Single pieces are not divided.
+    # No plane was found for the interval, but there may be one at each end. Single pieces are not divided.
     if not (deep or _several(model, clusters)):
         return -1, old, spare, False
     side = 0 if pair.deviation[0] <= pair.deviation[1] else 1

@@ -15,7 +15,7 @@ from loewner._kernels.robots.planes import seen_by
 from loewner._kernels.robots.sweeps import outer_center, outer_shape
 from loewner._kernels.simd.vectors import LANES, absolute, broadcast, store
 
-# Relative errors of the terms, from rounding and from rotations that are accepted as orthonormal.
+# Relative errors of the first-order terms, from rounding and from rotations that are accepted as orthonormal.
 TERMS = 1e-4  # certified.md B52
 
 

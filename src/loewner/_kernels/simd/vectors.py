@@ -590,7 +590,7 @@ def gather_transpose_single(typingctx, table, width, rows, at, column):
 
 
 # LLVM's number is 3 for the first-level cache and 2 for the second-level cache. Only two dozen lines can be pending in
-# the first-level cache, and more in the second-level cache.
+# the first-level cache, but more can be pending in the second-level cache.
 _FIRST_LEVEL, _SECOND_LEVEL = 3, 2
 
 

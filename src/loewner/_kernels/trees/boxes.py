@@ -330,7 +330,7 @@ def _later_leaves(leaf, margin, boxes, level_start, stack, depth, near, numbers)
         return count
     lx, ly, lz, ux, uy, uz = _query(boxes, level_start[1] + leaf // WIDE, leaf % WIDE, margin)
     node = leaf
-    # Later leaves are in later nodes of the same group, on every level up to the root.
+    # On every level up to the root, later leaves are below later nodes of the same group.
     for level in range(1, level_start.shape[0]):
         group = node // WIDE
         mask = meeting(boxes, level_start[level] + group, lx, ly, lz, ux, uy, uz) & (-2 << node % WIDE)

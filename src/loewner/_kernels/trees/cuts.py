@@ -43,7 +43,7 @@ TURN_ROUNDINGS = 128 * 2.0**-53
 # allowance for rounding, since coordinates relative to the box are off by at most 1e-7.
 ROUNDS, LEAST_AXIS, WIDER = 24, 1e-2, 1.0 + 1e-3
 
-# Least factor of the ellipsoid's shape, for parts whose points all coincide.
+# Least factor by which the ellipsoid's shape is scaled, for parts whose points all coincide.
 LEAST_OVAL = 1e-3
 
 # Directions in which the extreme points determine the ellipsoid.

@@ -20,8 +20,8 @@ from loewner._kernels.tolerances import UNIT_ROUNDOFF
 from loewner._kernels.trees.boxes import LEVELS, ROWS, box_tree, curve_order, lowered, raised, within
 
 # Each entry of RᵀR - 1 is at most 1e-6 (`rigid.ROTATION_TOLERANCE`). This moves each coordinate of a point by less than
-# BEND times the point's distance from the body's origin, and stretches lengths by less; the rest of BEND is far above
-# the rounding of distances.
+# BEND times the point's distance from the body's origin, and stretches lengths by less than that; the remainder of BEND
+# is far above the rounding of distances.
 BEND = 4e-6  # certified.md B21
 
 # Integers of a walk.

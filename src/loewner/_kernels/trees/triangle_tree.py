@@ -39,7 +39,7 @@ DIAGONALS = 20 * WIDE  # numbers of a node's diagonals
 CORNERS = 12  # row of x + y + z among the diagonals
 OVAL = 9 * WIDE  # numbers of the ellipsoids
 
-# Numbers of a box while the tree is built: its lower corner, its upper one negated, and two zeros.
+# Numbers of a box while the tree is built: its lower corner, its negated upper corner, and two zeros.
 BOX = 8
 
 BINS, FEW_BINS, MANY = 16, 8, 256  # FEW_BINS bins are used for at most MANY triangles
