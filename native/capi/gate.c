@@ -241,7 +241,7 @@ static Stop later(Stop stop, int64_t tick)
     return stop;
 }
 
-/* Remember where a proof failed, unless more work would make it succeed. */
+/* Remember where a proof failed, unless the proof would succeed with more work. */
 static Stop stop_at(int64_t tick, int64_t needed, const Proof *proof)
 {
     int is_known = proof->reason && proof->reason != LOEWNER_REASON_BUDGET;
@@ -270,9 +270,9 @@ static int find_ticks(const loewner_gate *gate, double now, int64_t *from, int64
     return holds;
 }
 
-/* Return the ticks from..to of the last chunk that agree with a measured state, nearest first, one in each call; -1 if
-   there are no more. For a slow robot, several ticks agree. The tick of the present time comes first, even if the world
-   is at rest. `off` and `tick` have the values of the previous call; for the first call both are -1. */
+/* Return the ticks from..to of the last chunk that agree with a measured state, one per call and the nearest first; -1
+   if there are no more. Several ticks agree if the robot is slow. The tick of the present time comes first, even if the
+   world is at rest. `off` and `tick` have the values of the previous call; for the first call both are -1. */
 static int64_t next_tick(const loewner_gate *gate, const double *q, const double *dq, int64_t from, int64_t to,
                          double *off, int64_t tick)
 {
@@ -386,7 +386,7 @@ static loewner_status stop(loewner_gate *gate, const double *q, const double *dq
                 .strongest = {gate->strongest, dof}, .jerk = {gate->jerk, dof}, BRAKE(gate));
 }
 
-/* Brake from a tick of a chunk. On the path, only the part that was known when this brake was proven is used. */
+/* Brake from a tick of a chunk; in the mode on the path, along the part that was known when this brake was proven. */
 static loewner_status brake_from(loewner_gate *gate, const Chunk *chunk, int64_t tick)
 {
     int64_t dof = gate->dof, rows = chunk->ends[tick] + 2;
@@ -431,9 +431,9 @@ static loewner_status prove_whole(loewner_gate *gate, double begin, double dt, i
     return LOEWNER_OK;
 }
 
-/* Prove the most recent brake, which begins at a given time; `rate` is its velocity, or NULL on the path. A robot
-   that is faster by the velocity error travels farther and comes to rest later. The proof of a joint-by-joint brake
-   as a whole may take `steps` steps. */
+/* Prove the most recent brake, which begins at a given time; `rate` is its velocity, or NULL in the mode on the path. A
+   robot that is faster by the velocity error travels farther and comes to rest later. The proof of a joint-by-joint
+   brake as a whole may take `steps` steps. */
 static loewner_status prove_brake(loewner_gate *gate, double begin, double dt, const double *rate, int64_t steps,
                                   Proof *proof)
 {
