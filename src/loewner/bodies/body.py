@@ -46,9 +46,10 @@ class Piece(_validate.Brief, KeepsReadOnly):
         "polytope", "ellipsoid", "cylinder", "cone", "capsule" or "sphere". `Body.from_surface` makes pieces of kind
         "surface" (triangles alone) or "solid" (triangles and the space that they enclose).
     vertices : ndarray, shape (v, 3), or None
-        Extreme points, or the vertices of a surface; None for curved pieces.
+        Extreme points of a polytope, or vertices of a surface; None for curved pieces.
     normals, offsets : ndarray, shapes (f, 3) and (f,), or None
-        Faces of a polytope, as unit outward normals and offsets: the polytope is normals @ x <= offsets.
+        Unit outward normals and offsets of a polytope's faces; the polytope is the set of x with normals @ x <=
+        offsets.
     triangles : ndarray of int, shape (t, 3), or None
         Indices into `vertices`. The triangles of a polytope's surface are counter-clockwise when seen from outside; the
         triangles of a surface are oriented as in the mesh.
@@ -175,7 +176,7 @@ class Body(_Bodies):
 
     @property
     def covering(self) -> Covering | None:
-        """How well the pieces cover the mesh or body from which they were made; None for all other bodies."""
+        """How well the pieces cover the mesh or body from which they were made; None if this was not measured."""
         return self._covering
 
     def __repr__(self) -> str:
@@ -213,7 +214,7 @@ class Body(_Bodies):
         points : array_like, shape (m, 3)
             At least four points, in metres, not all in one plane.
         tol : float
-            Largest certified log-volume gap of both fits.
+            Upper limit on the certified log-volume gaps of the two fits.
 
         Raises
         ------
@@ -236,7 +237,7 @@ class Body(_Bodies):
         point_sets : iterable of array_like, each of shape (m_i, 3)
             Points in metres.
         tol : float
-            Largest certified log-volume gap of all fits.
+            Upper limit on the certified log-volume gap of every fit.
 
         Raises
         ------
@@ -281,7 +282,7 @@ class Body(_Bodies):
             approximate the mesh, and `body.covering` states how well. If false, use the convex hull, which contains the
             mesh.
         tol : float
-            Largest certified log-volume gap of all fits.
+            Upper limit on the certified log-volume gap of every fit.
         scale : float, or array_like of shape (3,)
             Factor for all lengths, or one factor for each axis of the mesh; a negative factor mirrors the mesh.
         cover : bool
@@ -289,12 +290,12 @@ class Body(_Bodies):
         tolerance : float, optional
             The largest distance by which the pieces may stick out of the mesh, in metres. If it is given, the mesh is
             cut along planes instead of by CoACD, until no piece sticks out farther or `max_pieces` is reached. If a
-            piece still sticks out farther, a warning states by how much. A mesh with holes is always cut along planes;
-            the default tolerance is then 2 % of the diagonal of the bounding box, or more if 2 % would take too much
-            work.
+            piece still sticks out farther than the tolerance, a warning gives the distance. A mesh with holes is always
+            cut along planes; the default tolerance is then 2 % of the diagonal of the bounding box, or more if 2 %
+            would take too much work.
         threshold : float
-            CoACD's bound on concavity, from 0.01 to 1. A smaller bound gives more pieces and a closer fit. It applies
-            only to meshes without holes.
+            CoACD's bound on concavity, from 0.01 to 1. A smaller bound gives more pieces and a closer fit. The bound
+            applies only to meshes without holes.
         max_pieces : int, optional
             Limit on the number of pieces of a decomposition.
         seed : int
@@ -370,9 +371,9 @@ class Body(_Bodies):
             Radius of the ball around each point of the triangles, in metres.
         solid : bool, optional
             Whether the body includes the enclosed space, that is, all points around which the mesh winds. A body inside
-            a solid collides with it; a body in a cavity does not. By default a mesh is solid if it is closed, that is,
-            if its triangles traverse each edge equally often in both directions. A mesh that is only nearly closed
-            causes a warning and counts as open.
+            a solid collides with it; a body in a cavity of the solid does not. By default a mesh is solid if it is
+            closed, that is, if its triangles traverse each edge equally often in both directions. A mesh that is only
+            nearly closed causes a warning and counts as open.
         scale : float, or array_like of shape (3,)
             Factor for all lengths, or one factor for each axis of the mesh; a negative factor mirrors the mesh.
 
@@ -382,7 +383,7 @@ class Body(_Bodies):
             If the file is missing, empty, truncated or not a mesh.
         GeometryError
             If a vertex is not finite, an index is out of range, there are no triangles, or a size is not between 1e-12
-            and 1e12 m. With ``solid=True``, also if the mesh is open; the message then locates an open edge.
+            and 1e12 m. With ``solid=True``, an open mesh also raises this error; the message locates an open edge.
         InputError
             If the radius is negative or not finite.
 
@@ -421,8 +422,8 @@ class Body(_Bodies):
         InputError
             If a length is not positive and finite.
         GeometryError
-            If a length is lost in rounding because it is too small relative to another one (about 1e-12), or if it is
-            not between 1e-30 and 1e30 m.
+            If a length is so small relative to another length (about 1e-12) that it is lost in rounding, or if a length
+            is not between 1e-30 and 1e30 m.
 
         Examples
         --------
@@ -554,7 +555,7 @@ class Body(_Bodies):
         -------
         Body
             With `radius`, one piece with a tree over the points; with `voxel`, boxes as in `from_voxels`. FREE is
-            proven for the exact union.
+            proven for the exact union of balls or voxels.
 
         Raises
         ------
@@ -593,7 +594,7 @@ class Body(_Bodies):
         q: ArrayLike | None = None,
         clear: float = 0.03,
     ) -> Body:
-        """Make a body from the points of a depth image, in world coordinates, without the robot.
+        """Make a body in world coordinates from the points of a depth image, without points on the robot.
 
         Parameters
         ----------
@@ -606,9 +607,10 @@ class Body(_Bodies):
         q : array_like, shape (dof,), optional
             The robot's configuration when the image was taken.
         clear : float
-            Points within this distance of the robot, in metres, are left out; unused without a checker. The distance
-            must exceed the camera's noise plus the error of the robot's pose, so that no point on the robot is kept. It
-            must also exceed the radius, or a voxel's diagonal, plus the margin, so that the robot is free of the body.
+            Points within this distance of the robot, in metres, are left out; without a checker, `clear` has no effect.
+            The distance must exceed the camera's noise plus the error of the robot's pose, so that no point on the
+            robot is kept. It must also exceed the radius, or a voxel's diagonal, plus the margin, so that the robot
+            does not collide with the body.
 
         Raises
         ------
@@ -716,8 +718,8 @@ class Body(_Bodies):
         spacing : float, or array_like of shape (2,)
             Distance between neighbours along x and y, in metres.
         base : float, optional
-            Height of the flat underside, in metres, below all heights. The default is the lowest height minus the
-            longer side of the grid, so that no body passes through from above undetected.
+            Height of the flat underside, in metres; it must be below all `heights`. The default is the lowest height
+            minus the longer side of the grid, so that no body passes through from above undetected.
 
         Raises
         ------
@@ -743,12 +745,13 @@ class Body(_Bodies):
 
     @classmethod
     def half_space(cls, normal: ArrayLike, offset: float, *, extent: float = 1000.0) -> Body:
-        """Make a floor, wall or ceiling: a cube below a plane, with edges of length `extent`.
+        """Make a floor, wall or ceiling: a cube with edges of length `extent` behind a plane.
 
         Parameters
         ----------
         normal : array_like, shape (3,)
-            The outward normal, of any nonzero length; the body is {x : n · x <= offset} with n scaled to length 1.
+            The outward normal, of any nonzero length. If n is the normal scaled to length 1, the body lies in {x : n ·
+            x <= offset}.
         offset : float
             Signed distance of the plane from the origin along the normal, in metres.
         extent : float
@@ -857,7 +860,7 @@ class Body(_Bodies):
         Parameters
         ----------
         bodies : iterable of Body
-            At least one.
+            At least one body.
 
         Raises
         ------
@@ -881,8 +884,8 @@ class Body(_Bodies):
     def transformed(self, T: ArrayLike) -> Body:
         """Return a copy of the body and its ellipsoids, moved by the rigid motion `T`.
 
-        The moved vertices are rounded to float64, so the outer ellipsoids grow and the inner ones shrink by the largest
-        effect of that rounding on containment.
+        The moved vertices are rounded to float64. To preserve containment, the outer ellipsoids grow and the inner ones
+        shrink by the largest effect of this rounding.
 
         Parameters
         ----------
@@ -919,16 +922,17 @@ class Body(_Bodies):
         model : Body
             Balls, capsules, boxes, ellipsoids or other convex pieces, in the same frame as the body.
         tolerance : float, optional
-            Size, in metres, down to which a cell of the body is halved unless a single element contains it; the default
-            is 1e-4 of the body's diagonal. Holes of any size are noticed: for a hole smaller than the tolerance, the
-            outcome is "undecided" or "uncovered", never "covered".
+            The proof divides the body into cells. A cell that no single element contains is halved until it is as small
+            as this tolerance, in metres; the default is 1e-4 of the body's diagonal. Holes of any size are noticed: for
+            a hole smaller than the tolerance, the outcome is "undecided" or "uncovered", never "covered".
         progress : callable, optional
             Called as ``progress(done, total)`` after each step.
 
         Returns
         -------
         CoverReport
-            The outcome, with bounds on the uncovered share, on its depth and on how far the model sticks out.
+            The outcome, with bounds on the uncovered share of the body's surface, on how far the body sticks out of the
+            model, and on how far the model sticks out of the body.
 
         Raises
         ------
@@ -970,7 +974,7 @@ class Body(_Bodies):
         ----------
         kind : {"spheres", "capsules", "boxes", "ellipsoids"}
         n : int, optional
-            The largest number of elements; the search makes the elements stick out as little as it can.
+            Upper limit on the number of elements; the search makes the elements stick out as little as it can.
         protrusion : float, optional
             The largest distance by which an element may stick out of the body, in metres; the search uses as few
             elements as it can. Give either `n` or ``protrusion``.
@@ -1028,8 +1032,8 @@ class Body(_Bodies):
         ellipsoids : {"inner", "outer"}, optional
             Which ellipsoids to write instead of the pieces.
         name : str
-            Name of the model and of its body: any name except "world", which MuJoCo reserves; geoms are ``NAME_0``,
-            ``NAME_1``, ...
+            Name of the model and of its body: any name except "world", which MuJoCo reserves; geoms are named
+            ``NAME_0``, ``NAME_1``, ...
 
         Returns
         -------
@@ -1073,8 +1077,9 @@ class Body(_Bodies):
         """Write the body as a URDF with a single link that has only collision shapes.
 
         Boxes, spheres and cylinders are kept, and a capsule becomes a cylinder and two spheres. Any other piece becomes
-        a mesh in a file next to the URDF, ``STEM-DIGEST.obj``, named after a digest of its content. Inner ellipsoids
-        are replaced with inscribed polytopes; other ellipsoids and cones are replaced with circumscribed ones.
+        a mesh in a file ``STEM-DIGEST.obj`` next to the URDF, where DIGEST is a digest of the file's content. Inner
+        ellipsoids are replaced with inscribed polytopes; other ellipsoids and cones are replaced with circumscribed
+        polytopes.
 
         Parameters
         ----------
@@ -1231,7 +1236,7 @@ class Bodies(_Bodies):
         ----------
         point_sets : sequence of array_like, each of shape (m_i, 3)
         tol : float
-            Largest certified log-volume gap of all fits.
+            Upper limit on the certified log-volume gap of every fit.
         progress : callable, optional
             Called as ``progress(done, total)`` from time to time.
 

@@ -20,12 +20,12 @@ THICKNESS = 0.01
 
 
 def least_box_axes(triangles: Floats) -> Floats:
-    """Find the axes, as columns, of a box around triangles that has the least area among the orientations tried.
+    """Return, as columns, the axes of the box around triangles that has the least surface area among the boxes tried.
 
     Parameters
     ----------
     triangles : ndarray, shape (3, corners, n)
-        Coordinates come first. Points are triangles with one corner.
+        The first axis is the coordinate. A point is passed as a triangle with one corner.
 
     Returns
     -------

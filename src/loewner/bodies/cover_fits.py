@@ -70,16 +70,17 @@ LEAST_PROTRUSION, LARGEST_PROTRUSION, MOST = 1e-4, 1e4, 4096
 
 
 def grid_of(target: Target) -> float:
-    """Return the step of the numbers of a fit [m], a power of two."""
+    """Return the step of the grid to which the numbers of a fit are rounded [m], a power of two."""
     return float(2.0 ** np.ceil(np.log2(2.0 * (target.reach + target.size)))) * GRID
 
 
 class Candidates:
-    """Candidates for the balls or capsules that hold a body, and the points that must be held.
+    """Candidates for the balls or capsules that are to cover a body, and the points that they must cover.
 
     A ball of radius d + e around a point at depth d in the body sticks out by no more than e. If the point moves away
-    from the nearest point of the surface, the new ball contains the old one. Only points of the medial axis therefore
-    count: they have several nearest points. A capsule is a union of balls: d is the least depth of its axis.
+    from the nearest point of the surface, the new ball contains the old one. Only points of the medial axis, which have
+    several nearest points on the surface, are therefore needed as centers. A capsule is a union of balls; for a
+    capsule, d is the least depth of a point of its axis.
     """
 
     def __init__(self, target: Target, capsules: bool, protrusion: float | None = None) -> None:
@@ -145,7 +146,7 @@ class Candidates:
         return points + low[:, None] * inward
 
     def chosen(self, protrusion: float, steps: int, start: Ints | None = None, reserve: float = RESERVE) -> Ints:
-        """Choose few candidates whose balls hold all points, greedily and then by exchanges."""
+        """Choose few candidates that together cover all points: first greedily, then by exchanges."""
         start = np.empty(0, dtype=np.int64) if start is None else start
         for _ in range(2):
             n = len(self.points)
@@ -190,7 +191,7 @@ class Candidates:
         self.depth = np.concatenate([self.depth, depth - lengths(axes) / parts])
 
     def add_points(self, points: Floats, around: Floats) -> None:
-        """Add points that must be held, with balls of the radii `around` about them."""
+        """Add points that must be covered, together with balls of the radii `around` about them."""
         self.points = np.concatenate([self.points, np.column_stack([points, around])])
 
     def made(self, chosen: Ints, protrusion: float) -> Packed:
@@ -209,7 +210,7 @@ class Candidates:
         return as_one(bodies) if len(bodies) > 1 else bodies[0]
 
     def proven(self, protrusion: float, steps: int, most: int | None = None) -> Packed | None:
-        """Choose balls that are proven to hold the body; None if that takes more than `most`."""
+        """Choose candidates that provably cover the body; return None if no proof is found with at most `most`."""
         chosen, best, packed = None, None, None
         for round_ in range(ROUNDS + MORE_ROUNDS):
             # If there is no proof, balls have to hold points with more room to spare.

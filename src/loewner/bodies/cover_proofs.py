@@ -127,8 +127,7 @@ class Target:
         return found
 
     def far(self, points: Floats) -> Floats:
-        """Compute upper bounds on the distances of points from the body; inside, they are negative and come from
-        balls."""
+        """Compute upper bounds on the distances of points from the body, negative well inside the body."""
         distances = self.boundary.signed_distances(points)[0]
         if self.boundary is not self.whole and self.whole.closed:
             clear = np.flatnonzero(distances > self.whole.rounding)
@@ -553,9 +552,10 @@ class _Proof:
 def excess_of(target: Target, packed: Packed, model: Elements, tolerance: float) -> tuple[float, float]:
     """Bound how far the elements of a model stick out of a body.
 
-    A ball around a point at a certain depth in the body sticks out by no more than its radius minus this depth; a
-    capsule is a union of balls. Other elements are replaced with circumscribed polytopes, which `protrusion` bounds, as
-    are balls and capsules whose bound is not close to the distance of a known point.
+    A ball around a point at a certain depth in the body sticks out by no more than its radius minus this depth, and a
+    capsule is a union of balls. If this bound is not close to the distance of a known point, or if the element is of
+    another kind, the element is replaced with a circumscribed polytope, and `protrusion` bounds how far the polytope
+    sticks out.
     """
     n, ways = len(model), ball(DIVISIONS)[0]
     upper, points = np.full(n, np.inf), []
@@ -669,7 +669,7 @@ def prove(
 def first_failures(target: Target, model: Packed, protrusion: float) -> tuple[Floats, Floats]:
     """Return points at which a model fails to cover a body, or at which no proof was found; none if it covers the body.
 
-    Each point comes with the radius of the ball around it that belongs to the body.
+    Each point comes with the radius of a ball around it that is part of the body.
     """
     proof = _Proof(target, Elements(model), 0.02 * protrusion)
     whole = proof.wholes()

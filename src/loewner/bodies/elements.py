@@ -29,17 +29,17 @@ NEAREST_STEPS = 24
 class Elements:
     """The convex pieces of a body, as convex functions of points, called heights.
 
-    A height is at most zero inside the piece and positive outside, and two points' heights differ by no more than the
-    points' distance. Outside, the height is therefore a lower bound on the distance. For a ball or a capsule, it is the
-    signed distance; for a polytope, the largest signed distance from a face's plane; for any other curved piece, the
-    unit shape's gauge minus 1, times the smallest semi-axis.
+    A height is at most zero inside the piece and positive outside, and the heights of two points differ by no more than
+    the distance between the points. Outside, the height is therefore a lower bound on the distance. For a ball or a
+    capsule, the height is the signed distance; for a polytope, the largest signed distance from a face's plane; for any
+    other curved piece, the unit shape's gauge minus 1, times the smallest semi-axis.
 
     Parameters
     ----------
     packed : Packed
         The pieces of one body.
     name : str
-        For messages.
+        Name of the body in error messages.
 
     Attributes
     ----------
@@ -125,7 +125,7 @@ class Elements:
             self.planes[i] = np.resize(row, (most_planes, 4))
 
     def heights(self, points: Floats, element: Ints) -> Floats:
-        """Compute the height of each point, shape (m, 3), for its element, shape (m,)."""
+        """Compute the heights of points, shape (m, 3), each for its own element, shape (m,)."""
         if len(self.kinds) == 1:
             return self._heights(self.kinds[0], points, element)
         found = np.empty(len(points))
@@ -214,19 +214,19 @@ class Elements:
         return dot(self.factor[element], near[:, None])
 
     def face_one_way(self, middles: Floats, reach: Floats, cell: Ints, element: Ints) -> Bools:
-        """Return whether one direction leads away from all elements listed for a cell, at each of its points.
+        """Return, for each cell, whether one direction leads away from all of its elements at every point of the cell.
 
         Parameters
         ----------
         middles, reach : ndarray, shapes (k, 3) and (k,)
             Balls that contain the cells.
         cell, element : ndarray of int, shape (m,)
-            Pairs of a cell and an element.
+            Pairs of a cell and one of its elements.
 
         Returns
         -------
         ndarray of bool, shape (k,)
-            If true, the least of the listed elements' heights has no local maximum above zero in the cell.
+            If true, the least height over the cell's elements has no local maximum above zero in the cell.
         """
         rows, slacks, owners = [], [], []
         answers = np.ones(len(middles), dtype=bool)

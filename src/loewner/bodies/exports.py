@@ -2,7 +2,7 @@
 
 Spheres, cylinders, capsules, ellipsoids and boxes become shapes of that type if the format has it. Any other polytope
 becomes a mesh that has the polytope as its convex hull. Curved pieces without a matching type are replaced with
-circumscribed polytopes, but inner ellipsoids with inscribed polytopes.
+circumscribed polytopes, except inner ellipsoids, which are replaced with inscribed polytopes.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ class Shape:
         In metres: the radius of a sphere; the radius and length of a cylinder, or of a capsule's straight part; the
         semi-axes of an ellipsoid; the edge lengths of a box.
     rotation, center : ndarray, shapes (3, 3) and (3,)
-        Pose of the shape; for a mesh the identity and 0.
+        Pose of the shape; for a mesh, the identity and zero.
     mesh : tuple of ndarray, or None
         Vertices and triangles of a mesh, which is convex unless it is a solid.
     """
@@ -81,7 +81,7 @@ class Shape:
     mesh: Mesh | None = None
 
     def wider(self, by: float) -> Shape:
-        """Return the shape enlarged on each side, unless it is a solid or a sphere, whose numbers no pose rounds.
+        """Return the shape enlarged on each side; a solid or a sphere, unaffected by a rounded pose, stays as it is.
 
         The corners of a convex mesh move outward by an additional amount that covers MuJoCo's single precision.
         """
@@ -234,7 +234,7 @@ def add_collisions(
 
 
 def add_origin(element: ElementTree.Element, rotation: Floats, center: Floats) -> None:
-    """Add a pose in URDF's form."""
+    """Add a pose to an element, in the form that URDF requires."""
     ElementTree.SubElement(element, "origin", xyz=numbers(center), rpy=numbers(to_rpy(rotation)))
 
 

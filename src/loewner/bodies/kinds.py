@@ -41,14 +41,15 @@ def _missing(_: Floats) -> Floats:
 class Kind(NamedTuple):
     """A kind of curved piece: the image of a unit shape, with a ball added (see `_kernels.pieces.shapes`).
 
-    The `Body` constructor called `name` takes `sizes`, computed from the ball's radius and the image's semi-axes. Scene
-    files give them as separate fields, named by `size_names`, or as one vector if there are no names. `is_ball` marks
-    kinds that are their own ellipsoids.
+    The `Body` constructor called `name` takes `sizes`, which are computed from the ball's radius and the image's
+    semi-axes. Scene files give the sizes as separate fields, named by `size_names`, or as one vector if there are no
+    names. `is_ball` marks kinds that are their own ellipsoids.
 
     `mesh` triangulates the unit shape, with all corners on its surface. Divided by `inradii`, this mesh contains the
     unit shape; `inradii` is None if the mesh is `ball`. `inner` and `outer` are the optimal ellipsoids. `gauge` is a
-    convex function of points, with gradients no longer than 1: at most 1 in the unit shape and nowhere else, and less
-    at the origin. `support` is the support function. Covers refuse kinds that lack `gauge` or `support`.
+    convex function of points whose gradients have lengths of at most 1. It is at most 1 in the unit shape, less than 1
+    at the origin, and greater than 1 outside the unit shape. `support` is the support function. Covers refuse kinds
+    that lack `gauge` or `support`.
 
     If a ball is added, neither function is needed, `core` is half the length of the unit segment to which the ball is
     added (0 for a point), and `mesh` triangulates the unit ball.
@@ -67,9 +68,9 @@ class Kind(NamedTuple):
     is_ball: bool = False
 
     def share(self, points: Floats) -> Floats:
-        """Compute, for each point, a share of the path from the origin to the point that stays in the unit shape.
+        """Compute, for each point, a share of the segment from the origin to the point that stays in the unit shape.
 
-        A convex function that is below zero at the origin is at most zero at this share of the path.
+        Convexity gives this share: `gauge` is below 1 at the origin, and its value at the point is known.
         """
         center = 1.0 - float(self.gauge(np.zeros((1, 3)))[0])
         return np.asarray(center / (center + np.maximum(self.gauge(points) - 1.0, 0.0)))

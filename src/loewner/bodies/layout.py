@@ -56,7 +56,7 @@ class PieceArrays(KeepsReadOnly):
     Attributes
     ----------
     layout : ndarray of int64, shape (P, 5)
-        Kind of the piece, then the first and one past the last row of its points, and of its planes.
+        Kind of the piece, first row and end (one past the last row) of its points, and first row and end of its planes.
     points, planes : ndarray, shapes (V, 3) and (F, 4)
         Vertices, and faces as rows of a unit outward normal n and an offset; inside, n·x <= offset.
     piece_start : ndarray of int64, shape (n + 1,)
@@ -120,7 +120,7 @@ def laid_out(
     radius: float = 0.0,
     **others: Any,
 ) -> PieceArrays:
-    """Lay out one body of pieces of the given kinds, without points, planes or triangles unless given.
+    """Lay out one body of pieces of the given kinds, without points, planes or triangles unless these are given.
 
     Parameters
     ----------
@@ -206,8 +206,8 @@ def one_body(kernel: records.Pieces) -> records.Pieces:
 def kernel_of_parts(p: PieceArrays, tree: SurfaceTree, around: Sequence[Floats], reach: float) -> records.Pieces:
     """Make the kernels' arrays for the parts of a surface, as one body.
 
-    The tree of the whole surface answers an exact search on a part. The search may therefore find a collision with
-    another part, but that is a collision of the same bodies.
+    An exact search on a part uses the tree of the whole surface. The search may therefore find a collision with another
+    part, which is also a collision of the same two bodies.
 
     Parameters
     ----------

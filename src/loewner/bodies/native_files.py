@@ -6,8 +6,8 @@ kernels. The header therefore names the version, and no other version can read t
 
 The header is the text ``lwn file``, the format, the size of the file in bytes, a checksum of everything after it, the
 hash of the kernels' sources, and eight numbers: the counts of arrays, values of a configuration, links, moving bodies
-and static bodies, 1 if surfaces are also given in parts, the count of surfaces, and 0. A row of the directory is a type
-(0 int64, 1 float64, 2 float32, 3 bytes), rows, columns and an offset in bytes.
+and static bodies, 1 if surfaces are also given in parts, the count of surfaces, and 0. A row of the directory contains
+a type (0 int64, 1 float64, 2 float32, 3 bytes), the numbers of rows and columns, and an offset in bytes.
 """
 
 from __future__ import annotations
@@ -84,8 +84,8 @@ def write(
     arrays : dict
         Arrays by their names in `BEFORE`; missing arrays are empty.
     packs : sequence of Packed
-        The bodies. If surfaces can be cut, the bodies again with all surfaces in parts, and a third time with only the
-        static bodies without solids in small parts.
+        The bodies. If surfaces can be cut, two more packs of the same bodies follow: one with all surfaces in parts,
+        and one in which only static bodies without solids are cut, into small parts.
     counts : tuple of int
         Values of a configuration, links, and moving bodies.
 

@@ -213,7 +213,7 @@ def some(p: Prepared, pieces: Ints, piece_start: Ints) -> Prepared:
 
 
 def moved(p: Packed, T: Floats) -> Packed:
-    """Move all pieces by one rigid motion, so that containment holds despite rounding."""
+    """Move all pieces by one rigid motion, and adjust the ellipsoids so that containment holds despite rounding."""
     R, t = T[:3, :3], T[:3, 3]
     points = image(R, p.points) + t + 0.0  # without negative zeros
     normals = image(R, p.planes[:, :3])

@@ -198,7 +198,7 @@ def terrain_pieces(heights: Floats, spacing: Floats, base: float, tol: float) ->
     base : float
         Below all heights.
     tol : float
-        Largest certified log-volume gap of the outer ellipsoid.
+        Upper limit on the certified log-volume gap of the outer ellipsoid.
     """
     p, q = heights.shape
     _memory.expect_left(p * q * 500, f"a height field of {p} x {q}")

@@ -37,7 +37,7 @@ class SurfaceTree:
     parts : ndarray, shape (3 parts,)
         One vertex of each connected part.
     diagonals, ellipsoids : ndarray of float32
-        Described in the same place.
+        Also described in `loewner._kernels.trees.triangle_tree`.
     inner_center, inner_factor : ndarray, shapes (k, 3) and (k, 3, 3)
         Ellipsoids inside a solid, largest first; empty for other surfaces.
     table : ndarray of int64

@@ -44,7 +44,7 @@ def surface_pieces(
     solid : bool or None
         Whether the piece includes the space around which the mesh winds; if None, only if the mesh is closed.
     tol : float
-        Largest certified log-volume gap of the outer ellipsoid.
+        Upper limit on the certified log-volume gap of the outer ellipsoid.
 
     Raises
     ------
@@ -128,7 +128,8 @@ def _told(vertices: Floats, edges: Ints) -> str:
 def nearly_closed(vertices: Floats, triangles: Ints, open_edges: int) -> bool:
     """Return whether a mesh with open edges was probably meant to be closed.
 
-    Few of its edges are open, and the area vectors of its triangles nearly cancel, as in a closed mesh.
+    The conditions are that few of the mesh's edges are open, and that the area vectors of its triangles nearly cancel,
+    as they would in a closed mesh.
     """
     areas = normals_of(vertices[triangles])
     total = float(np.linalg.norm(areas, axis=1).sum())

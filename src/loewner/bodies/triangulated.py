@@ -29,7 +29,7 @@ def ellipsoids_of(packed: Packed, which: str) -> tuple[Floats, Floats]:
 
 
 def of_ellipsoids(packed: Packed, which: str) -> dict[int, Mesh]:
-    """Triangulate each inner, or each outer, ellipsoid, keyed by piece index; an inner one may be a point."""
+    """Triangulate all inner, or all outer, ellipsoids, keyed by piece index; an inner ellipsoid may be a point."""
     centers, factors = ellipsoids_of(packed, which)
     unit, triangles = ball(3 if len(centers) <= MANY_PIECES else 2)
     return {k: (unit @ F.T + c, triangles) for k, (c, F) in enumerate(zip(centers, factors, strict=True)) if F.any()}
@@ -50,7 +50,7 @@ def joined(meshes: Iterable[Mesh]) -> Mesh:
 
 
 def for_pictures(packed: Packed, coarse: bool = False) -> Shape:
-    """Triangulate all pieces, without a pose; coarsely if there are many bodies."""
+    """Triangulate all pieces in the frames of their bodies, coarsely if there are many bodies."""
     row, counts = packed.layout, np.diff(packed.triangle_start)
     corners = packed.points[packed.triangles + np.repeat(row[:, columns.POINTS_FROM], counts)[:, None]]
     radii = np.repeat(packed.frames[:, 0], counts)

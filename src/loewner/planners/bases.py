@@ -139,7 +139,7 @@ class Base:
     def free(self, poses: Floats, ways: Floats) -> Bools:
         """Return which ways, shape (N, motions, 2), from poses, shape (N, 3), are proven free and within the limits.
 
-        Midpoints and ends of motions are tried first, since a way that collides there needs no further proof.
+        Midpoints and ends of motions are tried first, since a way that collides there is rejected without a proof.
         """
         places = driven(poses, ways[..., 0], ways[..., 1])
         begins, ends = places[:, :-1], places[:, 1:]
@@ -228,9 +228,10 @@ def plan_drive(
     Notes
     -----
     A* searches a lattice of arcs, lines and turns in place (hybrid A*: Dolgov et al., IJRR 2010) until one of its poses
-    is connected to the goal. The connection is a Reeds-Shepp path, or a Dubins path if the base may not reverse, or a
-    turn, a line and a turn. Parts of the path are then replaced with shorter ways of the same kinds. A contact counts
-    as a collision even if `Scene.leave` or `Scene.reach` permits it elsewhere.
+    is connected to the goal. For a car, the connection is a Reeds-Shepp path, or a Dubins path if the car may not
+    reverse; for a differential base, it is a turn, a line and another turn. Parts of the path are then replaced with
+    shorter ways of the same kinds. A contact counts as a collision even if `Scene.leave` or `Scene.reach` permits it
+    elsewhere.
 
     Examples
     --------

@@ -46,7 +46,8 @@ class Brakes(NamedTuple):
     counts : ndarray of int64, shape (n,)
         Number of times of each brake; 0 for a brake that does not end on the path.
     needed : ndarray of int64, shape (n,)
-        Index of the row of the path by which each brake ends, or the number of rows if it ends later; 0 off the path.
+        Index of the row of the path by which each brake ends, or the number of rows if the brake ends later; 0 for
+        brakes that leave the path.
     """
 
     times: Floats
@@ -65,8 +66,8 @@ class Brakes(NamedTuple):
     def on_path(
         cls, rows: Floats, at: Floats, begins: Floats, strongest: Floats, jerk: Floats | None, *, beyond: bool
     ) -> Brakes:
-        """Stop on straight motions between rows, shape (k, dof), at the times `at`, beginning at each of several
-        times.
+        """Stop on straight motions between rows, shape (k, dof), which are passed at the times `at`; make one brake for
+        each time in `begins`.
         """
         made, steep = cls._empty(len(begins), len(rows) + 4, rows.shape[1]), _steep(strongest, jerk)
         entries.brakes_on_path(*(np.array(x) for x in (rows, at, begins, strongest, steep)), beyond, *made)
@@ -351,8 +352,8 @@ def brake_limits(
     acceleration: ArrayLike | None,
     jerk: ArrayLike | None,
 ) -> tuple[Floats, Floats | None]:
-    """Return limits of acceleration and jerk, shape (dof,), infinite for joints that do not move; None without a jerk
-    limit.
+    """Return limits of acceleration and of jerk, shape (dof,) each, infinite for joints that do not move; the limits of
+    jerk are None if there are none.
 
     Parameters
     ----------

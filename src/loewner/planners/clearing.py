@@ -35,8 +35,8 @@ class Clearing:
     """The cost of a path near obstacles.
 
     The cost of a motion is the integral of its weighted length times 1 + 9 (1 - d / wanted)². Here, d is the distance
-    of the robot from the scene's bodies that are not attached to it, but at most `wanted`. The integral is computed by
-    the trapezoidal rule.
+    from the robot to the nearest body of the scene that is not attached to it, or `wanted` if that is smaller. The
+    integral is computed by the trapezoidal rule.
 
     Attributes
     ----------
@@ -73,7 +73,7 @@ class Clearing:
         return float(np.min(distances.nearest(self.ready, Q, True, False).distance))
 
     def cleared(self, space: Space, path: Floats, most: int, deadline: float) -> tuple[Floats, int]:
-        """Move a path whose motions are free; return the cheaper one of the two paths, and the number of rounds.
+        """Move a free path away from obstacles; return the cheaper of old and new path, and the number of rounds.
 
         Points move for three quarters of the time; the clock is checked between rounds.
         """

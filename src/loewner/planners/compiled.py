@@ -1,4 +1,4 @@
-"""Call the compiled RRT-Connect and shortening: allocate memory for their kernels, and turn codes into errors."""
+"""Call the compiled RRT-Connect and shortening: allocate the kernels' memory, and turn error codes into exceptions."""
 
 from __future__ import annotations
 

@@ -62,14 +62,14 @@ class Origin:
     stated : dict
         Values from the message's start state, by column.
     sources : dict
-        Keys of the message from which these values come, by column.
+        Keys of the message from which the values in `stated` come, by column.
     assumed : tuple of str
         Columns for which neither the file nor `others` has values: they keep the robot's defaults, which are mostly 0.
     touching : dict
         Links that a carried body may touch, by the name of the body.
     free : tuple of str
-        Bodies that the robot carries in another part of the message, but not here; queries raise an error if the scene
-        has attached them.
+        Bodies that the robot carries in another part of the message, but not during these points; queries raise an
+        error if these bodies are attached in the scene.
     straight : tuple of str
         Columns of a base, which are interpolated by straight lines although other columns have velocities.
     """
@@ -96,8 +96,8 @@ class ControllerPoints:
     positions : array_like, shape (n, dof)
         Positions in radians or metres.
     velocities, accelerations : array_like, shape (n, dof), optional
-        Rates at the same times, in radians or metres per second and per second squared; accelerations require
-        velocities.
+        Velocities and accelerations at these times, in radians or metres per second and per second squared;
+        accelerations require velocities.
     names : sequence of str, optional
         Names of the columns. By default the columns are in the order of `Robot.configuration_names`.
     start_time : float
@@ -108,7 +108,7 @@ class ControllerPoints:
     origin : Origin
         Other contents of the message from which the points were read.
     carried : dict
-        For each body that the robot carries according to a message, the name of the body and the link that carries it.
+        Maps the name of each body that the robot carries, according to a message, to the link that carries the body.
         Queries refuse the points unless the scene has attached these bodies to these links.
 
     Raises
@@ -180,7 +180,7 @@ class ControllerPoints:
             Columns are added for the values of this robot that the file does not name; these values do not change. The
             motion of a base (a multi-DOF trajectory) is read for a floating or planar joint of this robot.
         others : array_like, shape (dof,), optional
-            A configuration of the robot that has the values for these columns. Default: the message's start state, and
+            A configuration of the robot with the values for the added columns. Default: the message's start state, and
             `Robot.configuration()` for all other values.
 
         Returns
@@ -223,7 +223,8 @@ class ControllerPoints:
         """Read all trajectories of a file, in their order, with the same errors and warnings as `load`.
 
         Joints that a trajectory does not name keep their values from the previous trajectory, or from the message's
-        states. The attribute `carried` of each trajectory has the bodies that the robot carries at that time.
+        states. The attribute `carried` of each trajectory lists the bodies that the robot carries during this
+        trajectory.
 
         Parameters
         ----------
@@ -264,7 +265,7 @@ class ControllerPoints:
         path : path
             A ``.csv`` file contains all numbers in full precision. A ``.json`` or ``.yaml`` file contains a ROS
             ``trajectory_msgs/JointTrajectory``, whose times are rounded to nanoseconds; if rounding changes a time,
-            prove the points in the file.
+            prove the points that are read back from the file.
         joints, names, controllers
             As for `Trajectory.save`. Points without names need `names`.
 
@@ -458,7 +459,7 @@ class ControllerPoints:
 
 
 def executed(points: ControllerPoints, derivatives: int) -> ControllerPoints:
-    """Return points with only 0, 1 or 2 derivatives, which the points must have."""
+    """Return the points with only their first 0, 1 or 2 derivatives, which the given points must have."""
     kept = [rate if k < derivatives else None for k, rate in enumerate((points.velocities, points.accelerations))]
     return points._with(points.positions, kept, points.names)
 

@@ -111,7 +111,7 @@ def write(
     target, names, moves, listing
         As for `files_of`.
     text : callable
-        Return the contents of a file for columns and their names.
+        Function that returns the contents of a file for columns and their names.
     """
     if names is None:
         raise InputError("names: expected the names of the columns, since the points have none, found none")

@@ -60,7 +60,7 @@ def coordinate(
     steps: int = 50,
     joint_error: ArrayLike = 0.0,
 ) -> Floats:
-    """Find a common path of several robots on which each robot follows its own path and no robots meet.
+    """Combine given paths of several robots into one path of all robots together, on which no two robots meet.
 
     Parameters
     ----------
@@ -89,12 +89,13 @@ def coordinate(
         If the robot has no part of this name.
     PlanningError
         If the starts or the ends are not free, or the robots cannot pass each other on these paths; the message names
-        the two bodies that meet at the farthest point reached.
+        the two bodies that meet at the farthest point that the search reached.
 
     Notes
     -----
-    The states of all robots form a grid: one robot takes a step along an edge, and several robots take steps along a
-    diagonal. An A* search finds the fastest way, and proves the edges that it encounters. Robots never go back.
+    The states of all robots form a grid: along an edge of the grid, one robot takes a step; along a diagonal, several
+    robots take a step. An A* search finds the fastest way, and proves the edges that it encounters. No robot moves
+    backwards along its path.
 
     References
     ----------

@@ -64,7 +64,7 @@ class Arcs(NamedTuple):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Drive(KeepsReadOnly):
-    """Arcs of circles, lines and turns in place that a mobile base drives; made by `plan` with `base`, or by `of`.
+    """A mobile base's sequence of arcs, straight lines and turns in place; made by `plan` with `base`, or by `of`.
 
     `CollisionChecker.certify_trajectory` accepts a drive as a curve, and proves the arcs themselves.
 
@@ -74,7 +74,7 @@ class Drive(KeepsReadOnly):
         Names of the columns, as in `Robot.configuration_names`.
     path : ndarray, shape (k + 1, dof)
         Configurations at which motions begin, and the last configuration. The base does not move straight between two
-        configurations, so use `positions`.
+        configurations, so use `positions` to interpolate.
     motions : ndarray, shape (k, 2)
         Length of each motion [m], negative for backwards, and its turn [rad], positive to the left. An arc has a length
         and a turn; a straight line has no turn, and a turn in place has no length.
@@ -179,7 +179,7 @@ class Drive(KeepsReadOnly):
 
     @property
     def reversals(self) -> int:
-        """Number of changes between forwards and backwards."""
+        """Number of changes between driving forwards and driving backwards."""
         signs = np.sign(self.motions[:, 0])
         return int(np.count_nonzero(np.diff(signs[signs != 0.0])))
 
@@ -246,7 +246,7 @@ def arcs_of(poses: Floats, lengths: Floats, turns: Floats, ends: Floats, gaps: F
         The pose at which each motion begins, and the pose at which its course ends.
     lengths, turns : ndarray, shape (N,)
     gaps : ndarray, shape (N, 3)
-        How far apart the ends of the courses and of the motions are.
+        How far the end of each course is from the end of its motion.
     """
     ways, angles = np.abs(lengths), np.abs(turns)
     with np.errstate(over="ignore", invalid="ignore"):  # refused below

@@ -87,15 +87,15 @@ class GateAnswer(_validate.Brief):
         Number of targets that may be executed. The motions to these targets, and a brake from each target, are proven
         free.
     scale : float
-        1 if all targets may be executed. Otherwise, the largest time scale among 1/2, 1/4 and 1/8 with which they may
-        be executed, that is, with periods of dt / scale. The scale is 0 if none of the three suffices, or if no work is
-        left to find it.
+        1 if all targets may be executed. Otherwise, the largest time scale among 1/2, 1/4 and 1/8 at which all targets
+        may be executed, that is, with periods of dt / scale. The scale is 0 if none of the three suffices, or if the
+        limit on the work is reached first.
     reason : str
         The reason why not all targets may be executed. "contact": the robot collides on the way to a target. "brake":
-        the robot collides while it brakes, or there are no more targets than the latency has periods. "may be hit": the
-        robot collides only with bodies that are away from their given poses, or nothing is proven near contact.
-        "limits": a target is outside the limits or too fast. "budget": the work was used up. The reason is empty for
-        GO.
+        the robot collides while it brakes, or there are no more targets than the latency has periods. "may be hit": a
+        collision is possible only with a body that is away from its given pose, or nothing could be proven near a
+        contact. "limits": a target is outside the limits or too fast. "budget": the limit on the work was reached. The
+        reason is empty for GO.
     names : tuple of str
         The pair of bodies in question, or the joint; empty if there is none.
     distance, normal : float, ndarray of shape (3,)
@@ -221,9 +221,9 @@ class Gate:
     """Judge chunks of joint targets in a control loop: how far may they run so that the robot can still brake?
 
     A chunk is FREE to run up to a target if the straight motions to it, and a brake from each target, are proven free.
-    The proofs cover all deviations within the errors below, and all places of bodies within their bounds
-    (`Scene.follow`, `Scene.move`). The claim is that nothing collides before the robot is at rest; a body may run into
-    the robot afterwards. A gate is not a safety function in the sense of IEC 61508 or ISO 13849.
+    The proofs cover all deviations within `joint_error` and `velocity_error`, and all places of bodies within their
+    bounds (`Scene.follow`, `Scene.move`). The claim is that nothing collides before the robot is at rest; a body may
+    run into the robot afterwards. A gate is not a safety function in the sense of IEC 61508 or ISO 13849.
 
     Parameters
     ----------
@@ -233,7 +233,7 @@ class Gate:
         Limits of velocity, acceleration and jerk. Default: the limits of the robot.
     brake : {"joints", "path"}
         How the robot brakes. "joints": each joint brakes as fast as its limits allow, off the path, as with most
-        controllers. "path": the robot stays on the path, along which time runs more slowly.
+        controllers. "path": the robot stays on the path, and time along the path slows down until the robot rests.
     horizon : float, optional
         Only targets within this time [s] are examined. Default: all targets.
     interpolation : {"linear"}
@@ -258,7 +258,7 @@ class Gate:
         If an argument has the wrong type, shape or value, a joint has no acceleration limit, or the robot has a
         floating or ball joint.
     UnknownNameError
-        If `brake` or `interpolation` is none of the words above.
+        If `brake` or `interpolation` is not one of the listed words.
 
     Examples
     --------
@@ -334,8 +334,9 @@ class Gate:
             Seconds between targets.
         time : float, optional
             The time of this tick, in seconds on the clock of the scene's moving bodies; it must not run backwards.
-            Required if bodies move or are known by growing bounds. With a latency, the time also decides where a slow
-            robot is, whose state may fit several ticks; without the time, no brake of an earlier answer is then proven.
+            Required if bodies move or have bounds that grow with time. With a latency, the state of a slow robot may
+            fit several ticks of the chunk, and the time decides between these ticks; without the time, no brake of an
+            earlier answer is proven in this case.
 
         Returns
         -------
@@ -378,19 +379,20 @@ class Gate:
     def proof(self) -> Proof:
         """Write the proof of the last chunk that may run, for a log; other programs can verify it without this library.
 
-        This takes far longer than a check, so do it outside the control loop.
+        Writing a proof takes far longer than a check, so do it outside the control loop.
 
         Returns
         -------
         Proof
             The motions of the proof are the chunk's motions up to the last target with a proven brake, followed by all
-            pieces of the brakes in the order of the ticks. Every motion may deviate by as much as the brakes.
+            pieces of the brakes in the order of the ticks. The proof allows every motion the deviations that it allows
+            the brakes.
 
         Raises
         ------
         InputError
-            If no chunk may run, if the scene has changed since the last check, or if its bodies move or are known by
-            growing bounds.
+            If no chunk may run, if the scene has changed since the last check, or if its bodies move or have bounds
+            that grow with time.
         ConvergenceError
             If the bounds of the proof format do not suffice.
 

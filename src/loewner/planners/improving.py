@@ -58,7 +58,7 @@ LEAST_CLEARANCE = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class Improve:
-    """How `plan_full` improves a path: until it reaches one of two limits, or not at all if neither limit is given.
+    """How `plan_full` improves a path: up to a time limit or a number of rounds, or not at all if neither is given.
 
     Parameters
     ----------
@@ -121,10 +121,10 @@ class Improve:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Plan(KeepsReadOnly):
-    """A path with its cost and a lower bound on the cost of every such path: the result of `plan_full`.
+    """A path with its cost and a lower bound on the cost of every path to the goals: the result of `plan_full`.
 
-    The cost is the sum over all motions of the Euclidean norm of the weighted changes of joint values. If a clearance
-    was given, the cost is higher near obstacles.
+    The cost of a motion is the Euclidean norm of the weighted changes of joint values, and the cost of the path is the
+    sum over its motions. If a clearance was given, the cost is higher near obstacles.
 
     Attributes
     ----------
@@ -227,7 +227,7 @@ class Improvement:
     def plan(
         self, path: Floats, ends: Departures, goals: Floats, iterations: int, others: bool, clearing: Clearing | None
     ) -> Plan:
-        """Make the full result for a path to one of the given free goals; there may also be `others`."""
+        """Make the full result for a path to one of the given free goals; with `others`, further goals may exist."""
         kept = {goal.tobytes() for goal in goals}
         targets = ends.goals[[goal.tobytes() in kept for goal in ends.free_goals]]
         cost = cost_of(self.weights, path) if clearing is None else clearing.cost_of(path)
@@ -321,7 +321,7 @@ class Rounds:
     least : float
         Cost of the straight path.
     longest : float
-        The longest motion of a tree without a bound.
+        The longest motion of a tree in a search without a bound on the cost.
     seed : int
     deadline : float
     searches : int

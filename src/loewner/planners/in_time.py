@@ -1,9 +1,9 @@
 """Plan among bodies that follow motions: search in space and time, with motions that are proven at their own times.
 
 A state is a configuration followed by a time [s], which counts from the start of the plan. First the direct motion is
-tried, and then a path planned without the moving bodies, with several starts and speeds. After that, two trees grow,
-forward in time from the start and backward from the goals. Motions are proven in batches, since the overhead of a call
-equals the proof of ten motions.
+tried, and then a path planned without the moving bodies, with several starting times and speeds. After that, two trees
+grow, forward in time from the start and backward from the goals. Motions are proven in batches, since the overhead of a
+call equals the proof of ten motions.
 """
 
 from __future__ import annotations
@@ -187,17 +187,17 @@ def plan_in_time(
         The largest velocity of each value [rad/s or m/s]. Default: the URDF's limits (`Robot.velocity`).
     arrive_by : float, optional
         The latest arrival [s], on the same clock as `start_time`. The default, which is also the upper limit, is four
-        times the time that the joints need to cross their ranges, counted from the end of all motions; a motion that
-        repeats counts with two periods.
+        times the time that the joints need to cross their ranges, counted from the end of all bodies' motions; for a
+        motion that repeats, two periods count.
     search : Search, optional
         Its `max_iterations`, `timeout` and `simplify` apply; `planner` must not be set, and motions are always proven.
 
     Returns
     -------
     Trajectory
-        Between the trajectory's times, the robot moves straight at a constant rate, or waits. The times count from the
-        trajectory's `start_time`, for which ``checker.certify_trajectory(found)`` proves it FREE. No velocity exceeds
-        its limit by more than two units of rounding.
+        Between the trajectory's times, the robot moves straight at a constant rate, or waits. The times are relative to
+        the trajectory's `start_time`. For this start, ``checker.certify_trajectory(found)`` proves the trajectory FREE.
+        No velocity exceeds its limit by more than two units of rounding.
 
     Raises
     ------
@@ -209,7 +209,7 @@ def plan_in_time(
 
     See Also
     --------
-    time_path : Assigns times to a path among bodies that move, which a drive can follow.
+    time_path : Assigns times that the robot's drives can follow to a path among bodies that move.
 
     Notes
     -----

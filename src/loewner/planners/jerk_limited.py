@@ -32,7 +32,7 @@ CUBIC_ROUNDINGS = 64.0 * tolerances.UNIT_ROUNDOFF  # certified.md B54
 
 
 def shortest(size: Floats, fastest: Floats, strongest: FloatOrFloats, jerk: FloatOrFloats) -> float:
-    """Return the shortest duration of a piece for which rounding exceeds no limit by more than `TO_ROUNDING`.
+    """Return the shortest duration of a piece in which rounding makes no value exceed its limit beyond `TO_ROUNDING`.
 
     Parameters
     ----------
@@ -47,15 +47,15 @@ def shortest(size: Floats, fastest: Floats, strongest: FloatOrFloats, jerk: Floa
 
 
 class JerkLimited(NamedTuple):
-    """The motions of a path, and the limits of their changes of speed and direction.
+    """The motions of a path, and the limits on their changes of speed and direction.
 
     Attributes
     ----------
     straights : Straights
     along : list of Limits
-        For each motion, limits as shares of full speed along it.
+        For each motion, limits on changes of the speed along it, as shares of full speed.
     across : list of Limits
-        For each corner, limits of the change from one motion's velocity to the other's, as shares of full speed.
+        For each corner, limits on the change from one motion's velocity to the other's, as shares of full speed.
     """
 
     straights: Straights

@@ -87,9 +87,9 @@ class JointLimits(KeepsReadOnly):
             A YAML file with the key ``joint_limits``, which may be within ROS's parameters, and may occur several times
             for different joints. For each joint, ``has_velocity_limits: true`` and ``max_velocity`` give a limit, and
             ``has_velocity_limits: false`` means that there is none. Limits of acceleration, deceleration and jerk have
-            the same form, and so do ``min_position`` and ``max_position``, which soft limits narrow. If a joint mimics
-            another, its limits bound the other joint, except for position limits, which cause a warning instead. Angles
-            may be tagged ``!degrees``.
+            the same form, and so do ``min_position`` and ``max_position``; soft limits narrow this range of positions.
+            If a joint mimics another, its limits bound the other joint, except for position limits, which cause a
+            warning instead. Angles may be tagged ``!degrees``.
         robot : Robot
         scaled : bool
             Multiply velocities and accelerations by the file's default scaling factors, which are at most 1.
@@ -104,7 +104,7 @@ class JointLimits(KeepsReadOnly):
             If the file does not exist, contains no limits, contains a joint or a key twice, or contains an unknown key
             of a joint or a malformed limit; or if a scaling factor is not next to ``joint_limits``.
         UnknownNameError
-            If the robot lacks a joint in the file; the message lists such joints and the robot's joints.
+            If the file names a joint that the robot lacks; the message lists such joints and the robot's joints.
         MissingExtraError
             If PyYAML is not installed.
 
@@ -384,7 +384,7 @@ def _turning(robot: Robot) -> Bools:
 
 
 def with_start(robot: Robot, columns: Ints, q: Floats, lower: Floats, upper: Floats) -> tuple[Floats, Floats]:
-    """Widen the ranges of columns to include the start of a motion, with a warning, if it is within the hard limits."""
+    """Widen the ranges of columns to include a motion's start, with a warning, if the start is within hard limits."""
     values = q[columns]
     outside = (values < lower - ON_LIMIT) | (values > upper + ON_LIMIT)
     hard = (values >= robot.hard_lower[columns] - ON_LIMIT) & (values <= robot.hard_upper[columns] + ON_LIMIT)

@@ -49,9 +49,9 @@ class Judge:
     ready : Problem
         The pairs of one consistent state of the scene, for all motions.
     resolution : float
-        Step of samples; 0 if motions are proven.
+        Largest step between samples; 0 if motions are proven.
     samples : int
-        Number of samples that the longest motion takes.
+        Number of samples that the longest motion needs.
     joint_error : ndarray, shape (dof,), or None
         How far values may deviate from motions that are proven; None for no deviation.
     kept : KeptAxis or None
@@ -82,7 +82,7 @@ class Judge:
         return cls(checker, prepared_of(checker), resolution, 1, errors if errors.any() else None, kept)
 
     def now(self) -> Judge:
-        """Return a judge for the scene's current state that is otherwise equal."""
+        """Return a judge with the same settings for the scene's current state."""
         return replace(self, ready=prepared_of(self.checker))
 
     def up_to(self, longest: float) -> Judge:

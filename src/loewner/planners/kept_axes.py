@@ -27,7 +27,7 @@ AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 
 @dataclass(frozen=True, eq=False)
 class KeptAxis:
-    """An axis of a link that stays within an angle of a direction of the world.
+    """An axis of a link that stays within an angle of a direction in the world.
 
     Attributes
     ----------
@@ -113,7 +113,7 @@ class KeptAxis:
 
 
 def parts_of(keep: Any, wanted: str) -> list[Any]:
-    """Return the parts of an argument `keep`, which must be as many as the parts named in `wanted`."""
+    """Return the parts of an argument `keep`; refuse it if `wanted` names another number of parts."""
     listed = _validate.listed(keep, "keep", wanted=wanted)
     if len(listed) != len(wanted.split(",")):
         raise InputError(f"keep: expected {wanted}, found {_validate.short(keep)}")

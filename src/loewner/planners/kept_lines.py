@@ -36,7 +36,7 @@ PARTS, MOST_CONFIGURATIONS = (4, 16, 64, 256, 1024), 2**14
 
 @dataclass(frozen=True)
 class Line:
-    """Rows of a path on which a link follows a straight line: `trajectory` then keeps the link on this line.
+    """A straight line that a link follows between two rows of a path, and on which `trajectory` keeps the link.
 
     The line leads from the pose of the link at the first row to its pose at the last: the origin of the link moves
     along a straight line, and the link turns about a fixed axis by the shorter way around, as for `straight`.
@@ -45,10 +45,10 @@ class Line:
     ----------
     link : str
     first, last : int
-        Rows of the path, counted from the end if negative. Default: the whole path.
+        Rows of the path at which the line begins and ends; negative rows count from the end. Default: the whole path.
     position, rotation : float
-        Largest deviations of the link from the line, in metres and radians, at least 1e-9: at every instant, the link's
-        pose differs from a pose of the line by at most these deviations.
+        Largest allowed deviations of the link from the line, in metres and radians, at least 1e-9 each: at every
+        instant, the link's pose differs from some pose of the line by at most these deviations.
 
     Raises
     ------

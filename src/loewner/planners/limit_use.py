@@ -82,7 +82,7 @@ class Jump(NamedTuple):
 
 
 def used(robot: Robot, curve: Curve, limits: JointLimits | None, timed: bool) -> list[Use]:
-    """Return the use of all limits of all joints on a curve with the robot's columns; without times, only of positions.
+    """Return how far a curve with the robot's columns uses each limit of each joint; without times, only of positions.
 
     Position limits are the hard limits, unless the file of `limits` gives others.
     """
@@ -125,7 +125,7 @@ def jumps(robot: Robot, curve: Curve) -> list[Jump]:
 
 
 def doubts(robot: Robot, curve: Curve, uses: list[Use], velocities: bool) -> list[str]:
-    """Describe implausible times, and implausible velocities if the file has some."""
+    """Describe implausible times and, if the file contains velocities, implausible velocities."""
     found = []
     fastest = [use for use in uses if use.quantity == "velocity"]
     shares = [use.ratio if np.isfinite(use.limit) else abs(use.value) / USUAL for use in fastest]

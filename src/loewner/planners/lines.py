@@ -53,12 +53,12 @@ def straight(
     T : array_like, shape (4, 4)
         T_world_link at the end, in metres.
     position, rotation : float
-        Largest deviations of the link from the pose at the same fraction of the line, in metres and radians, at least
-        1e-9.
+        Largest allowed deviations of the link from the pose at the same fraction of the line, in metres and radians, at
+        least 1e-9 each.
     joints : str or iterable of str, optional
         A group, or names of joints: only these joints move. Default: all joints that move the link.
     keep : (axis, direction, angle), optional
-        Additionally, an axis of the link ("x", "y", "z" or a vector) must stay within an angle [rad] of a direction of
+        Additionally, an axis of the link ("x", "y", "z" or a vector) must stay within an angle [rad] of a direction in
         the world, for example to avoid spilling a cup. The angle is kept at every instant, deviations included.
 
     Returns
@@ -70,7 +70,8 @@ def straight(
     ------
     PlanningError
         If the link cannot follow the line, because of a limit or a singularity; if a motion is not proven free; or if
-        the axis does not keep its direction. The message states the fraction of the line, and names joints or bodies.
+        the axis does not keep its direction. The message states at which fraction of the line the fault occurs, and
+        names joints or bodies.
     InputError
         If an argument has the wrong shape or value, if the line turns the link by half a turn, or if a floating or ball
         joint would have to move.
@@ -201,7 +202,7 @@ def _stopped(robot: Robot, chain: Chain, u: float, q: Floats, link: str) -> tupl
 
 
 def block_of(judge: Judge, u: Floats, Q: Floats) -> str:
-    """Explain which motion of a line is not free, by the scene's contact rules as well; return "" if all are free."""
+    """Explain which motion of a line is not free under the scene's contact rules; return "" if all are free."""
     left = np.flatnonzero(~judge.free(Q[:-1], Q[1:]))
     if len(left) == 0:
         return ""

@@ -1,7 +1,8 @@
-"""The ROS messages that contain trajectories, type by type: each field is used, harmless, mentioned or refused.
+"""The ROS messages that contain trajectories: each field is used, ignored, mentioned in a warning, or refused.
 
-A message is walked by the types of its fields. A key that its type does not have is an error, so nothing that affects a
-motion is overlooked: the states from which its joints start, bodies that the robot carries, and motions of a base.
+A message is read according to the types of its fields. A key that its type does not have is an error, so nothing that
+affects a motion is overlooked: the states from which its joints start, bodies that the robot carries, and motions of a
+base.
 """
 
 from __future__ import annotations

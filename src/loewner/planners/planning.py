@@ -80,7 +80,7 @@ class OfOthers(TypedDict, total=False):
 
 
 class Others(OfSearch, OfImprove, total=False):
-    """Options of `plan` that are fields of a record, or choose another function."""
+    """Options of `plan` that are fields of a record, or with which `plan` calls another function."""
 
     full: bool
     proof: bool
@@ -137,21 +137,22 @@ def plan(
         One goal or several, or poses of a link; reaching any of them is enough. Goals that are obviously unreachable
         (outside the limits, or colliding) are ignored, as long as one remains.
     joints : str or iterable of str, optional
-        A group, or names of joints. These joints move; all remaining joints keep the values of `start`. Default: all.
+        A group, or names of joints. These joints move; all remaining joints keep the values of `start`. Default: all
+        joints.
     keep : (link, axis, direction, angle), optional
-        An axis of the link ("x", "y", "z" or a vector) must stay within an angle [rad] of a direction of the world, for
-        example to avoid spilling a cup. The angle is proven for every motion of the path itself, without joint errors.
-        Only the compiled planner supports this option.
+        An axis of the link ("x", "y", "z" or a vector) must stay within an angle [rad] of a direction in the world, for
+        example to avoid spilling a cup. The angle is proven for every motion of the path itself; joint errors are not
+        included. Only the compiled planner supports this option.
     joint_error : float or array_like, shape (dof,)
         Radians or metres by which each value may deviate from the path: every motion is proven for all such deviations,
         including deviations of joints that do not move. With a joint error, contact at the ends is not allowed.
     search : Search, optional
         The planner, its limits, and whether it proves its motions. Default: ``Search()``.
     seed : int
-        Equal seeds give equal paths, unless the timeout ends the search. With an OMPL planner, this sets OMPL's seed,
-        which applies to the whole process. The seed has no effect on drives, whose search is not random.
+        Equal seeds give equal paths, unless the timeout ends the search. With an OMPL planner, this argument sets
+        OMPL's seed, which applies to the whole process. The seed has no effect on drives, whose search is not random.
     planner, certified, resolution, max_iterations, timeout, simplify : optional
-        Single fields of `search`, which replace the values in `search`.
+        Fields of `search`, given one by one; they replace the values in `search`.
     full, proof, improve_for, improve_iterations, weights, clearance : optional
         Improve the path as `plan_full` does; ``improve_for`` and ``improve_iterations`` are the `seconds` and the
         `iterations` of `Improve`. With ``full=True``, the result is a `Plan`.
@@ -165,10 +166,11 @@ def plan(
     ndarray, shape (k, dof)
         Configurations from `start` to a goal; each joint value changes linearly from one configuration to the next. A
         joint that turns without limits takes the shorter way around, so that it ends at the goal's value or whole turns
-        away (with OMPL's planners, always at the goal's value). If a `PoseGoal` has an approach, the path ends with the
-        approach.
+        away from it (with OMPL's planners, always at the goal's value). If a `PoseGoal` has an approach, the path ends
+        with the approach.
     Plan, Trajectory or Drive
-        The result of another function, if its options are given.
+        The result of `plan_full` with ``full=True``, of `plan_in_time` with `start_time`, or of `plan_drive` with
+        `base`.
 
     Raises
     ------
@@ -176,10 +178,10 @@ def plan(
         If a pose cannot be reached, or has no free approach or retreat; if the start or all goals are outside the
         limits, collide, do not keep the axis, or are not proven free within the joint error; if no short motion along
         the contact normal ends a contact at the start, or begins a contact at the goal; if no path was found within the
-        iterations or in time; or if OMPL's path fails the final check. The message gives the reason with its numbers,
-        such as how near the link came to the pose, which joints or pairs are at fault and how deep the pairs are, the
-        largest error that is proven, how far the search got and which pairs prevent motions between the trees, or which
-        motion fails.
+        iterations or in time; or if OMPL's path fails the final check. The message gives the reason with its numbers:
+        for example, how near the link came to the pose, which joints are at fault, which pairs collide and how deep,
+        the largest error that is proven, or the motion that fails. If the search failed, the message states how far it
+        got, and which pairs prevent motions between the trees.
     InputError
         If an argument has the wrong shape or value, a goal moves a joint that is not among `joints`, or one of `joints`
         is a planar, floating or ball joint, which has no limits to search within; or if options exclude each other.
@@ -200,7 +202,8 @@ def plan(
     straight towards the other body.
 
     The compiled planner is the balanced RRT-Connect of Kuffner and LaValle (ICRA 2000) with the dynamic domain of
-    Yershova et al. (ICRA 2005). No motion of a tree is longer than a twelfth of the diagonal of the limits.
+    Yershova et al. (ICRA 2005). No motion of a tree is longer than a twelfth of the diagonal of the box that the limits
+    form.
 
     Examples
     --------
@@ -296,8 +299,8 @@ def plan_full(
     Each round of improvement searches the configurations through which a cheaper path may lead (Gammell et al., IROS
     2014), and polishes the new path and the best one: corners are cut or moved, and single joints are straightened.
     With a clearance, the cost of a motion is its weighted length times the mean of 1 + 9 (1 - d / clearance)² along the
-    motion. Here, d is the distance of the robot from the scene's bodies that are not attached to it, but at most the
-    clearance.
+    motion. Here, d is the distance from the robot to the nearest body of the scene that is not attached to it, or the
+    clearance if that is smaller.
 
     Examples
     --------

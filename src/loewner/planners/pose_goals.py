@@ -34,7 +34,7 @@ FRAMES = ("link", "world")
 
 @dataclass(frozen=True, eq=False)
 class PoseGoal:
-    """Poses of a link as the goal of `plan` or `Roadmap.path`: any configuration at which the link has one of them.
+    """Poses of a link as the goal of `plan` or `Roadmap.path`, which any configuration with one of them reaches.
 
     Parameters
     ----------
@@ -46,17 +46,17 @@ class PoseGoal:
     seeds : int
         As for `Robot.reach`: more seeds find more of the configurations.
     approach, retreat : float, array_like, shape (3,), or (str, array_like), optional
-        Straight lines of the link to the goal and away from it. Each line is given by the link's displacement in
-        metres: a vector in the frame of the link at the goal, or ``("world", vector)`` in the frame of the world. A
-        number is a distance along the link's z axis: an approach goes forward, and a retreat goes back. The link keeps
-        its rotation.
+        Straight lines along which the link moves to the goal and away from it. Each line is given by the link's
+        displacement in metres: a vector in the frame of the link at the goal, or ``("world", vector)`` in the frame of
+        the world. A number is a distance along the link's z axis: an approach moves forward along this axis, and a
+        retreat moves back. The link keeps its rotation.
 
     Notes
     -----
     A configuration is accepted only if both lines can be followed from it, as by `straight`, and are proven free. The
-    path of `plan` ends with the approach; with ``full=True``, ``Plan.approach`` is the row at which it begins, and
-    ``Plan.retreat`` is the path of the retreat. Lines are proven in the scene in which the path is planned. After a
-    change to the scene, such as `Scene.attach`, `retreat_path` proves the retreat again.
+    path of `plan` ends with the approach; with ``full=True``, ``Plan.approach`` is the row at which the approach
+    begins, and ``Plan.retreat`` is the path of the retreat. Lines are proven in the scene in which the path is planned.
+    After a change to the scene, such as `Scene.attach`, `retreat_path` proves the retreat again.
 
     Examples
     --------
@@ -100,7 +100,7 @@ class PoseGoal:
     def configurations(
         self, checker: CollisionChecker, start: ArrayLike, joints: str | Iterable[str] | None = None
     ) -> Floats:
-        """Find configurations that reach the goal: free ones first, then the ones nearest to the start.
+        """Find configurations that reach the goal; free ones come first, and are sorted by their distance from `start`.
 
         Parameters
         ----------
@@ -326,12 +326,13 @@ class Approaches(NamedTuple):
         judge : Judge
         path : ndarray, shape (k, dof)
         goals : ndarray, shape (goals, dof)
-            The goals, shifted by whole turns towards the end of the path if joints have no limits.
+            The goals; values of joints without limits are shifted by whole turns towards the end of the path.
 
         Raises
         ------
         PlanningError
-            If a line is not proven after these turns, which involve rounding, or in another state of the scene.
+            If a line is not proven after these shifts, which involve rounding, or in the state of the scene to which
+            `judge` refers.
         """
         k = int(np.abs(goals - path[-1]).max(axis=1).argmin())
         approach, retreat = self.rows[k], self.retreats[k]

@@ -60,7 +60,7 @@ def ramp(change: float, limits: Limits) -> tuple[float, float]:
 
 
 def ramp_way(low: float, high: float, limits: Limits) -> float:
-    """Return the distance of the change between two speeds, which takes place at their mean."""
+    """Return the distance covered during the change between two speeds, whose mean is the mean speed."""
     edge, flat = ramp(high - low, limits)
     return (low + high) / 2 * (2 * edge + flat)
 
@@ -73,7 +73,7 @@ def reached(length: float, limits: Limits, speed: float) -> float:
 
 @lru_cache(KEPT)
 def turned(half: float, limits: Limits) -> float:
-    """Return the highest speed, up to 1, at which a blend that begins and ends at a distance can be passed."""
+    """Return the highest speed, up to 1, for a blend that begins and ends at a given distance from its corner."""
     return _largest(lambda speed: ramp_way(0.0, speed, limits), 0.0, 1.0, half)
 
 

@@ -1,8 +1,8 @@
 """Roadmaps: networks of motions proven free, built once to answer many queries in one scene.
 
 A roadmap keeps every motion that it tried, not only the free ones; when the scene changes, all of them are proven again
-in one batch. In addition, each path is proven as a whole when it is found. There are three reasons: whole turns are
-rounded, the scene may change meanwhile, and a file's claims are not a proof.
+in one batch. In addition, each path is proven as a whole when it is found. This is necessary because shifts by whole
+turns are rounded, the scene may change meanwhile, and a file's claims are not a proof.
 """
 
 from __future__ import annotations
@@ -205,7 +205,7 @@ class _Neighbours:
 
 @guarded
 class Roadmap(KeepsReadOnly):
-    """A network of configurations and of motions proven free between them, for many queries; made by `roadmap`.
+    """A network of configurations and of proven free motions between them, for many queries; made by `roadmap`.
 
     Notes
     -----
@@ -297,7 +297,7 @@ class Roadmap(KeepsReadOnly):
         ndarray, shape (k, dof)
             Configurations from `start` to a goal; each joint value changes linearly from one configuration to the next.
             A joint that turns without limits takes the shorter way around between nodes, so that it ends at the goal's
-            value or whole turns away.
+            value or whole turns away from it.
 
         Raises
         ------
@@ -559,7 +559,7 @@ def roadmap(
         The number of configurations to sample uniformly within the limits, or the configurations themselves. All free
         configurations become nodes.
     joints : str or iterable of str, optional
-        A group, or names of joints. These joints move; all remaining joints keep their values. Default: all.
+        A group, or names of joints. These joints move; all remaining joints keep their values. Default: all joints.
     fixed : array_like, shape (dof,), optional
         Values that the remaining joints keep. Default: the values in the first given configuration or, if none is
         given, in `Robot.configuration`, where all are 0. The values of a joint that turns without limits are sampled

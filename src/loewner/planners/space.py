@@ -88,7 +88,7 @@ class Space:
         return Q
 
     def unwound(self, Q0: Floats, Q1: Floats) -> Floats:
-        """Shift the unlimited turning joints of Q1 by whole turns, as near to Q0 as possible."""
+        """Shift the unlimited turning joints of Q1 by whole turns, so that they are as near to Q0 as possible."""
         if not self.turning.any():
             return Q1
         at = self.columns[self.turning]

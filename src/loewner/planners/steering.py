@@ -46,7 +46,7 @@ class Ways(NamedTuple):
 
     @property
     def costs(self) -> Floats:
-        """Length of each way, plus its turns in place times a metre, shape (N, ways); infinite if there is no way."""
+        """Length of each way plus 1 m per radian turned in place, shape (N, ways); infinite if there is no way."""
         costs = np.where(self.lengths == 0.0, np.abs(self.turns), np.abs(self.lengths)).sum(axis=2)
         return np.where(np.isfinite(costs), costs, np.inf)
 

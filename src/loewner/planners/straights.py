@@ -1,4 +1,4 @@
-"""The straight motions of a path, with limits as shares of full speed."""
+"""The straight motions of a path, with limits given as shares of full speed."""
 
 from __future__ import annotations
 

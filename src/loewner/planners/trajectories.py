@@ -89,7 +89,7 @@ class Trajectory(KeepsReadOnly):
         plans in time, at the start of a brake, and at an `end_velocity` of `time_path`. Where velocities jump,
         ``rates`` has the values after the jump.
     blended : ndarray of bool, shape (n - 1,)
-        Whether the robot cuts a corner during each interval; in all other intervals it is on the path.
+        For each interval, whether the robot cuts a corner; in all other intervals it is on the path.
     bends : ndarray, shape (n, dof), or None
         Accelerations at these times [rad/s² or m/s²] if the jerk is limited; otherwise None, since accelerations jump.
     jumps : bool
@@ -97,11 +97,11 @@ class Trajectory(KeepsReadOnly):
         ``bends`` are the accelerations just after these times, and accelerations change linearly in between, as on a
         brake through joint targets (`stop_at`).
     start_time : float
-        When the trajectory starts, in seconds on the clock of bodies that follow motions (`Scene.follow`); the default
-        `t0` of `CollisionChecker.certify_trajectory`. ``dataclasses.replace(moved, start_time=4.0)`` starts the
-        trajectory later.
+        When the trajectory starts, in seconds on the clock of bodies that follow motions (`Scene.follow`);
+        `CollisionChecker.certify_trajectory` uses this time by default. ``dataclasses.replace(moved, start_time=4.0)``
+        starts the trajectory later.
     spacing : float
-        Least time [s] between other rows and the rows that `save` adds for ``rate=``: because of rounding, closer rows
+        Least time [s] between a row that `save` adds for ``rate=`` and any other row: because of rounding, closer rows
         would break the limits. The spacing is 0 if the limits are not known, as for a trajectory from a file.
 
     Examples
@@ -358,7 +358,7 @@ class Trajectory(KeepsReadOnly):
         return times, self.positions(times), self.velocities(times), self.accelerations(times)
 
     def to_drake(self, robot: Robot) -> Any:
-        """Return the trajectory of a robot from `Robot.from_drake` in the order of the plant's positions.
+        """Convert the trajectory of a robot from `Robot.from_drake` to Drake, in the order of the plant's positions.
 
         Parameters
         ----------
@@ -368,7 +368,7 @@ class Trajectory(KeepsReadOnly):
         Returns
         -------
         pydrake.trajectories.PiecewisePolynomial
-            Exact up to rounding. For other libraries, ``robot.exported(trajectory.positions(t))`` returns
+            The same trajectory up to rounding. For other libraries, ``robot.exported(trajectory.positions(t))`` returns
             configurations.
 
         Raises
@@ -396,7 +396,7 @@ class Trajectory(KeepsReadOnly):
         return PiecewisePolynomial.CubicHermite(self.times, knots, rates)
 
     def part(self, name: str) -> Trajectory:
-        """Return the motion of one of the robots that `Robot.join` has joined, with its own names and the same times.
+        """Return the motion of one robot that `Robot.join` has joined to others, with its own names and the same times.
 
         Parameters
         ----------
@@ -449,8 +449,8 @@ class Trajectory(KeepsReadOnly):
             and the next. `load` reads ``.csv`` and ``.json`` files. A ``.yaml`` file contains a ROS
             ``trajectory_msgs/JointTrajectory`` with the positions and velocities at whole nanoseconds: each row is
             moved to the nearest nanosecond, rows at the same nanosecond are merged, and the end is rounded up. If
-            accelerations jump, the file contains none, since a controller that interpolates only positions and
-            velocities follows the trajectory. A message has no `start_time`; a ``.csv`` file has it in a comment in the
+            accelerations jump, the file contains none, since a controller then follows the trajectory by interpolating
+            only positions and velocities. A message has no `start_time`; a ``.csv`` file has it in a comment in the
             first line unless it is 0.
         joints : sequence of str, optional
             Names of the columns to write, in this order. Default: all. The file does not contain the motion of the
@@ -460,19 +460,20 @@ class Trajectory(KeepsReadOnly):
             Names of the columns in the file: a mapping from names of the trajectory, or a list with a name for each
             column that is written.
         controllers : path, optional
-            A list of controllers, in the YAML file of ros2_control or MoveIt. A file is written for each controller,
-            such as ``moved.arm_controller.yaml`` for ``path="moved.yaml"`` and the controller ``arm_controller``. The
-            file contains the controller's joints, in the controller's order. Each column whose values change must
-            belong to a controller that accepts trajectories. Such a controller must find all its joints, unless it
-            finds none or allows partial goals.
+            A YAML file of ros2_control or MoveIt that lists controllers. A file is written for each controller, such as
+            ``moved.arm_controller.yaml`` for ``path="moved.yaml"`` and the controller ``arm_controller``. The file
+            contains the controller's joints, in the controller's order. Each column whose values change must belong to
+            a controller that accepts trajectories. The columns must include all joints of such a controller, unless
+            they include none or the controller allows partial goals.
         rate : float, optional
             Also write rows at this rate [1/s], for programs that join rows by straight lines. By default the rows are
             the knots, between which accelerations are constant or change linearly. If velocities jump, the robot moves
             straight between knots, and files contain only positions. Rows closer than ``spacing`` to other rows are
-            left out, since their rounding would break the limits. With limited jerk, these are rows near the knots; at
-            a higher rate, only every second or third row is written, or fewer. `sample` returns all rows.
+            left out, since their rounding would break the limits. With limited jerk, rows near the knots are left out
+            in this way; at a higher rate, only every second or third row remains, or fewer. `sample` returns all rows.
         message : bool
-            Write a JointTrajectory message to a ``.json`` file, too; `ControllerPoints.load` reads the message.
+            Whether a ``.json`` file contains a JointTrajectory message, as a ``.yaml`` file does;
+            `ControllerPoints.load` reads the message.
 
         Raises
         ------
@@ -607,8 +608,8 @@ class Trajectory(KeepsReadOnly):
             joints allow; it does not brake on blends. ``"joints"``: each joint brakes by itself; see `brake`.
         acceleration, jerk : float or array_like, shape (dof,), optional
             Limits [rad/s² and rad/s³, or m/s² and m/s³]. Default: from `limits`. Without a jerk limit, accelerations
-            jump. On the path of a trajectory from `trajectory`, the limits must be no lower than the trajectory's own;
-            there must be jerk limits if and only if the trajectory has them.
+            jump. With ``how="path"`` and a trajectory from `trajectory`, the limits must be no lower than the
+            trajectory's own; there must be jerk limits if and only if the trajectory has them.
         limits : JointLimits, optional
         beyond : bool
             Whether the robot may continue straight after the end of a trajectory that ends in motion.
@@ -616,7 +617,8 @@ class Trajectory(KeepsReadOnly):
         Returns
         -------
         Trajectory
-            The motion from the configuration at `t` to rest; its `start_time` is later by `t`.
+            The motion from the configuration at `t` to rest; its `start_time` is `t` seconds later than the
+            trajectory's.
 
         Raises
         ------
@@ -917,7 +919,7 @@ def trajectory(
     limits : JointLimits, optional
         Limits from a file; the path must be within the position limits.
     checker : CollisionChecker, optional
-        A checker for this robot. The motions of the path must be proven free.
+        A checker for this robot; with a checker, every motion of the path must be provably free.
     blend : float
         Fraction of a motion, from 0 (stop at every corner) to 0.49, that the blend at each end of the motion may take.
         Without a checker, `blend` has no effect.
@@ -952,10 +954,11 @@ def trajectory(
 
     Notes
     -----
-    If the robot stops at every corner, no trajectory along the path is faster. A blend has constant acceleration, or
-    begins and ends without acceleration if the jerk is limited, and is as fast as the limits and the neighbouring
-    motions allow. Each joint keeps its limits at every instant, up to rounding. If the jerk is limited, a millionth of
-    each limit is reserved for rounding errors, and for an arm no phase is shorter than about half a millisecond.
+    If the robot stops at every corner, the trajectory is the fastest one along the path. A blend has constant
+    acceleration, or begins and ends without acceleration if the jerk is limited, and is as fast as the limits and the
+    neighbouring motions allow. Each joint keeps its limits at every instant, up to rounding. If the jerk is limited, a
+    millionth of each limit is reserved for rounding errors, and for an arm no phase is shorter than about half a
+    millisecond.
 
     Examples
     --------
@@ -1056,8 +1059,8 @@ def brake(
     Notes
     -----
     With n joints that move, a brake has at most n pieces of constant acceleration, or 3 n pieces if the jerk is
-    limited. Since its acceleration cannot jump, the velocity of a joint may rise at first, and exceed its limit by as
-    much as in any motion within the jerk limit.
+    limited. With a jerk limit, accelerations cannot jump: the velocity of a joint may rise at first, and exceed its
+    limit by as much as in any motion within the jerk limit.
 
     Examples
     --------
@@ -1086,7 +1089,7 @@ def checked_rows(robot: Robot, path: ArrayLike) -> Floats:
 
 
 def expect_straight(robot: Robot) -> None:
-    """Refuse anything but a robot whose joint values run straight."""
+    """Refuse anything but a robot whose joint values change linearly along motions."""
     expect_robot(robot)
     if not robot.runs_straight:
         raise InputError(
@@ -1096,7 +1099,7 @@ def expect_straight(robot: Robot) -> None:
 
 
 def checked_blend(blend: float) -> float:
-    """Check the share of a motion that blends may take."""
+    """Check the argument `blend`, the share of a motion that a blend at each end may take."""
     share = _validate.positive_scalar(blend, "blend", zero=True)
     if share > LARGEST_SHARE:
         raise InputError(f"blend: expected a share from 0 to {LARGEST_SHARE:g}, found {share:g}")

@@ -1,4 +1,4 @@
-"""Files of trajectories: .csv with a row for each knot, and .json; every number is read back as it was."""
+"""Files of trajectories: .csv with a row for each knot, and .json; every number is read back exactly."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def written(rows: Rows, suffix: str) -> str:
 
 
 def read(source: Path) -> Rows:
-    """Read a file; whether its numbers are a trajectory is not checked.
+    """Read a file without checking that its numbers form a trajectory.
 
     Raises
     ------

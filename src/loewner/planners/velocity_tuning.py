@@ -145,7 +145,7 @@ def time_path(
     joint_error: ArrayLike = 0.0,
     blend: float = 0.4,
 ) -> Trajectory:
-    """Assign times to a path so that a drive can follow it and the robot hits no moving body at any instant.
+    """Assign times to a path so that the robot's drives can follow it and the robot never hits a moving body.
 
     The robot slows down or waits where a body of the scene that follows a motion (`Scene.follow`) would be in the way.
 
@@ -159,7 +159,8 @@ def time_path(
         Time at which the robot is at rest at the first configuration [s], on the clock of the bodies' motions.
     arrive_by : float, optional
         The latest arrival [s]. The default, which is also the upper limit, is twice the time that the path takes
-        without moving bodies, counted from the end of all their motions; a motion that repeats counts with two periods.
+        without moving bodies, counted from the end of all bodies' motions; for a motion that repeats, two periods
+        count.
     arrive_at : float, optional
         The time of arrival [s]. Default: the earliest time that the search finds.
     end_velocity : array_like, shape (dof,), optional

@@ -37,12 +37,12 @@ class Map(NamedTuple):
     Attributes
     ----------
     occupied, unknown : ndarray of bool, shape (p, q)
-        Cell (i, j) extends from (i, j) to (i + 1, j + 1), times the resolution, measured from the origin along its
-        axes.
+        In the frame of the lowest corner, cell (i, j) extends from (i, j) to (i + 1, j + 1), times the resolution.
     resolution : float
         Edge of a cell, in metres.
     origin : ndarray, shape (3,)
-        Position of the grid's lowest corner in the world, in metres, and its rotation about z, in radians.
+        Position of the grid's lowest corner in the world (x and y, in metres), and the grid's rotation about z, in
+        radians.
     """
 
     occupied: Bools
@@ -114,7 +114,7 @@ def rectangles(cells: Bools) -> Ints:
 
 
 def body_of(grid: Map, height: float, *, unknown: bool) -> Body | None:
-    """Make boxes of the occupied cells, in the frame of the map's lowest corner; None if there are none."""
+    """Make boxes of the occupied cells, in the frame of the map's lowest corner; return None if no cell is occupied."""
     cells = rectangles(grid.occupied | grid.unknown if unknown else grid.occupied)
     if len(cells) == 0:
         return None
@@ -137,7 +137,7 @@ def _boxes(low: Floats, high: Floats, height: float) -> Body:
 
 
 def bounds_of(grid: Map) -> Floats:
-    """Compute the least and the largest x and y of a map in the world, shape (2, 2), a row for each axis."""
+    """Compute the least and the largest x and y of a map in the world, shape (2, 2), with one row per axis."""
     corners = grid.resolution * np.array(grid.occupied.shape) * [[0, 0], [0, 1], [1, 0], [1, 1]]
     T = corner(grid)
     places = corners @ T[:2, :2].T + T[:2, 3]

@@ -40,14 +40,14 @@ class MjcfJoint:
     kind : str
         "hinge", "slide", "ball" or "free".
     anchor, axis : ndarray, shape (3,)
-        In the frame of the joint's body; the axis has unit length.
+        Anchor and axis in the frame of the joint's body; the axis has unit length.
     lower, upper : float
         Limits of a hinge [rad] or slide [m]; infinite for joints without limits, and for balls and free joints.
     reference : float
-        The value at which the body is at its pose: `ref` in the file.
+        Value of the joint at which the body has the pose given in the file: `ref` in the file.
     mimic : tuple, optional
-        The joint that this joint follows, a multiplier and an offset, if an equality couples the two joints and is
-        read.
+        If an equality couples this joint to another one and equalities are read: the name of the joint that this joint
+        follows, a multiplier and an offset.
     """
 
     name: str
@@ -108,7 +108,7 @@ class MjcfModel:
         Sorted pairs of names of parts. MuJoCo skips these pairs because the parts are rigidly joined, or parent and
         child.
     excluded_pairs : frozenset
-        Pairs that MuJoCo skips because of <exclude>, contype and conaffinity in the file.
+        Pairs that MuJoCo skips because of <exclude>, contype or conaffinity in the file.
     keyframes : dict
         Maps the name of a keyframe to its qpos.
     """
@@ -128,7 +128,7 @@ def read_mjcf(path: str | os.PathLike[str], tol: float) -> MjcfModel:
     ----------
     path : path
     tol : float
-        Largest certified log-volume gap of the fits to meshes.
+        Upper limit on the certified log-volume gap of every fit to a mesh.
 
     Raises
     ------

@@ -51,9 +51,9 @@ class Contact:
     name_a, name_b : str
         Names of bodies of a scene, or of links of a robot.
     distance : float
-        In metres; a negative distance is the depth of the two pieces that overlap most. A distance is positive only for
-        bodies within their margin, or for touching bodies that rounding moves apart, since touching counts as
-        colliding.
+        In metres. A negative distance is minus the depth of the two pieces that overlap most. Since touching counts as
+        colliding, a distance is positive only if the bodies are apart by no more than their margin, or if they touch
+        and rounding makes the computed distance positive.
     witness_a, witness_b : ndarray, shape (3,)
         Points of a and of b in world coordinates, with witness_b - witness_a = distance * normal.
     normal : ndarray, shape (3,)
@@ -138,13 +138,14 @@ class Scene:
     Parameters
     ----------
     margin : float
-        Distance in metres that every pair with a body of the scene has to keep (see `margin_of`).
+        Distance in metres that every pair with at least one body of the scene has to keep (see `margin_of`).
 
     Notes
     -----
     Iterating over a scene yields the names of its bodies, in the order in which they were added. The scene's own
-    queries (`pairs`, `collide`, `distance`) cover only the static bodies in the world, since the pose of an attached
-    body depends on a robot's configuration, and the pose of a body that follows a motion (`follow`) on the time.
+    queries (`pairs`, `collide`, `distance`) leave out attached bodies, whose poses depend on a robot's configuration.
+    With a time, `pairs` and `collide` include the bodies that follow motions (`follow`); `distance` accepts only static
+    bodies.
 
     Any thread may change a scene while others query it: each change is atomic, and each query uses one consistent
     state. Adding a body that is probably not given in metres causes a warning, once per scene.
@@ -265,7 +266,7 @@ class Scene:
 
     @property
     def structure_version(self) -> int:
-        """A number that grows with every change except changes of poses and motions, which leave other prepared data
+        """A number that grows with every change except changes to poses and motions, which leave other prepared data
         valid."""
         return self._structure_version
 
@@ -328,7 +329,7 @@ class Scene:
         ----------
         path : path
             The YAML file, which names the image. PNG and BMP images need Pillow (the extra ``plots``); PGM images do
-            not. The mode is trinary or scale; in mode scale, all cells that are not free are occupied.
+            not. The mode must be trinary or scale; in mode scale, all cells that are not free count as occupied.
         height : float
             Height of the boxes, in metres.
         unknown : bool
@@ -500,8 +501,9 @@ class Scene:
         error : array_like, shape (2,), optional
             How far the pose may be wrong, in metres and radians: the body's origin deviates by at most the first
             number, and its orientation by at most the second. A point at distance ρ from the body's origin then
-            deviates by at most metres + ρ · radians; `bounds` contains the largest ρ. Answers hold for all poses within
-            the error: FREE means free at each of them. By default the pose is exact, even if an earlier one was not.
+            deviates by at most ``error[0]`` + ρ · ``error[1]``; `bounds` contains the largest ρ. Answers hold for all
+            poses within the error: FREE means free at each of them. By default the pose is exact, even if an earlier
+            one was not.
 
         Raises
         ------
@@ -617,7 +619,8 @@ class Scene:
         name : str
             A body of the scene. If it already follows a motion, the new motion replaces it.
         times : array_like, shape (n,)
-            At least two increasing times, in seconds. One time suffices for a body at rest with bounds.
+            At least two increasing times, in seconds. One time suffices for a body at rest if `speed`, `turn` or
+            `error` is given.
         poses : array_like, shape (n, 4, 4)
             T_world_body at these times; translation in metres. Between two times, the position changes linearly, and
             the body turns at a constant rate through the smaller angle.
@@ -640,10 +643,10 @@ class Scene:
 
         Notes
         -----
-        With bounds, answers hold for all motions within the bounds: FREE means free for each motion, and `collide` is
-        True if the body may collide. COLLIDING means a collision with the body on its given motion; everything else
-        that is not free is AMBIGUOUS. Distances apply to the given motion. Calling `follow` again without bounds
-        removes the bounds.
+        If `speed`, `turn` or `error` is given, answers hold for all motions within these bounds: FREE means free on
+        each of them, and `collide` is True if the body may collide. COLLIDING means a collision with the body on its
+        given motion; everything else that is not free is AMBIGUOUS. Distances apply to the given motion. Calling
+        `follow` again without these arguments removes the bounds.
 
         Raises
         ------
@@ -735,7 +738,7 @@ class Scene:
         Warns
         -----
         UserWarning
-            If `allow` still permits contact between this body and another; proofs of motions then ignore that pair.
+            If `allow` still permits contact between this body and another one; proofs of motions then ignore that pair.
 
         Notes
         -----
@@ -866,13 +869,14 @@ class Scene:
         -----
         The rule applies to motions and to whole curves (see `CollisionChecker.certify_edges` and
         `CollisionChecker.certify_trajectory`). A motion or curve that starts with the two in contact, or within their
-        margin, is FREE if two things are proven. On a first stretch, no two of their pieces penetrate each other deeper
-        than at the start or, while within their margin, come nearer, by more than the tolerance of the proof. On the
-        rest, the two keep their margin. Once the two have parted, that is, once their distance exceeds their margin by
-        a ten-thousandth of the robot's reach, the stretch ends before they come near again. For this purpose, their
-        distance is measured at several places, chosen according to how far the two move in between. This part is
-        therefore not a proof: contact might end and begin again between two places, but no deeper than at the start.
-        The rule takes precedence over `allow`. At a single configuration, contact is a collision, as for all pairs.
+        margin, is FREE if two things are proven. On a first stretch of the motion, the contact does not worsen by more
+        than the tolerance of the proof: no two of their pieces penetrate each other deeper than at the start or, within
+        their margin, come nearer. On the rest of the motion, the two keep their margin. Once the two have parted, that
+        is, once their distance exceeds their margin by a ten-thousandth of the robot's reach, the first stretch ends
+        before they come near again. To find this end, their distance is measured at several places along the motion,
+        chosen according to how far the two move in between. The end of the contact is therefore not proven: contact
+        might end and begin again between two places, but no deeper than at the start. The rule takes precedence over
+        `allow`. At a single configuration, contact is a collision, as for all pairs.
 
         The rule ends when one of the two is attached, detached or removed.
 
@@ -925,7 +929,7 @@ class Scene:
 
     @property
     def margin(self) -> float:
-        """Distance in metres that every pair with a body of the scene has to keep."""
+        """Distance in metres that every pair with at least one body of the scene has to keep."""
         return self._margin
 
     @property
@@ -1010,7 +1014,7 @@ class Scene:
         Parameters
         ----------
         least : float
-            Least margin in metres, also for the scene's own margin. Larger margins do not change.
+            Least margin in metres, which also applies to the scene's own margin. Larger margins do not change.
 
         Raises
         ------
@@ -1118,7 +1122,7 @@ class Scene:
         Returns
         -------
         bool
-            True also for bodies that touch or come within their margin. Attached bodies are left out.
+            True if two bodies overlap, touch or come within their margin. Attached bodies are left out.
 
         Raises
         ------
@@ -1244,10 +1248,9 @@ def in_world(scene: Scene) -> tuple[Floats, dict[str, PosePath], dict[str, PoseB
     Returns
     -------
     poses : ndarray, shape (n, 4, 4)
-        `static_poses`, followed by the poses of bodies that follow motions but are at rest and whose bounds grow with
-        time.
+        `static_poses`, followed by the poses of the bodies in `Scene.following` that are at rest and have bounds.
     following : dict of str to PosePath
-        The motions of the other bodies.
+        The motions of all other bodies that follow one.
     bounds : dict of str to PoseBounds
         The bounds of all bodies that follow motions, in the same order.
     """
@@ -1260,7 +1263,7 @@ def in_world(scene: Scene) -> tuple[Floats, dict[str, PosePath], dict[str, PoseB
 def poses_since(
     scene: Scene, structure_version: int
 ) -> tuple[Floats, tuple[PosePath, ...], dict[str, PoseBounds], int] | None:
-    """Return the results of `in_world` and the version of a scene in which only these have changed; otherwise None."""
+    """Return the results of `in_world` and the scene's version, or None if the scene has another structure version."""
     with _CHANGING:
         if scene.structure_version != structure_version:
             return None
