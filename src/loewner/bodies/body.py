@@ -289,10 +289,10 @@ class Body(_Bodies):
             Whether to grow the pieces of a decomposition until they contain the mesh's whole surface.
         tolerance : float, optional
             The largest distance by which the pieces may stick out of the mesh, in metres. If it is given, the mesh is
-            cut along planes instead of by CoACD, until no piece sticks out farther or `max_pieces` is reached. If a
-            piece still sticks out farther than the tolerance, a warning gives the distance. A mesh with holes is always
-            cut along planes; the default tolerance is then 2 % of the diagonal of the bounding box, or more if 2 %
-            would take too much work.
+            cut along planes, without CoACD, until no piece sticks out farther or `max_pieces` is reached. If a piece
+            still sticks out farther than the tolerance, a warning gives the distance. A mesh with holes is always cut
+            along planes; the default tolerance is then 2 % of the diagonal of the bounding box, or more if 2 % would
+            take too much work.
         threshold : float
             CoACD's bound on concavity, from 0.01 to 1. A smaller bound gives more pieces and a closer fit. The bound
             applies only to meshes without holes.
@@ -601,7 +601,7 @@ class Body(_Bodies):
         image, K, T_world_camera
             As for `depth.points_of`; pixels without an echo are left out.
         radius, voxel : float
-            As for `from_cloud`; give exactly one of them.
+            As for `from_cloud`; give exactly one of the two.
         checker : CollisionChecker, optional
             If given, `CollisionChecker.off_the_robot` removes the points on the robot and on attached bodies.
         q : array_like, shape (dof,), optional
@@ -642,7 +642,7 @@ class Body(_Bodies):
 
     @classmethod
     def from_voxels(cls, grid: ArrayLike, size: float, *, origin: ArrayLike = (0.0, 0.0, 0.0)) -> Body:
-        """Make a body from an occupancy grid: the union of the occupied cells, with each unbroken row as one box.
+        """Make a body from an occupancy grid: the union of the occupied cells; each unbroken row of cells is one box.
 
         Parameters
         ----------
@@ -719,7 +719,7 @@ class Body(_Bodies):
             Distance between neighbours along x and y, in metres.
         base : float, optional
             Height of the flat underside, in metres; it must be below all `heights`. The default is the lowest height
-            minus the longer side of the grid, so that no body passes through from above undetected.
+            minus the longer side of the grid, so that no body can pass through the terrain from above undetected.
 
         Raises
         ------
@@ -757,7 +757,7 @@ class Body(_Bodies):
         extent : float
             Edge length of the cube, in metres, at most 1e9. One face of the cube lies in the plane, centered at the
             plane's point nearest to the origin. Everything outside the cube is free, so choose a cube larger than the
-            range of the moving bodies. Contact is accurate to about 1e-12 times this length.
+            range of the moving bodies. Contact is accurate to about 1e-12 times the extent.
 
         Raises
         ------
@@ -994,7 +994,7 @@ class Body(_Bodies):
             If both or neither of `n` and ``protrusion`` are given, if `n` is less than 1, or if ``protrusion`` is less
             than 1e-4 of the body's diagonal.
         GeometryError
-            If no elements within this limit are found.
+            If no elements that satisfy the given limit are found.
 
         Examples
         --------
@@ -1085,8 +1085,8 @@ class Body(_Bodies):
         ----------
         path : path
             Any extension is allowed; the stem names both the robot and its link. The mesh files are written first; then
-            the URDF is written under a temporary name and renamed. A file with different content is never replaced, so
-            an older URDF, or a copy of it, keeps its meshes.
+            the URDF is written under a temporary name and renamed. A mesh file is never replaced with different
+            content, so that an older URDF, or a copy of it, keeps its meshes.
         ellipsoids : {"inner", "outer"}, optional
             Which ellipsoids to write instead of the pieces.
         mesh_prefix : str
@@ -1158,7 +1158,7 @@ class Body(_Bodies):
         -------
         trimesh.Scene
             One mesh per piece, named ``piece_0``, ``piece_1``, ...; ``.to_mesh()`` joins them. An open surface without
-            a radius has no inner ellipsoid and is left out of "inner".
+            a radius has no inner ellipsoid, and is left out if `what` is "inner".
 
         Raises
         ------

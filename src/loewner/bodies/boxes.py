@@ -25,7 +25,7 @@ def least_box_axes(triangles: Floats) -> Floats:
     Parameters
     ----------
     triangles : ndarray, shape (3, corners, n)
-        The first axis is the coordinate. A point is passed as a triangle with one corner.
+        The first axis is for the coordinates x, y and z. A point is passed as a triangle with one corner.
 
     Returns
     -------

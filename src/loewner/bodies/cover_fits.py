@@ -77,9 +77,9 @@ def grid_of(target: Target) -> float:
 class Candidates:
     """Candidates for the balls or capsules that are to cover a body, and the points that they must cover.
 
-    A ball of radius d + e around a point at depth d in the body sticks out by no more than e. If the point moves away
-    from the nearest point of the surface, the new ball contains the old one. Only points of the medial axis, which have
-    several nearest points on the surface, are therefore needed as centers. A capsule is a union of balls; for a
+    A ball of radius d + e around a point at depth d in the body sticks out by no more than e. If the point is moved
+    away from the nearest point of the surface, the new ball contains the old one. Only points of the medial axis, which
+    have several nearest points on the surface, are therefore needed as centers. A capsule is a union of balls; for a
     capsule, d is the least depth of a point of its axis.
     """
 

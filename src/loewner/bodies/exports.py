@@ -1,8 +1,8 @@
 """Write bodies for other programs, as MJCF, URDF and STL.
 
-Spheres, cylinders, capsules, ellipsoids and boxes become shapes of that type if the format has it. Any other polytope
-becomes a mesh that has the polytope as its convex hull. Curved pieces without a matching type are replaced with
-circumscribed polytopes, except inner ellipsoids, which are replaced with inscribed polytopes.
+Spheres, cylinders, capsules, ellipsoids and boxes become shapes of the same type if the format has this type. Any other
+polytope becomes a mesh that has the polytope as its convex hull. Curved pieces without a matching type are replaced
+with circumscribed polytopes, except inner ellipsoids, which are replaced with inscribed polytopes.
 """
 
 from __future__ import annotations
@@ -127,7 +127,7 @@ def add_geoms(
     which: str | None = None,
     wider: float = 0.0,
 ) -> None:
-    """Add the shapes of a body, enlarged on each side, to a body of MJCF, and their meshes to the assets."""
+    """Add the shapes of a body, enlarged on each side, to a body element of MJCF, and their meshes to the assets."""
     name = body.attrib["name"]
     for number, shape in enumerate(each.wider(wider) for each in _listed(packed, which)):
         geom = ElementTree.SubElement(body, "geom", name=f"{name}_{number}", type=shape.kind)
@@ -245,7 +245,7 @@ def save_texts(texts: dict[Path, str]) -> None:
 
 
 def enlarged(packed: Packed) -> str | None:
-    """Return the kind of the first piece for which URDF has no shape, so that a larger polytope is written, or None."""
+    """Return the kind of the first piece that becomes a larger polytope since URDF has no shape for it, or None."""
     for row, frame in zip(packed.layout[:, columns.KIND].tolist(), packed.frames, strict=True):
         if row > columns.POLYTOPE:
             kind, semi_axes = CURVED[row], np.linalg.norm(frame[4:].reshape(3, 3), axis=0)

@@ -12,7 +12,7 @@ FLAT = 1e-3
 
 
 def flat_faces(vertices: Floats, triangles: Ints) -> Ints:
-    """Number the faces of a mesh, by triangle.
+    """Number the faces of a mesh, and return the face of each triangle.
 
     Parameters
     ----------

@@ -47,9 +47,9 @@ class Kind(NamedTuple):
 
     `mesh` triangulates the unit shape, with all corners on its surface. Divided by `inradii`, this mesh contains the
     unit shape; `inradii` is None if the mesh is `ball`. `inner` and `outer` are the optimal ellipsoids. `gauge` is a
-    convex function of points whose gradients have lengths of at most 1. It is at most 1 in the unit shape, less than 1
-    at the origin, and greater than 1 outside the unit shape. `support` is the support function. Covers refuse kinds
-    that lack `gauge` or `support`.
+    convex function of points whose gradients have lengths of at most 1. The gauge is at most 1 in the unit shape, less
+    than 1 at the origin, and greater than 1 outside the unit shape. `support` is the support function. Covers refuse
+    kinds that lack `gauge` or `support`.
 
     If a ball is added, neither function is needed, `core` is half the length of the unit segment to which the ball is
     added (0 for a point), and `mesh` triangulates the unit ball.

@@ -156,8 +156,8 @@ def laid_out(
 def kernel_arrays(p: PieceArrays, maps: Maps, trees: Trees) -> records.Pieces:
     """Make the arrays for kernels, with the direction maps of large pieces and the trees of surfaces.
 
-    `loewner._kernels.pieces.shapes` describes them. They are writeable, because Numba would treat read-only arrays as a
-    different type and compile everything twice.
+    `loewner._kernels.pieces.shapes` describes them. The arrays are writeable, because Numba would treat read-only
+    arrays as a different type and compile everything twice.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Build the trees over the triangles of surfaces that kernels traverse."""
+"""Build trees over the triangles of surfaces, for kernels to traverse."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ class SurfaceTree:
     def outer_ellipsoids(self, radius: float) -> tuple[Floats, Floats]:
         """Compute the centers and factors of ellipsoids around the parts below the root, thickened by a radius.
 
-        The ellipsoids are stored in single precision, whose rounding is added to the radius.
+        The ellipsoids are stored in single precision, and the errors of this rounding are added to the radius.
         """
         top = max(int(self.children[0]), 0)
         wide = self.ellipsoids.size // 9

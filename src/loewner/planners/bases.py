@@ -1,8 +1,8 @@
 """Plan for mobile bases: search a lattice of poses whose arcs are proven, connect it to the goal, and shorten the path.
 
-The search is A* over cells of position and heading (hybrid A*: Dolgov et al., IJRR 2010). Its estimate is the distance
-to the goal on a grid of the map; cells that are blocked at all tried headings count several times. Poses are taken from
-the queue in batches, since the overhead of a kernel call equals the proof of forty arcs.
+The search is A* over cells of position and heading (hybrid A*: Dolgov et al., IJRR 2010). The search estimates costs by
+the distance to the goal on a grid of the map; cells that are blocked at all tried headings count several times. Poses
+are taken from the queue in batches, since the overhead of a kernel call equals the proof of forty arcs.
 """
 
 from __future__ import annotations
@@ -165,7 +165,7 @@ class Base:
         return free
 
     def best(self, a: Floats, b: Floats, count: int) -> tuple[Floats, Floats]:
-        """Return the cheapest ways, shape (N, count, motions, 2), and their costs, including changes of direction."""
+        """Return the cheapest ways, shape (N, count, motions, 2), and their costs, direction changes included."""
         ways = self.ways(a, b)
         costs, count = ways.costs, min(count, ways.lengths.shape[1])
         order = np.argpartition(costs, count - 1, axis=1)[:, :count]
@@ -188,7 +188,7 @@ def plan_drive(
     search: Search | None = None,
     proof: bool = False,
 ) -> Drive:
-    """Plan for a mobile base that cannot drive sideways, on the joints x, y and theta of its robot.
+    """Plan the motion of a mobile base that cannot drive sideways, in the joints x, y and theta of its robot.
 
     Parameters
     ----------
@@ -202,12 +202,13 @@ def plan_drive(
     radius : float, optional
         Least radius of a car's turns, in metres; required for a car.
     reverse : bool
-        Whether the base may drive backwards. A car that may drive only forwards may turn by more than half a turn on an
-        arc.
+        Whether the base may drive backwards. On one arc, a car that drives only forwards may turn by more than half a
+        turn.
     joint_error
         As for `plan`.
     search : Search, optional
-        Its `max_iterations`, `timeout` and `simplify` apply; `planner` must not be set, and motions are always proven.
+        The fields `max_iterations`, `timeout` and `simplify` apply; `planner` must not be set, and motions are always
+        proven.
     proof : bool
         Also write a `Proof` of the drive, as `CollisionChecker.certify_trajectory` does.
 

@@ -1,7 +1,7 @@
-"""Brakes of a robot: joint by joint, which leaves the path, and along a path.
+"""Brakes of a robot, either joint by joint, off the path, or along the path.
 
 The kernels in `_kernels.robots.brakes` compute many brakes at a time, on paths of straight motions and joint by joint.
-On a trajectory with blends, the speed falls on straight lines, and blends are passed at a lower rate.
+On a trajectory with blends, the speed falls on straight lines, and the robot passes blends at reduced speed.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ HALVINGS = 64
 
 
 class Brakes(NamedTuple):
-    """Brakes as states at the times at which the rate of a joint jumps; see `_kernels.robots.brakes`.
+    """Brakes as states at the times at which a joint's acceleration, or its jerk if limited, jumps.
 
     Attributes
     ----------
@@ -44,7 +44,7 @@ class Brakes(NamedTuple):
     states : ndarray, shape (n, most, 3, dof)
         The position at each time, and the velocity and acceleration just after it.
     counts : ndarray of int64, shape (n,)
-        Number of times of each brake; 0 for a brake that does not end on the path.
+        Number of times that describe each brake; 0 for a brake that does not end on the path.
     needed : ndarray of int64, shape (n,)
         Index of the row of the path by which each brake ends, or the number of rows if the brake ends later; 0 for
         brakes that leave the path.
@@ -103,14 +103,14 @@ class Brakes(NamedTuple):
         return courses, seconds, first
 
     def whole(self, cubic: bool, until: Floats) -> tuple[Floats, Floats]:
-        """Return one course for each brake including the rest after it, and how far the brake deviates from the course.
+        """Return one course for each brake and the time at rest after it, and how far the brake is from its course.
 
         Parameters
         ----------
         cubic : bool
             As for `courses`.
         until : ndarray, shape (n,)
-            Seconds after the beginning of each brake up to which the robot rests, if it stops earlier.
+            Time in seconds, counted from the beginning of each brake, until which the robot rests if it stops earlier.
 
         Returns
         -------
@@ -128,7 +128,7 @@ class Brakes(NamedTuple):
         Raises
         ------
         InputError
-            If the brake takes longer than a number can hold.
+            If the duration of the brake overflows.
         """
         times, states = self.times[n, : self.counts[n]].copy(), self.states[n, : self.counts[n]]
         if not (np.isfinite(times).all() and np.isfinite(states).all()):

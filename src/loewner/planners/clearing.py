@@ -1,4 +1,4 @@
-"""Move a path away from obstacles: its cost rises near them, and its points move to places where the cost is lower."""
+"""Move a path away from obstacles: the cost rises near obstacles, and points of the path move where it is lower."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ class Clearing:
     def cleared(self, space: Space, path: Floats, most: int, deadline: float) -> tuple[Floats, int]:
         """Move a free path away from obstacles; return the cheaper of old and new path, and the number of rounds.
 
-        Points move for three quarters of the time; the clock is checked between rounds.
+        Points move for three quarters of the available time; the clock is checked between rounds.
         """
         if self.cost_of(path) <= self._lengths(path[:-1], path[1:]).sum() * (1.0 + TOLERATED):
             return path, 0

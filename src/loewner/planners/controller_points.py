@@ -58,7 +58,7 @@ class Origin:
     Attributes
     ----------
     place : str
-        The keys that lead to the points.
+        The keys in the message that lead to the points.
     stated : dict
         Values from the message's start state, by column.
     sources : dict

@@ -51,7 +51,7 @@ class Controller:
 def columns_of(
     held: tuple[str, ...] | None, count: int, joints: Any, names: Any
 ) -> tuple[list[int], tuple[str, ...] | None]:
-    """Return the columns for a file, and their names in it, from the arguments of a `save`.
+    """Return the columns for a file, and their names in the file, from the arguments of a method `save`.
 
     Parameters
     ----------
@@ -124,7 +124,7 @@ def write(
 
 
 def files_of(listing: Any, target: Path, names: Sequence[str], moves: Sequence[bool]) -> dict[Path, list[int]]:
-    """Return the file and the columns in the trajectory for each controller in a list that accepts trajectories.
+    """For each listed controller that accepts trajectories, return its file and its columns of the trajectory.
 
     Parameters
     ----------

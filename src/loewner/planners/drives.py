@@ -1,8 +1,8 @@
 """Define `Drive`, a sequence of arcs, straight lines and turns in place, for mobile bases.
 
-The engine proves polynomials, but an arc is not a polynomial. Each piece of an arc becomes the polynomial of degree 7
-that agrees with it at both ends in position and three derivatives. The proof covers all configurations that deviate
-from the polynomial by no more than the arc does; docs/certified.md derives the bound.
+The engine proves polynomials, but an arc is not a polynomial. Each piece of an arc is replaced with the polynomial of
+degree 7 that agrees with the piece at both ends in position and three derivatives. The proof covers all configurations
+that deviate from the polynomial by no more than the arc does; docs/certified.md derives the bound.
 """
 
 from __future__ import annotations

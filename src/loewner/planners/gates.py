@@ -92,12 +92,12 @@ class GateAnswer(_validate.Brief):
         limit on the work is reached first.
     reason : str
         The reason why not all targets may be executed. "contact": the robot collides on the way to a target. "brake":
-        the robot collides while it brakes, or there are no more targets than the latency has periods. "may be hit": a
-        collision is possible only with a body that is away from its given pose, or nothing could be proven near a
-        contact. "limits": a target is outside the limits or too fast. "budget": the limit on the work was reached. The
-        reason is empty for GO.
+        the robot collides while it brakes, or the chunk has no target beyond the latency. "may be hit": a collision is
+        possible only with a body that is away from its given pose, or nothing could be proven near a contact. "limits":
+        a target is outside the limits or too fast. "budget": the limit on the work was reached. The reason is empty for
+        GO.
     names : tuple of str
-        The pair of bodies in question, or the joint; empty if there is none.
+        The pair of bodies, or the joint, to which the reason applies; empty if there is none.
     distance, normal : float, ndarray of shape (3,)
         The distance [m] between the two bodies where the proof fails, negative if they overlap, and the direction
         towards the second body, with all bodies at their given poses; NaN if there is no pair.
@@ -243,8 +243,8 @@ class Gate:
     velocity_error : float or array_like, shape (dof,)
         Rad/s or m/s by which the robot's velocity may differ from the chunk's velocity when the robot begins to brake.
     latency : float
-        Seconds from the order to brake until the robot brakes; until then, it continues along the chunk. The latency is
-        rounded up to whole periods.
+        Seconds from the order to brake until the robot brakes; until then, the robot continues along the chunk. The
+        latency is rounded up to whole periods.
     steps : int, optional
         Limit on the work of a check, in steps of the proofs (`CollisionChecker.certify_edges`). Default: no limit.
     acceleration, jerk : float or array_like, shape (dof,), optional
@@ -394,7 +394,7 @@ class Gate:
             If no chunk may run, if the scene has changed since the last check, or if its bodies move or have bounds
             that grow with time.
         ConvergenceError
-            If the bounds of the proof format do not suffice.
+            If the bounds that the proof format uses do not suffice for a proof.
 
         See Also
         --------

@@ -1,4 +1,4 @@
-"""Improve paths in rounds: each round searches within a bound on the cost, and polishes; the cheapest path is kept."""
+"""Improve paths in rounds: each round searches within a bound on the cost, and polishes paths; the cheapest is kept."""
 
 from __future__ import annotations
 
@@ -66,9 +66,10 @@ class Improve:
         Improve until this time has passed since the call began; the first path is returned in any case. Default: the
         timeout of the search.
     iterations : int, optional
-        Limit on the number of rounds. Equal numbers and seeds give equal paths, unless time runs out first.
+        Limit on the number of rounds. Equal numbers of rounds and equal seeds give equal paths, unless time runs out
+        first.
     weights : array_like, shape (dof,), optional
-        Factors of the joint values in the cost, which improvement lowers: the cost of a motion is the Euclidean norm of
+        Factors of the joint values in the cost that improvement lowers: the cost of a motion is the Euclidean norm of
         the weighted changes. Weights make metres and radians comparable; a joint with a large weight moves little.
         Default: 1 for each value.
     clearance : float, optional
@@ -327,7 +328,7 @@ class Rounds:
     searches : int
         Iterations of the next search.
     portion : int
-        Iterations between two checks of the clock and for an interrupt.
+        Iterations between two checks of the clock and of interrupts.
     """
 
     growth: Growth
@@ -414,8 +415,8 @@ def improved(
 ) -> tuple[Floats, int]:
     """Improve a path to one of several free goals; return it with the number of rounds.
 
-    All motions of both paths are free for the judge. With a clearance, half of the rounds and of the time serve to
-    shorten the path, and the rest to move it away from obstacles.
+    The judge finds all motions of the given path and of the result free. With a clearance, half of the rounds and of
+    the time serve to shorten the path, and the rest to move it away from obstacles.
     """
     if clearing is None or asked.most == 0:
         return _shorter(space, judge, path, goals, asked, seed)

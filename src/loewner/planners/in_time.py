@@ -190,7 +190,8 @@ def plan_in_time(
         times the time that the joints need to cross their ranges, counted from the end of all bodies' motions; for a
         motion that repeats, two periods count.
     search : Search, optional
-        Its `max_iterations`, `timeout` and `simplify` apply; `planner` must not be set, and motions are always proven.
+        The fields `max_iterations`, `timeout` and `simplify` apply; `planner` must not be set, and motions are always
+        proven.
 
     Returns
     -------

@@ -64,7 +64,7 @@ class JerkLimited(NamedTuple):
 
     @classmethod
     def of(cls, rows: Floats, fastest: Floats, strongest: Floats, jerk: Floats) -> JerkLimited:
-        """Make the motions between rows, within limits, shape (dof,) each."""
+        """Make the motions between rows within limits; each limit has shape (dof,)."""
         fastest, strongest, jerk = (limit * (1 - TO_ROUNDING) for limit in (fastest, strongest, jerk))
         straights = Straights.of(rows, fastest, strongest)
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
@@ -126,7 +126,7 @@ class JerkLimited(NamedTuple):
         return float(blends + sum(phase.seconds for profile in profiles for phase in profile))
 
     def timed(self, halves: Floats, last_speed: float = 0.0) -> tuple[Floats, Floats, Floats, Bools, Floats]:
-        """Compute the arrays of a `Trajectory` of all phases in sequence; the robot stops at the end."""
+        """Compute the arrays of a `Trajectory` that runs through all phases; the robot stops at the end."""
         on, (speeds, profiles) = self.straights, self._profiles(halves)
         (knots, ways, shares), still = self._bends(halves), np.zeros_like(on.rows[0])
         rows = [(0.0, on.rows[0], still, still, False)]

@@ -92,7 +92,7 @@ class JointLimits(KeepsReadOnly):
             warning instead. Angles may be tagged ``!degrees``.
         robot : Robot
         scaled : bool
-            Multiply velocities and accelerations by the file's default scaling factors, which are at most 1.
+            Multiply the limits of velocity and acceleration by the file's default scaling factors, which are at most 1.
 
         Returns
         -------
@@ -112,7 +112,8 @@ class JointLimits(KeepsReadOnly):
         -----
         UserWarning
             If limits of a joint that turns are probably in degrees; or if the file contains other tables next to
-            ``joint_limits``, or positions of joints that mimic others. Each of the two warnings is issued at most once.
+            ``joint_limits``, or position limits of joints that mimic others. Each of the two warnings is issued at most
+            once.
 
         Examples
         --------

@@ -105,7 +105,7 @@ class Judge:
         return replace(self, samples=size)
 
     def asked(self) -> tuple[Ints, Floats]:
-        """Return the handles and lengths for `_kernels.robots.free_motions.judge_of`, for calls of this thread."""
+        """Return the handles and lengths for `_kernels.robots.free_motions.judge_of`, for calls from this thread."""
         ready = self.ready if self.resolution else self.ready.in_parts
         memory = workspace(max(ready.memory_of_motions, ready.memory))
         error = 0 if self.joint_error is None else self.joint_error.ctypes.data
@@ -124,8 +124,7 @@ class Judge:
         return free if self.kept is None else free & self.kept.on(Q0, Q1)
 
     def certified(self, a: Floats, b: Floats) -> CertifiedMotions:
-        """Prove one motion between configurations, also by the scene's contact rules, whether or not the judge samples
-        motions.
+        """Prove one motion between configurations under the scene's contact rules, even if the judge samples motions.
 
         Raises
         ------

@@ -1,6 +1,7 @@
 """Compare a curve with a robot's limits at every instant: positions, velocities, accelerations and jerk.
 
-A controller's curve is a polynomial on each piece, so extreme values are at its ends or where a derivative has a root.
+A controller's curve is a polynomial on each piece, so extreme values are at the ends of pieces or where a derivative
+has a root.
 """
 
 from __future__ import annotations
@@ -43,7 +44,7 @@ Ends = tuple[tuple[float, float], tuple[float, float]]
 
 
 class Use(NamedTuple):
-    """The largest value of one joint on a curve, next to its limit.
+    """The value of one joint on a curve that comes nearest to its limit or exceeds it most.
 
     Attributes
     ----------
@@ -51,11 +52,10 @@ class Use(NamedTuple):
         One of `QUANTITIES`.
     joint : str
     value, limit : float
-        The value that comes nearest to its limit or exceeds it most, and this limit, in SI units. The limit is infinite
-        if the joint has none.
+        This value and its limit, in SI units. The limit is infinite if the joint has none.
     ratio : float
-        For a position, the distance from the middle of the range divided by half the range; otherwise, the absolute
-        value divided by the limit. The ratio is 0 if there is no limit.
+        For a position, the ratio is the distance from the middle of the range divided by half the range; for other
+        quantities, it is the absolute value divided by the limit. The ratio is 0 if there is no limit.
     time : float
         When the value occurs, in seconds.
     unit : str
@@ -82,7 +82,7 @@ class Jump(NamedTuple):
 
 
 def used(robot: Robot, curve: Curve, limits: JointLimits | None, timed: bool) -> list[Use]:
-    """Return how far a curve with the robot's columns uses each limit of each joint; without times, only of positions.
+    """Return how far a curve with the robot's columns uses each joint's limits; without times, only position limits.
 
     Position limits are the hard limits, unless the file of `limits` gives others.
     """

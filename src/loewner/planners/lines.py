@@ -51,7 +51,7 @@ def straight(
     start : array_like, shape (dof,)
     link : str
     T : array_like, shape (4, 4)
-        T_world_link at the end, in metres.
+        Pose T_world_link at the end, with its translation in metres.
     position, rotation : float
         Largest allowed deviations of the link from the pose at the same fraction of the line, in metres and radians, at
         least 1e-9 each.
@@ -59,7 +59,8 @@ def straight(
         A group, or names of joints: only these joints move. Default: all joints that move the link.
     keep : (axis, direction, angle), optional
         Additionally, an axis of the link ("x", "y", "z" or a vector) must stay within an angle [rad] of a direction in
-        the world, for example to avoid spilling a cup. The angle is kept at every instant, deviations included.
+        the world, for example to avoid spilling a cup. The angle is kept at every instant, even where the link deviates
+        from the line.
 
     Returns
     -------

@@ -1,7 +1,7 @@
 """The ROS messages that contain trajectories: each field is used, ignored, mentioned in a warning, or refused.
 
-A message is read according to the types of its fields. A key that its type does not have is an error, so nothing that
-affects a motion is overlooked: the states from which its joints start, bodies that the robot carries, and motions of a
+A message is read according to the types of its fields. A key that a message's type does not have is an error, so that
+nothing that affects a motion is overlooked: start states of joints, bodies that the robot carries, and motions of a
 base.
 """
 
@@ -126,7 +126,7 @@ class State:
         For each body that the robot carries, by name: the link that carries the body, and links that the body may
         touch.
     sources : dict
-        The keys of a state, or of an earlier trajectory, from which the values of joints and places come, by joint.
+        For each joint, the keys of the state or of the earlier trajectory from which its values come.
     """
 
     joints: dict[str, float] = field(default_factory=dict)
@@ -198,7 +198,8 @@ def read(root: Node) -> Message:
     Raises
     ------
     FileError
-        If the message is of none of the known types, has a key that its type does not have, or a value of another kind.
+        If the message is of none of the known types, has a key that its type does not have, or a value of the wrong
+        kind.
     """
     found, state = Message(), State()
     for each in _listed(root):

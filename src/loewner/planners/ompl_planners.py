@@ -1,6 +1,6 @@
 """Plan with OMPL; a `CollisionChecker` judges every state and motion.
 
-OMPL is imported only when a function here is called: ``pip install "loewner[planners]"``.
+OMPL (``pip install "loewner[planners]"``) is imported only when a function of this module is called.
 """
 
 from __future__ import annotations

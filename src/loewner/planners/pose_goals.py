@@ -34,7 +34,7 @@ FRAMES = ("link", "world")
 
 @dataclass(frozen=True, eq=False)
 class PoseGoal:
-    """Poses of a link as the goal of `plan` or `Roadmap.path`, which any configuration with one of them reaches.
+    """Poses of a link as the goal of `plan` or `Roadmap.path`: the link must reach one pose, in any configuration.
 
     Parameters
     ----------
@@ -113,8 +113,8 @@ class PoseGoal:
         Returns
         -------
         ndarray, shape (goals, dof)
-            At most sixteen configurations, including colliding ones only if there are too few free ones. If the goal
-            has an approach or a retreat, it is free for all these configurations.
+            At most sixteen configurations, including colliding ones only if there are too few free ones. The goal's
+            approach and retreat, if any, are free for all these configurations.
 
         Raises
         ------
@@ -319,7 +319,7 @@ class Approaches(NamedTuple):
     retreats: list[Floats | None]
 
     def joined(self, judge: Judge, path: Floats, goals: Floats) -> tuple[Floats, int | None, Floats | None]:
-        """Append an approach to a path; also return the row at which it begins, if there is one, and the retreat.
+        """Append an approach to a path; also return the row at which the approach begins, if any, and the retreat.
 
         Parameters
         ----------

@@ -1,7 +1,7 @@
 """Compute speed profiles with limited jerk: phases of constant jerk from one speed to another over a distance.
 
 Speeds are shares of full speed, and distances are seconds at full speed. At both ends the acceleration is zero. No
-phase is shorter than a given duration: rounding of positions would affect the jerk in so short a phase.
+phase is shorter than a given duration: in shorter phases, rounding of positions would affect the jerk.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ KEPT = 2**14
 
 
 class Limits(NamedTuple):
-    """Limits of a change of speed.
+    """Limits on a change of speed.
 
     Attributes
     ----------
@@ -60,7 +60,7 @@ def ramp(change: float, limits: Limits) -> tuple[float, float]:
 
 
 def ramp_way(low: float, high: float, limits: Limits) -> float:
-    """Return the distance covered during the change between two speeds, whose mean is the mean speed."""
+    """Return the distance of a change between two speeds: the duration of the change times the mean speed."""
     edge, flat = ramp(high - low, limits)
     return (low + high) / 2 * (2 * edge + flat)
 

@@ -1,6 +1,6 @@
 """Roadmaps: networks of motions proven free, built once to answer many queries in one scene.
 
-A roadmap keeps every motion that it tried, not only the free ones; when the scene changes, all of them are proven again
+A roadmap keeps every motion that it tried, not only the free ones; when the scene changes, all motions are proven again
 in one batch. In addition, each path is proven as a whole when it is found. This is necessary because shifts by whole
 turns are rounded, the scene may change meanwhile, and a file's claims are not a proof.
 """

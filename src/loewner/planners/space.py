@@ -97,9 +97,9 @@ class Space:
         return np.where(turns == 0, Q1, Q1 - 2 * np.pi * turns)
 
     def checked_goals(self, q: Floats, goals: Floats, judge: Judge, names: list[str]) -> Floats:
-        """Check the start, and return the goals that a quick check does not exclude; their names are for messages.
+        """Check the start, and return the goals that a quick check does not exclude; names of goals are for messages.
 
-        Limits are checked first: for values in degrees, any other message would be misleading.
+        Limits are checked first, since any other message would be misleading for values in degrees.
 
         Raises
         ------

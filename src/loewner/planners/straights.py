@@ -66,7 +66,7 @@ class Straights(NamedTuple):
 
     @property
     def straights(self) -> Straights:
-        """These motions themselves, for a common interface with other motions."""
+        """These motions themselves, for a common interface with `JerkLimited`."""
         return self
 
     @property
@@ -116,10 +116,10 @@ class Straights(NamedTuple):
         return total
 
     def timed(self, halves: Floats, last_speed: float = 0.0) -> tuple[Floats, Floats, Floats, Bools, None]:
-        """Compute the arrays of a `Trajectory` of all phases in sequence.
+        """Compute the arrays of a `Trajectory` that runs through all phases.
 
-        At its end, the path has the given speed, as a share of full speed, or the highest speed below it that can be
-        reached.
+        The robot reaches the end of the path at the given speed, a share of full speed, or at the highest lower speed
+        that is possible.
         """
         speeds, left = self._passed(halves, last_speed)
         first, _, last = self.corners(halves)

@@ -98,8 +98,8 @@ class Trajectory(KeepsReadOnly):
         brake through joint targets (`stop_at`).
     start_time : float
         When the trajectory starts, in seconds on the clock of bodies that follow motions (`Scene.follow`);
-        `CollisionChecker.certify_trajectory` uses this time by default. ``dataclasses.replace(moved, start_time=4.0)``
-        starts the trajectory later.
+        `CollisionChecker.certify_trajectory` uses this time by default. For a trajectory ``moved``,
+        ``dataclasses.replace(moved, start_time=4.0)`` is the same trajectory with its start at 4 s.
     spacing : float
         Least time [s] between a row that `save` adds for ``rate=`` and any other row: because of rounding, closer rows
         would break the limits. The spacing is 0 if the limits are not known, as for a trajectory from a file.
@@ -213,7 +213,7 @@ class Trajectory(KeepsReadOnly):
         Parameters
         ----------
         t : array_like, shape (...)
-            Seconds, from 0 to `duration`.
+            Times in seconds, from 0 to `duration`.
 
         Returns
         -------
@@ -332,7 +332,7 @@ class Trajectory(KeepsReadOnly):
         Returns
         -------
         times : ndarray, shape (m,)
-            Multiples of 1 / rate, and the end of the trajectory, which replaces a multiple less than 1 ns before it.
+            Multiples of 1 / rate, and the end of the trajectory. A multiple less than 1 ns before the end is left out.
         positions : ndarray, shape (m, dof)
         velocities, accelerations : ndarray, shape (m, dof)
             The arrays that `velocities` and `accelerations` return, only if `full`.
@@ -449,13 +449,13 @@ class Trajectory(KeepsReadOnly):
             and the next. `load` reads ``.csv`` and ``.json`` files. A ``.yaml`` file contains a ROS
             ``trajectory_msgs/JointTrajectory`` with the positions and velocities at whole nanoseconds: each row is
             moved to the nearest nanosecond, rows at the same nanosecond are merged, and the end is rounded up. If
-            accelerations jump, the file contains none, since a controller then follows the trajectory by interpolating
-            only positions and velocities. A message has no `start_time`; a ``.csv`` file has it in a comment in the
-            first line unless it is 0.
+            accelerations jump, they are not written, since a controller then follows the trajectory by interpolating
+            only positions and velocities. A message does not contain `start_time`; a ``.csv`` file contains it in a
+            comment in the first line, unless it is 0.
         joints : sequence of str, optional
             Names of the columns to write, in this order. Default: all. The file does not contain the motion of the
-            other columns, so a proof of the whole trajectory holds only if these columns also follow it at the same
-            time.
+            other columns, so a proof of the whole trajectory holds only if the other columns also follow the trajectory
+            at the same times.
         names : mapping or sequence of str, optional
             Names of the columns in the file: a mapping from names of the trajectory, or a list with a name for each
             column that is written.
@@ -466,11 +466,12 @@ class Trajectory(KeepsReadOnly):
             a controller that accepts trajectories. The columns must include all joints of such a controller, unless
             they include none or the controller allows partial goals.
         rate : float, optional
-            Also write rows at this rate [1/s], for programs that join rows by straight lines. By default the rows are
-            the knots, between which accelerations are constant or change linearly. If velocities jump, the robot moves
-            straight between knots, and files contain only positions. Rows closer than ``spacing`` to other rows are
-            left out, since their rounding would break the limits. With limited jerk, rows near the knots are left out
-            in this way; at a higher rate, only every second or third row remains, or fewer. `sample` returns all rows.
+            Also write rows at this rate [1/s], for programs that connect rows with straight lines. By default the rows
+            are the knots, between which accelerations are constant or change linearly. If velocities jump, the robot
+            moves straight between knots, and files contain only positions. Rows closer than ``spacing`` to other rows
+            are left out, since their rounding would break the limits. With limited jerk, rows near the knots are left
+            out in this way; at a higher rate, only every second or third row remains, or fewer. `sample` returns all
+            rows.
         message : bool
             Whether a ``.json`` file contains a JointTrajectory message, as a ``.yaml`` file does;
             `ControllerPoints.load` reads the message.
@@ -478,9 +479,9 @@ class Trajectory(KeepsReadOnly):
         Raises
         ------
         InputError
-            If the file has another extension, the rate is not a number from 0 to 1e9, or a ``.csv`` file is to be a
-            message; if names are repeated, or a ``.csv`` file would interpret a name as another kind of column; if the
-            controllers and the columns do not match; or if velocities jump and also change between jumps.
+            If the file has another extension, the rate is not a number from 0 to 1e9, or `message` is true for a
+            ``.csv`` file; if names are repeated, or a ``.csv`` file would interpret a name as another kind of column;
+            if the controllers and the columns do not match; or if velocities jump and also change between jumps.
         UnknownNameError
             If `joints` or `names` has a name that the trajectory lacks.
         FileError
@@ -636,10 +637,10 @@ class Trajectory(KeepsReadOnly):
 
         Notes
         -----
-        On a path through joint targets, a brake slows time down; with jerk limits, the rate suits all motions on which
-        the robot brakes. Velocities still jump at targets, and limits hold between targets. On any other path, the
-        robot slows down on straight lines, and passes blends at its remaining speed. If no body moves, a brake along a
-        path that is proven free is also proven. All other brakes need a proof of their own (`certify`).
+        On a path through joint targets, a brake slows down the time of the path; with jerk limits, this slowdown suits
+        all motions on which the robot brakes. Velocities still jump at targets, and limits hold between targets. On any
+        other path, the robot slows down on straight lines, and passes blends at its remaining speed. If no body moves,
+        a brake along a path that is proven free is also proven. All other brakes need a proof of their own (`certify`).
 
         Examples
         --------
@@ -896,7 +897,7 @@ def trajectory(
     blend: float = 0.4,
     line: str | Line | Iterable[str | Line] | None = None,
 ) -> Trajectory:
-    """Assign times to a path, as fast as the limits of velocity, acceleration and (optionally) jerk allow.
+    """Assign times to a path, for the fastest motion within limits of velocity, acceleration and (optionally) jerk.
 
     Without a checker the robot follows the path exactly and stops at every corner. With a checker, corners are cut by
     blends that are proven free of collisions at every instant: parabolas, or cubic polynomials if the jerk is limited.
@@ -954,11 +955,11 @@ def trajectory(
 
     Notes
     -----
-    If the robot stops at every corner, the trajectory is the fastest one along the path. A blend has constant
-    acceleration, or begins and ends without acceleration if the jerk is limited, and is as fast as the limits and the
-    neighbouring motions allow. Each joint keeps its limits at every instant, up to rounding. If the jerk is limited, a
-    millionth of each limit is reserved for rounding errors, and for an arm no phase is shorter than about half a
-    millisecond.
+    If the robot stops at every corner, the trajectory is the fastest one along the path. Without jerk limits, a blend
+    has constant acceleration; with jerk limits, it begins and ends without acceleration. Every blend is as fast as the
+    limits and the neighbouring motions allow. Each joint keeps its limits at every instant, up to rounding. If the jerk
+    is limited, a millionth of each limit is reserved for rounding errors, and for an arm no phase is shorter than about
+    half a millisecond.
 
     Examples
     --------
@@ -999,8 +1000,8 @@ def fastest_along(
     """Follow motions as fast as possible; with a judge, use proven blends that take up to the given share of the
     motions.
 
-    Without jerk limits, the path has the given speed at its end, as a share of full speed, or the highest speed below
-    it that can be reached. Blends on `kept` lines stay on them.
+    Without jerk limits, the robot reaches the end of the path at the given speed, a share of full speed, or at the
+    highest lower speed that is possible. Blends on `kept` lines stay on them.
     """
     halves = _halves(motions, judge, share, kept)
     return Trajectory(robot.configuration_names, *motions.timed(halves, last_speed))._read_only()
@@ -1021,7 +1022,7 @@ def brake(
     """Stop a robot joint by joint: each joint stops in the shortest time that its limits allow, and then rests.
 
     A controller whose trajectory is cancelled stops in this way if it limits decelerations. The robot leaves the path
-    on which it moved, so prove the brake (`Trajectory.certify`). `Trajectory.stop_at` also brakes on the path.
+    on which it moved, so prove the brake (`Trajectory.certify`). `Trajectory.stop_at` can also brake on the path.
 
     Parameters
     ----------
@@ -1039,7 +1040,7 @@ def brake(
     limits : JointLimits, optional
         Limits from a file. Limits of velocity and position have no effect.
     start_time : float
-        When the brake begins, on the clock of bodies that follow motions.
+        When the brake begins, in seconds on the clock of bodies that follow motions.
 
     Returns
     -------

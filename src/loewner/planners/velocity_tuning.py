@@ -1,11 +1,11 @@
 """Follow a given path among bodies that move, within limits of velocity, acceleration and jerk.
 
-The path is first timed as fast as possible. Then it is slowed down and halted so that the robot hits no moving body.
-The robot passes each station along the trajectory at one of several shares of the highest speed, and from one station
-to the next its acceleration is constant. A state thus consists of a station, a share and a time; states are searched
-station by station. The positions of bodies are known only at the stations, so the resulting trajectory is proven as a
-whole. If the proof fails, the place and time are blocked, and the search is repeated. With limited jerk, positions are
-averaged over a time window, which keeps all limits. docs/design/moving.md gives the reasons.
+The path is first timed as fast as possible. The motion is then slowed down and halted so that the robot hits no moving
+body. The robot passes each station along the trajectory at one of several shares of the highest speed, and from one
+station to the next its acceleration is constant. A state thus consists of a station, a share and a time; states are
+searched station by station. The positions of bodies are known only at the stations, so the resulting trajectory is
+proven as a whole. If the proof fails, the place and time are blocked, and the search is repeated. With limited jerk,
+positions are averaged over a time window; averaging keeps all limits. docs/design/moving.md gives the reasons.
 """
 
 from __future__ import annotations
@@ -178,8 +178,8 @@ def time_path(
     -------
     Trajectory
         The trajectory begins at its `start_time`, with a wait if necessary. Between its times, accelerations are
-        constant, or change linearly if the jerk is limited. ``found.certify(checker)`` is FREE, with the same joint
-        error.
+        constant, or change linearly if the jerk is limited. With the same joint error, ``found.certify(checker)`` is
+        FREE.
 
     Raises
     ------
@@ -188,7 +188,7 @@ def time_path(
         if the arrival time is too early; or if no timing is found (the message names a pair of bodies, the place and
         the time).
     InputError
-        As for `trajectory`; if the path is only one configuration; or if the velocity at the end is not along the last
+        As for `trajectory`; if the path has only one configuration; or if the velocity at the end is not along the last
         motion, cannot be reached on the path, or is given together with jerk limits.
 
     See Also

@@ -94,12 +94,12 @@ def read_map(path: str | os.PathLike[str]) -> Map:
 
 
 def rectangles(cells: Bools) -> Ints:
-    """Divide cells into rectangles: runs along the second axis, merged if the next row has the same run.
+    """Divide cells into rectangles: runs along the second axis, merged with equal runs in the rows that follow.
 
     Returns
     -------
     ndarray of int64, shape (n, 4)
-        First cell and the index after the last cell, along both axes: i0, j0, i1, j1.
+        Indices of the first cell, and indices after the last cell, along both axes: i0, j0, i1, j1.
     """
     padded = np.pad(cells, ((0, 0), (1, 1))).astype(np.int8)
     rows, starts = np.nonzero(np.diff(padded, axis=1) == 1)

@@ -54,7 +54,7 @@ class _Model:
 
 
 def check_limits(file: Path) -> str:
-    """Refuse a model that MuJoCo would compile forever, or that would block it; return the tag of its root element.
+    """Refuse a model on which MuJoCo's compiler would run forever or block; return the tag of the root element.
 
     Raises
     ------

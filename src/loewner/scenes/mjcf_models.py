@@ -70,7 +70,7 @@ class MjcfPart:
 
 @dataclass(frozen=True, eq=False)
 class MjcfBody:
-    """A body, in the frame of its parent; the world is the first body and its own parent.
+    """A body, with its pose in the frame of its parent; the world is the first body and its own parent.
 
     Attributes
     ----------
@@ -80,8 +80,8 @@ class MjcfBody:
         Pose with the body's joints at their references.
     joints : tuple of MjcfJoint
     parts : tuple of MjcfPart
-        In the frame of the body. The first part has the name of the body; in the world, each part has the name of its
-        only geom.
+        Parts, in the frame of the body. The first part has the name of the body; in the world, each part has the name
+        of its only geom.
     T_world_body : ndarray, shape (4, 4)
         Pose with all joints at their references.
     """
@@ -105,8 +105,8 @@ class MjcfModel:
     bodies : tuple of MjcfBody
         In MuJoCo's order: parents before children.
     related_pairs : frozenset
-        Sorted pairs of names of parts. MuJoCo skips these pairs because the parts are rigidly joined, or parent and
-        child.
+        Sorted pairs of names of parts. MuJoCo skips these pairs because the parts are rigidly joined, or belong to a
+        parent and its child.
     excluded_pairs : frozenset
         Pairs that MuJoCo skips because of <exclude>, contype or conaffinity in the file.
     keyframes : dict

@@ -1,8 +1,8 @@
 """Scenes: named bodies in the world or attached to a robot's links, allowed contacts, and margins.
 
 A `Scene` changes between queries: bodies are added, moved, grasped and put down by name. The bodies themselves never
-change, so a change to the scene costs a few dictionary entries and no new fit. A scene has no robot; `CollisionChecker`
-pairs a scene with a robot, and checks the names of links.
+change, so a change to the scene replaces a few dictionary entries and needs no new fit. A scene has no robot;
+`CollisionChecker` pairs a scene with a robot, and checks the names of links.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ class Contact:
     Attributes
     ----------
     name_a, name_b : str
-        Names of bodies of a scene, or of links of a robot.
+        Names of a scene's bodies or of a robot's links.
     distance : float
         In metres. A negative distance is minus the depth of the two pieces that overlap most. Since touching counts as
         colliding, a distance is positive only if the bodies are apart by no more than their margin, or if they touch
@@ -453,8 +453,8 @@ class Scene:
         Parameters
         ----------
         name : str
-            Name of the body to replace. Its pose or attachment, the bounds on its pose, margins and allowed pairs apply
-            to the new body.
+            Name of the body to replace. The new body takes over the old body's pose or attachment, bounds on the pose,
+            margins and allowed pairs.
         body : Body
 
         Raises
@@ -502,8 +502,8 @@ class Scene:
             How far the pose may be wrong, in metres and radians: the body's origin deviates by at most the first
             number, and its orientation by at most the second. A point at distance ρ from the body's origin then
             deviates by at most ``error[0]`` + ρ · ``error[1]``; `bounds` contains the largest ρ. Answers hold for all
-            poses within the error: FREE means free at each of them. By default the pose is exact, even if an earlier
-            one was not.
+            poses within the error: FREE means free at each such pose. By default the pose is exact, even if the earlier
+            pose was not.
 
         Raises
         ------
@@ -612,12 +612,12 @@ class Scene:
         """Let a body follow a motion: a part on a conveyor, a door, or an object whose path a tracker predicts.
 
         From now on, a `CollisionChecker` needs times for its answers, and proves motions of the robot against the
-        motion of the body. Bodies of the scene are not checked against each other.
+        motion of the body. A checker does not check the scene's bodies against each other; `pairs` does.
 
         Parameters
         ----------
         name : str
-            A body of the scene. If it already follows a motion, the new motion replaces it.
+            A body of the scene. If the body already follows a motion, the new motion replaces the old one.
         times : array_like, shape (n,)
             At least two increasing times, in seconds. One time suffices for a body at rest if `speed`, `turn` or
             `error` is given.
@@ -630,12 +630,12 @@ class Scene:
         twist : array_like, shape (6,), optional
             Velocity of the body's origin [m/s] and angular velocity [rad/s], both in the world's frame and constant
             between two `times`; `poses` is then the first pose, shape (4, 4). The origin moves along a straight line
-            while the body turns about it; this is not a screw motion about another axis.
+            while the body turns about the origin; this is not a screw motion about another axis.
         speed, turn : float
             Bounds on how fast the body departs from this motion [m/s, rad/s], such as 1.6 m/s for a person. At time t,
             the body's origin deviates by at most speed · \\|t - since\\|, and its orientation by at most turn · \\|t -
             since\\|. A point at distance ρ from the origin then deviates by at most (speed + ρ · turn) · \\|t -
-            since\\|. `bounds` contains the largest ρ, so a frame in the middle of the body is the best choice.
+            since\\|. `bounds` contains the largest ρ; a frame in the middle of the body makes it smallest.
         since : float, optional
             Time in seconds at which the body was seen; the default is the first of `times`.
         error : array_like, shape (2,), optional
@@ -644,8 +644,8 @@ class Scene:
         Notes
         -----
         If `speed`, `turn` or `error` is given, answers hold for all motions within these bounds: FREE means free on
-        each of them, and `collide` is True if the body may collide. COLLIDING means a collision with the body on its
-        given motion; everything else that is not free is AMBIGUOUS. Distances apply to the given motion. Calling
+        each such motion, and `collide` is True if the body may collide. COLLIDING means a collision with the body on
+        its given motion; everything else that is not free is AMBIGUOUS. Distances apply to the given motion. Calling
         `follow` again without these arguments removes the bounds.
 
         Raises
@@ -674,7 +674,7 @@ class Scene:
         ((), [-0.5, 0.0, 0.0])
         >>> scene.follow("box", [0.0, 10.0], T[0], twist=[0.2, 0.0, 0.0, 0.0, 0.0, 1.0])  # the same, and it turns
 
-        A person who was seen there at 2 s and may have walked anywhere since then:
+        A person who was seen at the origin at 2 s, and has since walked in an unknown direction:
 
         >>> scene.add("person", Body.capsule(radius=0.3, length=1.2))
         >>> scene.follow("person", [2.0], np.eye(4)[None], speed=1.6)
@@ -789,7 +789,7 @@ class Scene:
         Raises
         ------
         InputError
-            If the body is neither attached nor follows a motion.
+            If the body neither is attached nor follows a motion.
         """
         T = _validate.pose(T_world_body, f"T_world_body of {self._known(name)!r}")
         with _CHANGING:
@@ -893,7 +893,7 @@ class Scene:
         """Let two bodies come into contact at the end of a motion, as `leave` lets them separate at the start of one.
 
         At the end of the motion or curve, the two may touch or be within their margin, and may overlap by no more than
-        the tolerance of the proof. Before that, they penetrate each other no deeper than at the end, up to the
+        the tolerance of the proof. Before the end, the two penetrate each other no deeper than at the end, up to the
         tolerance.
 
         Parameters
@@ -937,7 +937,7 @@ class Scene:
         """All margins except the scene's own, keyed by names.
 
         The margin of a body or link has the key ``(name,)``, or ``(name, None)`` if it applies only against links. The
-        margin of a pair has the sorted names ``(a, b)`` as its key, and the margin between links ``(None, None)``.
+        key of a pair's margin is the sorted names ``(a, b)``; the key of the margin between links is ``(None, None)``.
         """
         with _CHANGING:
             return dict(self._margins)
@@ -1044,12 +1044,12 @@ class Scene:
             self._changed()
 
     def margin_of(self, a: str, b: str) -> float:
-        """Return the margin of two bodies or links, in metres: the largest margin that applies to them.
+        """Return the margin between two bodies or links, in metres: the largest margin that applies to them.
 
         The scene's margin applies to every pair with a body of the scene, and the links' margin (``against="links"``)
-        to two links. In addition, the margin of each body or link and the margin of the pair apply. Only a margin set
-        with ``lower=True`` overrides more general ones: a body's or link's margin overrides the scene's and the links'
-        margin, and the pair's margin overrides all others.
+        applies to every pair of links. In addition, the margin of each body or link and the margin of the pair apply.
+        Only a margin set with ``lower=True`` overrides more general ones: a body's or link's margin overrides the
+        scene's and the links' margin, and the pair's margin overrides all others.
 
         Parameters
         ----------
@@ -1163,7 +1163,7 @@ class Scene:
         Returns
         -------
         Distance
-            In metres.
+            The distance or its bounds; all lengths are in metres.
 
         Examples
         --------
@@ -1252,7 +1252,7 @@ def in_world(scene: Scene) -> tuple[Floats, dict[str, PosePath], dict[str, PoseB
     following : dict of str to PosePath
         The motions of all other bodies that follow one.
     bounds : dict of str to PoseBounds
-        The bounds of all bodies that follow motions, in the same order.
+        The bounds of all bodies that follow motions: first of the bodies in ``following``, then of the bodies at rest.
     """
     following, known = scene.following, scene.bounds
     resting = [name for name, path in following.items() if path.rests and name in scene._bounds]

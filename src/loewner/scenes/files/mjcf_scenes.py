@@ -11,7 +11,7 @@ MJCF_SUFFIXES = (".xml", ".mjcf")
 
 
 def mjcf_scene(file: Path) -> Scene:
-    """Make a scene of all colliding geoms, with joints at their references; pairs that MuJoCo skips may touch."""
+    """Make a scene of all colliding geoms, with joints at their references; pairs that MuJoCo skips are allowed."""
     model, scene = read_mjcf(file, DEFAULT_TOLERANCE), Scene()
     for body in model.bodies:
         for part in body.parts:

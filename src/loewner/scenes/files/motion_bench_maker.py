@@ -93,8 +93,8 @@ def read_motion_bench_maker(path: str | PathLike[str]) -> tuple[Problem, ...]:
     Raises
     ------
     FileError
-        If the file is missing or malformed, or has obstacles of an unknown kind. The message names the problem and the
-        key.
+        If the file is missing or malformed, or contains obstacles of an unknown kind. The message names the problem and
+        the key.
 
     References
     ----------

@@ -138,7 +138,7 @@ def save_scene(scene: Scene, path: str | PathLike[str]) -> None:
 
     For boxes, spheres, cylinders, capsules, cones and ellipsoids, the sizes are written. Any other body is saved next
     to the file, as ``STEM-NAME-DIGEST.npz``; a body that several names share is saved once. The scene file contains the
-    SHA-256 of each saved body, whose first digits are the digest; the reader refuses any other body.
+    SHA-256 of each saved body; DIGEST is the beginning of this SHA-256. The reader refuses a body with another SHA-256.
 
     Parameters
     ----------
@@ -151,7 +151,7 @@ def save_scene(scene: Scene, path: str | PathLike[str]) -> None:
     Raises
     ------
     FileError
-        If a file could not be written, or would be too large for `load_scene`; an older scene is then unchanged.
+        If a file could not be written, or would be too large for `load_scene`; an older scene file is then unchanged.
     MissingExtraError
         If PyYAML is not installed.
 
