@@ -38,7 +38,7 @@ LARGEST_EXTENT = 1e9
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Piece(_validate.Brief, KeepsReadOnly):
-    """One piece of a body: convex, or a surface.
+    """One piece of a body, either convex or a surface.
 
     Attributes
     ----------
@@ -984,9 +984,9 @@ class Body(_Bodies):
         Returns
         -------
         Body
-            One piece per element. Its `covering` is proven: `max_uncovered` is 0, and `max_protrusion` is at most
-            ``protrusion`` if given. Centers and radii of spheres are multiples of a power of two, so that float32 and
-            the decimals in files represent them exactly.
+            One piece per element. The body's `covering` is proven: `max_uncovered` is 0, and `max_protrusion` is at
+            most ``protrusion`` if given. Centers and radii of spheres are multiples of a power of two, so that float32
+            and the decimals in files represent them exactly.
 
         Raises
         ------

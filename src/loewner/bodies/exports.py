@@ -255,7 +255,7 @@ def enlarged(packed: Packed) -> str | None:
 
 
 def plain_name(name: Any, what: str = "name") -> str:
-    """Check that a name is accepted by all readers of these formats."""
+    """Check that a name is accepted by all readers of the exported formats."""
     if not isinstance(name, str) or not re.fullmatch(r"[A-Za-z0-9_.-]+", name):
         raise InputError(f"{what}: expected letters, digits, '_', '.' and '-', found {_validate.short(name)}")
     return name

@@ -5,10 +5,10 @@ unchanged, except for addresses, which the reader fills in. The layout of the ar
 kernels. The header therefore names the version, and no other version can read the file.
 
 The header contains the text ``lwn file``, the format, the size of the file in bytes, a checksum of everything after the
-checksum, the hash of the kernels' sources, and eight numbers: the counts of arrays, values of a configuration, links,
-moving bodies, static bodies, additional packs with surfaces in parts (0 or 2), and surfaces, and finally 0. A row of
-the directory contains a type (0 int64, 1 float64, 2 float32, 3 bytes), the numbers of rows and columns, and an offset
-in bytes.
+checksum, the hash of the kernels' sources, and eight numbers. Seven of them are the counts of arrays, values of a
+configuration, links, moving bodies, static bodies, additional packs with surfaces in parts (0 or 2), and surfaces; the
+eighth is 0. A row of the directory contains a type (0 int64, 1 float64, 2 float32, 3 bytes), the numbers of rows and
+columns, and an offset in bytes.
 """
 
 from __future__ import annotations

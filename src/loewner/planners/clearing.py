@@ -1,4 +1,4 @@
-"""Move a path away from obstacles: the cost rises near obstacles, and points of the path move where it is lower."""
+"""Move a path away from obstacles: the cost rises near obstacles, and points of the path move to lower costs."""
 
 from __future__ import annotations
 

@@ -190,9 +190,9 @@ class ControllerPoints:
         Raises
         ------
         FileError
-            If the file does not exist, or contains no such points or several trajectories (see `load_all`); if it has a
-            duplicate key, a key that its message does not have, or a value of the wrong kind; or if a message contains
-            values of joints, or motions, that cannot be used with the given robot, or without a robot.
+            If the file does not exist, or contains no such points or several trajectories (see `load_all`). If the file
+            has a duplicate key, a key that is unknown in its message, or a value of the wrong kind. If a message
+            contains motions or values of joints that cannot be used with the given robot, or without a robot.
         InputError
             If the file has another extension, or `others` is given without `robot` or is not a configuration of the
             robot.
@@ -202,9 +202,9 @@ class ControllerPoints:
         Warns
         -----
         UserWarning
-            If the message contains bodies in a world of its own, which are not read; if the message is for a robot with
-            another name; if a goal lets the controller deviate from the path; or if the trajectory does not begin at
-            the message's start state.
+            If the message contains bodies in a world of its own, which are not read, or is for a robot with another
+            name. If a goal lets the controller deviate from the path, or the trajectory does not begin at the message's
+            start state.
 
         Examples
         --------

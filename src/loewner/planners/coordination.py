@@ -77,9 +77,9 @@ def coordinate(
     Returns
     -------
     ndarray, shape (k, dof)
-        Configurations of all robots together, with straight motions between them, all proven free. The path is the
-        fastest one with these steps at the joints' maximum velocities; a value without a limit moves at 1 rad/s or 1
-        m/s. `planners.trajectory` assigns times to the path.
+        Configurations of all robots together; all straight motions between successive configurations are proven free.
+        The path is the fastest one with these steps at the joints' maximum velocities; a value without a limit moves at
+        1 rad/s or 1 m/s. `planners.trajectory` assigns times to the path.
 
     Raises
     ------

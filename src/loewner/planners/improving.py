@@ -134,9 +134,9 @@ class Plan(KeepsReadOnly):
     cost : float
         Cost of the path.
     bound : float
-        Lower bound on the cost of every path from the start to one of the goals: the least cost of a straight motion to
-        a goal that is free and within the limits, whether or not the motion itself is free. For a `PoseGoal` the bound
-        is 0, since configurations that were not tried may reach the pose at a lower cost.
+        Lower bound on the cost of every path from the start to one of the goals. The bound is the least cost of a
+        straight motion to a goal that is free and within the limits; the motion itself need not be free. For a
+        `PoseGoal` the bound is 0, since configurations that were not tried may reach the pose at a lower cost.
     iterations : int
         Number of rounds that tried to improve the path.
     seconds : float

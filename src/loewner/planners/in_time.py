@@ -1,4 +1,4 @@
-"""Plan among bodies that follow motions: search in space and time, with motions that are proven at their own times.
+"""Plan among bodies that follow motions: search in space and time, with motions proven at the times when they happen.
 
 A state is a configuration followed by a time [s], which counts from the start of the plan. First the direct motion is
 tried, and then a path planned without the moving bodies, with several starting times and speeds. After that, two trees

@@ -199,7 +199,7 @@ def limits_by_name(name: str, limit: ArrayLike | None, sources: Iterable[Any], o
 
 
 def per_joint(limit: ArrayLike, name: str, dof: int) -> Floats:
-    """Check one positive number, or one per joint, and return one per joint."""
+    """Check one positive number, or one number per joint, and return one number per joint."""
     array = _validate.positive_array(limit, name, ("...",))
     if array.shape not in ((), (dof,)):
         raise InputError(f"{name}: expected one number or shape ({dof},), found {_validate.shape_text(array.shape)}")

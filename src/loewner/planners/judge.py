@@ -47,7 +47,7 @@ class Judge:
     ----------
     checker : CollisionChecker
     ready : Problem
-        The pairs of one consistent state of the scene, for all motions.
+        The pairs in one consistent state of the scene; all motions are judged with these pairs.
     resolution : float
         Largest step between samples; 0 if motions are proven.
     samples : int

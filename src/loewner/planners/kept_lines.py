@@ -38,7 +38,7 @@ PARTS, MOST_CONFIGURATIONS = (4, 16, 64, 256, 1024), 2**14
 class Line:
     """A straight line that a link follows between two rows of a path, and on which `trajectory` keeps the link.
 
-    The line leads from the pose of the link at the first row to its pose at the last: the origin of the link moves
+    The line leads from the pose of the link at the first row to its pose at the last row. The origin of the link moves
     along a straight line, and the link turns about a fixed axis by the shorter way around, as for `straight`.
 
     Parameters

@@ -42,8 +42,8 @@ def straight(
 ) -> Floats:
     """Move a link along a straight line to a pose, provably straight and free of collisions at every instant.
 
-    The line leads from the pose of the link at `start` to `T`: the origin of the link moves along a straight line, and
-    the link turns at a constant rate about a fixed axis, by the shorter way around.
+    The line leads from the pose of the link at `start` to the pose `T`. The origin of the link moves along a straight
+    line, and the link turns at a constant rate about a fixed axis, by the shorter way around.
 
     Parameters
     ----------

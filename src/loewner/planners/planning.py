@@ -175,16 +175,16 @@ def plan(
     Raises
     ------
     PlanningError
-        If a pose cannot be reached, or has no free approach or retreat; if the start or all goals are outside the
-        limits, collide, do not keep the axis, or are not proven free within the joint error; if no short motion along
-        the contact normal ends a contact at the start, or begins a contact at the goal; if no path was found within the
-        iterations or in time; or if OMPL's path fails the final check. The message gives the reason with its numbers:
+        If a pose cannot be reached, or has no free approach or retreat. If the start or all goals are outside the
+        limits, collide, do not keep the axis, or are not proven free within the joint error. If no short motion along
+        the contact normal ends a contact at the start, or begins a contact at the goal. If no path was found within the
+        iterations or in time, or if OMPL's path fails the final check. The message gives the reason with its numbers:
         for example, how near the link came to the pose, which joints are at fault, which pairs collide and how deep,
         the largest error that is proven, or the motion that fails. If the search failed, the message states how far it
         got, and which pairs prevent motions between the trees.
     InputError
-        If an argument has the wrong shape or value, a goal moves a joint that is not among `joints`, or one of `joints`
-        is a planar, floating or ball joint, which has no limits to search within; or if options exclude each other.
+        If an argument has the wrong shape or value, or options exclude each other. If a goal moves a joint that is not
+        among `joints`, or one of `joints` is a planar, floating or ball joint, which has no limits to search within.
     UnknownNameError
         If a group, a joint or the planner is unknown.
     MissingExtraError

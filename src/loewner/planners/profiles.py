@@ -26,7 +26,7 @@ class Limits(NamedTuple):
     gain : float
         Largest rate of change of the speed [1/s].
     jerk : float
-        Largest rate of change of that rate [1/s²]; may be infinite.
+        Largest second derivative of the speed [1/s²]; may be infinite.
     least : float
         Shortest duration of a phase [s].
     """

@@ -302,9 +302,9 @@ class Roadmap(KeepsReadOnly):
         Raises
         ------
         PlanningError
-            If the start or all goals are outside the limits or collide (the message names joints, or pairs and depths);
-            if no motion between the start or a goal and nearby nodes is free; or if no component of the roadmap
-            connects the start to a goal.
+            If the start or all goals are outside the limits or collide; the message names joints, or pairs and depths.
+            If no motion between the start or a goal and nearby nodes is free, or no component of the roadmap connects
+            the start to a goal.
         InputError
             If an argument has the wrong shape or value, or if the start or a goal differs from the nodes in a joint
             that does not move.
@@ -384,7 +384,7 @@ class Roadmap(KeepsReadOnly):
         Returns
         -------
         Roadmap
-            The roadmap, which belongs to this checker. A verdict depends on the robot's joints and bodies, the checked
+            The roadmap, which belongs to `checker`. A verdict depends on the robot's joints and bodies, the checked
             pairs, margins, attachments, and the poses of the scene's bodies. If all this is unchanged since the roadmap
             was saved, the motions marked as free in the file count as free in the search for a path; otherwise the
             first query proves all motions again. The path itself is proven in either case.
@@ -579,9 +579,9 @@ def roadmap(
     PlanningError
         If no sample is free.
     InputError
-        If an argument has the wrong shape or value; if a given configuration is outside the limits, or differs from the
-        others in a joint that is not among `joints`; or if one of `joints` is a planar, floating or ball joint, which
-        has no limits to sample within.
+        If an argument has the wrong shape or value. If a given configuration is outside the limits, or differs from the
+        others in a joint that is not among `joints`. If one of `joints` is a planar, floating or ball joint, which has
+        no limits to sample within.
     UnknownNameError
         If the robot has no such group or joint.
 

@@ -44,7 +44,7 @@ class Space:
     still : ndarray, shape (dof,)
         A configuration with the values of the joints that do not move.
     lower, upper : ndarray, shape (joints,)
-        Range to search: the limits, or half a turn beyond start and goals for joints without limits.
+        Range to search: the limits or, for joints without limits, up to half a turn beyond the start and the goals.
     turning : ndarray of bool, shape (joints,)
         Whether a joint has no limits and returns to the same place after a whole turn.
     """
@@ -58,7 +58,7 @@ class Space:
 
     @classmethod
     def of(cls, checker: CollisionChecker, joints: str | Iterable[str] | None, q: Floats, goals: Floats) -> Space:
-        """Make the space of the given joints; without limits, a joint's range is half a turn beyond start and goals."""
+        """Make the space of the given joints; without limits, a joint may go half a turn beyond start and goals."""
         robot = checker.robot
         moving = _columns(robot, joints)
         lower, upper = robot.lower, robot.upper

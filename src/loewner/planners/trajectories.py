@@ -480,15 +480,15 @@ class Trajectory(KeepsReadOnly):
         ------
         InputError
             If the file has another extension, the rate is not a number from 0 to 1e9, or `message` is true for a
-            ``.csv`` file; if names are repeated, or a ``.csv`` file would interpret a name as another kind of column;
-            if the controllers and the columns do not match; or if velocities jump and also change between jumps.
+            ``.csv`` file. If names are repeated, or a ``.csv`` file would interpret a name as another kind of column.
+            If the controllers and the columns do not match, or velocities jump and also change between jumps.
         UnknownNameError
             If `joints` or `names` has a name that the trajectory lacks.
         FileError
             If a file cannot be written (an existing file is left unchanged), or if the list of controllers cannot be
             read.
         MissingExtraError
-            If there is a list of controllers, and PyYAML is not installed.
+            If ``controllers`` is given and PyYAML is not installed.
 
         Warns
         -----
@@ -939,12 +939,12 @@ def trajectory(
     Raises
     ------
     InputError
-        If an argument has the wrong shape or value; if a joint that moves has no velocity limit; if the path is outside
-        `limits`; if the robot has a floating or ball joint, whose orientations do not change linearly; or if the
-        checker or the limits belong to another robot.
+        If an argument has the wrong shape or value, a joint that moves has no velocity limit, or the path is outside
+        `limits`. If the robot has a floating or ball joint, whose orientations do not change linearly, or the checker
+        or the limits belong to another robot.
     PlanningError
-        If there is a checker and a motion of the path is not proven free (the message names the motion and a pair of
-        bodies); or if a link does not provably keep its line on a motion of the path (the message gives the deviation).
+        If there is a checker and a motion of the path is not proven free; the message names the motion and a pair of
+        bodies. If a link does not provably keep its line on a motion of the path; the message gives the deviation.
     UnknownNameError
         If the robot has no link of this name.
 

@@ -184,9 +184,9 @@ def time_path(
     Raises
     ------
     PlanningError
-        If a motion of the path is not proven free without the moving bodies; if the start collides at the start time;
-        if the arrival time is too early; or if no timing is found (the message names a pair of bodies, the place and
-        the time).
+        If a motion of the path is not proven free without the moving bodies, the start collides at the start time, or
+        the arrival time is too early. If no timing is found; the message names a pair of bodies, the place and the
+        time.
     InputError
         As for `trajectory`; if the path has only one configuration; or if the velocity at the end is not along the last
         motion, cannot be reached on the path, or is given together with jerk limits.

@@ -145,7 +145,7 @@ def read_mjcf(path: str | os.PathLike[str], tol: float) -> MjcfModel:
     -----
     UserWarning
         Once, if the file contains parts that change MuJoCo's motions or contacts but are not read: flexible bodies,
-        constraints, margins of geoms, and limits of anything except joints with one value.
+        constraints, margins of geoms, and all limits other than limits of joints with one value.
     """
     file = _validate.path(path, "path", wanted="a path to an MJCF file")
     return compiled_model(_compiled(file), None, file, tol, couplings=False)

@@ -508,8 +508,8 @@ class Scene:
         Raises
         ------
         InputError
-            If a body is attached to a link, since it moves with the link until it is detached; or an error is negative
-            or not finite.
+            If a body is attached to a link, with which it moves until it is detached, or an error is negative or not
+            finite.
 
         Notes
         -----
@@ -566,8 +566,8 @@ class Scene:
         Raises
         ------
         InputError
-            If the numbers of names and poses differ, a name occurs twice, or a body is attached to a link, since it
-            moves with the link until it is detached.
+            If the numbers of names and poses differ, a name occurs twice, or a body is attached to a link, with which
+            it moves until it is detached.
         PoseError
             If a pose is not a rigid motion.
         UnknownNameError
@@ -970,8 +970,8 @@ class Scene:
             Names of bodies or links. Give both for the margin of a pair, only `a` for one body or link, and neither for
             the scene's margin.
         against : "links", optional
-            Apply the margin only against links. With `a`, it is the margin between `a` and links; without `a`, it is
-            the margin between all links, to which the scene's margin does not apply.
+            Apply the margin only against links. With `a`, the margin applies between `a` and all links; without `a`, it
+            applies between all links, for which the scene's margin does not count.
         lower : bool
             Whether this margin overrides more general ones, so that two bodies may come closer together.
 
@@ -1103,7 +1103,7 @@ class Scene:
         InputError
             If bodies follow motions and no time is given, or if the time is not a finite number.
         ConvergenceError
-            If the exact search could not settle a pair. Such a pair is never reported as free instead.
+            If the exact search could not settle a pair. Such a pair is never reported as free.
         """
         now = self._standing_at(time)
         first, second = now._meeting().T
@@ -1243,14 +1243,14 @@ class Scene:
 
 
 def in_world(scene: Scene) -> tuple[Floats, dict[str, PosePath], dict[str, PoseBounds]]:
-    """Return the poses, motions and bounds of a scene, which can change while its structure stays the same.
+    """Return the parts of a scene that can change while its structure stays the same: poses, motions and bounds.
 
     Returns
     -------
     poses : ndarray, shape (n, 4, 4)
         `static_poses`, followed by the poses of the bodies in `Scene.following` that are at rest and have bounds.
     following : dict of str to PosePath
-        The motions of all other bodies that follow one.
+        The motions of all other bodies in `Scene.following`.
     bounds : dict of str to PoseBounds
         The bounds of all bodies that follow motions: first of the bodies in ``following``, then of the bodies at rest.
     """
