@@ -210,7 +210,7 @@ def plan_in_time(
 
     See Also
     --------
-    time_path : Assigns times that the robot's drives can follow to a path among bodies that move.
+    time_path : Assigns times to a path among bodies that move, so that the robot's drives can follow it.
 
     Notes
     -----
