@@ -645,8 +645,8 @@ class Scene:
         -----
         If `speed`, `turn` or `error` is given, answers hold for all motions within these bounds: FREE means free on
         each such motion, and `collide` is True if the body may collide. COLLIDING means a collision with the body on
-        its given motion; everything else that is not free is AMBIGUOUS. Distances apply to the given motion. Calling
-        `follow` again without these arguments removes the bounds.
+        its given motion; everything else that is not free is AMBIGUOUS. Distances and their bounds apply to the given
+        motion alone. Calling `follow` again without these arguments removes the bounds.
 
         Raises
         ------
