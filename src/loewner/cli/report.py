@@ -1,7 +1,7 @@
 """``loewner report``: pack one query and its answers into a file, or rerun the query in such a file.
 
-The file is a zip archive. Bodies, meshes, poses, configurations, robots and scenes are members in the formats that
-other commands read; the member `report.json` holds the options, the versions and the answers.
+The file is a zip archive. Bodies, meshes, poses, configurations, robots and scenes are stored as members of the
+archive, in the formats that other commands read; `report.json` holds the options, the versions and the answers.
 """
 
 from __future__ import annotations

@@ -60,7 +60,7 @@ def coordinate(
     steps: int = 50,
     joint_error: ArrayLike = 0.0,
 ) -> Floats:
-    """Combine given paths of several robots into one path of all robots together, on which no two robots meet.
+    """Combine the given paths of several robots into a single path for all of them, on which no two robots meet.
 
     Parameters
     ----------

@@ -239,7 +239,7 @@ class Gate:
     interpolation : {"linear"}
         How the controller moves from one target to the next.
     joint_error : float or array_like, shape (dof,)
-        Radians or metres by which the robot may deviate from the straight motions and from the brakes.
+        Radians or metres by which the robot may deviate from the straight motions and from the braking motions.
     velocity_error : float or array_like, shape (dof,)
         Rad/s or m/s by which the robot's velocity may differ from the chunk's velocity when the robot begins to brake.
     latency : float

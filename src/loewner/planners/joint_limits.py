@@ -385,7 +385,7 @@ def _turning(robot: Robot) -> Bools:
 
 
 def with_start(robot: Robot, columns: Ints, q: Floats, lower: Floats, upper: Floats) -> tuple[Floats, Floats]:
-    """Widen the ranges of columns to include a motion's start, with a warning, if the start is within hard limits."""
+    """Widen the columns' ranges to include a motion's start, and warn, if the start is within the hard limits."""
     values = q[columns]
     outside = (values < lower - ON_LIMIT) | (values > upper + ON_LIMIT)
     hard = (values >= robot.hard_lower[columns] - ON_LIMIT) & (values <= robot.hard_upper[columns] + ON_LIMIT)

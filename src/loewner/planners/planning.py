@@ -80,7 +80,7 @@ class OfOthers(TypedDict, total=False):
 
 
 class Others(OfSearch, OfImprove, total=False):
-    """Options of `plan` that are fields of a record, or with which `plan` calls another function."""
+    """All other options of `plan`: the fields of `Search` and `Improve`, and options that select another function."""
 
     full: bool
     proof: bool

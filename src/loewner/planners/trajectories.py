@@ -1060,8 +1060,8 @@ def brake(
     Notes
     -----
     With n joints that move, a brake has at most n pieces of constant acceleration, or 3 n pieces if the jerk is
-    limited. With a jerk limit, accelerations cannot jump: the velocity of a joint may rise at first, and exceed its
-    limit by as much as in any motion within the jerk limit.
+    limited. With a jerk limit, accelerations cannot jump: the velocity of a joint may rise at first, even above its
+    limit, by as much as no motion within the jerk limit can avoid.
 
     Examples
     --------

@@ -97,7 +97,7 @@ class PoseBounds:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class PosePath(_validate.Brief, KeepsReadOnly):
-    """How a body moves in time; see `Scene.follow`.
+    """A body's motion over time; see `Scene.follow`.
 
     Attributes
     ----------

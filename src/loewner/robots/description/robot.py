@@ -408,7 +408,7 @@ class Robot(KeepsReadOnly):
         path : path
             MJCF file, or a URDF that MuJoCo accepts.
         tol : float
-            Largest certified log-volume gap of the fits of meshes.
+            Upper limit on the certified log-volume gap of every fit to a mesh.
 
         Returns
         -------
@@ -466,7 +466,7 @@ class Robot(KeepsReadOnly):
             Let a joint follow another one if an active equality couples the two linearly. If `couplings` is False, or
             there are no such equalities, a configuration equals `qpos`, entry by entry.
         tol : float
-            Largest certified log-volume gap of the fits of meshes.
+            Upper limit on the certified log-volume gap of every fit to a mesh.
 
         Returns
         -------
@@ -641,7 +641,7 @@ class Robot(KeepsReadOnly):
             Joints that follow others, as ``{joint: (other, gear ratio, offset)}`` with the robot's names. Drake's
             Python interface cannot read couplers.
         tol : float
-            Largest certified log-volume gap of the fits of meshes.
+            Upper limit on the certified log-volume gap of every fit to a mesh.
 
         Returns
         -------
@@ -697,7 +697,7 @@ class Robot(KeepsReadOnly):
             Representation of triangle meshes, as for `from_urdf`. By default, a mesh consists of its triangles, as in
             Coal, and of the space that it encloses if it is closed.
         tol : float
-            Largest certified log-volume gap of the fits of meshes.
+            Upper limit on the certified log-volume gap of every fit to a mesh.
 
         Returns
         -------
