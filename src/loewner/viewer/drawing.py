@@ -78,7 +78,7 @@ class Triangles:
         return add_mesh(scene, name, (self.vertices, self.triangles), **look)
 
     def box(self, T: Floats) -> Floats:
-        """Lowest and highest corner at a pose, shape (2, 3)."""
+        """Return the bounding box at a pose: its lowest and highest corner, shape (2, 3), in metres."""
         return _box(self.vertices @ T[:3, :3].T + T[:3, 3], 0.0)
 
 
@@ -179,7 +179,7 @@ class Drawing:
                     _paint(self._nodes[name], colour)
 
     def box(self, T: Floats) -> Floats:
-        """Return the lowest and highest corner of the pieces at a pose, shape (2, 3), in metres."""
+        """Return the bounding box of the pieces at a pose: its lowest and highest corner, shape (2, 3), in metres."""
         return spanned(part.box(T) for part in self._pieces)
 
     def show(self, shown: dict[str, bool]) -> None:

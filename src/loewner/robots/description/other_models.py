@@ -225,7 +225,7 @@ def with_shapes(
 def warn_of_fixed_contacts(
     model: Model, bodies: Mapping[str, Body], names: Sequence[str], tree: Tree, skipped: Container[Pair]
 ) -> None:
-    """Warn about bodies that are fixed to each other and collide: no checker checks them, but their library does."""
+    """Warn about bodies that are fixed to each other and collide: the model's library checks them, checkers do not."""
     fixed = tree.kind == columns.FIXED
     groups = np.where(fixed, tree.parent, np.arange(len(names)))
     poses = {

@@ -127,9 +127,10 @@ class Robot(KeepsReadOnly):
         Joints with values of their own, that is, movable joints that do not mimic another joint, in the order of the
         URDF.
     configuration_names : tuple of str
-        Names of the entries of a configuration. A joint with one value (rad or m) appears by its name; a planar joint j
-        has "j/x", "j/y" [m] and "j/theta" [rad]; a floating joint has "j/x", "j/y", "j/z" [m] and the unit quaternion
-        "j/qw", "j/qx", "j/qy", "j/qz"; a ball joint, which exists only in MJCF, has only the four quaternion entries.
+        Names of the entries of a configuration. A joint with one value (rad or m) appears under its own name; a planar
+        joint j has "j/x", "j/y" [m] and "j/theta" [rad]; a floating joint has "j/x", "j/y", "j/z" [m] and the unit
+        quaternion "j/qw", "j/qx", "j/qy", "j/qz"; a ball joint, which exists only in MJCF, has only the four quaternion
+        entries.
     lower, upper : ndarray, shape (dof,)
         Limits for sampling, planning and `reach`, in radians for joints that turn and metres for joints that slide;
         infinite for values without limits. These limits are within the limits and the soft limits
