@@ -1570,10 +1570,11 @@ class Robot(KeepsReadOnly):
         Notes
         -----
         Solutions are within the limits, except for values that are kept from a start outside them. For a pose at (x, y,
-        z) in metres, they meet the tolerance up to 1e-10 (1 + abs(x) + abs(y) + abs(z)) m and rad. A search that finds
-        no solution does not prove that no solution exists; more seeds find more solutions. A joint that can turn by
-        more than a whole turn is returned at the angle nearest to the start. Which solution comes first does not depend
-        on the number of threads.
+        z) in metres, they meet the tolerance of the position up to 1e-10 (1 + abs(x) + abs(y) + abs(z)) m, and the
+        tolerance of the rotation up to 1e-10 in twice the sine of half the angle. A search that finds no solution does
+        not prove that no solution exists; more seeds find more solutions. A joint that can turn by more than a whole
+        turn is returned at the angle nearest to the start. Which solution comes first does not depend on the number of
+        threads.
 
         Each seed is improved by damped Newton steps, eight seeds at a time, and is abandoned when the steps bring too
         little progress. A redundant arm has infinitely many solutions; nearly every seed finds a different solution.
