@@ -40,7 +40,7 @@ def main(arguments: list[str] | None = None) -> int:
         made = random_chunks(robot, checker, options.chunks)
         made.tofile(chunks)
         include = Path(loewner.__file__).parent / "include"
-        linked = [f"-L{library.HOME}", "-lloewner", f"-Wl,-rpath,{library.HOME}"]
+        linked = [f"-L{library.HOME}", "-lloewner", "-Xlinker", "-rpath", "-Xlinker", str(library.HOME)]
         build = ["c++", "-std=c++17", "-O2", HERE / "gate_cpp.cpp", f"-I{include}", *linked, "-o", program]
         subprocess.run(build, check=True)
         print(f"{'':22} {'ticks':>8} {'median':>10} {'99.9 %':>10} {'worst':>10}", flush=True)

@@ -99,7 +99,18 @@ def build(folder: Path) -> Path:
     ours = ["-std=c++17", "-O3", "-DNDEBUG", "-march=native", "-DEIGEN_MAX_ALIGN_BYTES=16"]
     include = Path(library.HOME).parent / "include"
     # Not pkg-config's --libs: Debian's ompl.pc names files of other packages that OMPL's headers do not need.
-    link = [f"-I{include}", f"-L{library.HOME}", "-lloewner", f"-Wl,-rpath,{library.HOME}", "-lompl", "-lfcl", "-lccd"]
+    link = [
+        f"-I{include}",
+        f"-L{library.HOME}",
+        "-lloewner",
+        "-Xlinker",
+        "-rpath",
+        "-Xlinker",
+        str(library.HOME),
+        "-lompl",
+        "-lfcl",
+        "-lccd",
+    ]
     program = folder / "ompl_cpp"
     command = ["g++", *ours, str(SOURCE), "-o", str(program), *link, *flags]
     made = subprocess.run(command, capture_output=True, text=True)

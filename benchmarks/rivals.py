@@ -43,7 +43,16 @@ def build_loop(folder: Path) -> Path:
         raise Missing("no C++ headers of Coal or Eigen (pip install cmeel-eigen)")
     # Alignment as in the library, which is built for plain x86-64.
     flags = ["-std=c++17", "-O3", "-DNDEBUG", "-march=native", "-DEIGEN_MAX_ALIGN_BYTES=16"]
-    paths = [f"-I{prefix / 'include'}", f"-I{eigen}", f"-L{prefix / 'lib'}", "-lcoal", f"-Wl,-rpath,{prefix / 'lib'}"]
+    paths = [
+        f"-I{prefix / 'include'}",
+        f"-I{eigen}",
+        f"-L{prefix / 'lib'}",
+        "-lcoal",
+        "-Xlinker",
+        "-rpath",
+        "-Xlinker",
+        str(prefix / "lib"),
+    ]
     key = hashlib.sha256(repr((SOURCE.read_bytes(), compiler, flags, paths, coal.__version__)).encode()).hexdigest()
     program = folder / f"coal_loop-{key[:12]}"
     if not program.exists():

@@ -434,7 +434,10 @@ def test_proofs_allocate_nothing(tmp_path, name, count, rng):
         f"-I{HERE.parent / 'src' / 'loewner' / 'include'}",
         f"-L{library.HOME}",
         "-lloewner",
-        f"-Wl,-rpath,{library.HOME}",
+        "-Xlinker",
+        "-rpath",
+        "-Xlinker",
+        str(library.HOME),
     ]
     program = tmp_path / "program"
     subprocess.run(

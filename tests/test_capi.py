@@ -716,7 +716,10 @@ def test_every_function_is_exported_and_nothing_else():
 def compiled(name, to):
     """Compile an example with all warnings as errors."""
     compiler, standard = ("cc", "-std=c11") if name.endswith(".c") else ("c++", "-std=c++17")
-    source, told = EXAMPLES / name, [f"-I{INCLUDE}", f"-L{library.HOME}", "-lloewner", f"-Wl,-rpath,{library.HOME}"]
+    source, told = (
+        EXAMPLES / name,
+        [f"-I{INCLUDE}", f"-L{library.HOME}", "-lloewner", "-Xlinker", "-rpath", "-Xlinker", str(library.HOME)],
+    )
     subprocess.run([compiler, standard, *STRICT, str(source), *told, "-o", str(to)], check=True)
 
 

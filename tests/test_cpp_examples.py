@@ -23,7 +23,7 @@ pytestmark = [
 HERE = Path(__file__).parent
 EXAMPLES = HERE.parent / "examples"
 INCLUDE = Path(loewner.__file__).parent / "include"
-LINK = [f"-I{INCLUDE}", f"-L{library.HOME}", "-lloewner", f"-Wl,-rpath,{library.HOME}"]
+LINK = [f"-I{INCLUDE}", f"-L{library.HOME}", "-lloewner", "-Xlinker", "-rpath", "-Xlinker", str(library.HOME)]
 STRICT = ("-std=c++17", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Werror")
 
 
