@@ -25,8 +25,8 @@ import sysconfig
 import tempfile
 import time
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager, nullcontext
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import ExitStack, contextmanager
 from importlib.metadata import version
 from itertools import takewhile
 from pathlib import Path
@@ -41,7 +41,7 @@ import headers  # noqa: E402
 from loewner._base._threads import processors  # noqa: E402
 from loewner._kernels._sources import source_hash  # noqa: E402
 from loewner._native.entries import ENTRIES  # noqa: E402
-from loewner._native.library import CALL, HOME, LIST, LOCK  # noqa: E402
+from loewner._native.library import CALL, HOME, LIST, LOCK, loaded  # noqa: E402
 from loewner._native.library import levels as built_levels  # noqa: E402
 from loewner.gpu import _ptx  # noqa: E402
 
@@ -76,9 +76,8 @@ LATER = ("distances", "arms", "others")
 IN_BACKGROUND = 5
 
 # For estimates of the time that is left: the number of functions, and the seconds of one core for a function and for
-# all objects of a level, where the extension takes `EXTENSION_TAKES` to compile.
-FUNCTIONS, FUNCTION, LEVEL, EXTENSION_TAKES = 1200, 0.24, 80.0, 1.5
-
+# all objects of a level.
+FUNCTIONS, FUNCTION, LEVEL = 1200, 0.07, 36.0
 
 # Options of the C compiler for files that users receive. The linker of macOS has no -s; Windows is untried.
 MAC, WINDOWS = sys.platform == "darwin", sys.platform == "win32"
@@ -155,28 +154,26 @@ def told(level: str) -> dict[str, str]:
     return {"NUMBA_CPU_NAME": CPU_OF.get(level, level), "NUMBA_CPU_FEATURES": LEVELS[architecture()][level]}
 
 
-def machine_level() -> str:
-    """Level of this machine's processor, from the extension that was built, or from one made for this."""
+def machine_level(folder: Path) -> str:
+    """Level of this machine's processor, from the extension that was built, or from one that is made in a folder."""
     if known := built_levels():
         return known[0]
-    with tempfile.TemporaryDirectory() as folder:
-        extension = Path(folder, CALL)
-        compile_extension(extension)
-        ask = f"import sys; sys.path.insert(0, {str(SOURCES)!r}); from loewner._native.library import loaded; "
-        ask += f"print(*loaded({str(extension)!r}).levels())"
-        found = subprocess.run([sys.executable, "-c", ask], capture_output=True, text=True, check=True).stdout.split()
+    if not (folder / CALL).exists():
+        compile_extension(folder / CALL)
+    found = loaded(folder / CALL).levels()
     if not found:
         raise BuildError("this processor is older than all levels that are built; Numba compiles for it")
-    return found[0]
+    return str(found[0])
 
 
 def build(
-    levels: list[str], home: Path = HOME, gpu: bool = False, in_groups: bool = False, nice: int = 0
+    levels: list[str], work: Path, home: Path = HOME, gpu: bool = False, in_groups: bool = False, nice: int = 0
 ) -> list[Path]:
     """Build for these levels, and for GPUs if requested; older files are replaced only when everything is done.
 
-    With ``in_groups``, for one level, there is an object file for each group, and each is handed out when it is done;
-    for the groups in `LATER`, the priority is lowered by `nice`.
+    The files are made in the folder `work`, where the extension may be already. With ``in_groups``, for one level,
+    there is an object file for each group, and each is handed out when it is done; for the groups in `LATER`, the
+    priority is lowered by `nice`.
 
     Returns
     -------
@@ -188,16 +185,12 @@ def build(
     BuildError
         If the compiler is missing, or something does not compile or link.
     """
-    home.mkdir(parents=True, exist_ok=True)
     before = source_hash()
-    with tempfile.TemporaryDirectory(dir=home, prefix=".build-") as folder, ThreadPoolExecutor() as pool:
-        work = Path(folder)
-        start = time.perf_counter()
+    if not (work / CALL).exists():
         compile_extension(work / CALL)  # first: it fails at once where there is no compiler
-        slowness = (time.perf_counter() - start) / EXTENSION_TAKES
+    with ThreadPoolExecutor() as pool:
         what = f"{len(ENTRIES)} kernels for {' and '.join(levels)}, which takes one to five minutes on two cores"
         print(f"native library: {what} ...", file=sys.stderr, flush=True)
-        for_c = [pool.submit(compile_api, work / name) for name in FOR_C]
         groups = grouped(list(GROUPS) if in_groups else ["all"])
         (work / "groups.json").write_text(json.dumps(groups), encoding="utf-8")
         (work / "sources").write_text(before, encoding="utf-8")
@@ -205,9 +198,12 @@ def build(
         later = [str(nice), *LATER] if in_groups else []
         workers = [emission(work, levels[number % len(levels)], str(number), *later) for number in range(count)]
         objects = [work / f"{level}-{group}.o" for level in levels for group in groups]
+        for_c = list[Future[None]]()
 
         def hand_out(made: list[Path]) -> None:
-            """Link the objects that are there, for waiting programs."""
+            """Link the objects that are there, for waiting programs; after those, compile the library for C."""
+            if not for_c and len(made) >= len(objects) - len(LATER):
+                for_c.extend(pool.submit(compile_api, work / name) for name in FOR_C)
             if in_groups and len(made) < len(objects):
                 (level,) = levels
                 early = work / f"kernels-{level}-{len(made)}.so"
@@ -218,7 +214,7 @@ def build(
         # The check first: while it runs, one process less makes byte code of what all import.
         check = Command("check of Numba", [str(HERE / "emit.py")], {}, work / "check")
         commands = [check, *workers, *([ptx(work / _ptx.NAME)] if gpu else [])]
-        functions = build_all(commands, objects, hand_out, slowness)
+        functions = build_all(commands, objects, hand_out)
         for library in for_c:
             library.result()
         for level in levels:
@@ -271,15 +267,12 @@ def ptx(to: Path) -> Command:
 
 
 def build_all(
-    commands: list[Command],
-    objects: list[Path],
-    hand_out: Callable[[list[Path]], None] = lambda made: None,
-    slowness: float = 1.0,
+    commands: list[Command], objects: list[Path], hand_out: Callable[[list[Path]], None] = lambda made: None
 ) -> int:
     """Run commands, each in a process of its own, as many at a time as there are processors; count the functions.
 
     Call `hand_out` with the objects that are there, whenever there are more. Print, every ten seconds, the kernels in
-    work, and how long the rest will take: at first by the speed of the machine, then by the progress so far.
+    work, and how long the rest will take, by the progress so far.
     """
     start = time.perf_counter()
     waiting, running = list(commands), list[tuple[subprocess.Popen[bytes], Command]]()
@@ -294,7 +287,7 @@ def build_all(
         elapsed = time.perf_counter() - start
         made = sum(path.exists() for path in objects) / max(len(objects), 1)
         share = (min(functions(), FUNCTIONS) * FUNCTION + made * (whole - FUNCTIONS * FUNCTION)) / whole
-        expected = (elapsed + FIRST_WEIGHT * whole * slowness / cores) / (share + FIRST_WEIGHT)
+        expected = (elapsed + FIRST_WEIGHT * whole / cores) / (share + FIRST_WEIGHT)
         left = f"about {max(expected - elapsed, 1):.0f} s left"
         names = [[line for line in command.lines() if not KEY.search(line)][-1:] for command in commands]
         what = ", ".join(name for (name,) in filter(None, names)) or "..."
@@ -383,6 +376,12 @@ def compile_c(what: list[Path | str], to: Path, flags: tuple[str, ...] = RELEASE
         raise BuildError(f"{shlex.join(command)} failed:\n{done.stderr.strip()[-4000:]}")
 
 
+def folder_for(home: Path) -> Path:
+    """Make a folder for unfinished files, in the file system of the finished ones."""
+    home.mkdir(parents=True, exist_ok=True)
+    return Path(tempfile.mkdtemp(dir=home, prefix=".build-"))
+
+
 @contextmanager
 def locked(home: Path, held: int | None) -> Iterator[int | None]:
     """Build in one process at a time. Others wait, and find everything built.
@@ -404,10 +403,10 @@ def locked(home: Path, held: int | None) -> Iterator[int | None]:
         yield file.fileno()
 
 
-def go_on_in_background(lock: int | None, log: Path) -> None:
-    """Run this command again in a process that stays, and hand the lock on to it."""
+def go_on_in_background(lock: int | None, work: Path, log: Path) -> None:
+    """Run this command again in a process that stays, and hand the lock and the folder on to it."""
     log.parent.mkdir(parents=True, exist_ok=True)
-    command = [sys.executable, *sys.argv, *([] if lock is None else ["--lock", str(lock)])]
+    command = [sys.executable, *sys.argv, "--work", str(work), *([] if lock is None else ["--lock", str(lock)])]
     kept = () if lock is None else (lock,)
     with log.open("wb") as said:
         streams: Any = {"stdin": subprocess.DEVNULL, "stdout": said, "stderr": said}
@@ -429,25 +428,32 @@ def main() -> int:
     parser.add_argument("--to", type=Path, default=HOME, metavar="FOLDER", help="where what is built goes")
     parser.add_argument("--log", type=Path, metavar="FILE", help="go on in the background, and write to a file")
     parser.add_argument("--lock", type=int, help=argparse.SUPPRESS)
+    parser.add_argument("--work", type=Path, help=argparse.SUPPRESS)
     options = parser.parse_args()
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # ends the processes that it began, and removes its folder
     try:
         known = LEVELS.get(architecture())
         if known is None:
             raise BuildError(f"expected one of {', '.join(LEVELS)}, found a processor of {architecture()}")
-        with locked(options.to, options.lock) if options.to == HOME else nullcontext() as lock:
-            asked = options.levels
-            levels = list(known) if asked == "all" else [machine_level()] if asked == "machine" else asked.split(",")
+        with ExitStack() as stack:
+            lock = stack.enter_context(locked(options.to, options.lock)) if options.to == HOME else None
+            work = options.work or folder_for(options.to)
+            stack.callback(shutil.rmtree, work)
+            in_groups = options.levels == "machine"
+            levels = list(known) if options.levels == "all" else options.levels.split(",")
+            if in_groups:
+                levels = [machine_level(work)]
             if any(level not in known for level in levels):
-                raise BuildError(f"--levels: expected some of {', '.join(known)}, found {asked}")
+                raise BuildError(f"--levels: expected some of {', '.join(known)}, found {options.levels}")
             if is_built(levels, options.to, options.gpu):
                 return 0
-            if options.log is not None and options.lock is None:
-                go_on_in_background(lock, options.log)
+            if options.log is not None and options.work is None:
+                go_on_in_background(lock, work, options.log)
+                stack.pop_all()  # both are the other process's now
                 return 0
             start = time.perf_counter()
-            nice = 0 if options.lock is None else IN_BACKGROUND
-            made = build(levels, options.to, options.gpu, in_groups=asked == "machine", nice=nice)
+            nice = 0 if options.work is None else IN_BACKGROUND
+            made = build(levels, work, options.to, options.gpu, in_groups=in_groups, nice=nice)
             size = sum(path.stat().st_size for path in made)
             count = json.loads(made[-1].read_text(encoding="utf-8"))["functions"]
             took = f"{time.perf_counter() - start:.0f} s, {time_of_processes():.0f} s of processor time"

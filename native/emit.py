@@ -8,8 +8,8 @@ Run by `build.py`, in processes of its own:
 
 The folder holds `groups.json`, which lists the entries of each group, and `sources`, the hash of the kernels' sources.
 The processes write the code of each entry (`ENTRY.code`), which is the same for all levels, and an object file of each
-group for each level (`LEVEL-GROUP.o`). Each takes files that no other has taken, and begins with another group or at
-its other end, since entries of one group share most of their code.
+group for each level (`LEVEL-GROUP.o`). Each takes files that no other has taken, in an order of its own (`in_order`),
+since entries of one group share most of their code.
 
 Numba reads the level from the environment when it is imported. Machine code does not run there, since this machine's
 processor may be of a lower level.
@@ -411,10 +411,7 @@ def work(folder: Path, level: str, number: int, nice: int = 0, *later: str) -> N
     """Write files that no other process has taken, until all are taken: objects with all their codes, or else codes."""
     groups = json.loads((folder / "groups.json").read_text(encoding="utf-8"))
     objects = {folder / f"{level}-{group}.o": [folder / f"{name}.code" for name in groups[group]] for group in groups}
-    order = list(groups)
-    order.insert(0, order.pop(number % (len(order) - len(later))))
-    step = -1 if number % 2 else 1
-    codes = {folder / f"{name}.code": name for group in order for name in groups[group][::step]}
+    codes = {folder / f"{name}.code": name for name in in_order(groups, number, later)}
     in_background = {name for group in later for name in groups[group]}
     before = list[Path]()  # codes of the groups whose objects are taken
     parent = os.getppid()
@@ -438,6 +435,17 @@ def work(folder: Path, level: str, number: int, nice: int = 0, *later: str) -> N
         else:
             time.sleep(0.05)
     _store.remove_unused()
+
+
+def in_order(groups: dict[str, list[str]], number: int, later: tuple[str, ...]) -> list[str]:
+    """Entries in the order in which a process takes them: two begin with each group, and one of these at its end.
+
+    That one also goes on with the last of the other groups, so that the two meet as late as possible.
+    """
+    early = [group for group in groups if group not in later]
+    first = early.pop(number // 2 % len(early))
+    step = -1 if number % 2 else 1
+    return [name for group in [first, *early[::step], *later[::step]] for name in groups[group][::step]]
 
 
 def is_mine(to: Path) -> bool:

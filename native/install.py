@@ -11,7 +11,7 @@ import shutil
 import sys
 from pathlib import Path
 
-from build import HEADERS, HOME, LEVELS, LIBRARY, BuildError, architecture, build, is_built, machine_level
+from build import HEADERS, HOME, LEVELS, LIBRARY, BuildError, architecture, build, folder_for, is_built, machine_level
 
 SHARE = HEADERS.parent / "share"
 
@@ -45,9 +45,13 @@ def main() -> int:
     )
     options = parser.parse_args()
     try:
-        levels = list(LEVELS[architecture()]) if options.levels == "all" else [machine_level()]
-        if not is_built(levels, options.home):
-            build(levels, options.home)
+        work = folder_for(options.home)
+        try:
+            levels = list(LEVELS[architecture()]) if options.levels == "all" else [machine_level(work)]
+            if not is_built(levels, options.home):
+                build(levels, work, options.home)
+        finally:
+            shutil.rmtree(work)
         for path in install(options.prefix, options.home):
             print(path)
     except (BuildError, OSError) as error:

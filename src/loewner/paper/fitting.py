@@ -9,8 +9,11 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from loewner._base._validate import Floats
-from loewner.bodies import Bodies
+from loewner._kernels import columns
+from loewner.bodies import Bodies, packed_of
 from loewner.ellipsoids.fits import Fit, mvce, mvie
 from loewner.errors import LoewnerError
 from loewner.paper.lifted_mvie import mvce_by_lifted_mvie
@@ -59,8 +62,8 @@ FITS: dict[str, Callable[[Floats], Fit]] = {
 def fit_one_by_one(bodies_1: Bodies, bodies_2: Bodies) -> tuple[Fitting, ...]:
     """Fit the polyhedra of the first pairs by every kind of fit, with the default tolerance (as in section 5)."""
     half = MOST_POLYHEDRA // 2
-    pieces = [body.pieces[0] for bodies in (bodies_1, bodies_2) for body in bodies[:half]]
-    polyhedra = [piece.vertices for piece in pieces if piece.vertices is not None]
+    packs = packed_of(bodies_1[:half]), packed_of(bodies_2[:half])
+    polyhedra = [points for p in packs for points in np.split(p.points, p.layout[1:, columns.POINTS_FROM])]
     return tuple(_counted(name, fit, polyhedra) for name, fit in FITS.items())
 
 

@@ -17,7 +17,7 @@ from loewner._kernels._jit import inline, njit
 from loewner._kernels.linalg3 import across, adjugate, apply_symmetric, cross, dot, minus, plus, rotated_shape, scaled
 from loewner._kernels.simd.trig import sine_cosine
 from loewner._kernels.simd.vectors import LANES, broadcast, highest, load, lowest, maximum, minimum, movemask, store
-from loewner._kernels.trees.triangle_tree import principal
+from loewner._kernels.trees.triangle_tree import principal, put_range
 
 # Assumed thickness of a flat part, relative to the whole; of a flat box, relative to its longest side, so that the
 # shorter of two boxes with equal areas is chosen; and of a flat ellipsoid, relative to its longest side and to the
@@ -91,7 +91,7 @@ def cut_up(corners, faces, radius, most, order, start, boxes, centers, shapes):
     rest, lists, begin = np.empty(n), np.empty((2, n), np.int64), np.empty(n + 1, np.int64)
     rows, listed = np.empty(2 * ROW * MANY), np.empty(2 * MANY, np.int64)
     bins, held = np.empty(3 * BINS * ROW), np.empty(3 * BINS, np.int64)
-    ranges[0] = 0, n, 0
+    put_range(ranges, 0, 0, n, 0)
     _measure(corners, n, ranges[0], thick, grown, numbers[0])
     age = 1
     while count < most:
@@ -108,8 +108,8 @@ def cut_up(corners, faces, radius, most, order, start, boxes, centers, shapes):
         axis, key = _place_of_cut(corners, n, begin, items, turn, grown, rows, listed, bins, held)
         along = turn[axis], turn[3 + axis], turn[6 + axis]
         middle = _divided(corners, n, order, begin, items, along, key, rest, lists)
-        ranges[emptiest] = first, middle, age
-        ranges[count] = middle, last, age + 1
+        put_range(ranges, emptiest, first, middle, age)
+        put_range(ranges, count, middle, last, age + 1)
         _measure(corners, n, ranges[emptiest], thick, grown, numbers[emptiest])
         _measure(corners, n, ranges[count], thick, grown, numbers[count])
         count, age = count + 1, age + 2

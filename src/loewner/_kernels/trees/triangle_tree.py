@@ -129,7 +129,8 @@ def triangle_tree(vertices, triangles):
     _write(boxes, 0, hull, 0)
     turns = np.empty((2, 3, 3))
     _enclose(vertices, triangles, order, 0, count, turns, ellipsoids, 0)
-    waiting[0] = (0, count, 0, 0)
+    put_range(waiting, 0, 0, count, 0)
+    waiting[0, 3] = 0
     left = 1
     while left > 0:
         left -= 1
@@ -145,7 +146,7 @@ def triangle_tree(vertices, triangles):
             boxes, children = longer(boxes), longer(children)
         children[slot] = nodes
         enough = _enough(last - first)
-        ranges[0] = (first, last, splits)
+        put_range(ranges, 0, first, last, splits)
         _hull(box, first, last, hull, 0)
         used = 1
         while used < WIDE:
@@ -158,8 +159,8 @@ def triangle_tree(vertices, triangles):
                 break
             begin, end, above = ranges[widest, 0], ranges[widest, 1], ranges[widest, 2]
             middle = _split(box, order, begin, end, above >= DEEP, bins)
-            ranges[widest] = (begin, middle, above + 1)
-            ranges[used] = (middle, end, above + 1)
+            put_range(ranges, widest, begin, middle, above + 1)
+            put_range(ranges, used, middle, end, above + 1)
             _hull(box, begin, middle, hull, widest)
             _hull(box, middle, end, hull, used)
             used += 1
@@ -168,7 +169,8 @@ def triangle_tree(vertices, triangles):
             _write(boxes, nodes * ROWS + k, hull, k)
             if nodes == 1:
                 _enclose(vertices, triangles, order, ranges[k, 0], ranges[k, 1], turns, ellipsoids, k)
-            waiting[left] = (ranges[k, 0], ranges[k, 1], ranges[k, 2], nodes * WIDE + k)
+            put_range(waiting, left, ranges[k, 0], ranges[k, 1], ranges[k, 2])
+            waiting[left, 3] = nodes * WIDE + k
             left += 1
         nodes += 1
     blocks, numbers = np.empty(leaves * BLOCK), np.empty(leaves * LEAF, np.int64)
@@ -321,6 +323,15 @@ def _enclose(vertices, triangles, order, first, last, turns, ellipsoids, at):
             entry = U[3 * i] * U[3 * j] * a + U[3 * i + 1] * U[3 * j + 1] * b + U[3 * i + 2] * U[3 * j + 2] * c
             ellipsoids[at + row * WIDE] = float(np.float32(entry))
             row += 1
+
+
+@inline
+def put_range(ranges, k, first, last, number):
+    """Write a range of triangles and a number into row k.
+
+    If Numba assigned the whole row, it would compile the text of an error for rows of another length, for a second.
+    """
+    ranges[k, 0], ranges[k, 1], ranges[k, 2] = first, last, number
 
 
 @njit()
