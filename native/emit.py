@@ -438,9 +438,9 @@ def work(folder: Path, level: str, number: int, nice: int = 0, *later: str) -> N
 
 
 def in_order(groups: dict[str, list[str]], number: int, later: tuple[str, ...]) -> list[str]:
-    """Entries in the order in which a process takes them: two begin with each group, and one of these at its end.
+    """Entries in the order in which a process takes them: two begin with each group, the second of them at its end.
 
-    That one also goes on with the last of the other groups, so that the two meet as late as possible.
+    The second also takes the other groups from the last on, so that the two meet as late as possible.
     """
     early = [group for group in groups if group not in later]
     first = early.pop(number // 2 % len(early))
