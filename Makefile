@@ -23,9 +23,10 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 # The pip that the interpreter has installs into .venv, if it is recent enough: to copy another one into .venv first takes
-# three seconds. Byte code is made of what is imported, when it is: making all of it takes longer than all else that pip does.
-HAS_PIP := $(PYTHON) -c 'import pip; exit(tuple(map(int, pip.__version__.split(".")[:2])) < (22, 3))' 2>/dev/null
-PIP := $$(cat $(VENV)/.pip 2>/dev/null || echo $(BIN)/python -m pip) --disable-pip-version-check install --quiet --no-compile
+# three seconds. Byte code is made of what is imported, when it is: making all of it takes longer than the rest of pip's work.
+WITHOUT_PIP = $(shell $(PYTHON) -c 'import pip; exit(tuple(map(int, pip.__version__.split(".")[:2])) < (22, 3))' \
+  2>/dev/null && echo --without-pip)
+PIP = $(or $(shell cat $(VENV)/.pip 2>/dev/null),$(BIN)/python -m pip) --disable-pip-version-check install --quiet --no-compile
 # Tests start hundreds of interpreters, so byte code of what they may import is made ahead, and of nothing else.
 NEVER_IMPORTED := /(tests?|OpenGL|pip|setuptools|Cython|fontTools|mypyc?|elftools|lexers)/
 COMPILE_ALL := { $(BIN)/python -m compileall -q -j 0 -x '$(NEVER_IMPORTED)' $(VENV)/lib >/dev/null 2>&1 || true; }
@@ -198,8 +199,8 @@ clean:
 $(BIN)/python:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
 	  { echo "loewner needs Python >= 3.11; try make PYTHON=python3.13 ..." >&2; exit 1; }
-	$(PYTHON) -m venv $$($(HAS_PIP) && echo --without-pip) $(VENV)
-	@! $(HAS_PIP) || echo $(PYTHON) -m pip --python $(BIN)/python >$(VENV)/.pip
+	$(PYTHON) -m venv $(WITHOUT_PIP) $(VENV)
+	@$(if $(WITHOUT_PIP),echo $(PYTHON) -m pip --python $(BIN)/python >$(VENV)/.pip)
 
 # What builds the native library; the rest can be installed meanwhile.
 $(VENV)/.compiler: requirements/core.txt | $(BIN)/python
