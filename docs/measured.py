@@ -33,18 +33,18 @@ REACHED = {"yes": "reached", "no": "missed"}
 
 INTRODUCTION = """# Measurements
 
-This page is made from the files in `benchmarks/results` when the site is built. Times are those of one item (a pair, a
-body, a configuration), in nanoseconds of processor time. A ratio is the time of the other library over that of loewner,
-from one run in which both took turns; where it is below 1, the other library is faster, and the row names it. A target
-is a goal that loewner has set itself for a ratio. The page on [benchmarks](benchmarks.md) describes how the comparison
+This page is made from the files in `benchmarks/results` when the site is built. Times are for one item (a pair, a body, a
+configuration), in nanoseconds of processor time. A ratio is the other library's time divided by loewner's, from one run
+in which the two libraries took turns. Below 1, the other library is faster, and the row names it. A target is a goal
+that loewner has set itself for a ratio. The page on [benchmarks](benchmarks.md) describes how the comparison
 is kept fair, and its limits."""
 
 
 RATIOS_TITLE = """## Ratios by commit
 
-`benchmarks/ratios.py` appends a row to `benchmarks/ratios.csv` for each ratio that has a target. Where a load is given,
-it is the average number of running processes in the minute before the run; if it is not small beside the number of
-cores, the ratio says little.
+`benchmarks/ratios.py` appends a row to `benchmarks/ratios.csv` for each ratio that has a target. A load is the
+average number of running processes in the minute before the run; if it is not small compared with the number of cores,
+the ratio means little.
 """
 
 
