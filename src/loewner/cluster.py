@@ -46,7 +46,7 @@ AT_A_TIME = 4096
 # How many times the same work is requested if it is cancelled while the scheduler is alive.
 ATTEMPTS = 4
 
-# A record takes a few hundred bytes, and a name of at most 255 letters.
+# Largest size of a record [bytes]. A record takes a few hundred bytes, and a name of at most 255 letters.
 LARGEST_RECORD = 2**16
 
 # Files with these endings may refer to other files for their meshes, so that their own bytes do not identify the mesh.
@@ -208,7 +208,7 @@ def _checked_options(options: dict[str, Any]) -> dict[str, Any]:
         If `Body.from_mesh` would refuse an option. The options are tried once on a tiny body, so that a bad option is
         reported once and not for each file.
     """
-    with told_to([]), suppress(GeometryError):  # the scale may suit meshes and not the tiny body
+    with told_to([]), suppress(GeometryError):  # the scale may suit the meshes but not the tiny body
         Body.from_mesh(TETRAHEDRON, **options)
     return {name: None if value is None else PLAIN[name](value) for name, value in options.items()}
 
@@ -270,7 +270,7 @@ def _body_of(mesh: Path, target: Path, options: dict[str, Any], run: str) -> Out
     del data
     record = _record(target)
     if record is not None and (alone or record.get("run") == run) and wanted.items() <= record.items():
-        # Another worker may have made it for this call, and died before it could report it.
+        # Another worker may have made the body for this call, and died before it could report the outcome.
         status = "done" if record.get("run") == run else "skipped"
         return Outcome(status, warnings=tuple(map(str, record.get("warnings", ()))))
     warnings: list[str] = []
@@ -349,7 +349,7 @@ def _request(
     run: str,
     report: Callable[[Path, Outcome], None],
 ) -> None:
-    """Request meshes and report their outcomes, except cancelled ones; if the wait ends early, so does the work."""
+    """Request meshes and report their outcomes, except cancelled ones; if the wait ends early, cancel the work."""
     meshes, bodies = ([str(_absolute(path)) for path in some] for some in (targets, targets.values()))
     futures = client.map(_fit_one, meshes, bodies, options=options, run=run, pure=False, batch_size=AT_A_TIME)
     # A worker keeps an outcome as long as a reference to it exists; if the worker dies, the outcome is computed again.
@@ -424,7 +424,7 @@ def _connected(client: Any) -> Iterator[Any]:
     distributed = _dask("distributed")
     if isinstance(client, str):
         try:
-            distributed.comm.resolve_address(client)  # not an address, which would leave a client half initialised
+            distributed.comm.resolve_address(client)  # a bad address would leave a client half initialised
             made = distributed.Client(client, timeout=PATIENCE, set_as_default=False)
         except Exception as error:  # any error of a protocol; most are ValueError or OSError
             raise InputError(
@@ -582,8 +582,8 @@ def _by_chunks(
         found = " and ".join(str(Q.shape) for Q in arrays.values())
         raise InputError(f"expected Q0 and Q1 of one shape, found {found}")
     first = first.rechunk({-1: -1})
-    # The checker is sent as bytes, a copy of its current state that is named by its checksum. The task that unpacks
-    # them is sent once, and its result to each worker that has a chunk; a checker among a task's arguments would be
+    # The checker is sent as bytes: a copy of its current state, named by its checksum. The task that unpacks the bytes
+    # is sent once, and its result is sent to each worker that has a chunk. A checker among a task's arguments would be
     # sent with each task.
     packed = pickle.dumps(checker, protocol=pickle.HIGHEST_PROTOCOL)
     there = delayed(pickle.loads)(packed, dask_key_name=f"loewner-checker-{_checksum(packed)[:32]}")

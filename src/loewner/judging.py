@@ -51,14 +51,14 @@ BYTES = 2000
 # Parts of an answer, in the order of the last axis of `Judgement.kinds`.
 PARTS = ("colliding", "distance", "depth", "witness_a", "witness_b", "witnesses", "normal")
 
-# Units in which other programs give lengths, by their number in a metre.
+# Units in which other programs give lengths, with the number of units in a metre.
 UNITS = {"millimetres": 1e3, "centimetres": 1e2, "inches": 1 / 0.0254}
 
 # Another convention is named if it explains at least LEAST errors and the share EXPLAINED of all errors, and spoils few
-# right answers in return. It is tried if the share TRIED of the answers is wrong, and explains an error if at most the
-# share LEFT remains. In addition, half of an answer in another unit must be wrong by more than HALVED times the
-# remaining error: where the truth is nearly zero, or far below the claim, any unit that is large enough would leave
-# little.
+# right answers in return. It is tried if the share TRIED of the answers is wrong. It explains an error if at most the
+# share LEFT of the error remains. In addition, half of an answer in another unit must be wrong by more than HALVED
+# times the remaining error. Otherwise, any sufficiently large unit would explain errors where the truth is nearly zero,
+# or far below the claim.
 LEAST, EXPLAINED, SPOILT, TRIED, LEFT, HALVED = 3, 0.75, 0.1, 0.1, 1e-3, 10
 
 
@@ -373,7 +373,7 @@ class _Pairs:
     Tb: Floats
 
     def moved(self, step: Floats) -> _Pairs:
-        """Move b; rows that are not finite stay where they are."""
+        """Move b; where a step is not finite, b stays where it is."""
         T = np.array(self.Tb)
         T[..., :3, 3] += np.where(np.isfinite(step).all(axis=-1, keepdims=True), step, 0.0)
         return _Pairs(self.a, self.Ta, self.b, T)
@@ -403,7 +403,7 @@ class _Pairs:
         return FEW_ROUNDINGS * np.asarray(np.abs(self.Tb[..., :3, 3]).sum(axis=-1) + self.size())
 
     def measured(self) -> tuple[Distance, Floats, Floats, Floats]:
-        """Measure signed distances; return them, bounds on them, and their accuracy. Unsettled ones are NaN.
+        """Return signed distances, with bounds and their accuracy; unsettled distances are NaN.
 
         The lower bound of a negative distance is minus infinity here, unless ellipsoids prove that there is no depth.
         """
@@ -414,7 +414,7 @@ class _Pairs:
         single, tight = self.kinds()
         loose = (value < 0.0) & ~tight
         upper = np.fmin(upper, value + np.where(loose, OF_CURVED / ACCURACY, 1.0) * slack)
-        if loose.any():  # the exact test proves at least that they meet, and that they still do after moves
+        if loose.any():  # the exact test proves at least that bodies meet, and still meet after moves
             upper = np.where(loose & self.verdicts()[1], np.minimum(upper, slack), upper)
             reach = np.where(loose & single, (1.0 - 1e-6) * -value, 0.0)
             still = loose & single
@@ -437,10 +437,11 @@ def _of_each(body: Body | Bodies, reduced: np.ufunc, values: Any) -> Any:
 
 
 def _judged(pairs: _Pairs, said: dict[str, Floats], allowed: float) -> Judgement:
-    """Bound the signed distances, and compare each part of the answers with them."""
+    """Bound the signed distances, and compare each part of the answers with the bounds."""
     found, lower, upper, slack = pairs.measured()
     value, normal = np.asarray(found.distance), np.asarray(found.normal)
-    # Where bodies overlap, a little more than the depth along the normal separates them, or no depth is known.
+    # A move along the normal by slightly more than the depth separates overlapping bodies; otherwise, no depth is
+    # known.
     way = np.where(value < 0.0, 3.0 * slack - value, 0.0)
     apart = (value < 0.0) & pairs.moved(way[..., None] * normal).verdicts()[0]
     lower = np.where(apart, np.maximum(lower, -way - pairs.rounding()), lower)
@@ -491,7 +492,7 @@ def _conventions(
 
 
 def _readings(pairs: _Pairs, said: dict[str, Floats]) -> Iterator[tuple[str, str, dict[str, Floats], bool]]:
-    """Read answers by other conventions: the kind of parts, the convention, the answers in ours; if it is a unit."""
+    """Yield other conventions: the kind of parts, the convention, the converted answers, and whether it is a unit."""
     if "normal" in said:
         yield "normals", "point the other way, from b to a", {"normal": -said["normal"]}, False
     for name in ("distance", "depth"):
@@ -558,7 +559,7 @@ def _judge_witness(court: _Court, name: str, body: Body | Bodies, T: Floats, poi
 def _judge_witnesses(court: _Court, said: dict[str, Floats], known: Bools, upper: Floats) -> None:
     """Judge whether two witnesses are as far apart as the distance or depth, where a depth has one meaning.
 
-    A distance of 0 of bodies that overlap has no witnesses.
+    A distance of 0 for overlapping bodies has no witnesses.
     """
     missing = np.full(said["witness_a"].shape[:-1], np.nan)
     claim, depth = np.abs(said.get("distance", missing)), said.get("depth", missing)
@@ -573,20 +574,20 @@ def _judge_witnesses(court: _Court, said: dict[str, Floats], known: Bools, upper
 
 
 def _judge_normal(court: _Court, pairs: _Pairs, normal: Floats, lower: Floats, upper: Floats) -> None:
-    """Judge normals by moving b along them, to contact or out of it, and measuring the rest."""
+    """Judge normals by moving b along them, into or out of contact, and measuring the remaining distance or depth."""
     scale = np.abs(normal).max(axis=-1, keepdims=True)
     unit = np.divide(normal, scale, out=np.full(normal.shape, np.nan), where=scale > 0.0)
     unit = unit / lengths(unit)[..., None]
     given = np.asarray(~np.isnan(unit).any(axis=-1))
     overlapping = upper < 0.0
-    # From bodies that are apart, the right move leaves no more than the width of the interval.
+    # If the bodies are apart, the right move leaves a distance of at most the width of the interval.
     way = np.where(overlapping, np.maximum(-lower, 0.0), -np.maximum(lower, 0.0))
     single, _ = pairs.kinds()
     known = np.isfinite(way) & (single | ~overlapping)
     moved = pairs.moved(np.where(known, way, 0.0)[..., None] * unit)
     _, left_lower, left_upper, _ = moved.measured()
     width = np.where(overlapping, 0.0, np.maximum(upper, 0.0) - np.maximum(lower, 0.0)) + moved.rounding()
-    # `left_lower` of bodies that still overlap is unknown, which is no matter: only depths beyond a bound accuse.
+    # For bodies that still overlap, `left_lower` is unknown and not needed: only depths beyond a bound prove an error.
     least = np.where(overlapping, -left_upper, left_lower) - width
     most = np.where(overlapping, -left_lower, left_upper)
     most = np.where(overlapping & moved.verdicts()[0], 0.0, most)

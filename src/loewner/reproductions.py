@@ -1,5 +1,4 @@
-"""Write a wrong answer about two convex bodies as a small program that proves the error in exact fractions, without any
-library."""
+"""Turn a wrong answer about two convex bodies into a small program, without libraries, that proves the error."""
 
 from __future__ import annotations
 
@@ -105,10 +104,10 @@ def reproduction(
 ) -> str:
     """Write a one-page program that proves an answer wrong, using only Python's standard module ``fractions``.
 
-    The program contains the corners, the poses and the answer, as decimals that are read back without loss, and a proof
-    of each part that is wrong: a plane between the bodies, two of their points, or a surface around the differences
-    between their corners. It prints a lower bound on the error of the answer. Include the program in a report to the
-    other program's authors.
+    The program contains the corners, the poses and the answer, as decimals that are read back without loss. It also
+    contains a proof of each part that is wrong: a plane between the bodies, two of their points, or a surface around
+    the differences between their corners. The program prints a lower bound on the error of the answer. Include the
+    program in a report to the other program's authors.
 
     Parameters
     ----------
@@ -207,7 +206,7 @@ def _reduced(
 
 
 def _smaller(corners: list[Floats]) -> Iterator[list[Floats]]:
-    """Propose smaller bodies; the caller changes `corners` to the ones that it accepts."""
+    """Propose smaller bodies; the caller puts the bodies that it accepts into `corners`."""
     for decimals in DECIMALS:
         rounded = [np.round(points, decimals) + 0.0 for points in corners]
         yield rounded
@@ -287,7 +286,7 @@ def _error(
 
 
 def _weights(points: Floats, T: Floats, near: Floats) -> list[float]:
-    """Weights of corners whose mean is about a point of their hull."""
+    """Weights with which the mean of the corners is close to a point of their hull."""
     from scipy.optimize import nnls
 
     x = points @ T[:3, :3].T + T[:3, 3] - near
@@ -297,7 +296,7 @@ def _weights(points: Floats, T: Floats, near: Floats) -> list[float]:
 
 
 def _surface(corners: list[Floats], poses: list[Floats], *, small: bool) -> tuple[Ints, Ints]:
-    """Find a surface around 0 between differences of corners: their hull or, if it may be small, a tetrahedron.
+    """Find a surface around 0 whose corners are differences of corners: a hull or, if it may be small, a tetrahedron.
 
     Returns
     -------

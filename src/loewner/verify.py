@@ -4,7 +4,7 @@ This module also checks proofs that pairs of bodies are free over ranges of the 
 collide. It needs only Python's standard library, and can be run by itself: ``python verify.py plan.proof``. The page
 docs/proof-format.md describes the files and shows why a file that passes is a proof. Lengths, sines and matrices are
 integers in units of 2^-72. The following bounds on rounding errors are in these units, and hold for the norms of
-vectors and matrices (the root of the sum of squares); lengths that appear as factors are in metres.
+vectors and matrices (the root of the sum of squares). Lengths that appear as factors are in metres.
 
 - A double, and each entry of a fixed rotation or of an axis, has a rounding error below 1. The error of a sine or
   cosine is less than 2: a tenth for the angle, a thousandth for the series, and 1 for the result. In a joint's rotation
@@ -14,9 +14,9 @@ vectors and matrices (the root of the sum of squares); lengths that appear as fa
 - A link is at its parent's position plus a rotated step of length l. The step has an error below 3 l + 8, the parent's
   rotation adds its error times l, and rounding adds 2. With E = TURN (links of the chain + 1) and the length L of the
   chain, the error is at most E (L + 1).
-- A plane's normal n is exact, since any vector is valid. Its error in the other body's frame is 2 E |n| + 5. A gap
-  therefore has an error of at most (|n| + 1) E (2 X + 4 L + 3), where X is the size of the bodies, plus |n| times the
-  errors of the placed points of both bodies, which are at most ``_Body.fuzz``.
+- A plane's normal n is exact, since any vector is valid. In the other body's frame, the normal has an error of 2 E |n|
+  + 5. A gap therefore has an error of at most (|n| + 1) E (2 X + 4 L + 3), where X is the size of the bodies, plus |n|
+  times the errors of the placed points of both bodies, which are at most ``_Body.fuzz``.
 """
 
 import argparse
@@ -39,7 +39,7 @@ GUARD = BITS + 24  # angles and the series of their sines are multiples of 2^-GU
 HALF_PI = 0x3243F6A8885A308D313198A2E03707344A4093822299F31D >> 189 - GUARD
 TURN, DEEPEST = 64, 64  # error of a rotation for each link of its chain (derived: 41); the deepest nesting of a tree
 MOST_LINKS, MOST_BYTES, MOST_DEGREE, MOST_STILL = 1000, 1 << 24, 31, 100  # the last: links with a common point
-MOST_SIDES = 8  # of a box of values; each plane is checked at all of its corners
+MOST_SIDES = 8  # of a box of values; each plane is checked at all corners of the box
 MOST_WORK = 1 << 30  # products of a point and a normal, and other steps of a third of a microsecond
 Whole = tuple[int, ...]  # vectors have 3 entries, matrices 9, by rows
 Pair = tuple[int, int]
@@ -88,8 +88,8 @@ class Report:
     ranges : tuple of (str, str, float, tuple of (str, float, float, bool))
         Each entry of ``ranges``, if the file claims any, has two bodies, their margin in metres, and the values between
         the bodies. Each value has a name, the ends of the range over which the bodies are farther apart than the
-        margin, and whether the range covers all numbers that the value can have. The last five entries of ``tightest``
-        are then the index of the pair, 0, 1, the margin, and the remaining room.
+        margin, and whether the range covers all numbers that the value can have. In this case, the last five entries of
+        ``tightest`` are the index of the pair, 0, 1, the margin, and the remaining room.
     """
 
     model: str
@@ -108,9 +108,7 @@ class Report:
 
     @property
     def stretches(self) -> tuple[Stretch, ...]:
-        """Contacts, joined if they continue in the next motion: two bodies, the motion and its parameter t at each end
-        of the contact, and the distance.
-        """
+        """Contacts, joined across motions: two bodies, the motion and its parameter t at each end, and the distance."""
         found, last = list[Stretch](), dict[tuple[str, str, float], int]()
         for a, b, number, since, until, least in self.contacts:
             k = last.get((a, b, least), -1)
@@ -165,7 +163,7 @@ class Report:
 
 
 def _down(x: float | Fraction, bits: int = BITS) -> int:
-    """Multiply a number by 2^bits and round down. Doubles are only converted and compared."""
+    """Multiply a number by 2^bits and round down, without arithmetic on doubles."""
     n, d = x.as_integer_ratio()
     return (n << bits) // d
 
@@ -178,7 +176,7 @@ def _vector(numbers: Iterable[float | Fraction]) -> Whole:
     return tuple(map(_down, numbers))
 
 
-def _whole(numbers: Sequence[float]) -> Whole:  # times a power of two that makes all of them whole
+def _whole(numbers: Sequence[float]) -> Whole:  # times a power of two that makes them all integers
     ratios = [x.as_integer_ratio() for x in numbers]
     return tuple(n * (max(d for _, d in ratios) // d) for n, d in ratios)
 
@@ -212,7 +210,7 @@ def _cos_sin(angle: int) -> Pair:
     square = rest * rest >> GUARD
     for n, term in ((0, 1 << GUARD), (1, abs(rest))):
         total, sign = 0, 1
-        while term:  # the terms alternate and decrease, so the rest of the series is less than the next one
+        while term:  # the terms alternate and decrease, so the rest of the series is less than the next term
             total += sign * term
             term, sign, n = (term * square >> GUARD) // ((n + 1) * (n + 2)), -sign, n + 2
         sums.append(total >> GUARD - BITS)
@@ -235,7 +233,7 @@ class _Reader:
         return struct.unpack_from("<" + form, self.data, start)
 
     def count(self, size: int, what: str, least: int = 0, most: int = MOST_BYTES) -> int:
-        # Each of them has `size` bytes or more.
+        # Each item has `size` bytes or more.
         number = int(*self.take("I"))
         if not least <= number <= most or number * size > len(self.data) - self.at:
             raise Refused(f"The {self.part} cannot have {number} {what} at byte {self.at - 4}.")
@@ -257,7 +255,7 @@ class _Reader:
 
 
 class _Link:
-    """A link: its exact fixed pose, and in units this pose and the axis of the joint that moves it."""
+    """A link: its fixed pose, exact and in units, and the axis, in units, of the joint that moves it."""
 
     def __init__(self, reader: _Reader, links: "list[_Link]") -> None:
         name = _shown(reader.name())
@@ -292,7 +290,7 @@ class _Link:
         return _product(self.turn, turned), self.shift
 
     def pass_ball(self, c: Whole, radius: int, upward: bool) -> tuple[Whole, int]:
-        """Carry a ball past the joint; if this turns, the radius is then the largest distance from the axis."""
+        """Carry a ball past the joint; if the joint turns, the new radius is the largest distance from the axis."""
         # A turned or projected center has an error of at most 3 |c| for the matrix, 2 for rounding, 2 for the shift.
         off = 8 + (8 * (_norm_up(c) + self.reach) >> BITS)
         if not upward:
@@ -333,7 +331,7 @@ class _Body:
             self.pieces.append([(kind, r, some, g and _product(self.matrix, g)) for r, some in points.items()])
         # Matrices and points are rounded by 1 in each entry: 3 |y| + 2 |M| + 4 for M y + s, and as much for M G.
         self.fuzz = (10 * (self.largest + _norm_up(self.matrix)) >> BITS) + 1  # error of a placed point, and of M G
-        # A ball has the norm of the matrix as its radius, √2 times this for kinds 2 and 3.
+        # The radius of a ball around a piece is the norm of the matrix, or √2 times this norm for kinds 2 and 3.
         parts = [part for piece in self.pieces for part in piece]
         balls = [(r + (_norm_up(g * min(kind, 2)) if g else 0), points) for kind, r, points, g in parts]
         low = [min(min(point[k] for point in points) - r for r, points in balls) for k in range(3)]
@@ -345,7 +343,7 @@ class _Body:
         self.radius, self.size = radius, _norm_up(self.center) + radius
 
     def support(self, part: Pair, n: Whole, norm: int) -> int:
-        """Largest product of n, which is not longer than `norm`, with a point of some pieces, rounded up."""
+        """Largest product of n, whose length is at most `norm`, with a point of the given pieces, rounded up."""
         (a, b, c), found = n, []
         for piece in self.pieces[part[0] : part[1]]:
             for kind, radius, points, g in piece:
@@ -357,7 +355,7 @@ class _Body:
         return max(found)
 
     def contains(self, piece: int, four: Whole, point: list[Fraction]) -> bool:
-        """Whether an exact point in the frame of the link belongs to a piece, as four numbers show."""
+        """Whether four numbers show that an exact point in the frame of the link belongs to a piece."""
         (kind, radius, numbers), one = self.kinds[piece], Fraction(1)
         if kind in (1, 2, 3):
             columns = [_moved(self.turn, numbers[k::3], (0, 0, 0)) for k in (3, 4, 5)]
@@ -389,7 +387,7 @@ def _dot(a: Sequence[Fraction], b: Sequence[Fraction]) -> Fraction:
 
 
 def _solved(rows: Sequence[Sequence[Fraction]]) -> list[Fraction] | None:
-    """Solve equations, whose last entries are on the right, if there is exactly one solution."""
+    """Solve equations, given as rows that end with the right-hand side; None unless exactly one solution exists."""
     if not rows or len(rows[0]) == 1:
         return None if any(row[0] for row in rows) else []
     pivot = next((row for row in rows if row[0]), rows[0])
@@ -399,7 +397,7 @@ def _solved(rows: Sequence[Sequence[Fraction]]) -> list[Fraction] | None:
 
 
 class _Motion:
-    """A motion: its control points, and for each link the rates and the length of its chain, with slides."""
+    """A motion: its control points, and for each link the rates and the length of its chain, slides included."""
 
     def __init__(self, number: int, points: list[list[float]], links: list[_Link], deviations: list[float]) -> None:
         self.number, self.points, self.rates, self.lengths = number, points, list[Whole](), list[int]()
@@ -422,10 +420,11 @@ class _Motion:
 
 
 class _Box(_Motion):
-    """A pair with a range for each value between its bodies, as a motion from the lower ends to the upper ones.
+    """A pair with a range for each value between its bodies, as a motion from the lower to the upper ends of the
+    ranges.
 
-    `paths` are the links from each body up to the common one, exclusive; `sides` are the values, and where the range of
-    each starts and how wide it is.
+    `paths` lists the links from each body up to the common link, which is left out. `sides` lists the values, with the
+    start and the width of each range.
     """
 
     def __init__(
@@ -441,7 +440,7 @@ class _Box(_Motion):
         self.bends = dict[Pair, list[int]]()  # the bounds B_c
 
     def at(self, shares: Sequence[int]) -> dict[int, Pose]:
-        """Poses of the links in the frame of the common one, -1 if this is the world, at shares of the ranges."""
+        """Poses of the links in the frame of the common link (-1 for the world), at shares of the ranges."""
         share, found = {side[0]: t for side, t in zip(self.sides, shares, strict=True)}, dict[int, Pose]()
         for path in self.paths:
             for k in reversed(path):
@@ -518,7 +517,7 @@ class _Checker:
                 raise Refused(f"{_shown(*self.named(pair))}: contacts in motion {number} overlap.")
             low, high = (Fraction(t, whole) for t in found[-1][:2])
             self.told.append((*self.named(pair), number, low, high, least))
-        for number, pair, end, _, least in listed:  # where another motion joins, the contact goes on all along it
+        for number, pair, end, _, least in listed:  # if another motion joins, the contact continues all along it
             other = number + 1 if end else number - 1
             first, last = sorted((number, other))
             joined = first >= 0 and last < len(self.points) and self.points[first][-1] == self.points[last][0]
@@ -586,16 +585,16 @@ class _Checker:
             for value, (low, high) in ends.items():
                 name, least, most = self.values[value]
                 joints = [link for link in between if link.value == value]
-                turn = max(link.by.denominator for link in joints) * 4 * (HALF_PI + 1)  # the others divide the largest
+                turn = max(link.by.denominator for link in joints) * 4 * (HALF_PI + 1)  # all denominators divide it
                 whole = all(link.kind == 1 for link in joints) and _down(Fraction(high) - Fraction(low), GUARD) >= turn
                 found.append((name, low, high, whole or (low <= least and most <= high)))
             self.ranges.append((*self.named(pair), margin, tuple(found)))
         self.sizes |= {"pairs": len(self.ranges), "boxes": self.sizes.pop("intervals")}
 
     def paths(self, a: int, b: int) -> tuple[list[int], list[int]]:
-        """The links from each of two links up to the common one, which is left out."""
+        """The links from each of two links up to the common link, which is left out."""
         ups: tuple[list[int], list[int]] = ([], [])
-        while a != b:  # a link comes after the one above it, so the later of two is not the common one
+        while a != b:  # a link comes after the link above it, so the later of two links is not the common link
             ups[a < b].append(max(a, b))
             a, b = (self.links[k].above if k == max(a, b) else k for k in (a, b))
         return ups
@@ -631,7 +630,7 @@ class _Checker:
         (low, high), (some, others) = (pair, spans[1:3]) if first else (pair[::-1], spans[2:0:-1])
         below, above = self.bodies[low], self.bodies[high]
         exact = [sum(a * b for a, b in zip(below.whole[k : k + 3], normal, strict=True)) for k in (0, 3, 6)]
-        shift = BITS + 16 - max(map(abs, exact)).bit_length()  # M N has any scale, and may be rounded
+        shift = BITS + 16 - max(map(abs, exact)).bit_length()  # the scale of M N does not matter, and it may be rounded
         n = tuple(x << shift if shift > 0 else x >> -shift for x in exact)
         count = 100 + sum(b.counts[k[1]] - b.counts[k[0]] for b, k in ((below, some), (above, others)))
         self.spend(count)
@@ -681,7 +680,7 @@ class _Checker:
             yield found.get(low, STILL), found.get(high, STILL)
 
     def bent(self, box: _Box, sides: list[Pair], below: int, high: int) -> int:
-        """The sum of B_c (2 h_c)^2 / 8 of a part of a box, for a body seen from a link, rounded up."""
+        """The sum of B_c (2 h_c)^2 / 8 over a part of a box, for a body seen from a link, rounded up."""
         if (below, high) not in box.bends:
             joints, found = self.moving(box, below, high), list[int]()
             for value, _, _ in box.sides:
@@ -720,7 +719,7 @@ class _Checker:
     def moving(self, motion: _Motion, below: int, high: int) -> list[tuple[int, bool, int]]:
         """The joints between a link and a body: the link, whether it turns, and R_j or the length of the axis."""
         key, above, center = (below, high), self.bodies[high].link, self.bodies[high].center
-        if key not in self.balls:  # the links in between, from the body on, and its reach about them without slides
+        if key not in self.balls:  # the links in between, body first, and the body's reach about each, without slides
             up, down = self.paths(above, below)
             self.balls[key], radius = [], self.bodies[high].radius
             self.spend(100 * len(up + down))

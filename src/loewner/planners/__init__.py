@@ -5,8 +5,8 @@ Users call `planning` (plans, with the options of `searches`), `roadmaps`, `traj
 space that `space` defines; `improving` and `clearing` make paths better; `in_time` plans among bodies that move;
 `departures` leaves a contact. `judge` decides whether a motion is free. `bases` plans for mobile bases: `drives` are
 sequences of arcs and turns, and `steering` connects two poses. `straights`, `jerk_limited`, `profiles` and `brakes`
-compute motions in time; `joint_limits` and `limit_use` handle their limits. `kept_axes` and `kept_lines` keep an axis
-or a line on curves; `trajectory_files`, `messages` and `controllers` read and write files.
+compute motions in time; `joint_limits` and `limit_use` handle the limits of joints. `kept_axes` and `kept_lines` keep
+an axis or a line on curves; `trajectory_files`, `messages` and `controllers` read and write files.
 """
 
 from loewner.planners.bases import plan_drive

@@ -2,7 +2,7 @@
 
 The search is A* over cells of position and heading (hybrid A*: Dolgov et al., IJRR 2010). The search estimates costs by
 the distance to the goal on a grid of the map; cells that are blocked at all tried headings count several times. Poses
-are taken from the queue in batches, since the overhead of a kernel call equals the proof of forty arcs.
+are taken from the queue in batches, since the overhead of a kernel call is as long as the proof of forty arcs.
 """
 
 from __future__ import annotations
@@ -43,8 +43,8 @@ Kind = Literal["differential", "car"]
 # Steps of the lattice: the turn of one arc or of a turn in place [rad]; and the longest line, in steps.
 STEP, LONG = math.pi / 8.0, 4.0
 
-# Number of searches, each with finer motions than the one before, which has tried all its poses; and the factor between
-# their motions.
+# Number of searches, and the factor by which each search refines the motions. A search begins when the previous one has
+# tried all its poses.
 LEVELS, FINER = 3, 4.0
 
 # Cells of the lattice: edges in steps, and headings in a whole turn.
@@ -53,19 +53,19 @@ EDGE, HEADINGS = 0.8, 24
 # Number of poses that are taken from the queue at a time, and of ways to the goal that are tried from each.
 BATCH, SHOTS = 16, 4
 
-# Largest number of cells of the grid; number of headings that are tried in each; and how many times farther a blocked
-# cell counts.
+# Largest number of cells of the grid; number of headings that are tried in each cell; and the factor by which a blocked
+# cell lengthens distances.
 GRID, TRIED, BLOCKED = 2**13, 4, 5.0
 
-# Weight of the estimate in the order of the queue: a larger weight makes searches shorter, and ways longer before they
+# Weight of the estimate in the order of the queue. A larger weight makes searches faster, but ways longer before they
 # are shortened.
 GREED = 1.5
 
 # A change between forwards and backwards costs as much as this share of a step.
 CHANGE = 1.0
 
-# Ways to the goal are tried from the first few poses of a batch for which the distance on the grid is at most DETOUR
-# times the straight one plus SHOOTING radii.
+# In one of SHOOTING batches, ways to the goal are tried from the first MOST_SHOOTING poses whose distance on the grid
+# is at most DETOUR times the straight distance plus two radii.
 MOST_SHOOTING, DETOUR, SHOOTING = 4, 1.15, 2
 
 # Number of passes that shorten a way, and of poses on the way.
@@ -231,8 +231,7 @@ def plan_drive(
     A* searches a lattice of arcs, lines and turns in place (hybrid A*: Dolgov et al., IJRR 2010) until one of its poses
     is connected to the goal. For a car, the connection is a Reeds-Shepp path, or a Dubins path if the car may not
     reverse; for a differential base, it is a turn, a line and another turn. Parts of the path are then replaced with
-    shorter ways of the same kinds. A contact counts as a collision even if `Scene.leave` or `Scene.reach` permits it
-    elsewhere.
+    shorter ways of the same kinds. A contact counts as a collision even if `Scene.leave` or `Scene.reach` permits it.
 
     Examples
     --------
@@ -340,7 +339,7 @@ def _reach(robot: Robot, columns: tuple[int, int, int], q: Floats) -> float:
 
 
 def _found(base: Base, start: Floats, goal: Floats, most: int, until: float) -> tuple[Path, int]:
-    """Search from the end with less room, if the base may reverse, and with finer motions where there is no way."""
+    """Search from the end with less room, if the base may reverse; use finer motions if coarse ones find no way."""
     steps, ends = base.lattice(), np.stack([start, goal])
     room = base.free(np.repeat(ends, len(steps), axis=0), np.tile(steps, (2, 1))[:, None]).reshape(2, -1).sum(axis=1)
     swapped = base.reverse and bool(room[1] < room[0])
@@ -439,7 +438,7 @@ def _search(
 
 
 def _shot(base: Base, grid: Grid, a: Floats, goal: Floats, reached: Floats) -> tuple[int, Floats] | None:
-    """Return the number of a pose and the cheapest proven way to the goal; None if there is none."""
+    """Return the index of a pose and its cheapest proven way to the goal; None if no way is proven."""
     straight = np.sqrt(np.square(goal[:2] - a[:, :2]).sum(axis=1))
     at = np.flatnonzero(grid.distance(a) <= DETOUR * straight + 2.0 * base.radius)[:MOST_SHOOTING]
     if len(at) == 0:
@@ -464,7 +463,7 @@ def _path(poses: list[Floats], parents: list[int], taken: list[int], steps: Floa
 
 
 def _costs(ways: Floats) -> Floats:
-    """Return the costs of motions, shape (..., 2): metres, or radians in place."""
+    """Return the costs of motions, shape (..., 2): a length in metres or, for a turn in place, its angle in radians."""
     return np.where(ways[..., 0] == 0.0, np.abs(ways[..., 1]), np.abs(ways[..., 0]))
 
 
@@ -479,7 +478,7 @@ def _changes(ways: Floats) -> Floats:
 
 
 def _needed(ways: Floats) -> Floats:
-    """Leave out motions that are rounding errors."""
+    """Leave out motions that are no larger than rounding errors."""
     needed: Floats = ways[np.abs(ways).max(axis=1) > NOTHING]
     return needed
 
@@ -584,7 +583,7 @@ def _pass(base: Base, path: Path) -> tuple[Path, float, float]:
 
 
 def _cheapest(cost: Floats) -> list[int]:
-    """Return the nodes of the cheapest sequence from the first to the last one; edges lead only to later nodes."""
+    """Return the nodes of the cheapest sequence from the first to the last node; edges lead only to later nodes."""
     n = len(cost)
     least, before = np.full(n, np.inf), np.zeros(n, dtype=np.int64)
     least[0] = 0.0

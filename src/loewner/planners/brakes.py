@@ -1,4 +1,4 @@
-"""Brakes of a robot, either joint by joint, off the path, or along the path.
+"""Brakes of a robot: either joint by joint, leaving the path, or along the path.
 
 The kernels in `_kernels.robots.brakes` compute many brakes at a time, on paths of straight motions and joint by joint.
 On a trajectory with blends, the speed falls on straight lines, and the robot passes blends at reduced speed.
@@ -17,17 +17,19 @@ from loewner._native import entries
 from loewner.errors import InputError, PlanningError
 from loewner.planners.joint_limits import JointLimits, limits_by_name
 
-# A piece is straight if its velocities are along the way between its ends, up to this share of the way and of the
-# distance at these velocities.
+# A piece is straight if its velocities point along the way between its ends, up to this share of the way and of the
+# distance covered at these velocities.
 STRAIGHT = 1e-9
 
-# A line that is too short to stop on by only this share counts as long enough: the trajectory itself stops at its end.
+# A line that is too short for a stop by only this share counts as long enough: the trajectory itself may stop at the
+# end of the line.
 ROUNDED = 1e-9
 
 # Limits that are lower than the trajectory's own limits by only this share count as equal.
 EQUAL = 1e-6
 
-# On a line that is too short to stop, the robot keeps at least this share of its speed: it must not creep on a blend.
+# On a line that is too short for a stop, the robot keeps at least this share of its speed, so that it does not creep on
+# the next blend.
 SLOWEST = 0.5
 
 # Number of halvings of the range that contains the lowest speed at the end of a line.
@@ -66,8 +68,8 @@ class Brakes(NamedTuple):
     def on_path(
         cls, rows: Floats, at: Floats, begins: Floats, strongest: Floats, jerk: Floats | None, *, beyond: bool
     ) -> Brakes:
-        """Stop on straight motions between rows, shape (k, dof), which are passed at the times `at`; make one brake for
-        each time in `begins`.
+        """Stop on straight motions between rows, shape (k, dof), passed at the times `at`: one brake per time in
+        `begins`.
         """
         made, steep = cls._empty(len(begins), len(rows) + 4, rows.shape[1]), _steep(strongest, jerk)
         entries.brakes_on_path(*(np.array(x) for x in (rows, at, begins, strongest, steep)), beyond, *made)
@@ -103,7 +105,7 @@ class Brakes(NamedTuple):
         return courses, seconds, first
 
     def whole(self, cubic: bool, until: Floats) -> tuple[Floats, Floats]:
-        """Return one course for each brake and the time at rest after it, and how far the brake is from its course.
+        """Return one course for each brake, including the rest after it, and the distance of the brake from its course.
 
         Parameters
         ----------
@@ -138,7 +140,7 @@ class Brakes(NamedTuple):
 
 
 def _steep(strongest: Floats, jerk: Floats | None) -> Floats:
-    """Return limits of jerk for kernels, where an infinite one means no limit."""
+    """Return jerk limits for kernels; an infinite value means no limit."""
     return np.full(len(strongest), np.inf) if jerk is None else jerk
 
 
@@ -187,8 +189,7 @@ def braked_on_motions(
 
 
 def braked_on_curve(rest: Timed, strongest: Floats, jerk: Floats | None, beyond: bool) -> Timed:
-    """Stop on the rest of a trajectory: on its straight lines as soon as the limits allow; blends are passed more
-    slowly.
+    """Stop on the rest of a trajectory: brake on straight lines as fast as the limits allow, and pass blends slower.
 
     Raises
     ------
@@ -213,7 +214,7 @@ def braked_on_curve(rest: Timed, strongest: Floats, jerk: Floats | None, beyond:
         parts.append(_on_line(rest.knots[-1], rest.rates[-1], *_slowed(rate, 0.0, 0.0, gain, steep), jerk is not None))
     begun = np.cumsum([0.0, *(part.times[-1] for part in parts)])
     times = np.concatenate([part.times + begin for part, begin in zip(parts, begun[:-1], strict=True)])
-    # A piece shorter than the last digit of the time has no duration.
+    # Leave out pieces whose duration is lost in the rounding of the times.
     kept = np.append(np.diff(times) > 0, True)
     knots, rates = (np.concatenate(rows)[kept] for rows in ([p.knots for p in parts], [p.rates for p in parts]))
     blended = np.concatenate([part.blended for part in parts])[kept[:-1]]
@@ -233,14 +234,14 @@ def _too_late(left: float) -> str:
 
 
 def _shares(way: Floats, strongest: Floats, jerk: Floats | None) -> tuple[float, float]:
-    """Return limits of the acceleration along a way, in ways per second squared, and of its rate."""
+    """Return limits of the acceleration along a way, and of its rate of change, in ways per s² and per s³."""
     moves = way != 0
     steep = np.inf if jerk is None else float((jerk[moves] / np.abs(way[moves])).min())
     return float((strongest[moves] / np.abs(way[moves])).min()), steep
 
 
 def _slowed(v: float, a: float, low: float, gain: float, steep: float) -> tuple[Floats, Floats]:
-    """Return the fastest change of a speed to a lower one, where the acceleration is zero.
+    """Return the fastest change of a speed to a lower speed at which the acceleration is zero.
 
     Returns
     -------
@@ -272,7 +273,7 @@ def _end_of_line(rest: Timed, k: int) -> int:
 def _braked_on_line(
     rest: Timed, k: int, last: int, rate: float, strongest: Floats, jerk: Floats | None
 ) -> tuple[Timed, float] | None:
-    """Stop on a straight line, or slow down on it, down to `SLOWEST`; None if it is too short even to slow down.
+    """Stop on a straight line, or slow down to no less than `SLOWEST`; None if the line is too short even for that.
 
     Returns
     -------
@@ -304,7 +305,7 @@ def _braked_on_line(
     if high > full:
         return None
     times, states = _slowed(v, a, high, gain, steep)
-    if states[-1, 0] < 1 - ROUNDED:  # it goes on at the lowest speed
+    if states[-1, 0] < 1 - ROUNDED:  # the robot goes on at the lowest speed
         times = np.append(times, times[-1] + (1 - states[-1, 0]) / high)
         states = np.vstack([states, [1.0, high, 0.0]])
     part = _on_line(rest.knots[k], way, times, states, rest.bends is not None)
@@ -313,7 +314,7 @@ def _braked_on_line(
 
 
 def _on_line(q: Floats, way: Floats, times: Floats, states: Floats, bent: bool) -> Timed:
-    """Return states along a way as states of all joints, without the first one."""
+    """Return states along a way as states of all joints, without the first state."""
     knots, rates, bends = q + states[1:, :1] * way, states[1:, 1:2] * way, states[1:, 2:] * way
     return Timed(times[1:], knots, rates, np.zeros(len(times) - 1, dtype=bool), bends if bent else None)
 
@@ -352,8 +353,7 @@ def brake_limits(
     acceleration: ArrayLike | None,
     jerk: ArrayLike | None,
 ) -> tuple[Floats, Floats | None]:
-    """Return limits of acceleration and of jerk, shape (dof,) each, infinite for joints that do not move; the limits of
-    jerk are None if there are none.
+    """Return acceleration limits, and jerk limits or None, shape (dof,) each; infinite for joints that do not move.
 
     Parameters
     ----------

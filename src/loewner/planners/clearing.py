@@ -20,10 +20,10 @@ RISE = 9.0
 MOTIONS, MOST_MOTIONS = 48, 400
 
 # The first step of a point, as a share of a motion's length; factors of the step after a success and after a failure;
-# and the step below which a point rests.
+# and the step below which a point is no longer moved.
 FIRST_STEP, LONGER, SHORTER, LEAST_STEP = 1.0, 1.5, 0.5, 1e-3
 
-# Points are left out where this raises the cost by at most this share.
+# A point is left out if the cost rises by at most this share.
 TOLERATED = 1e-3
 
 # Motions are measured at points that are at most this share of the path's length apart.
@@ -65,7 +65,7 @@ class Clearing:
         return float(self._costs(path[:-1], path[1:], SHARE * lengths.sum()).sum())
 
     def least_distance(self, path: Floats) -> float:
-        """Compute the least distance from the scene, at the points where the cost is computed."""
+        """Compute the least distance from the scene among the points at which the cost is computed."""
         if len(self.ready.pairs) == 0:
             return np.inf
         lengths = self._lengths(path[:-1], path[1:])
@@ -96,7 +96,7 @@ class Clearing:
         return (moved if cheaper else path), rounds
 
     def _move(self, path: Floats, rows: Ints, steps: Floats, space: Space, lower: Floats, upper: Floats) -> None:
-        """Move points that are not neighbours down the gradient of the cost, where this lowers the cost and is free."""
+        """Move points, no two of them neighbours, down the cost's gradient, if the move is free and lowers the cost."""
         if len(rows) == 0:
             return
         before, here, after = path[rows - 1], path[rows], path[rows + 1]
@@ -108,7 +108,7 @@ class Clearing:
         apart = np.maximum(lengths, np.finfo(float).tiny)[:, :, None]
         pull = means[:, :, None] * ((here - np.stack([before, after])) / apart)  # a quotient of two zeros is 0 here
         down = -(0.5 * lengths.sum(axis=0)[:, None] * slopes / squares + pull.sum(axis=0))
-        # Points move only sideways: along the path, they would gather where it is cheap.
+        # Points move only sideways: if they moved along the path, they would gather where the cost is low.
         along = (after - before) * self.weights
         along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), np.finfo(float).tiny)
         down *= self.weights
@@ -168,7 +168,7 @@ class Clearing:
         return np.asarray(self._lengths(a, b) * means)
 
     def _points(self, a: Floats, b: Floats, part: float) -> tuple[Ints, Floats, Ints, Bools]:
-        """Divide motions: number of the motion of each point, the point, parts of each motion, points at an end."""
+        """Divide motions; return each point's motion, the points, the parts per motion, and which points are ends."""
         counts = np.maximum(np.ceil(self._lengths(a, b) / max(part, np.finfo(float).tiny)), 1).astype(int)
         motion = np.repeat(np.arange(len(a)), counts + 1)
         k = np.arange(len(motion)) - np.repeat(np.cumsum(counts + 1) - counts - 1, counts + 1)

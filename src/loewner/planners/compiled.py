@@ -20,15 +20,15 @@ from loewner.planners.space import Space
 from loewner.queries.pairs import Verdict
 from loewner.robots.proofs.proofs import prove_by_rules
 
-# The longest motion of a tree with an axis to keep, divided by the square root of its angle: chords of longer motions
-# leave the angle.
+# The longest motion of a tree with an axis to keep, divided by the square root of the allowed angle. On longer motions,
+# the axis would leave the angle.
 KEPT = 2.0
 
 # Initial capacity of trees, in configurations.
 CAPACITY = 2048
 
-# Number of iterations and cuts between two checks of the clock and for an interrupt, initially and at most. There are
-# fewer iterations if they would take longer than A_WHILE [s].
+# Number of iterations, or of cuts, between two checks of the clock and for an interrupt: at first, and at most. The
+# number of iterations is smaller if they would take longer than A_WHILE [s].
 FIRST, AT_A_TIME = 64, 512
 A_WHILE = 0.01
 
@@ -92,7 +92,7 @@ class Growth:
         return self
 
     def on(self, most: int) -> int:
-        """Let the trees grow until they meet, for at most this number of iterations in all; return the outcome."""
+        """Let the trees grow until they meet, for at most `most` iterations in all; return the outcome."""
         self.search.handles[:], self.search.lengths[:] = self.judge.asked()
         while (outcome := entries.connect_trees(self._table.ctypes.data, most)) == codes.FULL:
             trees = self.search.trees
@@ -107,7 +107,7 @@ class Growth:
         judge, path = self.judge, np.empty((int(self.state[ROWS]), len(self.search.start)))
         turned = entries.path_through(self._table.ctypes.data, path)
         # Whole turns are rounded, and steps are counted from the start, so the path differs slightly from the judged
-        # motions. Also, where starts matter, they were checked in a scene that may have changed.
+        # motions. Also, if proofs assume a free start, the start was checked in a scene that may have changed.
         if (turned or judge.resolution or judge.ready.starts_matter) and not judge.free(path[:-1], path[1:]).all():
             raise PlanningError(
                 "expected a path that is free when it is checked as a whole, found one that is not; "
@@ -142,7 +142,7 @@ def connect(
     """
     growth = Growth.of(space, judge, start, goals, seed)
     state = growth.state
-    began: float | None = None  # only after the first call, for which Numba may have to compile
+    began: float | None = None  # after the first call, in which Numba may compile
     outcome, portion = codes.SPENT, min(FIRST, AT_A_TIME)
     while outcome != codes.MET:
         done = int(state[ITERATION])
@@ -181,7 +181,7 @@ def _what_is_between(growth: Growth) -> str:
     spread = [np.unique(np.linspace(0, count - 1, BETWEEN, dtype=np.int64)) for count in counts]
     halves = np.split(growth.search.trees[:-TREE_ROWS], 2)
     first, last = (nodes[:, numbers].T for nodes, numbers in zip(halves, spread, strict=True))
-    with np.errstate(over="ignore"):  # of differences beyond 1e154: then any node is as good
+    with np.errstate(over="ignore"):  # differences beyond 1e154: any node will do then
         nearest = lengths(first[:, None] - last).argmin(axis=1)
     a, b = growth.space.configurations(first), growth.space.configurations(last[nearest])
     found, parts = prove_by_rules(judge.ready, a, b, TOLERANCE, judge.joint_error), []

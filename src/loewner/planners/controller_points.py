@@ -37,14 +37,14 @@ MOST_BYTES = 2**28
 # Allowed distance of each value from the first point when a trajectory starts [rad or m]: MoveIt's default.
 START_TOLERANCE = 0.01
 
-# Allowed rounding errors: between the times of the joints and of a base [s]; of a planar motion, from its plane [m or
-# 1]; and of the norm of a quaternion in a file with few digits, from 1.
+# Allowed rounding errors: differences between the times of the joints and of a base [s]; deviations of a planar motion
+# from its plane [m, or a cosine]; and deviations from 1 of quaternions' norms, in files with few digits.
 SAME_TIME, IN_PLANE, NORMS = 1e-9, 1e-6, 1e-2
 
 # The identity as a position and a quaternion x, y, z, w.
 IDENTITY = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
 
-# Advice where a message places a base that the robot does not have.
+# Advice for a message that places a base that the robot does not have.
 WITHOUT_BASE = (
     "; for a robot without values of {0}: place it there, by Robot.placed or a fixed joint in its URDF, and remove the "
     "entry from the message; or put it on a base of this name that moves, by Robot.add_base"
@@ -416,9 +416,9 @@ class ControllerPoints:
     def _completed(
         self, robot: Robot | None, others: Floats | None, stated: dict[str, float] | None = None
     ) -> ControllerPoints:
-        """Add columns for the values of a robot that the points do not name; these do not move.
+        """Add columns for the values of a robot that the points do not name; these values do not change.
 
-        Their values come from `others`; without it, from the values that a message states, and the robot's defaults.
+        The added values come from `others` or, without `others`, from the message and the robot's defaults.
         """
         if robot is None or self.names is None:
             return self
@@ -439,7 +439,7 @@ class ControllerPoints:
         return made
 
     def _with(self, positions: Floats, rates: Sequence[Floats | None], names: Sequence[str] | None) -> ControllerPoints:
-        """Return points with other columns or rates, and otherwise equal."""
+        """Return a copy of the points with other columns or rates."""
         made = ControllerPoints(self.times, positions, *rates, names=names, start_time=self.start_time)
         made.carried, made.origin = self.carried, self.origin
         return made
@@ -617,7 +617,7 @@ def _expect_begin(part: messages.Part, name: str) -> None:
 
 
 def _is_far(T: Floats, other: Floats) -> bool:
-    """Return whether two poses differ, given as positions and quaternions."""
+    """Return whether two poses, given as positions and quaternions, differ."""
     turned = 1 - abs(float(np.dot(T[3:], other[3:]) / (np.linalg.norm(T[3:]) * np.linalg.norm(other[3:]))))
     return not (np.abs(T[:3] - other[:3]).max() <= START_TOLERANCE and turned <= START_TOLERANCE**2)
 
@@ -625,7 +625,8 @@ def _is_far(T: Floats, other: Floats) -> bool:
 def _stated(
     part: messages.Part, points: ControllerPoints, name: str, robot: Robot | None, others: Floats | None
 ) -> tuple[dict[str, float], dict[str, str]]:
-    """Return the values that a message states for columns that the points do not name, and where it states them.
+    """Return the values that a message states for columns that the points do not name, and the keys where the values
+    are.
 
     Values that belong to no column are refused, unless they are 0 and no robot is given.
     """

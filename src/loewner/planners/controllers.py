@@ -24,7 +24,7 @@ VELOCITY, ACCELERATION, BLEND = " velocity", " acceleration", "blend"
 # Controllers that accept trajectories, by the end of their types in ros2_control and ROS 1, and by MoveIt's type.
 TRAJECTORY = ("JointTrajectoryController", "FollowJointTrajectory")
 
-# Keys that lead to controllers and are not part of their names.
+# Keys that lead to controllers and are not part of the controllers' names.
 AROUND = ("", "**", "ros__parameters", "controller_manager", "moveit_simple_controller_manager")
 
 # Keys of a controller that accepts trajectories: the keys that are used here, and keys without an effect on the points.
@@ -166,7 +166,7 @@ def files_of(listing: Any, target: Path, names: Sequence[str], moves: Sequence[b
 
 
 def _read(path: Path) -> dict[str, Controller]:
-    """Read the controllers of a file, by their names; entries of several places belong together."""
+    """Read the controllers of a file, keyed by name; a controller's entries in several places are combined."""
     what = "a list of controllers"
     root = read_yaml(read_regular(path, what, MOST_BYTES), path, what, merges=True)
     found: dict[str, Controller] = {}
@@ -181,7 +181,7 @@ def _read(path: Path) -> dict[str, Controller]:
         if above and ("joints" in keys or ("type" in keys and keys["type"].kind == "scalar")):
             _add(found.setdefault("/".join(above), Controller()), node, keys)
         inside = {key: held for key, held in keys.items() if held.kind == "mapping"}
-        if "controller_names" in keys:  # MoveIt uses no others
+        if "controller_names" in keys:  # MoveIt uses only the listed controllers
             listed = {each.text(): each for each in keys["controller_names"].items()}
             for name, each in listed.items():
                 if name not in inside:

@@ -22,7 +22,7 @@ from loewner.robots import CollisionChecker
 from loewner.robots.description.assembly import parts_of
 from loewner.robots.description.robot import interpolated
 
-# Limit on the states of all robots together that are visited: several minutes of proofs.
+# Largest number of states of all robots together; proofs of this number take several minutes.
 MOST_STATES = 2**20
 
 # Two motions whose directions differ by less than this share are parts of one straight motion.
@@ -31,7 +31,7 @@ STRAIGHT = 1e-9
 # Speed of a value without a limit [rad/s or m/s].
 USUAL_SPEED = 1.0
 
-# A place on each path.
+# The index of a row on each path.
 State = tuple[int, ...]
 
 
@@ -41,10 +41,10 @@ class _Way(NamedTuple):
     Attributes
     ----------
     columns : slice
-        Its values in a configuration of all robots.
+        Columns of the path's values in a configuration of all robots.
     rows : ndarray, shape (n, width)
     times : ndarray, shape (n,)
-        The times at which its robot reaches the rows if it never waits.
+        The times at which the robot reaches the rows if it never waits.
     """
 
     columns: slice
@@ -159,7 +159,7 @@ def _ways(checker: CollisionChecker, paths: Mapping[str, ArrayLike], steps: int)
         at = np.repeat(np.arange(len(counts)), counts)
         share = (np.arange(len(at)) - np.repeat(np.cumsum(counts) - counts, counts) + 1) / counts[at]
         made = np.concatenate([rows[:1], interpolated(robot, rows[at], rows[at + 1], share[:, None])])
-        made[1:][share == 1.0] = rows[at[share == 1.0] + 1]  # quaternions and all, to the last bit
+        made[1:][share == 1.0] = rows[at[share == 1.0] + 1]  # exact copies, quaternions included
         ways.append(
             _Way(columns, made, np.concatenate([[0.0], (np.cumsum(lengths) - lengths)[at] + share * lengths[at]]))
         )
@@ -174,7 +174,7 @@ def _configuration(ways: list[_Way], dof: int, state: State) -> Floats:
 
 
 def _fastest(judge: Judge, ways: list[_Way]) -> list[State]:
-    """Find the states of the fastest way from all first rows to all last ones, by A*."""
+    """Find the states of the fastest way from the first rows of all paths to the last rows, by A*."""
     dof, ends = judge.checker.robot.dof, tuple(len(way.rows) - 1 for way in ways)
     moves = [move for move in product((0, 1), repeat=len(ways)) if any(move)]
 
@@ -231,7 +231,7 @@ def _why(judge: Judge, ways: list[_Way], done: set[State], ends: State) -> str:
 
 
 def _merged(judge: Judge, rows: Floats) -> Floats:
-    """Leave out rows amid motions that are straight, if the longer motions are proven as well."""
+    """Leave out rows within straight motions, if the resulting longer motions are proven as well."""
     steps = np.diff(rows, axis=0)
     turns = np.abs(np.diff(steps, axis=0)).max(axis=1, initial=0.0) > STRAIGHT * np.abs(steps[1:]).max(
         axis=1, initial=0.0

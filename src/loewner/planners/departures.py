@@ -16,14 +16,14 @@ from loewner.robots.checking.verdicts import contacts
 from loewner.robots.proofs.proofs import prove_by_rules
 from loewner.scenes.scene import Contact
 
-# Distances beyond the margin by which to move apart [m]; the first that is proven is used. Joints do not move bodies
-# along lines, and short motions are straighter.
+# Distances beyond the margin by which to move bodies apart [m]; the first one with a proven motion is used. The
+# distances decrease because joints move bodies along curves, and shorter motions are straighter.
 RISES = (0.02, 0.01, 0.005, 0.002)
 
 
 @dataclass(frozen=True, eq=False)
 class Departures:
-    """The start and goals of a path, with a free configuration near each that is in contact.
+    """The start and goals of a path, and a free configuration near each one that is in contact.
 
     Attributes
     ----------
@@ -77,7 +77,7 @@ class Departures:
 
 
 def _apart(space: Space, ready: Problem, q: Floats, *, at_start: bool) -> tuple[Floats, str]:
-    """Find a free configuration near one in contact, with a proven motion between; or return q and the fault."""
+    """Find a free configuration that a proven motion connects with q, in contact; or return q and the fault."""
     checker = space.checker
     if space.free(q):  # the usual case; a list of contacts takes longer
         return q, ""

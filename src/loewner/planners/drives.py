@@ -31,13 +31,14 @@ from loewner.robots.proofs.curves import Curve, form_of
 # Largest distance between an arc and the polynomial that represents it [m], and the largest turn of one piece [rad].
 DEVIATION, LARGEST_TURN = 1e-6, math.pi / 2.0
 
-# Limit on the pieces of a drive, so that a turn by millions of radians takes no memory.
+# Limit on the pieces of a drive, so that a turn by millions of radians does not exhaust the memory.
 MOST_PIECES = 100_000
 
-# The remainder of this polynomial is at most the eighth derivative divided by this number, 8! 2^8.
+# An arc's polynomial has an error of at most the arc's eighth derivative divided by this number, 8! 2^8.
 REMAINDER = 40320.0 * 256.0
 
-# Bound on the rounding of courses and of positions on arcs, in units of positions, and of lengths times 1 + turns.
+# Bound on the rounding errors of courses and of positions on arcs, relative to positions, and to lengths times 1 +
+# turns.
 ARC_ROUNDINGS = 64.0 * tolerances.UNIT_ROUNDOFF  # certified.md B70
 
 # Largest deviation of the motion of the base's link from a plane [m, or a cosine].
@@ -219,7 +220,7 @@ class Drive(KeepsReadOnly):
 
 @form_of.register(Drive)
 def _form(given: Drive, name: str) -> Curve:
-    """Make the curve of polynomials that stand for arcs; see `CollisionChecker.certify_trajectory`."""
+    """Make the curve of polynomials that represent arcs; see `CollisionChecker.certify_trajectory`."""
     columns = list(given.columns)
     if (np.delete(given.path, columns, axis=1) != np.delete(given.path[:1], columns, axis=1)).any():
         raise InputError(f"{name}: expected a drive whose other joints keep their values, found one that moves them")

@@ -39,20 +39,20 @@ SCALES = (0.5, 0.25, 0.125)
 # Times that agree within this share of a period belong to the same tick.
 SAME_TICK = 1e-6
 
-# More periods than any chunk has, in place of quotients that may be infinite.
+# Upper limit on quotients that may be infinite: more periods than any chunk has.
 MANY = 2.0**31
 
-# Metres, radians and shares by which bounds must be narrower than older bounds to lie within them.
+# Bounds count as within older bounds only if they are narrower by this much, in metres, radians and shares.
 WITHIN = 1e-12
 
-# Rounding error of the angle between two quaternions [rad], whose cosines near 1 have errors of several roundings.
+# Rounding error of the angle between two quaternions [rad]: a cosine near 1 has an error of several roundings.
 TURNED = 1e-6
 
-# Least limit on the steps of proving a brake as a whole: more than one interval takes with one pair.
+# Smallest limit on the steps for proving a brake as a whole: more steps than one interval takes with one pair.
 LEAST_STEPS = 64
 
-# Largest deviation of brakes from the straight motions on which they are, as a share of their values.
-ROUNDED = 64.0 * tolerances.UNIT_ROUNDOFF  # 40 of them are derived in certified.md, "Brakes"
+# Largest deviation of a brake from the straight motions that it follows, as a share of the joint values.
+ROUNDED = 64.0 * tolerances.UNIT_ROUNDOFF  # certified.md, "Brakes", derives 40 of the 64
 
 # Measured positions and velocities.
 State: TypeAlias = tuple[Floats, Floats]
@@ -61,8 +61,8 @@ State: TypeAlias = tuple[Floats, Floats]
 class GateState(IntEnum):
     """How much of a chunk may be executed.
 
-    GO: all targets. PREFIX: the first `GateAnswer.steps` targets. BRAKE: no targets, only the brake. INSIDE: no targets
-    either, since the robot is already in contact, or nearer to a body than its margin, so that nothing can be proven.
+    GO: all targets. PREFIX: the first `GateAnswer.steps` targets. BRAKE: no targets, only the brake. INSIDE: no
+    targets, since the robot is already in contact, or nearer to a body than the margin, so that nothing can be proven.
 
     Examples
     --------
@@ -99,8 +99,8 @@ class GateAnswer(_validate.Brief):
     names : tuple of str
         The pair of bodies, or the joint, to which the reason applies; empty if there is none.
     distance, normal : float, ndarray of shape (3,)
-        The distance [m] between the two bodies where the proof fails, negative if they overlap, and the direction
-        towards the second body, with all bodies at their given poses; NaN if there is no pair.
+        The distance between the two bodies where the proof fails [m], negative if they overlap, and the direction
+        towards the second body. All bodies are at their given poses. NaN if there is no pair.
     brake : Trajectory
         The brake to execute after `steps` targets (and the gate's `latency`) if no new answer arrives by then, or at
         once if the state is BRAKE.
@@ -134,7 +134,7 @@ class GateAnswer(_validate.Brief):
 
 
 class _World(NamedTuple):
-    """The data of the scene's bodies that may change without making the scene a different one."""
+    """Data of the scene's bodies; if only these data change, the scene still counts as the same."""
 
     structure: int
     poses: Floats
@@ -152,14 +152,14 @@ class _Block(NamedTuple):
 
 
 class _Stop(NamedTuple):
-    """A motion or a brake of a chunk that is not free, which is not tried again while the world is the same.
+    """A motion or a brake of a chunk that is not free; it is not tried again while the world is the same.
 
     Attributes
     ----------
     tick : int
-        Where it begins.
+        The tick at which the motion or the brake begins.
     needed : int
-        How many targets it depends on.
+        Number of targets on which it depends.
     block : _Block
     """
 
@@ -174,19 +174,19 @@ class _Chunk(NamedTuple):
     Attributes
     ----------
     rows : ndarray, shape (n + 1, dof)
-        Where the chunk begins, and its targets.
+        The configuration at which the chunk begins, and the targets.
     rates : ndarray, shape (n + 1, dof)
-        Velocities at these ticks, from the motions that end there.
+        Velocities at the rows, from the motions that end there.
     before : ndarray, shape (dof,)
-        The target before them, if the chunk has begun.
+        The target before the first row, if the chunk has begun.
     dt, t0 : float
     motions : int
-        How many motions are proven, from the first one on.
+        Number of motions that are proven, beginning with the first.
     first, braked : int
-        The first and the last tick from which brakes are proven; all between them are.
+        The first and the last tick of a range; the brakes from all ticks in this range are proven.
     ends : ndarray of int64, shape (n + 1,)
-        How many targets were known when the brake from each tick was proven: a brake on the path that does
-        not end there goes on along the last motion, also if targets came later.
+        For each tick, how many targets were known when the brake from the tick was proven. A brake that goes beyond
+        these targets continues along the last motion, even if targets were added later.
     world : _World
     motion_stop, brake_stop : _Stop, optional
     """
@@ -205,7 +205,7 @@ class _Chunk(NamedTuple):
     brake_stop: _Stop | None = None
 
     def from_tick(self, j: int) -> _Chunk:
-        """Return the chunk as it is seen from a later tick."""
+        """Return the same chunk with ticks counted from a later tick."""
         stops = [
             stop and stop._replace(tick=stop.tick - j, needed=stop.needed - j)
             for stop in (self.motion_stop, self.brake_stop)
@@ -306,8 +306,8 @@ class Gate:
         self._strongest, self._jerk = brake_limits(names, moves, robot, limits, acceleration, jerk)
         known = robot.velocity if limits is None else limits.velocity
         self._fastest = np.where(np.isnan(known), np.inf, known)
-        self._last: _Chunk | None = None  # proven for all places that its world allows
-        self._drift = 0.0  # by how much bodies grow while a tick may be off
+        self._last: _Chunk | None = None  # proven for all poses that its world allows
+        self._drift = 0.0  # growth of bounds within the tolerance of a tick
         self._now = -math.inf
 
     @property
@@ -328,15 +328,15 @@ class Gate:
         q, dq : array_like, shape (dof,)
             Measured positions and velocities.
         targets : array_like, shape (n, dof)
-            The robot should be at the first target after `dt`, at the second one after 2 dt, and so on. At the next
-            tick, a chunk that continues begins with the second target; only new motions and brakes are then proven.
+            The robot should be at the first target after `dt`, at the second one after 2 dt, and so on. To continue the
+            chunk at the next tick, begin with the second target; only new motions and brakes are then proven.
         dt : float
             Seconds between targets.
         time : float, optional
             The time of this tick, in seconds on the clock of the scene's moving bodies; it must not run backwards.
             Required if bodies move or have bounds that grow with time. With a latency, the state of a slow robot may
-            fit several ticks of the chunk, and the time decides between these ticks; without the time, no brake of an
-            earlier answer is proven in this case.
+            fit several ticks of the chunk, and the time decides between these ticks. If the time is missing in this
+            case, no brake of an earlier answer is proven.
 
         Returns
         -------
@@ -368,7 +368,7 @@ class Gate:
             raise InputError(
                 f"targets: expected targets that are reached at finite velocities, found others, dt {period:g}"
             )
-        robot.checked(rows, "targets")  # warns of degrees
+        robot.checked(rows, "targets")  # warns if values may be in degrees
         ready, world = self._present()
         if ready.paths is not None and time is None:
             raise InputError("time: expected the time of the tick, since bodies of the scene move or grow, found none")
@@ -385,8 +385,8 @@ class Gate:
         -------
         Proof
             The motions of the proof are the chunk's motions up to the last target with a proven brake, followed by all
-            pieces of the brakes in the order of the ticks. The proof allows every motion the deviations that it allows
-            the brakes.
+            pieces of the brakes in the order of the ticks. In the proof, all motions may deviate by as much as the
+            brakes.
 
         Raises
         ------
@@ -465,14 +465,14 @@ class Gate:
                 rows = np.vstack([state[0], wanted[:count]])
                 ends = np.zeros(len(rows), dtype=np.int64)
                 chunk = _Chunk(rows, _rates(rows, state[1], dt), rows[0], dt, now, 0, late + 1, late, ends, world)
-            else:  # from the last command on, from which the robot is off by the errors
+            else:  # continue from the last command, which differs from q by up to the error
                 chunk = chunk._replace(
                     t0=now, motions=0, first=late + 1, braked=late, motion_stop=None, brake_stop=None
                 )
         chunk, block, work = self._proven(ready, chunk, self._steps)
         if block is None and count < len(wanted):
             block = _Block("limits", -1, wanted[count], now)
-        if block is None and len(chunk.rows) - 1 <= late:  # an order to brake would take effect behind the last target
+        if block is None and len(chunk.rows) - 1 <= late:  # an order to brake would take effect after the last target
             block = _Block("brake", -1, chunk.rows[-1], now)
         steps, scale = max(chunk.braked - late, 0), 1.0
         if block is not None:
@@ -484,7 +484,8 @@ class Gate:
             return self._answer(
                 ready, reached, steps, scale, block, self._brake_from(chunk, chunk.braked), True, work, joint
             )
-        # The last chunk that may run goes on until the robot brakes; with a latency, that is elsewhere for each tick.
+        # The last chunk that may run continues until the robot brakes. With a latency, the place of the brake depends
+        # on the tick, which must be certain.
         for old in before if late == 0 else before[: int(is_sure)]:
             if holds and old.first <= late <= old.braked:
                 return self._answer(
@@ -495,7 +496,7 @@ class Gate:
         return self._answer(ready, GateState.BRAKE, 0, scale, block, brake, proven, work + more, joint)
 
     def _periods(self, dt: float) -> int:
-        """The latency in whole periods."""
+        """Return the latency in whole periods."""
         return math.ceil(min(self._latency / dt * (1 - SAME_TICK), MANY))
 
     def _within_limits(self, q: Floats, wanted: Floats, dt: float) -> tuple[int, str]:
@@ -503,16 +504,16 @@ class Gate:
         robot = self._checker.robot
         speeds = np.abs(np.diff(np.vstack([q, wanted]), axis=0)) / dt
         with np.errstate(over="ignore"):
-            speeds[0] -= self._error / dt  # the command was elsewhere
+            speeds[0] -= self._error / dt  # the last command may differ from q by the error
         beyond = (wanted < robot.hard_lower) | (wanted > robot.hard_upper) | (speeds > self._fastest * (1 + SAME_TICK))
         rows, columns = np.nonzero(beyond)
         return (int(rows[0]), robot.configuration_names[columns[0]]) if len(rows) else (len(wanted), "")
 
     def _here(self, world: _World, state: State, now: float) -> tuple[list[_Chunk], bool, bool]:
-        """Return the last chunk from each tick where the robot may be, likeliest first.
+        """Return the last chunk, counted from each tick at which the robot may be, with the likeliest tick first.
 
-        Then whether its proofs hold, and whether the first tick is known to be the one. A robot that executes the
-        answers is not behind the motions that are proven.
+        Also return whether the chunk's proofs hold, and whether the first tick is certain. A robot that executes the
+        answers is never beyond the proven motions.
         """
         last = self._last
         if last is None:
@@ -522,34 +523,37 @@ class Gate:
             early = abs(last.t0 + tick * last.dt - now)
             on_time = early <= SAME_TICK * last.dt
             ticks = range(tick, tick + 1) if on_time and 0 <= tick <= last.motions else range(0)
-            # Proofs allow for growth that begins a little earlier, but not for other places on motions.
+            # Proofs allow for bounds that begin to grow a little earlier, but not for bodies elsewhere on their
+            # motions.
             holds = early == 0.0 or all(path.rests for path in world.following.values())
         q, dq = state
         off = (np.abs(q - last.rows) > self._error) | (np.abs(dq - last.rates) > self._rate_error)
         near = np.asarray(~off.any(axis=1))
-        # Several, if the robot is slow; a time that runs on decides, in a world at rest as well.
+        # Several ticks, if the robot is slow. If the given time advances, it decides between them, even in a world at
+        # rest.
         found = [j for j in ticks if near[j]]
         away: Floats = np.abs(q - last.rows).max(axis=1)
         found.sort(key=lambda j: -1.0 if 0 < j == tick else float(away[j]))
         is_sure = len(found) == 1 or (tick > 0 and found[:1] == [tick])
         here = [last.from_tick(j) for j in found]
-        if not (world.following or world.bounds):  # proofs hold at all times, so the chunk keeps the given clock
+        if not (world.following or world.bounds):  # proofs hold at all times, so the chunk follows the given time
             here = [chunk._replace(t0=now) for chunk in here]
         return here, holds and _is_within(world, last.world, now), is_sure
 
     def _going_on(self, old: _Chunk, wanted: Floats, dt: float, world: _World) -> _Chunk | None:
-        """Append new targets to a chunk that goes on; None if these targets are others.
+        """Append new targets to a chunk that continues; None if the targets differ from the chunk's targets.
 
-        New targets are proven in the present world. If it is within the older one, the whole chunk is proven there.
+        New targets are proven in the present world. If the present world is within the older world, the proofs of the
+        older targets hold in the present world, too.
         """
         known, n = old.rows[1:], len(wanted)
         common = min(len(known), n)
         if common == 0 or dt != old.dt or not np.array_equal(known[:common], wanted[:common]):
             return None
         rows, braked = np.vstack([old.rows[:1], wanted]), min(old.braked, n)
-        if self._on_path:  # not brakes whose path was longer
+        if self._on_path:  # leave out brakes that were proven on a longer path
             braked -= int((old.ends[max(old.first, 0) : max(braked + 1, 0)] > n).sum())
-        same = _is_same(world, old.world)  # and behind fewer targets, others may follow
+        same = _is_same(world, old.world)  # stops after the last target are dropped, since new targets may follow
         stops = [stop if same and stop and stop.needed <= n else None for stop in (old.motion_stop, old.brake_stop)]
         return old._replace(
             rows=rows, rates=_rates(rows, old.rates[0], dt), motions=min(old.motions, n), braked=braked,
@@ -583,7 +587,7 @@ class Gate:
         ends[ticks], chunk = n, chunk._replace(ends=ends)
         brakes = self._brakes(chunk, ticks, n)
         if self._on_path and ready.paths is None:
-            # In a world at rest, motions that are proven are free at all times, and so are brakes on them.
+            # In a world at rest, proven motions are free at all times, and so are brakes on these motions.
             open_ones = np.flatnonzero(brakes.needed - 1 > chunk.motions)
             ticks, brakes = ticks[open_ones], brakes.only(open_ones)
         error, tried, end = np.tile(self._error, (len(ticks), 1)), np.arange(len(ticks)), len(ticks)
@@ -592,7 +596,7 @@ class Gate:
             error += self._farther(chunk.rates[ticks])
             wholes, more = self._wholes(ready, brakes, chunk.rates[ticks], error, starts, most - work)
             tried, work = np.flatnonzero(~wholes), work + more
-        # Where a long brake fails, it mostly fails at its end, where no interval has to be halved.
+        # A long brake that fails mostly fails at its end, so prove the ends first; this halves no intervals.
         long = tried if self._on_path else tried[brakes.counts[tried] > 2]
         still = np.repeat(brakes.states[long, brakes.counts[long] - 1, :1], 2, axis=1)
         at_rest = starts[long] + brakes.durations[long]
@@ -623,7 +627,7 @@ class Gate:
     def _first_block(
         self, ready: Problem, courses: Floats, error: Floats, begin: Floats, end: Floats, most: int
     ) -> tuple[int, _Block | None, int]:
-        """Prove courses in order: how many are free, where the first other one is not, and the steps that this took."""
+        """Prove courses in order; return how many are free, where the next one fails, and the number of steps."""
         if len(courses) == 0:
             return 0, None, 0
         if most <= 0:
@@ -644,9 +648,9 @@ class Gate:
     def _wholes(
         self, ready: Problem, brakes: Brakes, rates: Floats, error: Floats, begin: Floats, most: int
     ) -> tuple[Bools, int]:
-        """Try to prove each brake as one course, which takes one interval where nothing is near, and count the steps.
+        """Try to prove each brake as one course, which takes one interval if nothing is near; also count the steps.
 
-        A brake as a whole may take about as many steps as one interval does; none is tried if not all may.
+        Each brake may take about as many steps as one interval does. No brake is tried unless this is possible for all.
         """
         free, steps = np.zeros(len(rates), dtype=bool), max(len(ready.pairs), LEAST_STEPS)
         chosen = np.flatnonzero(brakes.counts > 2)
@@ -667,7 +671,7 @@ class Gate:
     def _divided(
         self, ready: Problem, courses: Floats, error: Floats, begin: Floats, end: Floats
     ) -> tuple[Ints, Floats, Floats, Floats, Floats, Floats | None]:
-        """Divide courses where bodies' motions change, as `in_time.pieces` does; how far each piece may be off."""
+        """Divide courses where bodies' motions change, as in `in_time.pieces`; return how far each piece may be off."""
         off: Floats | None = error + OFF * np.abs(courses).max(axis=1) if error.any() else None
         n = len(courses)
         if ready.paths is None:
@@ -680,11 +684,11 @@ class Gate:
         return np.full(len(courses), self._drift) if self._drift > 0.0 else motions.NO_CLEARANCES
 
     def _scale(self, ready: Problem, chunk: _Chunk, block: _Block, most: int) -> tuple[float, int]:
-        """Find the largest scale of time with which a chunk is proven, and the steps that this took."""
+        """Find the largest time scale at which a chunk is proven; also return the number of steps."""
         spent = 0
         short = len(chunk.rows) - 1 <= self._periods(chunk.dt)
         if short or block.reason == "limits" or (block.reason != "brake" and ready.paths is None):
-            return 0.0, 0  # slower motions would meet the same
+            return 0.0, 0  # slower motions would meet the same obstacle
         for scale in SCALES:
             dt = chunk.dt / scale
             late = self._periods(dt)
@@ -701,7 +705,7 @@ class Gate:
     # -- brakes -------------------------------------------------------------------------------
 
     def _brakes(self, chunk: _Chunk, ticks: Ints, end: int) -> Brakes:
-        """Brake from ticks; on the path up to the last of this number of targets, and then along its last motion."""
+        """Brake from ticks; on the path, follow the first `end` targets, and then continue along the last motion."""
         if not self._on_path:
             return self._by_joint(chunk.rows[ticks], chunk.rates[ticks])
         rows, ticks = np.vstack([chunk.before, chunk.rows[: end + 1]]), ticks + 1
@@ -720,7 +724,7 @@ class Gate:
         return Brakes.by_joint(Q, V, np.zeros_like(Q), self._strongest, self._jerk)
 
     def _stops_free(self, ready: Problem, state: State, now: float, most: int) -> tuple[bool, int]:
-        """Whether a brake from a measured state, which is free, is proven, and the steps that this took."""
+        """Return whether a brake from a measured, free state is proven, and the number of steps."""
         courses, seconds, _ = self._pieces(ready, self._by_joint(*(x[None] for x in state)), state[1][None])
         end = now + np.cumsum(seconds)
         error = np.tile(self._error + self._farther(state[1]), (len(courses), 1))
@@ -728,12 +732,12 @@ class Gate:
         return block is None, work
 
     def _pieces(self, ready: Problem, brakes: Brakes, rates: Floats | None) -> tuple[Floats, Floats, Ints]:
-        """Return pieces of brakes, at velocities which are None on the path, until a faster robot is at rest."""
+        """Return pieces of brakes, extended until a robot with velocity errors rests; `rates` is None on the path."""
         courses, seconds, first = brakes.courses(self._jerk is not None or rates is None)
         if rates is None or not self._rate_error.any():
             return courses, seconds, first
         later = self._stopping_time(np.abs(rates) + self._rate_error).max(axis=1) - brakes.durations
-        if ready.paths is None:  # only brakes from rest, which have no pieces
+        if ready.paths is None:  # extend only brakes from rest, which have no pieces
             later[np.diff(first) > 0] = 0.0
         rests = np.flatnonzero(later > 0.0)
         ends = brakes.states[rests, np.maximum(brakes.counts[rests] - 1, 0), 0]
@@ -741,7 +745,7 @@ class Gate:
         return courses, np.insert(seconds, first[rests + 1], later[rests]), first + np.append(0, np.cumsum(later > 0.0))
 
     def _farther(self, rates: Floats) -> Floats:
-        """Bound how much farther joints go while they brake if their velocities are off by the error."""
+        """Bound how much farther joints move while they brake if their velocities are off by the error."""
         fast, v = np.abs(rates) + self._rate_error, np.abs(rates)
         return np.asarray((fast * self._stopping_time(fast) - v * self._stopping_time(v)) / 2.0)
 
@@ -768,7 +772,7 @@ class Gate:
         self, ready: Problem, state: GateState, steps: int, scale: float, block: _Block | None, brake: Trajectory,
         proven: bool, work: int, joint: str = "",
     ) -> GateAnswer:  # fmt: skip
-        """Add the pair in question, with its distance and normal."""
+        """Make an answer, with the pair in question, its distance and its normal."""
         reason, away, normal = "", math.nan, np.full(3, np.nan)
         names: tuple[str, ...] = ()
         if block is not None:
@@ -797,16 +801,16 @@ def _stop(tick: int, needed: int, block: _Block | None) -> _Stop | None:
 
 
 def _is_same(new: _World, old: _World) -> bool:
-    """Whether the places that bodies may have are the same as in an older world, within which they are."""
+    """Whether a world that lies within an older world allows exactly the same places of bodies."""
     return new.bounds == old.bounds and np.array_equal(new.poses, old.poses)
 
 
 def _is_within(new: _World, old: _World, now: float) -> bool:
-    """Whether all places that bodies may have from now on were allowed in an older world."""
+    """Whether an older world allows all places that bodies may have from now on."""
     if new.structure != old.structure or new.following.keys() != old.following.keys():
         return False
     resting = {name for name, path in new.following.items() if path.rests and name in new.bounds}
-    exact = len(new.poses) - len(resting)  # bodies that rest and grow are the last ones
+    exact = len(new.poses) - len(resting)  # resting bodies with bounds are the last ones
     if not np.array_equal(new.poses[:exact], old.poses[:exact]):
         return False
     return all(
@@ -828,7 +832,7 @@ def _path_is_within(
         return False
     if max(bounds.since, allowed.since) > now or bounds.speed > allowed.speed or bounds.turn > allowed.turn:
         return False
-    # From now on, both grow linearly, and the older bounds no less.
+    # From now on, both bounds grow linearly, and the older bounds at least as fast.
     away = float(np.linalg.norm(path.positions[0] - old.positions[0]))
     turned = 0.0
     if not same and not np.array_equal(path.quaternions[0], old.quaternions[0]):

@@ -30,8 +30,8 @@ from loewner.robots import Proof, Robot
 # polishing shortens the paths that they find.
 SLACK = 1.5
 
-# Number of iterations of a search, at first and at most; and the factors of this number after a failure and after a
-# success.
+# Number of iterations of a search, at first and at most; and the factors by which this number changes after a failure
+# and after a success.
 FIRST_SEARCH, MOST_SEARCH = 100, 512
 AFTER_FAILURE, AFTER_SUCCESS = 1.5, 0.7
 
@@ -49,10 +49,10 @@ ROOM = 64
 # A path that costs at most this share more than the straight path is not improved.
 NOTHING_LEFT = 1e-9
 
-# Weights above this, or whose inverses are above this, would make squares of costs overflow in the worst case.
+# Limit on weights and on their inverses: beyond it, squares of costs could overflow.
 LARGEST_WEIGHT = 1e9
 
-# Smallest clearance [m]: for smaller ones, the gradient of the cost near obstacles might overflow.
+# Smallest clearance [m]: for smaller clearances, the gradient of the cost near obstacles might overflow.
 LEAST_CLEARANCE = 1e-9
 
 
@@ -372,7 +372,7 @@ class Rounds:
         self.searches = max(int(AFTER_SUCCESS * self.searches), FIRST_SEARCH)
         try:
             found = Polish.of(growth.judge, box, growth.path(), seed)
-        except PlanningError:  # not free as a whole
+        except PlanningError:  # the path is not free as a whole
             return
         self._on(found, QUICK_STEPS)
         if found.cost < PROMISING * best.cost:

@@ -37,24 +37,23 @@ from loewner.robots.proofs.courses import straight
 from loewner.robots.proofs.curves import joint_errors
 from loewner.robots.proofs.proofs import refuse_starts
 
-# Share of a velocity that is left to the rounding of times.
+# Share of each velocity limit that is reserved for rounding errors of times.
 SLACK = 1e-9
 
 # The default horizon is CROSSINGS times the time to cross all ranges, after PERIODS periods of motions that repeat.
 CROSSINGS, PERIODS = 4.0, 2.0
 
-# Longest time to cross all ranges [s]: more than thirty years are due to a wrong unit.
+# Longest time to cross all ranges [s], more than thirty years: a longer time must be due to a wrong unit.
 SLOWEST = 1e9
 
 # Largest spacing of times near the start, as a share of the time to cross all ranges.
 COARSEST = 1e-6
 
-# Largest number of times at which the repeated motion of a body changes during a plan: each divides the robot's
-# motions.
+# Largest number of changes in a body's repeated motion during a plan: each change divides the robot's motions.
 MOST_KNOTS = 2**14
 
-# Number of later starts within the horizon for the path through the static scene; and its longer durations, in
-# multiples of the shortest.
+# For the path through the static scene: the number of later starts within the horizon, and longer durations, in
+# multiples of the shortest duration.
 STARTS, SLOWER = 12, (1.5, 2.0, 3.0)
 
 # Numbers per round: configurations that are sampled, motions of a branch towards each of them, and new times of
@@ -71,13 +70,13 @@ SHARE, GROWTH, ALONG, NEAR, HASTY = 1 / 6, 1.2, 0.5, 0.1, 0.5
 ROUNDS, IDLE, GAIN = 6, 2, 1e-3
 SAVED = (1.0, 1.0, 1.0, 1.0, 0.5, 0.5, 0.0, 0.0)
 
-# Motions of a candidate that are proven before the others.
+# Number of motions of a candidate that are proven before its other motions.
 FEW = 3
 
-# How many numbers a search for nearest states handles at a time: about 100 MB.
+# Number of values that a search for nearest states handles at a time: about 100 MB.
 LARGE = 2**22
 
-# Times at which waiting is proven for a message.
+# Number of periods in which waiting at the start is examined, for a message.
 SLOTS = 64
 
 
@@ -217,8 +216,7 @@ def plan_in_time(
     The direct motion is tried first, and then the path through the scene without the moving bodies, at several starting
     times and speeds. If no attempt is proven, two trees grow, forward in time from the start and backward from the
     goals at several times of arrival (Grothe et al., "ST-RRT*", ICRA 2022). The result is shortened, but need not
-    arrive as early as possible. A contact counts as a collision even if `Scene.leave` or `Scene.reach` permits it
-    elsewhere.
+    arrive as early as possible. A contact counts as a collision even if `Scene.leave` or `Scene.reach` permits it.
 
     Examples
     --------
@@ -290,7 +288,7 @@ def _judge(
     robot, ready = checker.robot, prepared_of(checker, timed=True)
     begin = _validate.real(start_time, "start_time")
     moved = space.still.copy()
-    moved[space.columns] = np.inf  # in any case elsewhere
+    moved[space.columns] = np.inf  # every moving joint differs from `still`
     fastest = limits_of(robot, np.stack([space.still, moved]), None, velocity, None, None)[0]
     crossing = float(((space.upper - space.lower) / fastest[space.columns]).max())
     if not crossing <= SLOWEST:
@@ -324,7 +322,7 @@ def horizon_of(ready: Problem, begin: float) -> float:
 
 
 def _started(judge: TimedJudge, path: Floats) -> Floats | None:
-    """Follow a path at several starting times and speeds; return the states of the earliest arrival that is proven."""
+    """Follow a path at several starting times and speeds; return the states of the first proven arrival."""
     path = path[np.append(True, (np.diff(path, axis=0) != 0).any(axis=1))]
     states = np.column_stack([path, np.zeros(len(path))])
     states[1:, -1] = np.cumsum(judge.seconds(states[:-1], states[1:]))
@@ -375,7 +373,7 @@ class _Tree:
         self.states, self.parents = np.concatenate([self.states, states]), np.concatenate([self.parents, parents])
 
     def nearest(self, states: Floats) -> Ints:
-        """Find for each state the nearest one from which it can be reached in time; -1 for none."""
+        """Find, for each given state, the nearest node from which the state can be reached in time; -1 for none."""
         if len(states) > 1 and states.size * len(self.states) > LARGE:
             return np.concatenate([self.nearest(state[None]) for state in states])
         ways = np.abs(states[:, None, :-1] - self.states[None, :, :-1]) / self.judge.fastest
@@ -386,7 +384,7 @@ class _Tree:
         return np.where(np.isfinite(costs[np.arange(len(states)), best]), best, -1)
 
     def grow(self, at: Ints, states: Floats, most: int) -> tuple[Ints, Bools]:
-        """Grow from nodes towards states, as far as motions are free, by at most this number of motions.
+        """Grow from nodes towards states, as far as motions are free, by at most `most` motions per branch.
 
         Returns
         -------
@@ -412,7 +410,7 @@ class _Tree:
         return ends, passed == counts
 
     def branch(self, node: int) -> list[int]:
-        """List the nodes from one to its root."""
+        """List the nodes from a given node to its root."""
         nodes = [node]
         while self.parents[nodes[-1]] >= 0:
             nodes.append(int(self.parents[nodes[-1]]))
@@ -448,7 +446,7 @@ class _Trees(NamedTuple):
     def of(
         cls, space: Space, judge: TimedJudge, first: Floats, ends: Floats, path: Floats, rng: np.random.Generator
     ) -> _Trees:
-        """Make trees of the start alone, and of nothing."""
+        """Make a tree of the start alone, and an empty tree."""
         longest = SHARE * float(((space.upper - space.lower) / judge.fastest[space.columns]).max())
         trees = _Tree(judge, first[None], True, longest), _Tree(judge, ends[:0], False, longest)
         return cls(space, judge, first, ends, path, rng, *trees)
@@ -459,7 +457,7 @@ class _Trees(NamedTuple):
         Raises
         ------
         PlanningError
-            If they do not meet within a number of configurations, or in time.
+            If the trees do not meet within `most` configurations, or in time.
         """
         began, drawn = time.monotonic(), 0
         window, blocked = 2.0 * float(self.ends[:, -1].min()), ""
@@ -472,7 +470,7 @@ class _Trees(NamedTuple):
                 continue
             trees = (self.forward, self.backward)
             if len(self.forward.states) > len(self.backward.states):
-                trees = trees[::-1]  # the smaller one grows
+                trees = trees[::-1]  # the smaller tree grows
             found = self._met(*trees, samples)
             if found is not None:
                 return found
@@ -489,7 +487,7 @@ class _Trees(NamedTuple):
         )
 
     def _arrive(self, window: float) -> str:
-        """Add goals at random times; describe a contact if one is not free."""
+        """Add goals at random times; describe a contact if a goal is not free."""
         new = self.ends[self.rng.integers(len(self.ends), size=ARRIVALS)]
         new[:, -1] += self.rng.random(ARRIVALS) * np.maximum(window - new[:, -1], 0.0)
         new = new[new[:, -1] <= self.judge.limit]
@@ -501,7 +499,7 @@ class _Trees(NamedTuple):
         return f"; at {self.judge.begin + new[k, -1]:.15g} s there is a collision of {self.judge.touching(new[k])}"
 
     def _drawn(self, window: float) -> Floats:
-        """Draw states that can be reached from the start, and from which a goal can be reached within a time."""
+        """Draw states that can be reached from the start, and from which a goal can be reached within `window`."""
         space, rng, judge, dof = self.space, self.rng, self.judge, len(self.first) - 1
         samples = np.zeros((DRAWN, dof + 1))
         samples[:, :dof] = space.configurations(rng.uniform(space.lower, space.upper, (DRAWN, len(space.columns))))
@@ -534,7 +532,7 @@ class _Trees(NamedTuple):
         tips, met = one.grow(tips, other.states[to], 2**20)
         best: Floats | None = None
         for tip, k in zip(tips[met].tolist(), to[met].tolist(), strict=True):
-            # The tip is the other tree's node.
+            # The tip equals the other tree's node k.
             halves = one.states[one.branch(tip)[::-1]], other.states[other.branch(k)[1:]]
             rows = np.concatenate(halves) if one.ahead else np.concatenate(halves)[::-1]
             best = rows if best is None or rows[-1, -1] < best[-1, -1] else best
@@ -549,7 +547,7 @@ def _shortened(judge: TimedJudge, rows: Floats, least: float, rng: np.random.Gen
             break
         cuts = np.sort(rng.random((len(SAVED), 2)) * rows[-1, -1], axis=1).tolist()
         tried = [_changed(judge, rows, begin, end, share) for (begin, end), share in zip(cuts, SAVED, strict=True)]
-        if idle == 0:  # between corners, and without waiting
+        if idle == 0:  # also try motions between corners, and no waiting
             waits = (rows[1:, :-1] == rows[:-1, :-1]).all(axis=1)
             at = rows[:, -1]
             pairs = np.concatenate([[at[:-2], at[2:]], [at[:-1][waits], at[1:][waits]]], axis=1).T.tolist()
@@ -567,14 +565,14 @@ def _shortened(judge: TimedJudge, rows: Floats, least: float, rng: np.random.Gen
 
 
 def _changed(judge: TimedJudge, rows: Floats, begin: float, end: float, share: float) -> Floats:
-    """Move straight between two times, and save a share of the time that this can take less."""
+    """Move straight between two times, and save a share of the time that the straight motion does not need."""
     times, at = rows[:, -1], np.array([begin, end])
     k = np.minimum(np.searchsorted(times, at, side="right") - 1, len(rows) - 2)
     two = rows[k] + ((at - times[k]) / (times[k + 1] - times[k]))[:, None] * (rows[k + 1] - rows[k])
     two[:, -1] = at
     first, last = int(np.searchsorted(times, begin - SLACK)), int(np.searchsorted(times, end + SLACK))
     saved = share * max(end - begin - float(judge.seconds(two[0], two[1])), 0.0)
-    two = two[: 1 if saved == end - begin else 2]  # without waiting between them, the two are one
+    two = two[: 1 if saved == end - begin else 2]  # if no time is left between the two states, one is enough
     changed: Floats = np.concatenate([rows[:first], two, rows[last:]])
     changed[first + 1 :, -1] -= saved
     changed[0], changed[-1, :-1] = rows[0], rows[-1, :-1]

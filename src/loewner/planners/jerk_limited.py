@@ -2,7 +2,8 @@
 
 Along a motion, the speed follows a profile of phases with constant jerk. Across a corner, the velocity changes from one
 motion's direction to the other's in up to three phases: the acceleration grows, stays constant, and falls. Both kinds
-of pieces begin and end without acceleration. docs/howto/trajectories.md and docs/design/trajectories.md describe them.
+of pieces begin and end without acceleration. docs/howto/trajectories.md and docs/design/trajectories.md describe these
+pieces.
 """
 
 from __future__ import annotations
@@ -22,17 +23,18 @@ from loewner.planners.straights import LARGEST_RATIO, Straights, smallest
 # share.
 TO_ROUNDING = 1e-6
 
-# Bound on the error of a velocity, an acceleration or a jerk on one phase, in units of the largest position plus the
-# distance at the highest speed in the whole time, divided by a power of the phase's duration; see docs/certified.md.
+# The error of a velocity, an acceleration or a jerk on one phase is at most NOISE times a length, divided by a power of
+# the phase's duration. The length is the largest position plus the distance covered at the highest speed in the whole
+# time; see docs/certified.md.
 NOISE = 1024.0 * tolerances.UNIT_ROUNDOFF
 
-# Bound on the error of computed cubic blends, in units of the largest value and of the distance at full speed in the
-# whole time.
+# Bound on the error of computed cubic blends, relative to the largest value and to the distance covered at full speed
+# in the whole time.
 CUBIC_ROUNDINGS = 64.0 * tolerances.UNIT_ROUNDOFF  # certified.md B54
 
 
 def shortest(size: Floats, fastest: Floats, strongest: FloatOrFloats, jerk: FloatOrFloats) -> float:
-    """Return the shortest duration of a piece in which rounding makes no value exceed its limit beyond `TO_ROUNDING`.
+    """Return the shortest duration of a piece for which rounding errors of all values stay within `TO_ROUNDING`.
 
     Parameters
     ----------
@@ -153,7 +155,7 @@ class JerkLimited(NamedTuple):
         taken = np.concatenate([[0.0], halves, [0.0]])
         left = np.maximum(self.straights.lengths - taken[:-1] - taken[1:], 0.0).tolist()
         speeds = [0.0, *(turned(half, limits) for half, limits in zip(halves.tolist(), self.across, strict=True)), 0.0]
-        # No motion between two blends may be shorter than a phase.
+        # No motion between two blends may be shorter than the shortest phase.
         for k, (length, limits) in enumerate(zip(left, self.along, strict=True)):
             speeds[k], speeds[k + 1] = (min(speed, length / limits.least) for speed in speeds[k : k + 2])
         for k, (length, limits) in enumerate(zip(left, self.along, strict=True)):
@@ -166,7 +168,7 @@ class JerkLimited(NamedTuple):
         """Compute three cubic pieces of each blend; the second may have no duration.
 
         The arrays are the ends of the pieces, shape (corners, 4, dof); the velocities there, times the duration of the
-        blend; and the durations of the pieces as shares of it, shape (corners, 3, 1).
+        blend; and the durations of the pieces as shares of the blend's duration, shape (corners, 3, 1).
         """
         first, _, last = self.straights.corners(halves)
         sized = zip(halves.tolist(), self.across, strict=True)

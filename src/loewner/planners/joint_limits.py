@@ -23,7 +23,7 @@ from loewner.robots import Robot
 # Seconds in which a joint reaches its velocity limit, if no acceleration limit is given.
 UP_IN = 1.0
 
-# How far outside a limit a configuration still counts as on the limit, because of rounding; OMPL allows the same.
+# A configuration outside a limit by no more than this rounding error counts as on the limit, as in OMPL.
 ON_LIMIT = float(np.finfo(np.float64).eps)
 
 # The largest file [bytes].
@@ -88,7 +88,7 @@ class JointLimits(KeepsReadOnly):
             for different joints. For each joint, ``has_velocity_limits: true`` and ``max_velocity`` give a limit, and
             ``has_velocity_limits: false`` means that there is none. Limits of acceleration, deceleration and jerk have
             the same form, and so do ``min_position`` and ``max_position``; soft limits narrow this range of positions.
-            If a joint mimics another, its limits bound the other joint, except for position limits, which cause a
+            Limits of a mimicking joint bound the joint that it mimics, except for position limits, which cause a
             warning instead. Angles may be tagged ``!degrees``.
         robot : Robot
         scaled : bool
@@ -145,8 +145,7 @@ def limits_of(
     acceleration: ArrayLike | None,
     jerk: ArrayLike | None,
 ) -> tuple[Floats, Floats, Floats | None]:
-    """Return limits of velocity, acceleration and, optionally, jerk, shape (dof,); infinite for joints that do not
-    move.
+    """Return velocity, acceleration and optional jerk limits, shape (dof,); infinite for joints that do not move.
 
     The positions of a path are checked against the given limits.
     """
@@ -294,7 +293,7 @@ def _read(root: Node, robot: Robot, scaled: bool) -> tuple[JointLimits, list[str
     for attribute, known in (("lower", robot.lower), ("upper", robot.upper), ("velocity", robot.velocity)):
         limits[attribute] = np.where(np.isnan(limits[attribute]), known, limits[attribute])
     followed_here = [columns[joint][0] for joint, _ in robot.mimics.values() if joint in columns]
-    # A joint that others mimic keeps within the limits that the URDF gives for them.
+    # A joint that other joints mimic also keeps the velocity limits that the URDF gives for the other joints.
     limits["velocity"][followed_here] = np.fmin(limits["velocity"], robot.velocity)[followed_here]
     for attribute, array in followers.items():
         limits[attribute] = np.fmin(limits[attribute], array)
@@ -304,7 +303,7 @@ def _read(root: Node, robot: Robot, scaled: bool) -> tuple[JointLimits, list[str
         found = f"{limits['lower'][k]:g} and {limits['upper'][k]:g}"
         raise root.error(f"{robot.configuration_names[k]}: expected min_position <= max_position, found {found}")
     for kind, factors_of in scales.items():
-        # Joints that the file does not name have the factors of the only table, if there is one.
+        # If there is only one table, its factors also apply to joints that the file does not name.
         rest = factors[0][kind] if len(factors) == 1 else 1.0
         named = np.isin(np.arange(robot.dof), [columns[name][0] for name in entries])
         limits[kind] = limits[kind] * np.where(named, factors_of, rest)
@@ -337,7 +336,7 @@ def _limits_of_joint(entry: Node) -> dict[str, float]:
             held.flag()
 
     def given(key: str, has: str) -> float | None:
-        """Return a limit; None if there is none, or it does not count."""
+        """Return a limit; None if there is no limit, or if the limit does not count."""
         counts = keys[has].flag() if has in keys else True
         return keys[key].angle() if key in keys and counts else None
 
@@ -377,7 +376,7 @@ def _expect_joints(file: str, names: list[str], known: Mapping[str, Any]) -> Non
 
 
 def _turning(robot: Robot) -> Bools:
-    """Return which values are angles of all joints that follow them, shape (dof,)."""
+    """Return which values are angles for all joints that follow these values, shape (dof,)."""
     kind, column, turning = robot.tree.kind, robot.tree.column, np.zeros(robot.dof, dtype=bool)
     turning[column[kind == tree_columns.REVOLUTE]] = True
     turning[column[(kind != tree_columns.REVOLUTE) & (kind != tree_columns.FIXED)]] = False
@@ -385,7 +384,7 @@ def _turning(robot: Robot) -> Bools:
 
 
 def with_start(robot: Robot, columns: Ints, q: Floats, lower: Floats, upper: Floats) -> tuple[Floats, Floats]:
-    """Widen the columns' ranges to include a motion's start, and warn, if the start is within the hard limits."""
+    """If a motion's start is within the hard limits, widen the columns' ranges to include the start, and warn."""
     values = q[columns]
     outside = (values < lower - ON_LIMIT) | (values > upper + ON_LIMIT)
     hard = (values >= robot.hard_lower[columns] - ON_LIMIT) & (values <= robot.hard_upper[columns] + ON_LIMIT)

@@ -16,7 +16,7 @@ from loewner.errors import InputError, PlanningError
 from loewner.robots import Robot
 from loewner.robots.description.reaching import Chain, refuse_unsteady
 
-# Angles below this [rad] are near the rounding of cosines.
+# Smallest angle [rad]: smaller angles are close to the rounding errors of cosines.
 LEAST_ANGLE = 1e-6
 
 # Share of the angle within which new configurations are kept, so that the motions between them have room.

@@ -17,20 +17,20 @@ from loewner.robots import Robot
 from loewner.robots.description.reaching import Chain, refuse_far
 from loewner.robots.description.robot import chain_to
 
-# Largest deviations from a line [m, rad], unless others are given.
+# Default values of the largest deviations from a line [m, rad].
 POSITION, ROTATION = 1e-4, 1e-3
 
-# Tolerances below this [m, rad] are near the rounding of poses.
+# Smallest tolerance [m, rad]: smaller tolerances are close to the rounding errors of poses.
 LEAST_TOLERANCE = 1e-9
 
 # The largest angle of a line [rad]: at half a turn, rounding decides which way around is the shorter one.
 LARGEST_ANGLE = np.pi - 1e-6
 
-# Rounding error of a deviation from a line on a curve, for each joint, in units of the lengths and the largest value.
+# Rounding error per joint of a deviation from a line on a curve, relative to the lengths and the largest value.
 ROUNDINGS = 128.0 * tolerances.UNIT_ROUNDOFF  # certified.md B68
 
 # Numbers of equal parts into which a course is divided, in turn, until its bound is within the tolerance; and the
-# number of configurations at a time.
+# largest number of configurations that are computed at a time.
 PARTS, MOST_CONFIGURATIONS = (4, 16, 64, 256, 1024), 2**14
 
 
@@ -90,8 +90,7 @@ def checked_tolerance(x: Any, name: str) -> float:
 
 
 class Step(NamedTuple):
-    """A vector that is fixed in the current frame, given by its length, and the joint after it: a slide, a turn, or
-    none."""
+    """The length of a vector fixed in the current frame, and the joint after the vector: a slide, a turn, or none."""
 
     length: float
     kind: str
@@ -133,8 +132,7 @@ class KeptLine:
 
     @classmethod
     def of(cls, robot: Robot, line: Line, rows: Floats) -> KeptLine:
-        """Make the line between poses of the link at rows of a path; the first and the last pose are the ends of the
-        line."""
+        """Make the line from the link's pose at the first of several rows of a path to its pose at the last row."""
         chain = chain_to(robot, line.link)
         refuse_far(chain, np.eye(4), rows)
         poses = robot.forward_kinematics(rows)[:, robot.link_names.index(line.link)]
@@ -147,7 +145,7 @@ class KeptLine:
         angle = float(angles[-1])
         if angle > LARGEST_ANGLE:
             raise InputError("line: expected a turn of less than half a turn, found half a turn; divide the line")
-        # The nearest pose is that with the least sum of squares, in units of the tolerances.
+        # The nearest pose has the least sum of squared deviations, in units of the tolerances.
         ways = np.column_stack([(poses[:, :3, 3] - start) / line.position, angles / line.rotation])
         size = float(dot(ways[-1], ways[-1]))
         u = dot(ways, ways[-1]) / size if size > 0 else np.zeros(len(rows))
@@ -208,7 +206,7 @@ class KeptLine:
         return np.asarray(both.max(axis=1))
 
     def _bounds(self, courses: Floats, off: Floats) -> tuple[Floats, Floats]:
-        """Bound the second derivatives of deviations, and what joint errors and rounding add: certified.md B68."""
+        """Bound the second derivatives of deviations, and effects of joint errors and rounding: certified.md B68."""
         degree, steps = courses.shape[1] - 1, np.diff(courses, axis=1)
         rates = degree * np.abs(steps).max(axis=1)
         bends = degree * (degree - 1) * np.abs(np.diff(steps, axis=1)).max(axis=1, initial=0.0)

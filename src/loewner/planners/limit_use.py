@@ -31,7 +31,7 @@ ROUNDED = 1e-9
 UNITS = {1e3: "milliseconds", 1e6: "microseconds", 1e9: "nanoseconds"}
 LIKELY = (0.05, 2.0)
 
-# Velocity limit that is assumed for this check of a joint without a limit [rad/s or m/s].
+# Velocity limit [rad/s or m/s] that the check of times assumes for a joint without a limit.
 USUAL = 2.0
 
 # Velocities at both ends of a monotone cubic are at most STEEPEST times its mean velocity. Velocities are doubted if
@@ -44,7 +44,7 @@ Ends = tuple[tuple[float, float], tuple[float, float]]
 
 
 class Use(NamedTuple):
-    """The value of one joint on a curve that comes nearest to its limit or exceeds it most.
+    """The value of a joint, among all values on a curve, that comes nearest to the limit or exceeds it most.
 
     Attributes
     ----------
@@ -52,7 +52,7 @@ class Use(NamedTuple):
         One of `QUANTITIES`.
     joint : str
     value, limit : float
-        This value and its limit, in SI units. The limit is infinite if the joint has none.
+        The value and its limit, in SI units. The limit is infinite if the joint has none.
     ratio : float
         For a position, the ratio is the distance from the middle of the range divided by half the range; for other
         quantities, it is the absolute value divided by the limit. The ratio is 0 if there is no limit.
@@ -114,7 +114,7 @@ def jumps(robot: Robot, curve: Curve) -> list[Jump]:
         size = 64 * np.abs(curve.courses).max(axis=(0, 1)) * np.finfo(float).eps
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             sizes = np.abs(points[1:, 0] - points[:-1, -1])
-            # Rounding of positions is divided by times.
+            # Rounding errors of positions are divided by powers of the durations.
             jumping = sizes > ROUNDED * np.abs(points).max(axis=(0, 1)) + size / np.diff(curve.times).min() ** order
         if jumping.any():
             k, joint = (int(n) for n in np.unravel_index(np.where(jumping, sizes, 0.0).argmax(), sizes.shape))
@@ -146,7 +146,7 @@ def doubts(robot: Robot, curve: Curve, uses: list[Use], velocities: bool) -> lis
         share = np.divide(rate, way, out=np.zeros_like(way), where=way != 0)
         odd |= (share < -ROUNDED) | (share > STEEPEST * (1 + 1e-3))
     ways = np.abs(way)
-    # A parabola may turn within a piece; its mean velocity is the mean of both velocities.
+    # A parabola may turn within a piece; its mean velocity is the mean of the velocities at its ends.
     odd &= np.abs((rates[0] + rates[1]) / 2 - way) > DOUBTED * ways
     astray = (ways * odd).sum(axis=0) > DOUBTED * ways.sum(axis=0)
     astray &= ways.sum(axis=0) > ROUNDED
@@ -165,13 +165,13 @@ def _rates(curve: Curve, order: int) -> Floats:
     """Return the control points of a derivative in time, shape (n, points, dof)."""
     points, T = curve.courses, np.diff(curve.times)[:, None, None]
     for _ in range(order):
-        with np.errstate(over="ignore", invalid="ignore"):  # on pieces of hardly any time
+        with np.errstate(over="ignore", invalid="ignore"):  # pieces may take hardly any time
             points = (points.shape[1] - 1) * np.diff(points, axis=1) / T
     return np.asarray(points)
 
 
 def _both_signs(robot: Robot, limits: JointLimits | None, quantity: str, k: int) -> tuple[float, float]:
-    """Return the limits of a rate; accelerations and jerk that a file does not limit keep the robot's limits."""
+    """Return the limits of a rate; the robot's limits apply to accelerations and jerk that a file does not limit."""
     known: Any = (robot,) if limits is None else (limits,) if quantity == "velocity" else (limits, robot)
     of_joint = [float(getattr(each, quantity)[k]) for each in known]
     most = next((one for one in of_joint if np.isfinite(one)), np.inf)
@@ -184,7 +184,7 @@ def _worst(quantity: str, joint: str, ends: Ends, low: float, high: float) -> Us
     if np.isfinite(low) and np.isfinite(high):
         middle, half = (low + high) / 2, (high - low) / 2
         below, above = (_share(middle - least, half), _share(greatest - middle, half))
-    else:  # with one limit, a value is within it or not
+    else:  # with only one limit, a value is within it or beyond it
         below, above = (np.inf if beyond > ROUNDED else 0.0 for beyond in (low - least, greatest - high))
     if below > above or (below == above == 0.0 and np.isfinite(low)):
         return Use(quantity, joint, least, low, below, when_least)
@@ -206,7 +206,7 @@ def extremes(points: Floats, times: Floats) -> Ends:
 
 def _greatest(points: Floats, times: Floats) -> tuple[float, float]:
     degree = points.shape[1] - 1
-    with np.errstate(over="ignore", invalid="ignore"):  # what overflowed is found to be no number
+    with np.errstate(over="ignore", invalid="ignore"):  # overflow is detected below as a result that is not finite
         values = _at(points, TRIED)
     n, at = np.unravel_index(values.argmax(), values.shape)
     best, piece, share = float(values[n, at]), int(n), float(TRIED[at])
@@ -215,7 +215,8 @@ def _greatest(points: Floats, times: Floats) -> tuple[float, float]:
         if degree < 2 or not np.isfinite(best) or bounds[n] <= best + ROUNDED * abs(best):
             break
         slopes = _powers(degree * np.diff(points[n]))
-        # Leading coefficients that are rounding would hide the other roots, and change no value by more than this.
+        # Leading coefficients that are only rounding errors would hide the other roots; leaving them out hardly changes
+        # values.
         shares = np.real(Polynomial(slopes).trim(ROUNDED * np.abs(slopes).max()).roots())
         shares = shares[(shares > 0) & (shares < 1)]
         if len(shares):
@@ -235,7 +236,7 @@ def _at(points: Floats, shares: Floats) -> Floats:
 
 
 def _powers(points: Floats) -> Floats:
-    """Return the coefficients of powers of a polynomial with these control points."""
+    """Return the coefficients of the powers in a polynomial with given control points."""
     degree, differences, found = len(points) - 1, points, []
     for k in range(degree + 1):
         found.append(comb(degree, k) * differences[0])

@@ -19,9 +19,9 @@ from loewner._base._nodes import JsonNode, Node, some
 from loewner._base._validate import Floats
 from loewner.errors import FileError, InputError
 
-# Treatment of a field that is not a message of a type below. The code for its type reads the field; or the field has no
-# effect on the joints and the bodies of a robot; or a warning mentions the field unless it is empty; or the field is a
-# message of any type that has no such field itself.
+# Treatments of fields that are not messages of a type below, in this order: the code for the message's type reads the
+# field; the field has no effect on the joints and the bodies of a robot; a warning mentions the field unless it is
+# empty; the field is a message of any type without such a field.
 USED, HARMLESS, TOLD, ANY = "used", "harmless", "told", "any"
 
 
@@ -44,8 +44,8 @@ TYPES: dict[str, dict[str, str]] = {
     "PlanningScene": {
         "robot_state": "RobotState", "robot_model_name": USED, "link_padding": TOLD, "link_scale": TOLD,
         "world": "PlanningSceneWorld",
-        # Frames belong to bodies in the message's world, which is not read; more pairs are checked here than the matrix
-        # lists; and is_diff refers to the world, since a state has its own.
+        # Frames belong to bodies in the message's world, which is not read. The matrix lists fewer pairs than are
+        # checked here. The field is_diff refers to the world, since a state has an is_diff of its own.
         **_harmless("name", "fixed_frame_transforms", "allowed_collision_matrix", "object_colors", "is_diff"),
     },
     "DisplayTrajectory": {"model_id": USED, "trajectory_start": "RobotState", "trajectory": "RobotTrajectory"},
@@ -72,7 +72,7 @@ TYPES: dict[str, dict[str, str]] = {
     "FollowJointTrajectoryGoal": {
         "trajectory": "JointTrajectory", "multi_dof_trajectory": "MultiDOFJointTrajectory",
         "path_tolerance": USED, "component_path_tolerance": USED,
-        **_harmless("goal_tolerance", "component_goal_tolerance", "goal_time_tolerance"),  # at the end only
+        **_harmless("goal_tolerance", "component_goal_tolerance", "goal_time_tolerance"),  # these apply only at the end
     },
     "SubTrajectory": {
         "trajectory": "RobotTrajectory", "scene_diff": "PlanningScene", **_harmless("info", "execution_info"),
@@ -88,7 +88,7 @@ TYPES: dict[str, dict[str, str]] = {
 }  # fmt: skip
 WRAPPED = [name for name, fields in TYPES.items() if ANY not in fields.values()]
 
-# Keys of further types. Headers, efforts, the velocities, twists and wrenches of a state, the posture of a gripper and
+# Keys of other types. Headers, efforts, the velocities, twists and wrenches of a state, the posture of a gripper and
 # the weight of a body have no effect on where the robot is.
 RATES = ("positions", "velocities", "accelerations")
 POINT = (*RATES, "effort", "time_from_start")
@@ -107,7 +107,7 @@ DAY = 86400.0
 # The longest duration that a message can hold: its seconds are an integer of 32 bits.
 LONGEST = 2.0**31
 
-# The operation by which a body is taken away, in moveit_msgs/CollisionObject.
+# The operation that removes a body, in moveit_msgs/CollisionObject.
 REMOVE = 1
 OPERATIONS = range(4)
 
@@ -160,7 +160,7 @@ class Motion:
 
 @dataclass(eq=False)
 class Part:
-    """One trajectory in a message: for joints with one value, for joints with several, or for both at the same time."""
+    """One trajectory in a message: for joints with one value, for joints with several values, or for both at once."""
 
     place: str
     joints: Motion | None
@@ -182,7 +182,7 @@ class Message:
     bodies : set of str
         Names of bodies that the robot carries at some time, or that are detached from it.
     warnings : list of str
-        Sentences for warnings about other parts that are not read.
+        Sentences for warnings about parts of the message that are not read.
     """
 
     parts: list[Part] = field(default_factory=list)
@@ -311,7 +311,7 @@ def _joint_motion(node: Node) -> Motion | None:
 
 
 def _plain_motion(names: list[str], points: Node) -> Motion | None:
-    """Read points of JSON with the usual contents, several times as fast; None if there is anything else."""
+    """Read points of JSON with only the usual contents, which is several times as fast; otherwise return None."""
     raw = points.raw
     if not isinstance(points, JsonNode) or not all(type(point) is dict and point.keys() <= set(POINT) for point in raw):
         return None
@@ -371,7 +371,7 @@ def _expect_once(names: list[str], node: Node) -> None:
 
 
 def _read_state(keys: dict[str, Node], state: State, found: Message) -> None:
-    """Change a state by a RobotState; one that is not a difference replaces the carried bodies."""
+    """Apply a RobotState to a state; a RobotState that is not a difference replaces the carried bodies."""
     differs = "is_diff" in keys and not keys["is_diff"].empty and keys["is_diff"].flag()
     empty = True
     for key, known in (("joint_state", JOINT_STATE), ("multi_dof_joint_state", PLACED_STATE)):
@@ -380,7 +380,7 @@ def _read_state(keys: dict[str, Node], state: State, found: Message) -> None:
         held = keys[key].mapping(known)
         if key == "joint_state":
             names, values = _list(held, "name"), _list(held, "position")
-            if values and len(values) != len(names):  # a state may have velocities alone
+            if values and len(values) != len(names):  # a state may have only velocities
                 raise keys[key].error(f"expected as many positions as names, found {len(values)} and {len(names)}")
             given = [name.text() for name in names[: len(values)]]
             state.joints.update(zip(given, (value.number() for value in values), strict=True))
@@ -447,7 +447,7 @@ def _tolerated(keys: dict[str, Node]) -> Iterator[str]:
         for entry in _list(keys, key):
             held = entry.mapping(TOLERANCE)
             allowed = held["position"].number() if "position" in held and not held["position"].empty else 0.0
-            if allowed:  # 0 is the controller's default, and negative no limit
+            if allowed:  # 0 means the controller's default, and a negative number means no limit
                 named = [held[name].text() for name in ("name", "joint_name") if name in held]
                 joint = named[0] if named else "a joint"
                 far = f"by {allowed:g}" if allowed > 0 else "without a limit"

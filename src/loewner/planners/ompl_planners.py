@@ -118,7 +118,7 @@ def search(
         If no path was found in time, or the path does not pass a second check.
     """
     with _quietly():
-        _ompl("util").RNG.setSeed(int(seed) + 1)  # OMPL takes 0 as no seed
+        _ompl("util").RNG.setSeed(int(seed) + 1)  # for OMPL, 0 means no seed
         path = _solve(space, make, q, goals, timeout, _information(space, resolution, judge), simplify)
     values = path[:, space.columns]
     ends = (path[0] == q).all() and (path[-1] == goals).all(axis=1).any()
@@ -149,7 +149,7 @@ def _solve(
     planner.setProblemDefinition(problem)
     planner.setup()
     planner.solve(timeout)
-    # OMPL also counts a path that only comes near the goal as a solution; here it is none.
+    # OMPL also counts a path that only comes near the goal as a solution; such a path is refused here.
     if not problem.hasExactSolution():
         raise PlanningError(
             f"expected a path from start to goal, found none by {planner.getName()} within {timeout:g} s"

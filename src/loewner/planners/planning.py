@@ -33,7 +33,7 @@ from loewner.robots.proofs.written_proofs import proof_of
 # An axis to keep: a link, the axis, a direction and an angle [rad].
 Keep = tuple[str, str | ArrayLike, ArrayLike, float]
 
-# The options of `plan` that choose another function.
+# Options of `plan` that select another function.
 TIMED, DRIVING = {"start_time", "velocity", "arrive_by"}, {"base", "radius"}
 
 
@@ -165,9 +165,8 @@ def plan(
     -------
     ndarray, shape (k, dof)
         Configurations from `start` to a goal; each joint value changes linearly from one configuration to the next. A
-        joint that turns without limits takes the shorter way around, so that it ends at the goal's value or whole turns
-        away from it (with OMPL's planners, always at the goal's value). If a `PoseGoal` has an approach, the path ends
-        with the approach.
+        joint that turns without limits takes the shorter way around, and may end whole turns away from the goal's value
+        (but not with OMPL's planners). If a `PoseGoal` has an approach, the path ends with the approach.
     Plan, Trajectory or Drive
         The result of `plan_full` with ``full=True``, of `plan_in_time` with `start_time`, or of `plan_drive` with
         `base`.
@@ -238,7 +237,7 @@ def plan(
         if "base" not in options:
             raise InputError("base: expected it with radius or reverse, found none")
         search._refuse("base", refused + ["joints"] * (joints is not None))
-        # The seed has no effect, since the search draws nothing.
+        # The seed has no effect, since the search is not random.
         return bases.planned(task, options["base"], options.get("radius"), reverse, joint_error, search, proof)
     if proof and not full:
         raise InputError("proof=True needs full=True: the proof is an attribute of the Plan")

@@ -24,10 +24,11 @@ from loewner.robots.description.robot import chain_to
 # Largest number of configurations that are tried as goals: free ones first, then the ones nearest to the start.
 MOST_GOALS = 16
 
-# A goal in contact that has lines counts as this many goals, since contact rules take twenty times as long to prove.
+# A goal in contact that has lines counts as this many goals, since proofs under contact rules take twenty times as
+# long.
 TOUCHING = 4
 
-# A displacement: "link" or "world" for the frame of its vector, shape (3,) [m].
+# A displacement: the frame of its vector ("link" or "world"), and the vector, shape (3,) [m].
 Displacement = tuple[str, Floats]
 FRAMES = ("link", "world")
 
@@ -53,10 +54,10 @@ class PoseGoal:
 
     Notes
     -----
-    A configuration is accepted only if both lines can be followed from it, as by `straight`, and are proven free. The
-    path of `plan` ends with the approach; with ``full=True``, ``Plan.approach`` is the row at which the approach
-    begins, and ``Plan.retreat`` is the path of the retreat. Lines are proven in the scene in which the path is planned.
-    After a change to the scene, such as `Scene.attach`, `retreat_path` proves the retreat again.
+    A configuration is accepted only if the link can follow its approach and its retreat, as by `straight`, and both are
+    proven free. The path of `plan` ends with the approach; with ``full=True``, ``Plan.approach`` is the row at which
+    the approach begins, and ``Plan.retreat`` is the path of the retreat. Lines are proven in the scene in which the
+    path is planned. After a change to the scene, such as `Scene.attach`, `retreat_path` proves the retreat again.
 
     Examples
     --------
@@ -220,7 +221,7 @@ class PoseGoal:
         return rows
 
     def _joints(self, robot: Robot) -> list[str]:
-        """Return the joints of the link, for plans to which no others are given: fingers then keep their places."""
+        """Return the joints that move the link, the default for plans; fingers, for example, then keep their values."""
         chain = chain_to(robot, self.link)
         moving = set(chain.columns[chain.moving].tolist())
         return [name for name in robot.joint_names if moving & set(range(robot.dof)[robot._columns[name]])]
@@ -228,9 +229,9 @@ class PoseGoal:
     def _found(
         self, judge: Judge, begin: Floats, joints: str | Iterable[str] | None
     ) -> tuple[Floats, list[str], Approaches | None]:
-        """Find the configurations, and name each for messages: its pose, and its number among the pose's solutions.
+        """Find the configurations, and name each for messages by its pose and its number among the pose's solutions.
 
-        With an approach or a retreat, return the configurations where approaches begin.
+        With an approach or a retreat, the returned configurations are the beginnings of the approaches.
         """
         poses = np.asarray(self.T).reshape(-1, 4, 4)
         found = judge.checker.robot.reach(
@@ -348,7 +349,7 @@ class Approaches(NamedTuple):
 
 
 def _displacement(given: Any, name: str, sign: float) -> Displacement:
-    """Check an approach or a retreat; with the sign, a number is its displacement along z."""
+    """Check an approach or a retreat; a number, times `sign`, is a displacement along z."""
     frame = "link"
     if isinstance(given, tuple) and len(given) == 2 and isinstance(given[0], str):
         frame, given = _validate.choice(given[0], f"{name}, frame", FRAMES), given[1]
@@ -375,7 +376,7 @@ def _along(
     ndarray, shape (k, dof)
         In the order of the motion.
     str, str
-        If it is not free, a heading for the message and the reason.
+        A heading for the message and the reason, if the motion is not free.
     """
     robot, (frame, vector) = judge.checker.robot, given
     T = robot.forward_kinematics(q)[robot.link_names.index(link)].copy()

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from functools import lru_cache
 from typing import NamedTuple
 
-# Accuracy of computed speeds; they are never larger than allowed, and the distance that this loses is made up for.
+# Accuracy of computed speeds. Speeds are never larger than allowed, and the phases still cover the exact distance.
 ACCURACY = 1e-13
 
 # Number of profiles that are kept: the choice of blends needs most of them repeatedly.
@@ -111,7 +111,7 @@ def _ramped(first: float, last: float, slower: float, limits: Limits) -> list[Ph
 
 
 def _largest(needed: Callable[[float], float], low: float, high: float, length: float) -> float:
-    """Return the largest speed between two, up to `ACCURACY`, that needs no more than a length."""
+    """Return the largest speed from `low` to `high`, up to `ACCURACY`, that needs no more than a length."""
     if length <= 0 or low >= high:
         return low
     if needed(high) <= length:

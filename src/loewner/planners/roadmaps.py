@@ -1,8 +1,8 @@
 """Roadmaps: networks of motions proven free, built once to answer many queries in one scene.
 
 A roadmap keeps every motion that it tried, not only the free ones; when the scene changes, all motions are proven again
-in one batch. In addition, each path is proven as a whole when it is found. This is necessary because shifts by whole
-turns are rounded, the scene may change meanwhile, and a file's claims are not a proof.
+in one batch. In addition, each path is proven as a whole when it is found. The second proof is necessary because shifts
+by whole turns are rounded, the scene may have changed, and a file's claims are not a proof.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ class _Links(NamedTuple):
 
 
 class _Way(NamedTuple):
-    """A path: the indices of its nodes, beginning with the start, the goal, and the link that leads to the goal."""
+    """A path: the indices of its nodes, where the start is the first; its goal; and the link to the goal."""
 
     nodes: Ints
     goal: int
@@ -168,7 +168,7 @@ class _Neighbours:
         return self._nearest(self._wrapped(self.space, Q), many)
 
     def pairs(self, neighbours: int) -> Ints:
-        """List, in order and once, each pair of nodes in which one is among the other's nearest, shape (m, 2)."""
+        """List, in order, all pairs of nodes where one node is among the other node's nearest, shape (m, 2)."""
         each = min(neighbours, self.count - 1)
         if each == 0:
             return np.empty((0, 2), dtype=np.int64)
@@ -199,7 +199,7 @@ class _Neighbours:
         values: Floats = Q[:, space.columns]
         if space.turning.any():
             turned = np.mod(values[:, space.turning], 2 * np.pi)
-            values[:, space.turning] = np.where(turned < 2 * np.pi, turned, 0.0)  # a value just below 0 is rounded up
+            values[:, space.turning] = np.where(turned < 2 * np.pi, turned, 0.0)  # a value below 0 may round to a turn
         return values
 
 
@@ -296,8 +296,8 @@ class Roadmap(KeepsReadOnly):
         -------
         ndarray, shape (k, dof)
             Configurations from `start` to a goal; each joint value changes linearly from one configuration to the next.
-            A joint that turns without limits takes the shorter way around between nodes, so that it ends at the goal's
-            value or whole turns away from it.
+            A joint that turns without limits takes the shorter way around between nodes, and may end whole turns away
+            from the goal's value.
 
         Raises
         ------
@@ -323,9 +323,9 @@ class Roadmap(KeepsReadOnly):
         judge = Judge.of(self.checker, 0.0, joint_error)
         task = Task.of(self.checker, start, goal, self.joint_names)
         q, (begins, names, approaches) = task.start, task.goals(judge)
-        # Where a joint has no limits, they follow from start and goals.
+        # If a joint has no limits, start and goals determine the range of its values.
         space = Space.of_start(self.checker, self.joint_names, q, begins)
-        if not space.outside(q):  # faults of limits are reported first
+        if not space.outside(q):  # violations of limits are reported first
             self._space.check_still(q[None], "start", "the roadmap's value", "its joints")
         goals = space.checked_goals(q, begins, judge, names)
         while (found := self._found(judge, q, goals)) is None:
@@ -471,7 +471,7 @@ class Roadmap(KeepsReadOnly):
         )
 
     def _links(self, graph: _Graph, judge: Judge, q: Floats, goals: Floats) -> _Links:
-        """Find free motions to nearest nodes, as many as are needed to connect the start to a goal.
+        """Find enough free motions to nearest nodes to connect the start to a goal.
 
         Raises
         ------
@@ -484,7 +484,7 @@ class Roadmap(KeepsReadOnly):
         if links.to_lengths.min(initial=np.inf) == self._lengths_of(q, goals).min():
             return links  # nothing is shorter than a straight motion to the nearest goal
         tried, last = 0, min(self._neighbours, most)
-        labels = np.append(graph.labels, -1)  # the start's label is for straight motions to goals
+        labels = np.append(graph.labels, -1)  # -1 is the start, where straight motions to goals begin
         while True:
             links = links.joined(self._links_to(judge, q, goals, self._near.of_all(ends, last)[:, tried:]))
             if np.isin(labels[links.from_nodes], np.append(labels[links.nodes], -1)).any():
@@ -554,16 +554,16 @@ def roadmap(
     ----------
     checker : CollisionChecker
         Bodies that are attached in the checker's scene move with the robot. If bodies come and go, make the roadmap
-        while the scene has few bodies, since configurations that collide now are excluded permanently.
+        while the scene has few bodies: configurations that collide when it is made are excluded permanently.
     samples : int or array_like, shape (n, dof)
         The number of configurations to sample uniformly within the limits, or the configurations themselves. All free
         configurations become nodes.
     joints : str or iterable of str, optional
         A group, or names of joints. These joints move; all remaining joints keep their values. Default: all joints.
     fixed : array_like, shape (dof,), optional
-        Values that the remaining joints keep. Default: the values in the first given configuration or, if none is
-        given, in `Robot.configuration`, where all are 0. The values of a joint that turns without limits are sampled
-        within half a turn of its value in `fixed`.
+        Values that the remaining joints keep. Default: the values of the first given configuration or, without given
+        configurations, of `Robot.configuration`, which are all 0. The values of a joint that turns without limits are
+        sampled within half a turn of its value in `fixed`.
     neighbours : int, optional
         Number of nearest neighbours to which each node is connected if possible. Default: e (1 + 1/d) ln n for n nodes
         and d joints, as in PRM*, so that the paths converge to shortest paths as the number of samples grows.
@@ -580,8 +580,8 @@ def roadmap(
         If no sample is free.
     InputError
         If an argument has the wrong shape or value. If a given configuration is outside the limits, or differs from the
-        others in a joint that is not among `joints`. If one of `joints` is a planar, floating or ball joint, which has
-        no limits to sample within.
+        other configurations in a joint that is not among `joints`. If one of `joints` is a planar, floating or ball
+        joint, which has no limits to sample within.
     UnknownNameError
         If the robot has no such group or joint.
 
@@ -623,7 +623,7 @@ def _samples(
     fixed: ArrayLike | None,
     seed: int,
 ) -> tuple[Space, Floats]:
-    """Return the space of a roadmap, and the configurations drawn in it or given."""
+    """Return the space of a roadmap, and the sampled or given configurations."""
     robot = checker.robot
     count = _count(samples)
     given = np.empty((0, robot.dof)) if count is not None else robot.checked(samples, "samples")
@@ -697,7 +697,7 @@ def _why(graph: _Graph, links: _Links, tried: int) -> str:
 
 
 def _check_shapes(shapes: Mapping[str, tuple[int, ...]]) -> None:
-    """Refuse arrays whose shapes do not match; this is possible before their numbers are read."""
+    """Refuse arrays whose shapes do not match, before the numbers of the arrays are read."""
     nodes, edges, free, settings = (shapes[name] for name in ROADMAPS.arrays)
     if len(nodes) != 2 or 0 in nodes:
         raise InputError(f"nodes: expected shape (n, dof), found {nodes}")

@@ -92,7 +92,7 @@ class Search:
         return compiled.UNLIMITED if self.max_iterations is None else self.max_iterations
 
     def _path(self, space: Space, judge: Judge, start: Floats, goals: Floats, seed: int) -> Floats:
-        """Find a path, shape (k, dof), from a configuration to one of several, and simplify it if requested."""
+        """Find a path, shape (k, dof), from a configuration to one of several goals, and simplify it if requested."""
         if self.planner is not None:
             make = ompl_planners.named(self.planner)
             return ompl_planners.search(
@@ -102,7 +102,7 @@ class Search:
         return compiled.shortened(judge, path, max_iterations=compiled.CUTS, seed=seed) if self.simplify else path
 
     def _refuse(self, name: str, others: Sequence[str] = ()) -> None:
-        """Refuse options that only paths have, if an option chooses another kind of plan."""
+        """If an option selects another kind of plan, refuse options that apply only to paths."""
         refused = ["planner"] * (self.planner is not None) + ["certified=False"] * (not self.certified) + [*others]
         if refused:
             raise InputError(

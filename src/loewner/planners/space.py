@@ -28,7 +28,7 @@ A_HAIR = 1e-4
 # Limit on the configurations and pairs that a message names.
 NAMED = 5
 
-# The largest joint error that is tried for a message [rad or m]: where nothing is near, larger errors only overflow.
+# The largest joint error that is tried for a message [rad or m]: if nothing is near, larger errors would only overflow.
 MOST_ERROR = 1e9
 
 
@@ -187,9 +187,7 @@ class Space:
         )
 
     def _cure(self, q: Floats) -> str:
-        """Make an addition to a message: the margin of a link and a body around the robot in contact, and the way to
-        allow the contact; "" if there are none.
-        """
+        """Explain, for a message, how to allow a contact of a link and a body, and name their margin; "" if none."""
         scene, links = self.checker.scene, self.checker.robot.link_names
         for contact in verdicts.contacts(prepared_of(self.checker), q)[0]:
             a, b = contact.name_a, contact.name_b
@@ -212,7 +210,7 @@ class Space:
         pair = prove_by_rules(ready, at, at, TOLERANCE, unproven * weights).pairs
         nearest = distances.nearest(ready.only(pair), q, True, False)
         a, b = nearest.names
-        stated = 0.995 * largest  # with three digits, not above the largest
+        stated = 0.995 * largest  # not above the largest when rounded to three digits
         allowed = f"{stated:.3g}" if (error == error[0]).all() else f"{stated / size:.3g} times the given ones"
         return (
             f"one that is proven free only within joint errors of {allowed}: {a} and {b} are "
@@ -242,7 +240,7 @@ class Task:
     start : ndarray, shape (dof,)
     goal : ndarray, shape (goals, dof), or PoseGoal
     joints : str or list of str, optional
-        The joints that move; for a pose, the joints of its link, unless others are given.
+        The joints that move; for a `PoseGoal`, by default the joints that move its link.
     """
 
     checker: CollisionChecker
@@ -265,7 +263,7 @@ class Task:
     def goals(self, judge: Judge) -> tuple[Floats, list[str], Approaches | None]:
         """Return the goals, shape (goals, dof), their names, and the approaches to them.
 
-        Approaches to a pose, and retreats from it, are checked by a judge; the goals are then the configurations at
+        If a pose has an approach or a retreat, the judge checks these lines, and the goals are the configurations at
         which the approaches begin.
         """
         if isinstance(self.goal, PoseGoal):
@@ -276,7 +274,7 @@ class Task:
 def _checked_goals(robot: Robot, goal: ArrayLike) -> Floats:
     """Check one goal or several, given as configurations."""
     expected = f"({robot.dof},) or (goals, {robot.dof})"
-    if not isinstance(goal, str):  # refused, like a dict, where configurations are checked
+    if not isinstance(goal, str):  # a string is refused where configurations are checked
         shape = _validate.plain_array(goal, "goal").shape
         if shape[-2:] == (4, 4) and robot.dof != 4:
             raise InputError(

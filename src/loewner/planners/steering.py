@@ -22,13 +22,13 @@ from loewner._base._validate import Floats
 
 HALF, TURN = math.pi, 2.0 * math.pi
 
-# Angles and lengths up to this [rad, radii] count as 0, where a forward arc would otherwise become a whole circle.
+# Angles and lengths up to this [rad, radii] count as 0; otherwise, a forward arc could become a whole circle.
 NO_TURN = 1e-9
 
 # Circles count as touching if they miss each other by no more than this [radii].
 TOUCH = 1e-12
 
-# Signs of lengths and of turns to the left, for a problem itself, driven backwards, mirrored, and both.
+# Signs of lengths and of turns to the left for four problems: the given one, driven backwards, mirrored, and both.
 SIGNS = ((1.0, 1.0), (-1.0, 1.0), (1.0, -1.0), (-1.0, -1.0))
 
 
@@ -191,7 +191,7 @@ def _with_quarter(same: Polar, other: Polar, turn: Floats, quarter: Floats) -> l
 
 
 def _outer(u: Floats, v: Floats, other: Polar, turn: Floats) -> tuple[Floats, Floats]:
-    """Return the first and the last arc around two arcs u and v: (8.6)."""
+    """Return the arcs before and after two arcs u and v: (8.6)."""
     delta = _wrapped(u - v)
     a, b = sin(u) - sin(delta), cos(u) - cos(delta) - 1.0
     angle = arctan2(other.y * a - other.x * b, other.x * a + other.y * b)
@@ -201,7 +201,7 @@ def _outer(u: Floats, v: Floats, other: Polar, turn: Floats) -> tuple[Floats, Fl
 
 
 def _all_forward(x: Floats, y: Floats, turn: Floats, sine: Floats, cosine: Floats) -> list[Word]:
-    """Return Dubins's words: an arc backwards ends where the rest of its circle ends forwards."""
+    """Return Dubins's words: a backward arc is replaced with the rest of its circle, driven forwards."""
     same, other = Polar.of(x - sine, y - 1.0 + cosine), Polar.of(x + sine, y - 1.0 - cosine)
     made = _curves(same, other, turn)
     return [

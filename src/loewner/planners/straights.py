@@ -11,16 +11,16 @@ from loewner._base._validate import Bools, Floats
 from loewner._kernels import tolerances
 from loewner.errors import InputError
 
-# Bound on the error of computed blends, in units of the largest value and of the distance at full speed in the whole
-# time.
+# Bound on the error of computed blends, relative to the largest value and to the distance covered at full speed in the
+# whole time.
 BLEND_ROUNDINGS = 32.0 * tolerances.UNIT_ROUNDOFF  # certified.md B35
 
-# Changes of speed, and distances at constant speed, below this share are merged into the neighbouring phase, and a
-# blend below it becomes a stop: rounding would affect the acceleration in so short a phase.
+# Changes of speed, and distances at constant speed, below this share are merged into the neighbouring phase. A blend
+# below this share becomes a stop. In shorter phases, rounding would affect the acceleration.
 SHORTEST = 1e-7
 
-# Limit on the seconds of a motion at full speed, on the seconds to reach it, and on their reciprocals: squares stay in
-# range.
+# Limit on the seconds of a motion at full speed, on the seconds to reach full speed, and on the reciprocals of both:
+# their squares then do not overflow.
 LARGEST_RATIO = 1e100
 
 
@@ -118,8 +118,7 @@ class Straights(NamedTuple):
     def timed(self, halves: Floats, last_speed: float = 0.0) -> tuple[Floats, Floats, Floats, Bools, None]:
         """Compute the arrays of a `Trajectory` that runs through all phases.
 
-        The robot reaches the end of the path at the given speed, a share of full speed, or at the highest lower speed
-        that is possible.
+        The robot ends the path at `last_speed`, a share of full speed, or at the highest possible speed below it.
         """
         speeds, left = self._passed(halves, last_speed)
         first, _, last = self.corners(halves)
@@ -138,7 +137,7 @@ class Straights(NamedTuple):
                 times.append(2 * taken[k + 1] / speeds[k + 1])
                 blended.append(True)
         passed = np.cumsum(times)
-        # A phase shorter than the last digit of the time has no duration.
+        # Leave out phases whose duration is lost in the rounding of the times.
         kept = np.append(np.diff(passed) > 0, True)
         bent = np.append(np.array(blended, dtype=bool), False)[kept]
         return passed[kept], np.array(knots)[kept], np.array(rates)[kept], bent[:-1], None
@@ -185,7 +184,7 @@ def _phases(length: float, gain: float, low: float, high: float) -> list[tuple[f
     level = length - up - down
     if abs(high - low) <= SHORTEST * peak and peak == top:
         return [(length, high)]
-    if level <= SHORTEST * length:  # without this phase the others cover the whole distance
+    if level <= SHORTEST * length:  # without this phase, the other phases cover the whole distance
         up, down, level = up * length / (up + down), down * length / (up + down), 0.0
     return [(way, speed) for way, speed in ((up, peak), (level, peak), (down, high)) if way > 0]
 

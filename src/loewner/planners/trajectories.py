@@ -41,16 +41,18 @@ from loewner.robots.proofs.curves import Curve, form_of
 # How many times an unproven blend is halved before the robot stops at the corner instead.
 HALVINGS = 5
 
-# Shortest duration of half a blend [s], unless a motion is shorter: nearly straight corners would need almost none.
+# Shortest duration of half a blend [s], unless a motion is shorter. Without it, blends at nearly straight corners would
+# take almost no time.
 LEAST_BLEND = 1e-3
 
-# Largest deviation, relative to the values, of a row that counts as lying on the straight line between its neighbours.
+# A row that deviates from the straight line between its neighbours by at most this share of its values counts as lying
+# on the line.
 ROUNDED = 1e-15
 
-# Least time between a row at a constant rate and any other row, in multiples of the shortest phase that rounding
-# permits: SPACED if the jerk is limited, since controllers then interpolate quintics; SPACED_WITHOUT_JERK if not, since
-# these rows have less noise. The limits of a trajectory from a file are not known: its rows are at least CLOSEST
-# periods from any knot.
+# Least time between a row added for a rate and any other row, in multiples of the shortest phase that rounding permits.
+# SPACED applies if the jerk is limited, since controllers then interpolate quintics. SPACED_WITHOUT_JERK applies
+# otherwise, since rows then have less noise. The limits of a trajectory from a file are unknown; rows added to it are
+# at least CLOSEST periods from any knot.
 SPACED, SPACED_WITHOUT_JERK, CLOSEST = 1.3, 0.5, 0.05  # certified.md, "Rounding of limits"
 
 # Rows that are closer in time than this [s] are merged, since a message cannot hold both.
@@ -66,7 +68,8 @@ LARGEST_SHARE = 0.49
 MOST_MERGED = 4096
 
 # Allowed deviation of a file's rows from constant acceleration, for each joint: FILE_TOLERANCE times the joint's range,
-# plus FILE_ROUNDINGS times its largest value and the distance at its largest velocity in the whole time.
+# plus FILE_ROUNDINGS times the sum of its largest value and the distance covered at its largest velocity in the whole
+# time.
 FILE_TOLERANCE, FILE_ROUNDINGS = 1e-9, 64.0 * tolerances.UNIT_ROUNDOFF
 
 
@@ -240,7 +243,7 @@ class Trajectory(KeepsReadOnly):
             return np.asarray((1 - x) * self.knots[k] + x * self.knots[k + (T[..., 0] > 0)])
         if self.bends is not None:
             return self._cubics(k, x, T)
-        # From the three control points of a parabola: it never leaves their hull, and ends where they do.
+        # Compute with the three control points of the parabola, so that it stays in their hull and its ends are exact.
         middle = self.knots[k] + self.rates[k] * (T / 2)
         found: Floats = (1 - x) ** 2 * self.knots[k] + 2 * x * (1 - x) * middle + x**2 * self.knots[k + (T[..., 0] > 0)]
         return found
@@ -438,8 +441,7 @@ class Trajectory(KeepsReadOnly):
         rate: float | None = None,
         message: bool = False,
     ) -> None:
-        """Write times, positions and velocities to a file in full precision, and also accelerations if the jerk is
-        limited.
+        """Write times, positions, velocities and, if the jerk is limited, accelerations to a file in full precision.
 
         Parameters
         ----------
@@ -447,11 +449,11 @@ class Trajectory(KeepsReadOnly):
             A ``.csv`` file has the columns ``time``, the joints' names, ``NAME velocity`` for each joint, ``NAME
             acceleration`` if the jerk is limited, and ``blend``, which is 1 if the robot cuts a corner between this row
             and the next. `load` reads ``.csv`` and ``.json`` files. A ``.yaml`` file contains a ROS
-            ``trajectory_msgs/JointTrajectory`` with the positions and velocities at whole nanoseconds: each row is
-            moved to the nearest nanosecond, rows at the same nanosecond are merged, and the end is rounded up. If
-            accelerations jump, they are not written, since a controller then follows the trajectory by interpolating
-            only positions and velocities. A message does not contain `start_time`; a ``.csv`` file contains it in a
-            comment in the first line, unless it is 0.
+            ``trajectory_msgs/JointTrajectory`` with the positions and velocities at whole nanoseconds. Each row is
+            moved to the nearest nanosecond, rows at the same nanosecond are merged, and the end is rounded up.
+            Accelerations that jump are not written: a controller follows the trajectory if it interpolates only
+            positions and velocities. A message does not contain `start_time`; a ``.csv`` file contains it in a comment
+            in the first line, unless it is 0.
         joints : sequence of str, optional
             Names of the columns to write, in this order. Default: all. The file does not contain the motion of the
             other columns, so a proof of the whole trajectory holds only if the other columns also follow the trajectory
@@ -469,9 +471,9 @@ class Trajectory(KeepsReadOnly):
             Also write rows at this rate [1/s], for programs that connect rows with straight lines. By default the rows
             are the knots, between which accelerations are constant or change linearly. If velocities jump, the robot
             moves straight between knots, and files contain only positions. Rows closer than ``spacing`` to other rows
-            are left out, since their rounding would break the limits. With limited jerk, rows near the knots are left
-            out in this way; at a higher rate, only every second or third row remains, or fewer. `sample` returns all
-            rows.
+            are left out, since their rounding would break the limits. With limited jerk, this leaves out rows near the
+            knots. If the period of `rate` is shorter than ``spacing``, only every second or third row remains, or
+            fewer. `sample` returns all rows.
         message : bool
             Whether a ``.json`` file contains a JointTrajectory message, as a ``.yaml`` file does;
             `ControllerPoints.load` reads the message.
@@ -598,7 +600,7 @@ class Trajectory(KeepsReadOnly):
         limits: JointLimits | None = None,
         beyond: bool = False,
     ) -> Trajectory:
-        """Return the brake that begins at a given time, either on the path or joint by joint, which leaves the path.
+        """Return a brake that begins at a given time: either along the path, or joint by joint, leaving the path.
 
         Parameters
         ----------
@@ -618,8 +620,8 @@ class Trajectory(KeepsReadOnly):
         Returns
         -------
         Trajectory
-            The motion from the configuration at `t` to rest; its `start_time` is `t` seconds later than the
-            trajectory's.
+            The motion from the configuration at `t` to rest; its `start_time` is `t` plus the `start_time` of the
+            trajectory.
 
         Raises
         ------
@@ -637,10 +639,11 @@ class Trajectory(KeepsReadOnly):
 
         Notes
         -----
-        On a path through joint targets, a brake slows down the time of the path; with jerk limits, this slowdown suits
-        all motions on which the robot brakes. Velocities still jump at targets, and limits hold between targets. On any
-        other path, the robot slows down on straight lines, and passes blends at its remaining speed. If no body moves,
-        a brake along a path that is proven free is also proven. All other brakes need a proof of their own (`certify`).
+        On a path through joint targets, a brake slows down the time of the path; with jerk limits, one slowdown is used
+        for all motions on which the robot brakes. Velocities still jump at targets, and limits hold between targets. On
+        any other path, the robot slows down on straight lines, and passes blends at its remaining speed. If no body
+        moves, a brake along a path that is proven free is also proven. All other brakes need a proof of their own
+        (`certify`).
 
         Examples
         --------
@@ -692,9 +695,7 @@ class Trajectory(KeepsReadOnly):
         return k, x[..., None], T[..., None]
 
     def _expect_no_turns(self) -> None:
-        """Refuse a trajectory that other formats cannot hold, since its velocities jump and also change between
-        jumps.
-        """
+        """Refuse a trajectory whose velocities jump and change between jumps, since other formats cannot hold it."""
         if self.jumps and self.bends is not None:
             raise InputError(
                 "expected velocities that do not jump, or are constant between jumps, found a brake through joint "
@@ -708,17 +709,15 @@ class Trajectory(KeepsReadOnly):
         return a, a + ahead, a + 2 * ahead + bent, self.knots[k + (T[..., 0] > 0)]
 
     def _bent(self, k: Any, x: Floats, T: Floats) -> Floats:
-        """Return accelerations on pieces whose velocities jump; at the end of a piece, they follow from the position
-        there.
-        """
+        """Return accelerations on pieces whose velocities jump; the final position determines the last acceleration."""
         bends: Any = self.bends
         way = self.knots[k + (T[..., 0] > 0)] - self.knots[k] - self.rates[k] * T
         end = np.divide(6 * way, T * T, out=3 * bends[k], where=T > 0) - 2 * bends[k]
         return np.asarray((1 - x) * bends[k] + x * end)
 
     def _cubics(self, k: Any, x: Floats, T: Floats) -> Floats:
-        """Return positions on cubic pieces, computed from the nearer end, which makes the least rounding error on
-        straight lines.
+        """Return positions on cubic pieces, computed from the nearer end for the least rounding error on straight
+        lines.
         """
         m, z = k + (T[..., 0] > 0), np.minimum(x, 1 - x)
         near, far, away = 3 * z * (1 - z) ** 2, 3 * z * z * (1 - z), z * z * z
@@ -728,7 +727,7 @@ class Trajectory(KeepsReadOnly):
         return np.asarray(np.where(x < 0.5, from_a, from_b))
 
     def _ticks(self, rate: float) -> Floats:
-        """Return the multiples of a period, and the end."""
+        """Return the multiples of a period within the duration, and the end."""
         rate = _validate.positive_scalar(rate, "rate")
         count = self.duration * rate
         _validate.fits_memory(int(min(count, 2.0**60)) * 40 * (len(self.names) + 2), f"{count:.3g} samples")
@@ -741,7 +740,8 @@ class Trajectory(KeepsReadOnly):
     def _with_ticks(self, rate: float) -> Trajectory:
         """Return the same trajectory with knots added at a constant rate."""
         ticks = self._ticks(rate)[:-1]
-        # Between two rows that are almost at the same time, velocities, accelerations or jerks would be noise.
+        # Between two rows that are almost at the same time, velocities, accelerations or jerks would be mostly rounding
+        # errors.
         closest = self.spacing or CLOSEST / rate
         every = math.ceil(closest * rate * (1 - SHORTEST))
         if every > 1:
@@ -760,12 +760,12 @@ class Trajectory(KeepsReadOnly):
         )
 
     def _shortest(self, fastest: Floats, strongest: FloatOrFloats = np.inf, jerk: FloatOrFloats | None = None) -> float:
-        """Return the shortest time between two rows for which rounding leaves limits as they are."""
+        """Return the shortest time between two rows at which rounding breaks no limit."""
         size = np.abs(self.knots).max(axis=0) + np.abs(self.rates).max(axis=0) * self.duration
         return shortest(size, fastest, strongest, np.inf if jerk is None else jerk)
 
     def _spaced(self, fastest: Floats, strongest: Floats, most: Floats | None) -> Trajectory:
-        """Return the same trajectory with the spacing of its limits, and with read-only arrays."""
+        """Return the same trajectory with the spacing that its limits require, and with read-only arrays."""
         spacing = (SPACED_WITHOUT_JERK if most is None else SPACED) * self._shortest(fastest, strongest, most)
         return replace(self, spacing=spacing)._read_only()
 
@@ -789,11 +789,12 @@ class Trajectory(KeepsReadOnly):
         return messages.written(self.names, times, rows, suffix)
 
     def _at_nanoseconds(self) -> tuple[Floats, tuple[Any, Floats, Floats]]:
-        """Return the times of a message's rows, and the piece of each row and the place on it, as `_pieces` does.
+        """Return the times of a message's rows, and each row's piece and place on the piece, as `_pieces` does.
 
-        The rows are at the rounded times of the trajectory, so that limits hold although times are rounded. A row is on
-        the longer piece beside a knot, even where the knot is half a nanosecond away: a controller's curve would depart
-        from a long piece whose ends have the velocity or acceleration of others. The end is rounded up, to be at rest.
+        The rows are at the rounded times of the trajectory, so that limits hold although times are rounded. Each inner
+        row is evaluated on the longer of the two pieces at its knot, even if its rounded time lies on the shorter one.
+        Otherwise, a controller's curve between rows could depart from the longer piece. The end is rounded up, so that
+        the robot is at rest there.
         """
         times = messages.nanoseconds(self.times)
         if self.duration - times[-1] > 4 * np.spacing(self.duration):
@@ -809,14 +810,14 @@ class Trajectory(KeepsReadOnly):
 
     @property
     def _rows(self) -> Rows:
-        """What a file holds."""
+        """The contents of a file."""
         rates = None if self.jumps else self.rates
         return Rows(self.names, self.times, self.knots, rates, self.blended, self.bends, self.start_time)
 
     @classmethod
     def _of_rows(cls, rows: Rows) -> Trajectory:
         if rows.rates is None:
-            with np.errstate(over="ignore", invalid="ignore"):  # refused as numbers that are not finite
+            with np.errstate(over="ignore", invalid="ignore"):  # infinite results are refused
                 return cls._straight(rows.names, rows.times, rows.knots, rows.start_time)
         return cls(rows.names, rows.times, rows.knots, rows.rates, rows.blended, rows.bends, start_time=rows.start_time)
 
@@ -848,7 +849,7 @@ class Trajectory(KeepsReadOnly):
         return self._jump(self.rates, self.bends, 0.0, linear) or self._jump(self.knots, self.rates, bent, linear)
 
     def _jump(self, values: Floats, rates: Floats, bent: FloatOrFloats, wanted: str) -> str:
-        """Describe the first row whose values do not follow from linear rates, less `bent`, since the row before."""
+        """Describe the first row whose values do not follow from the previous row by linear rates, less `bent`."""
         T = np.diff(self.times)[:, None]
         with np.errstate(over="ignore", invalid="ignore"):  # overflow is refused
             off = np.abs(np.diff(values, axis=0) - (rates[1:] + rates[:-1]) * T / 2 + bent)
@@ -912,8 +913,8 @@ def trajectory(
     velocity : float or array_like, shape (dof,), optional
         Velocity limits [rad/s or m/s]. Default: from `limits`, or from the URDF (`Robot.velocity`).
     acceleration : float or array_like, shape (dof,), optional
-        Acceleration limits [rad/s² or m/s²]. Default: from `limits`, or from a URDF of version 1.2; a joint without a
-        limit reaches its velocity limit in one second.
+        Acceleration limits [rad/s² or m/s²]. Default: from `limits`, or from a URDF of version 1.2; a joint without an
+        acceleration limit reaches its velocity limit in one second.
     jerk : float or array_like, shape (dof,), optional
         Jerk limits [rad/s³ or m/s³]. Default: from `limits`, or from a URDF of version 1.2. Without jerk limits,
         accelerations jump.
@@ -956,10 +957,10 @@ def trajectory(
     Notes
     -----
     If the robot stops at every corner, the trajectory is the fastest one along the path. Without jerk limits, a blend
-    has constant acceleration; with jerk limits, it begins and ends without acceleration. Every blend is as fast as the
-    limits and the neighbouring motions allow. Each joint keeps its limits at every instant, up to rounding. If the jerk
-    is limited, a millionth of each limit is reserved for rounding errors, and for an arm no phase is shorter than about
-    half a millisecond.
+    has constant acceleration; with jerk limits, a blend begins and ends with zero acceleration. Every blend is as fast
+    as the limits and the neighbouring motions allow. Each joint keeps its limits at every instant, up to rounding. If
+    the jerk is limited, a millionth of each limit is reserved for rounding errors, and for an arm no phase is shorter
+    than about half a millisecond.
 
     Examples
     --------
@@ -997,11 +998,10 @@ def fastest_along(
     last_speed: float = 0.0,
     kept: Sequence[OnLine] = (),
 ) -> Trajectory:
-    """Follow motions as fast as possible; with a judge, use proven blends that take up to the given share of the
-    motions.
+    """Follow motions as fast as possible; with a judge, on proven blends that take up to a given share of the motions.
 
-    Without jerk limits, the robot reaches the end of the path at the given speed, a share of full speed, or at the
-    highest lower speed that is possible. Blends on `kept` lines stay on them.
+    Without jerk limits, the robot ends the path at `last_speed`, a share of full speed, or at the highest possible
+    speed below it. Blends on `kept` lines keep these lines.
     """
     halves = _halves(motions, judge, share, kept)
     return Trajectory(robot.configuration_names, *motions.timed(halves, last_speed))._read_only()
@@ -1060,8 +1060,8 @@ def brake(
     Notes
     -----
     With n joints that move, a brake has at most n pieces of constant acceleration, or 3 n pieces if the jerk is
-    limited. With a jerk limit, accelerations cannot jump: the velocity of a joint may rise at first, even above its
-    limit, by as much as no motion within the jerk limit can avoid.
+    limited. With a jerk limit, accelerations cannot jump. The velocity of a joint may therefore rise at first, even
+    above its limit, but by no more than the jerk limit makes unavoidable.
 
     Examples
     --------
@@ -1108,7 +1108,7 @@ def checked_blend(blend: float) -> float:
 
 
 def corners_of(rows: Floats, ends: Sequence[int] = ()) -> Ints:
-    """Number the ends of the path, its corners and the given ends of lines, but not repeated rows.
+    """Return the row indices of the path's ends, its corners and the given ends of lines, without repeated rows.
 
     Rows on a straight line are corners only if they are ends of lines.
     """
@@ -1124,7 +1124,7 @@ def corners_of(rows: Floats, ends: Sequence[int] = ()) -> Ints:
 
 
 def _at_or_before(numbers: Ints, ends: Sequence[int]) -> Ints:
-    """Find the ends of lines among the numbers of rows that are kept; a repeated row counts as the first."""
+    """Find the ends of lines among the indices of kept rows; a repeated row counts as its first occurrence."""
     return np.searchsorted(numbers, np.array(ends, dtype=np.int64), side="right") - 1
 
 
@@ -1165,7 +1165,7 @@ def _proven_blends(
     proven: list[list[float]] = [[] for _ in halves]
     for _ in range(HALVINGS):
         courses = motions.courses(halves)
-        # Computed positions may be off by this: docs/certified.md, "Blends".
+        # Largest deviation, including errors of computed positions: docs/certified.md, "Blends".
         off = motions.roundings * np.abs(courses).max(axis=2) + astray[:, None]
         free = judge.proven(courses.reshape(-1, *courses.shape[2:]), off.reshape(-1, off.shape[-1]))
         free = free.reshape(off.shape[:2]).all(axis=1) & (halves > SHORTEST * shorter)
@@ -1184,7 +1184,7 @@ def _on_line(robot: Robot, line: Line, rows: Floats, numbers: Ints) -> OnLine:
     Raises
     ------
     PlanningError
-        If the link may stray farther on a motion.
+        If the link may leave the tolerances of the line on a motion.
     """
     first, last = _at_or_before(numbers, [line.first, line.last]).tolist()
     on = OnLine(first, last, KeptLine.of(robot, line, rows[first : last + 1]))
@@ -1202,9 +1202,7 @@ def _on_line(robot: Robot, line: Line, rows: Floats, numbers: Ints) -> OnLine:
 
 
 def _keeps(on: OnLine, motions: Straights | JerkLimited, halves: Floats, off: Floats) -> Bools:
-    """Return which blends provably keep a line; the robot stops at the ends of the line, and all other blends are
-    allowed.
-    """
+    """Return which blends are allowed: between a line's ends, blends that provably keep the line; at its ends, none."""
     good, (first, last, line) = np.ones(len(halves), dtype=bool), on
     good[[at - 1 for at in (first, last) if 0 < at <= len(halves)]] = False
     if last - first > 1:

@@ -24,7 +24,7 @@ LARGEST_FILE = 2**28  # bytes
 ENDINGS = (".csv", ".json")
 WRITTEN = (*ENDINGS, ".yaml")
 
-# Keys of a .json file that is no message.
+# Keys of a .json file that is not a message.
 RATES = ("velocities", "accelerations")
 SAVED_KEYS = ("names", "times", "positions", *RATES, "blended", "jumps", "start_time")
 OTHERS = "; planners.ControllerPoints.load reads messages and points of other programs"
@@ -120,7 +120,7 @@ def _read_csv(text: str) -> Rows:
 
 
 def _straight(names: tuple[str, ...], times: Floats, knots: Floats, start_time: float) -> Rows:
-    """Make rows whose velocities jump; velocities are differences of them, so their times must increase."""
+    """Make rows whose velocities jump; velocities follow from differences of rows, so the times must increase."""
     if not (np.diff(times) > 0).all() or not len(times):
         raise ValueError("times that do not increase")
     if len(times) != len(knots):

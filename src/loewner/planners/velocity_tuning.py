@@ -1,9 +1,9 @@
 """Follow a given path among bodies that move, within limits of velocity, acceleration and jerk.
 
 The path is first timed as fast as possible. The motion is then slowed down and halted so that the robot hits no moving
-body. The robot passes each station along the trajectory at one of several shares of the highest speed, and from one
-station to the next its acceleration is constant. A state thus consists of a station, a share and a time; states are
-searched station by station. The positions of bodies are known only at the stations, so the resulting trajectory is
+body. The robot passes each station along the trajectory at one of several shares of the highest speed; between
+stations, its acceleration is constant. A state thus consists of a station, a share and a time; states are searched
+station by station. The search considers the bodies only when the robot is at a station, so the resulting trajectory is
 proven as a whole. If the proof fails, the place and time are blocked, and the search is repeated. With limited jerk,
 positions are averaged over a time window; averaging keeps all limits. docs/design/moving.md gives the reasons.
 """
@@ -32,12 +32,12 @@ from loewner.robots.checker import prepared_of, without_motions
 from loewner.robots.checking import verdicts
 
 # Number of stations along a trajectory, and the shares of its speed there. The squares of the shares are in equal
-# steps, so that from one station to the next the share can change by a step wherever half of the time is needed to
-# accelerate.
+# steps, since the square of a speed changes linearly along a way of constant acceleration.
 STATIONS = 48
 SHARES = np.sqrt(np.arange(13) / 12)
 
-# Number of bins of time in the duration of the fastest trajectory, and the largest number of bins at all stations.
+# Number of bins of time in the duration of the fastest trajectory, and the largest number of bins at all stations
+# together.
 BINS, MOST_BINS = 64, 2**19
 
 # The first horizon, in durations of the fastest trajectory.
@@ -53,7 +53,7 @@ ROUNDING = 1e-12
 ALONG = 1e-9
 
 # With limited jerk, windows of time that are longer than necessary by up to the share LONGER are tried, in TRIED steps.
-# Some windows leave no phases so short that rounding affects their jerk.
+# A window is used if it leaves no phase so short that rounding affects the jerk.
 LONGER, TRIED = 0.1, 50
 
 # Number of configurations that are checked at a time.
@@ -82,7 +82,7 @@ class _Stations(NamedTuple):
 
     @classmethod
     def of(cls, moved: Trajectory, strongest: Floats, dwell: float) -> _Stations:
-        """Divide a trajectory; the robot stays at its stops for a time."""
+        """Divide a trajectory into sections; the robot stays at each stop for `dwell` seconds."""
         whole = np.diff(moved.times)
         counts = np.ceil(whole / (moved.duration / STATIONS) * (1 - 1e-9)).astype(np.int64)
         piece = np.repeat(np.arange(len(whole)), counts)
@@ -110,7 +110,7 @@ def _seconds(steps: Floats, rates: Floats, blended: Bools, strongest: Floats) ->
         change = np.abs(y[..., None] * rates[1:, None, None] - x[..., None] * rates[:-1, None, None])
         within = (change <= strongest * (found * (1 + ROUNDING))[..., None]).all(axis=-1)
     resting = ~blended & (first == 0), ~blended & (last == 0)
-    # At rest there is one share, and a section from or to rest is as slow as the other end.
+    # At rest, only the share 0 is possible, and the share at the other end scales a section from or to rest.
     before, after = (end[:, None, None] for end in resting)
     scaled = (x == y) | before | after
     good = np.where(blended[:, None, None], (x == y) & (x > 0), scaled | within)
@@ -121,7 +121,7 @@ def _seconds(steps: Floats, rates: Floats, blended: Bools, strongest: Floats) ->
 
 
 class _Visits(NamedTuple):
-    """Successive states: numbers of stations and of shares, and the times of arrival and departure [s]."""
+    """Successive states: indices of stations and of shares, and the times of arrival and departure [s]."""
 
     station: Ints
     share: Ints
@@ -237,12 +237,12 @@ def time_path(
     last_speed = 0.0 if end_velocity is None else _last_speed(motions, end_velocity, window)
     errors = np.zeros(robot.dof) if judge.joint_error is None else judge.joint_error
     timed = TimedJudge(robot, prepared_of(checker, timed=True), begin, np.inf, fastest, errors)
-    if smooth is not None:  # as fast as possible, without averages
+    if smooth is not None:  # first try the fastest trajectory, without averages
         limit, exact = _times(begin, arrive_by, arrive_at, smooth.duration, np.inf)
         made = replace(_delayed(smooth, limit - smooth.duration if exact else 0.0), start_time=begin)
         if made.duration <= limit and made.certify(checker, joint_error=errors).verdict == Verdict.FREE:
             return made._spaced(fastest, strongest, most)
-    # Averages of blends are proven as a whole only; without blends, the robot stays on the path.
+    # Averages of blends may turn out not to be free; without blends, the robot stays on the proven path.
     for size in [share] if most is None or share == 0 else [share, 0.0]:
         base = fastest_along(robot, motions, judge, size, last_speed)
         _expect_reached(base, last_speed * motions.full[-1])
@@ -323,11 +323,11 @@ class _Search(NamedTuple):
     least : float
         The shortest duration.
     ruled : ndarray of bool, shape (stations,)
-        Where static bodies are in a contact that the scene allows; only the proof considers these.
+        Stations at which static bodies are in a contact that the scene allows; only the proof considers these contacts.
     closed : list of (int, float, int)
         Sections and times that are not proven free, and the number of bins that are closed around them.
     blocking : list of str
-        Their descriptions, for messages.
+        Descriptions of the closed sections, for messages.
     """
 
     checker: CollisionChecker
@@ -342,9 +342,9 @@ class _Search(NamedTuple):
     blocking: list[str]
 
     def found(self, exact: bool) -> Trajectory | None:
-        """Return a trajectory that is proven; one that arrives at the limit itself, if `exact`.
+        """Return a proven trajectory that arrives by the limit or, if `exact`, exactly at the limit.
 
-        None if it would meet a static body.
+        Return None if the robot would meet a static body.
         """
         judge, start = self.judge, np.append(self.stations.knots[0], 0.0)
         if not (self.ruled[0] or judge.free_at(start[None])[0]):
@@ -382,7 +382,7 @@ class _Search(NamedTuple):
         return _Visits(np.arange(n + 1), share, np.append(0.0, departs[1:]), departs)
 
     def _visits(self, horizon: float, exact: bool) -> tuple[_Visits | None, str]:
-        """Search for times up to a horizon; without any, describe the body in the way."""
+        """Search for times up to a horizon; if there are none, describe the body in the way."""
         most = max(MOST_BINS // len(self.stations.knots), 2)
         count = int(np.clip(np.ceil(horizon / self.base.duration * BINS), 1, most))
         step = horizon / count
@@ -405,7 +405,7 @@ class _Search(NamedTuple):
         return visits, ""
 
     def _free(self, count: int, step: float) -> Bools:
-        """Check the stations at times, shape (stations, count + 1), and close unproven sections."""
+        """Return when stations are free, shape (stations, count + 1); sections in `closed` count as not free."""
         knots, at = self.stations.knots, step * np.arange(count + 1) + self.window / 2
         states = np.column_stack([np.repeat(knots, len(at), axis=0), np.tile(at, len(knots))])
         parts = [self.judge.free_at(states[k : k + MANY]) for k in range(0, len(states), MANY)]
@@ -438,7 +438,7 @@ class _Search(NamedTuple):
         return float(ways[:station].sum() / ways.sum())
 
     def _close(self, visits: _Visits, proof: CertifiedTrajectory, around: int) -> bool:
-        """Close the sections, at their times, that are not proven free; return whether a moving body is near each."""
+        """Close the sections that are not proven free, at their times; return whether all are near moving bodies."""
         judge, segments, moving = self.judge, proof.segments, set(self.checker.scene.following)
         times = segments.fraction * np.diff(proof.times) + proof.times[:-1] - judge.begin - self.window / 2
         for k in np.flatnonzero(segments.verdict != Verdict.FREE):
@@ -474,11 +474,11 @@ def _searched(
     seconds : ndarray, shape (n, shares, shares)
         See `_Stations`.
     resting : ndarray of bool, shape (n + 1,)
-        Where the robot is at rest in any case.
+        Stations at which the robot is at rest in any case.
     free : ndarray of bool, shape (n + 1, bins + 1)
         Whether the robot may be at a station at a multiple of a step [s].
     first, last : int
-        Numbers of the shares at the first and last station.
+        Indices of the shares at the first and the last station.
     exact : bool
         End with a wait until the end of the last bin.
 
@@ -486,13 +486,13 @@ def _searched(
     -------
     visits : _Visits or None
     reached : int
-        The last station that is left for another.
+        The station before the first one that the search does not reach.
     early : float
-        When the robot is there, at the earliest [s].
+        The earliest time at which the robot is at this station [s].
     """
     n, bins = len(seconds), free.shape[1] - 1
     states = (n + 1, len(SHARES), bins)
-    met = np.concatenate([np.zeros((n + 1, 1), dtype=np.int64), np.cumsum(~free, axis=1)], axis=1)  # before a time
+    met = np.concatenate([np.zeros((n + 1, 1), dtype=np.int64), np.cumsum(~free, axis=1)], axis=1)  # running sums
     best, changes = np.full(states, np.inf), np.full(states, MANY, dtype=np.int32)
     parents, waits = np.full(states, -1, dtype=np.int32), np.full((n + 1, bins), -1)
     if not free[0, :2].all():
@@ -533,7 +533,7 @@ def _wait(best: Floats, changes: Ints, waits: Ints, free: Bools, step: float) ->
     """Let a robot at rest wait, as long as its place is free; `waits` receives the bins of arrival."""
     bins = np.arange(len(best))
     halts = np.cumsum(~(free[:-1] & free[1:]))
-    # The best arrival since the last halt has the fewest changes, and is the latest with so few.
+    # The best arrival since the last halt is the latest one among the arrivals with the fewest changes.
     keys = np.where(np.isfinite(best), changes.astype(np.int64) * 2 * MOST_BINS - bins, 2 * MANY * MOST_BINS)
     keys = np.minimum.accumulate(keys - halts * 4 * MANY * MOST_BINS) + halts * 4 * MANY * MOST_BINS
     fewest = -(-keys // (2 * MOST_BINS))
@@ -559,7 +559,7 @@ def _rows(stations: _Stations, visits: _Visits) -> tuple[Floats, Floats, Floats,
     x, moving = SHARES[visits.share], np.asarray(stations.rates.any(axis=1))
     rates = x[:, None] * stations.rates
     rates[-1] = stations.rates[-1]
-    # Sections of one piece that are followed at one share of its speed are one section.
+    # Successive sections of one piece are joined if the robot follows them at the same share of the piece's speed.
     first, last = np.where(moving[:-1], x[:-1], x[1:]), np.where(moving[1:], x[1:], x[:-1])
     waits = visits.departs > visits.arrives
     joined = (stations.piece[1:] == stations.piece[:-1]) & ~waits[1:-1] & (stations.piece[1:] >= 0)
@@ -575,7 +575,7 @@ def _rows(stations: _Stations, visits: _Visits) -> tuple[Floats, Floats, Floats,
 def _averaged(moved: Trajectory, longest: float, most: Floats) -> Trajectory:
     """Average positions over a window of time, so that accelerations change linearly.
 
-    Its start is late enough that the result takes as long as with the longest window.
+    The start is delayed so that the result takes as long as with the longest window.
     """
     shortest = longest / (1 + LONGER)
     for window in np.linspace(shortest, longest, TRIED):

@@ -39,13 +39,13 @@ from loewner.robots.proofs.written_proofs import proof_of
 from loewner.scenes.scene import Contact, Scene, poses_since
 from loewner.scenes.scene import drawn as drawn_scene
 
-# Pairs are reordered after this many configurations, and again each time their number has doubled.
+# Pairs are reordered after this many configurations, and again each time the number of configurations has doubled.
 FIRST_LOOK = 32
 
-# Number of random configurations in which a pair must also collide before it is suspected of colliding in all.
+# A pair is suspected of always colliding only if it also collides in this number of random configurations.
 SUSPECTED = 64
 
-# Version of the scene, queries of one configuration, and their problem, in one tuple for thread safety and for speed.
+# Version of the scene, queries for one configuration, and the prepared pairs; one tuple is thread-safe and fast.
 UNPREPARED: tuple[int, Any, Any] = (-1, None, None)
 
 
@@ -127,11 +127,13 @@ class CollisionChecker:
         self._skipped = skipped | robot.link_pairs(allowed, "allowed")
         _warn_of_refuted(robot)
         self._prepared = UNPREPARED
-        self._still: tuple[int, CollisionChecker] | None = None  # see `without_motions`, for a version of the scene
+        self._still: tuple[int, CollisionChecker] | None = None  # result of `without_motions`, and the scene's version
         self._seen, self._next_look, self._suspected = 0, FIRST_LOOK, False
 
     def __getstate__(self) -> dict[str, Any]:
-        """Leave the prepared pairs out of copies and pickles: a handle is an address, valid only in this object."""
+        """Leave the prepared pairs out of copies and pickles: their handle is an address that is valid only in this
+        object.
+        """
         return {**self.__dict__, "_prepared": UNPREPARED, "_still": None}
 
     def __repr__(self) -> str:
@@ -178,7 +180,7 @@ class CollisionChecker:
 
     # -- queries ------------------------------------------------------------------------------
 
-    # Read-only: the prepared arrays are only valid for this robot and scene; others would silently get wrong answers.
+    # Read-only: with another robot or scene, the prepared arrays would silently give wrong answers.
     @property
     def robot(self) -> Robot:
         """The robot that is checked. A different robot, or a different pose of its base, needs a new checker."""
@@ -241,7 +243,7 @@ class CollisionChecker:
                 single = ready.single
             collides = single.collide(Q)
             if collides is not None:
-                self._seen += 1  # a call for each answer would take a tenth of its time
+                self._seen += 1  # not by `_learn`: a call would take a tenth of the time
                 if self._seen >= self._next_look:
                     self._learn(ready, 0)
                 return collides
@@ -806,7 +808,9 @@ class CollisionChecker:
     # -- inside -------------------------------------------------------------------------------
 
     def _at(self, Q: ArrayLike, t: ArrayLike | None) -> tuple[Floats, Problem]:
-        """Check configurations and times; return them with the values of bodies that follow motions, and the pairs."""
+        """Check configurations and times; return configurations with values for bodies that follow motions, and the
+        pairs.
+        """
         checked, ready = self.robot.checked(Q), self._ready(timed=t is not None)
         if t is None:
             return checked, ready
@@ -817,7 +821,9 @@ class CollisionChecker:
         return np.array(made.reshape(*shape, made.shape[1]), order="C"), ready
 
     def _doubted(self, ready: Problem, Q: Floats, t: Floats | None, out: NDArray[np.int8]) -> NDArray[np.int8]:
-        """Turn verdicts that hold for the given poses, or for margins with errors, into verdicts for all poses."""
+        """Return FREE if free at all poses within the errors, COLLIDING if colliding at the given poses, else
+        AMBIGUOUS.
+        """
         timed = t is not None and ready.paths is not None and ready.paths.bounds
         if ready.given is None and not timed:
             return out
@@ -838,7 +844,7 @@ class CollisionChecker:
         return found
 
     def _learn(self, ready: Problem, count: int) -> None:
-        """Reorder the pairs from time to time, so that pairs that collided most often come first."""
+        """Reorder the pairs from time to time, so that the pairs that have collided most often come first."""
         self._seen += count
         if self._seen >= self._next_look and self._prepared[2] is ready:
             self._next_look = 2 * self._seen
@@ -848,7 +854,7 @@ class CollisionChecker:
             self._keep(ready.with_order(np.argsort(-ready.hits, kind="stable")))
 
     def _doubt_pairs(self, ready: Problem) -> None:
-        """Warn if all configurations so far have collided, and one pair collides wherever the robot is."""
+        """Warn if all configurations so far have collided, and one pair collides in all random configurations, too."""
         if ready.paths is not None:
             return
         tried = self._robot.random_configurations(SUSPECTED)
@@ -892,7 +898,7 @@ class CollisionChecker:
         ready: Problem | None = self._prepared[2]
         if ready is not None and ready.version == self._scene.version:
             return ready
-        # Of one moment: what another thread changes meanwhile is noticed the next time.
+        # These poses are from one moment: a change by another thread in the meantime is noticed at the next query.
         moved = None if ready is None else poses_since(self._scene, ready.structure_version)
         if ready is not None and moved is not None:
             poses, paths, bounds, version = moved

@@ -1,8 +1,8 @@
 """Read and write models of a robot's links made of spheres and other shapes, in the formats of planners.
 
 A model is used as its own program would use it: numbers are rounded to float32 if the program does so, buffers are
-added to radii, and shapes that the program ignores are left out. Anything in a file that could matter and is not read
-is reported in a warning.
+added to radii, and shapes that the program ignores are left out. A warning lists contents of the file that could matter
+but are not read.
 """
 
 from __future__ import annotations
@@ -101,7 +101,7 @@ def with_cover(self: Robot, path: str | os.PathLike[str], format: str | None = N
     file = _validate.path(path, "path")
     try:
         model = read_model(file, format)
-    except InputError as error:  # about a number that the file has, and that no sphere can have
+    except InputError as error:  # the file has a number that no sphere can have
         raise FileError(f"{shown(file)}: {error}") from error
     for link in model.bodies:
         _validate.known(link, f"{shown(file)}: link", self.link_names)
@@ -266,14 +266,14 @@ def _spheres_of(body: Body, link: str, format: str) -> _Balls:
 
 
 def _balls(entries: Iterable[Node], link: str, grow: float, model: Model) -> Body | None:
-    """Read spheres and add a buffer to their radii; cuRobo disables a sphere by a resulting radius of 0 or less."""
+    """Read spheres and add a buffer to their radii; a resulting radius of 0 or less disables a sphere in cuRobo."""
     each = (entry.mapping(("center", "radius"), required=("center", "radius")) for entry in entries)
     balls = [(keys["center"].numbers(3), keys["radius"].number() + grow) for keys in each]
     return _of_positive(balls, link, "disabled spheres (radius of 0 or less)", model)
 
 
 def _of_positive(balls: list[tuple[list[float], float]], name: str, others: str, model: Model) -> Body | None:
-    """Make the body of the spheres with a radius above 0, if there are any; a note counts the others."""
+    """Make a body of the spheres with a radius above 0, if there are any; a note counts the other spheres."""
     solid = [ball for ball in balls if ball[1] > 0]
     if len(solid) < len(balls):
         model.notes.append(f"{len(balls) - len(solid)} {others} of {name!r}")
@@ -351,7 +351,7 @@ def _read_curobo(keys: dict[str, Any], file: Path) -> Model:
 
 
 def _of_xrdf(keys: dict[str, Any], model: Model) -> dict[str, Any]:
-    """Convert the keys of an XRDF file to keys of cuRobo's own files, with the geometry for checks with the world."""
+    """Convert the keys of an XRDF file to cuRobo's own keys; use the geometry for collisions with the world."""
     keys = dict(keys)
     geometry, world = keys.pop("geometry").mapping(None), keys.pop("collision", None)
     selves = keys.pop("self_collision", None)
@@ -428,7 +428,7 @@ def _read_pyroki(keys: dict[str, Any], file: Path) -> Model:
 
 
 def _pairs_file(file: Path) -> Path:
-    """Return the file of pairs next to a file of pyroki's spheres, which has no place for pairs."""
+    """Return the file of pairs next to a file of pyroki's spheres, since the format of the spheres has no pairs."""
     return file.with_name(f"{file.stem}.ignored.json")
 
 

@@ -27,8 +27,8 @@ KINDS: tuple[Kind, ...] = get_args(Kind)
 # How far shapes may stick out of links by default [m].
 USUAL = 0.02
 
-# Number of configurations in the search for pairs that meet only because of a cover's shapes: a pair that meets in one
-# of a hundred configurations is missed in about one of 23,000 robots.
+# Number of configurations in the search for pairs that meet only because of a cover's shapes. With this number, a pair
+# that meets in one of a hundred configurations is missed in about one of 23,000 robots.
 TRIED = 1000
 
 # Largest number of boxes of configurations for the proofs that these pairs never collide; most pairs take a few
@@ -38,8 +38,9 @@ BOXES = 200_000
 # Number of links that are covered at a time; each link takes 100 MB.
 MOST_THREADS = 4
 
-# Search for a number of shapes: the range of protrusions [m], the first protrusion, the number of steps, and the share
-# of the number that suffices. The number of shapes falls about as the protrusion to the power of -1.25.
+# Search for the protrusion that gives n shapes: the range of protrusions [m], the first protrusion, the number of
+# steps, the share of n that suffices, and a power. The number of shapes is roughly proportional to the protrusion to
+# the power of -1.25, or -1 / POWER.
 LEAST, LARGEST, FIRST, STEPS, ENOUGH, POWER = 1e-4, 10.0, 0.03, 8, 0.92, 0.8
 
 
@@ -68,7 +69,7 @@ def cover(self: Robot, kind: Kind, *, n: int | None, protrusion: float | None, p
 
 
 def with_bodies(robot: Robot, bodies: Mapping[str, Body], ignored: frozenset[Pair] | None = None) -> Robot:
-    """Return the same robot with other bodies and, if given, with other exempt pairs instead of its rules on pairs."""
+    """Return the same robot with other bodies; if `ignored` is given, it replaces the robot's rules on pairs."""
     made = replace(robot, bodies=Named("link with a body", bodies), shapes=Named("link with shapes of a URDF", {}))
     return made if ignored is None else replace(made, disabled_pairs=ignored, _ruled=True)
 
@@ -116,7 +117,7 @@ def _never(robot: Robot, pairs: list[Pair]) -> frozenset[Pair]:
 def _covered(
     robot: Robot, kind: Kind, protrusion: float, progress: Progress | None, before: int, steps: int
 ) -> dict[str, Body]:
-    """Cover all links; the progress counts `before` of the `steps` as done."""
+    """Cover all links; progress is reported as if `before` of `steps` covers were already done."""
     # Several links of a robot, such as fingers, may have the same shape.
     shapes: dict[tuple[bytes, ...], int] = {}
     links = {link: shapes.setdefault(_bytes_of(body), len(shapes)) for link, body in robot.bodies.items()}

@@ -45,31 +45,32 @@ from loewner.scenes.scene import Scene
 # the distance of points from the chords between knots, and for the turn between two knots.
 PIECES, VERTICES, CHORDS, TURNS = 0.4, 0.05, 1 / 32, 0.25
 
-# Edge of a cloud's cells, as a share of the room: the hull of the points in a cell sticks out by at most half the room.
+# Edge of a cloud's cells, as a share of the excess allowed for a hull (`room`): the hull of the points in a cell then
+# sticks out by at most half the excess allowed.
 CELLS = 0.45
 
 # Number of vertices of a piece above which vertices are left out.
 FEW = 26
 
-# Largest number of places of links.
+# Largest number of poses of links.
 MOST_PLACES = 2**21
 
-# The least growth, as a share of the tolerance: otherwise neighbouring corners would coincide.
+# Smallest growth of a hull, as a share of the tolerance: with less growth, neighbouring corners would coincide.
 LEAST_GROWTH = 1e-4
 
 # A ball of radius 1 lies in the octahedron with these corners.
 OCTAHEDRON = math.sqrt(3.0) * (1 + 1e-15) * np.concatenate([np.eye(3), -np.eye(3)])
 
-# How far a coordinate moves when it is rounded to single precision, in units of the coordinate.
+# Relative error of a coordinate that is rounded to single precision.
 SINGLE = 2.0**-24
 
-# Slack for the rounding of lengths in double precision, in units of the lengths; a thousand times as much as needed.
+# Relative slack for rounding errors of lengths in double precision: a thousand times as much as needed.
 ROUNDINGS = 2.0**-53 * 2**20
 
 # Certified log-volume gap of the ellipsoids.
 TOL = 1e-2
 
-# Convex pieces of meshes, by tree and by room for sticking out. They are kept since cutting a mesh takes seconds.
+# Convex pieces of meshes, keyed by tree and by how far they may stick out; kept because cutting a mesh takes seconds.
 _known: WeakKeyDictionary[SurfaceTree, dict[float, list[tuple[Floats, float]]]] = WeakKeyDictionary()
 
 # Directions in which the first vertices are chosen: towards the corners, edges and faces of a cube.
@@ -83,7 +84,7 @@ class _Part(NamedTuple):
     Attributes
     ----------
     body : int
-        Number of the moving body.
+        Index of the moving body.
     vertices : ndarray, shape (n, 3)
         In the frame of the body's link.
     corners : ndarray, shape (8, 3)
@@ -101,14 +102,14 @@ class _Part(NamedTuple):
 
 
 class _Knots(NamedTuple):
-    """Places of the moving bodies on a curve, and bounds on their motions between two knots.
+    """Poses of the moving bodies at the knots of a curve, and bounds on their motions between two knots.
 
     Attributes
     ----------
     poses : ndarray, shape (bodies, N, 4, 4)
     sag, astray, error : ndarray, shape (bodies, N - 1)
-        Bounds in metres: on how far points are from their chords, on how far joint errors move points, and on errors of
-        places.
+        Bounds in metres: `sag` on how far points are from their chords, `astray` on how far joint errors move points,
+        and `error` on errors of the poses.
     """
 
     poses: Floats
@@ -124,8 +125,8 @@ class _Element(NamedTuple):
     ----------
     part, first, last : int
     growth, grown : float
-        How far the hull has to be grown, and how far it is grown, with room for rounding its vertices to single
-        precision [m].
+        How far the hull has to be grown, and how far it is grown [m]; the difference allows for rounding the vertices
+        to single precision.
     excess : float
         Bound on how far the grown hull sticks out of the body's swept volume [m].
     """
@@ -189,7 +190,7 @@ def _curve(robot: Robot, scene: Scene, given: Any) -> Curve:
 
 
 def _chosen(robot: Robot, ready: Problem, links: str | Iterable[str] | None) -> Ints:
-    """Return the numbers of the bodies that are swept."""
+    """Return the indices of the bodies that are swept."""
     own = [k for k, link in enumerate(ready.link.tolist()) if link < len(robot.link_names)]
     if links is None:
         return np.array(own)
@@ -303,11 +304,11 @@ def _thinned(points: Floats, room: float) -> tuple[Floats, float]:
     vertices = Polytope.from_points(points).vertices
     size = float(np.abs(vertices).max())
     if len(vertices) <= FEW:
-        return vertices, ROUNDINGS * size  # the hull leaves out points within rounding of its faces
+        return vertices, ROUNDINGS * size  # the hull leaves out points that rounding cannot distinguish from its faces
     chosen = np.unique(product(vertices, (_WAYS / np.ptp(vertices, axis=0)).T).argmax(axis=0)).tolist()
     middle = vertices[chosen].mean(axis=0)
     _, _, axes = np.linalg.svd(vertices[chosen] - middle)
-    across = np.abs((vertices - middle) @ axes[2])  # the extreme ones may lie in a plane, as the rim of a lid does
+    across = np.abs((vertices - middle) @ axes[2])  # the chosen ones may lie in a plane, like the rim of a lid
     chosen = sorted({*chosen, int(across.argmax())})
     while True:
         away = distances_from(vertices, Polytope.from_points(vertices[chosen]), ROUNDINGS * size)
@@ -374,7 +375,7 @@ def _diameter(points: Floats) -> float:
 
 
 def _off_chords(ways: Floats) -> float:
-    """Bound how far the hull of two places of a part is from the chords of its points [m].
+    """Bound how far points in the hull of a part's two places can be from the chords of the part's points [m].
 
     Parameters
     ----------
@@ -393,7 +394,7 @@ def _off_chords(ways: Floats) -> float:
 
 
 def _elements(parts: list[_Part], number: int, knots: _Knots, tolerance: float) -> Iterator[_Element]:
-    """Divide the knots into the longest steps over which the hull of a part's places sticks out within tolerance."""
+    """Divide the knots into the longest steps over which the hull of a part sticks out by at most `tolerance`."""
     part = parts[number]
     places = _placed(knots.poses[part.body], part.corners)
     sag, astray, error = (bound[part.body] for bound in knots[1:])
@@ -452,7 +453,7 @@ def _hull(part: _Part, knots: _Knots, one: _Element) -> Polytope:
     ends = _placed(knots.poses[part.body, [one.first, one.last]], part.vertices).reshape(-1, 3)
     corners = (np.unique(ends, axis=0)[:, None] + one.grown * OCTAHEDRON).reshape(-1, 3)
     hull = Polytope.from_points(corners.astype(np.float32).astype(np.float64))
-    # By the lemma of docs/containment.md, for any normals.
+    # Check containment with the lemma of docs/containment.md, which holds for any normals.
     center = np.add.reduce(hull.vertices, axis=0) / len(hull.vertices)
     normals, vertices = hull.normals[hull.face_of_simplex], hull.vertices[hull.simplices] - center
     heights = np.full(len(hull.normals), np.inf)

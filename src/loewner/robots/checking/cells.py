@@ -62,7 +62,7 @@ def save(path: str | os.PathLike[str], robot: Robot, scene: Scene, ready: Proble
 
 
 def _rules(scene: Scene, ready: Problem) -> dict[str, Any]:
-    """Return margins of single bodies, and rules for pairs of static bodies, which apply once one of them moves."""
+    """Return margins of single bodies, and the rules that apply to pairs of static bodies once one of the two moves."""
     margins, place = scene.margins, {name: k for k, name in enumerate(ready.names) if k >= len(ready.link)}
     rules: dict[tuple[int, ...], list[float]] = {}
     for a, b in scene.allowed - scene.leaving - scene.reaching:

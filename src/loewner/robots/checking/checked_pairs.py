@@ -24,7 +24,7 @@ from loewner.scenes.scene import Attachment, Scene, in_world
 MOST_PAIRS = 2**24
 
 
-# Attached bodies in the frame of their link, and the bodies from which they were made.
+# Cache: for each attachment, its body, and a copy of the body in the frame of the link.
 _carried: WeakKeyDictionary[Attachment, tuple[Body, Packed]] = WeakKeyDictionary()
 
 
@@ -166,7 +166,7 @@ def _check_ruled(
 ) -> None:
     """Refuse rules about contacts of surfaces, and about contacts of bodies whose poses are not known.
 
-    The depth of surfaces is not defined as for convex pieces.
+    The depth of surfaces has another definition than the depth of convex pieces.
     """
     for pair in pairs:
         a, b = (names[n] for n in pair)

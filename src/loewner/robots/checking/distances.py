@@ -228,7 +228,7 @@ def clearances(ready: Problem, Q: Floats, softness: float, gradient: bool) -> tu
 
 
 def _for_all_errors(ready: Problem, Q: Floats, softness: float, gradient: bool) -> tuple[Floats, Floats]:
-    """Compute `clearances` for all poses within the errors: combine groups of pairs, each less the group's error."""
+    """Compute `clearances` for all poses within the errors: reduce the clearance of each group by the group's error."""
     parts = [(error, clearances(one.as_given, Q, softness, gradient)) for error, one in ready.by_error]
     each = np.array([lower - error for error, (lower, _) in parts])
     least = each.min(axis=0)

@@ -20,7 +20,8 @@ from loewner.robots.description.robot import Robot
 # Smallest number of configurations of edges that is worth a call.
 AT_LEAST = 64
 
-# Configurations of edges that are made at a time, unless there are more edges: for ten joints, they take 80 MB.
+# Largest number of configurations that are made at a time, unless there are more edges. For ten joints, these
+# configurations take 80 MB.
 MOST_AT_ONCE = 2**20
 
 # A quotient of a length and a step that is this close to an integer may be rounded to either side of it.
@@ -29,7 +30,7 @@ NEARLY_WHOLE = 1e-9
 # Bytes of a motion's results: a verdict, a fraction, a pair, and the work that was done.
 BYTES_OF_A_MOTION = 40
 
-# What a motion may be divided into; more is a slip in a unit.
+# Largest number of steps in a motion; a larger number suggests a wrong unit.
 MOST_STEPS = 2**24
 
 
@@ -115,5 +116,5 @@ def checked_path(robot: Robot, path: ArrayLike) -> Floats:
 
 
 def flat(Q: Floats) -> Floats:
-    """Flatten configurations to rows, even for a robot without joints, for which NumPy cannot infer -1."""
+    """Flatten configurations to rows, even for a robot without joints, for which NumPy cannot infer a length of -1."""
     return Q.reshape(math.prod(Q.shape[:-1]), Q.shape[-1])

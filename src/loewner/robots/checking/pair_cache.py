@@ -29,7 +29,7 @@ def known_pairs(robot: Any) -> dict[Pair, tuple[ProvenPair, int]]:
     """Return the cached answers for a robot, each with the number of boxes that was allowed for it."""
     known, start = {}, _start(robot)
     with suppress(OSError, _sealed.DamagedFileError, ValueError, KeyError, TypeError):
-        if any(path.name.startswith(start) for path in FOLDER.iterdir()):  # a digest takes milliseconds
+        if any(path.name.startswith(start) for path in FOLDER.iterdir()):  # first, as `_path` takes milliseconds
             for row in _json.loads(_sealed.read(_path(robot))):
                 known[tuple(row["names"])] = _row(row), int(row["allowed"])
     return known
@@ -54,7 +54,7 @@ def refuted(robot: Any) -> list[ProvenPair]:
 
 
 def _start(robot: Any) -> str:
-    """Return the part of a file's name that is computed fast."""
+    """Return the beginning of a cache file's name, which is fast to compute."""
     names = robot.name, *robot.link_names, *robot.configuration_names
     return hashlib.sha256("\0".join(names).encode()).hexdigest()[:16]
 

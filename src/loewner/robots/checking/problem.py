@@ -33,7 +33,7 @@ LEAST_SHARE = 512
 # Number of configurations whose poses are computed at a time: with a hundred bodies, the poses take 13 MB.
 IN_TURN = 1024
 
-# Largest number of poses of bodies in all these configurations together: 100 MB.
+# Largest number of poses of bodies that are computed at a time: 100 MB.
 POSES_AT_ONCE = 2**20 * 3 // 4
 
 _NONE = np.zeros(0)
@@ -77,8 +77,8 @@ class Problem:
     leaving, reaching : ndarray of bool, shape (pairs,)
         Whether a pair may be in contact at the start, or at the end, of a motion: see `Scene.leave` and `Scene.reach`.
     hits : ndarray of int64, shape (pairs,)
-        Number of collisions found for each pair; no other array changes. Threads may lose each other's counts, but the
-        counts affect only the order of the pairs.
+        Number of collisions found for each pair; this is the only array that changes. Threads may lose each other's
+        counts, but the counts affect only the order of the pairs.
     lasting : ndarray
         Memory for the other arrays of `records.Problem` and `records.MotionTables` that depend on no pose (`lay_out`).
     block : ndarray
@@ -206,10 +206,10 @@ class Problem:
 
     def _placed(self, poses: Floats, **changes: Any) -> Problem:
         """Return a copy with the static bodies at other poses and some attributes changed."""
-        # New memory, since another thread may be reading the old one; most of its entries still hold.
+        # New memory, since another thread may be reading the old block; most entries of the old block stay valid.
         block = np.empty(len(self.block))
         handle = entries.place_static(self.packed.handle, self.handle, block, poses.reshape(-1, 16))
-        # `dataclasses.replace` would take a fifth of the time of the whole change.
+        # `dataclasses.replace` would take a fifth of the total time.
         known, made = vars(self), object.__new__(Problem)
         lasting = {name: known[name] for name in _LASTING if name in known}
         vars(made).update(lasting, block=block, handle=handle, **changes)
@@ -238,7 +238,7 @@ class Problem:
         return np.ndarray(shape, np.int64, self.block, self.handle - self.block.ctypes.data)
 
     def _view(self, row: int, word: str) -> Any:
-        """The array of a row of the table."""
+        """The array that a row of the table describes."""
         entry = self._table[row].tolist()
         is_placed = 0 <= entry[0] - self.block.ctypes.data < self.block.nbytes
         return array_in(self.block if is_placed else self.lasting, entry, word)
@@ -308,14 +308,14 @@ class Problem:
     def in_parts(self) -> Problem:
         """The problem for proofs of motions, with any surfaces cut into parts.
 
-        Parts of a solid cover only its surface. A motion on which no parts meet is free if its start is free, since one
-        body can only enter another one through their surfaces. `starts_matter` is true if there are solids.
+        Parts of a solid cover only its surface. A motion on which no parts meet is free if its start is free, since a
+        body can enter another body only through the surfaces. `starts_matter` is true if there are solids.
         """
         return self.cut or self
 
     @kept
     def open_cut(self) -> Problem | None:
-        """The problem with surfaces of static bodies without solids cut into small parts; None if there are none."""
+        """The problem with the open surfaces of static bodies cut into small parts; None without such surfaces."""
         return self._of_parts(in_open_parts(self.packs, self._stand))
 
     @property
@@ -386,7 +386,7 @@ class Problem:
 
     @kept
     def by_error(self) -> list[tuple[float, Problem]]:
-        """The pairs, grouped by the error of static bodies' poses [m], which is rounded up."""
+        """The pairs, grouped by the rounded-up error of static bodies' poses [m]."""
         if self.given is None:
             return [(0.0, self)]
         errors = (self.margins - self.given) * (1.0 + 2.0**-48) + 2.0**-48 * self.margins * (self.margins > self.given)

@@ -16,10 +16,11 @@ from loewner.bodies import Body
 from loewner.errors import InputError
 from loewner.queries.pairs import collide
 
-# Boxes grow by this share of the lengths involved, far above the rounding of their sides. The exact test decides.
+# Boxes grow by this share of the lengths involved, far more than the rounding errors of their sides.
 ROUNDING = 1e-9
 
-# A camera's loop has the same distance in each frame, and making a ball takes as long as thousands of points.
+# A camera's loop passes the same distance in each frame, and making a ball takes as long as testing thousands of
+# points.
 _ball = functools.lru_cache(maxsize=8)(Body.sphere)
 
 
@@ -98,7 +99,7 @@ def off_the_robot(
     columns, ball = np.ascontiguousarray(flat.T), _ball(reach)
     for body, T in _moving(self, place, now):
         low, high = _box(body, T, reach)
-        # One coordinate after another: most points are far from most links.
+        # One coordinate after another, since most points are already outside the first range.
         near = np.flatnonzero(stays & (columns[0] >= low[0]) & (columns[0] <= high[0]))
         for k in (1, 2):
             near = near[(columns[k, near] >= low[k]) & (columns[k, near] <= high[k])]

@@ -61,7 +61,7 @@ def coal_body(shape: Any, meshes: str, tol: float) -> Body:
 
 
 def _terrain(shape: Any) -> Body:
-    """Make a height field: in Coal, rows are along -y, columns along x."""
+    """Make a height field: in Coal, rows are along -y, and columns are along x."""
     x, y, heights = shape.getXGrid(), shape.getYGrid(), np.array(shape.getHeights())
     corner = np.eye(4)
     corner[:2, 3] = x[0], y[-1]

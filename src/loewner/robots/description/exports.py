@@ -31,7 +31,7 @@ from loewner.robots.description.tree import KINDS, adjacent_pairs, constant_pose
 from loewner.robots.description.urdf import LEAST_CUT, RATES, VALUES, Joint, Mimic, read_urdf
 from loewner.robots.description.xacro_files import SUFFIX
 
-# Kinds of joints by the kernels' numbers; joints that turn are "continuous" if they have no limits.
+# Kinds of joints, keyed by the kernels' numbers. Turning joints without limits become "continuous" later.
 NAMES = {number: name for name, number in KINDS.items() if name not in ("continuous", "ball")}
 ONE_VALUE = (columns.REVOLUTE, columns.PRISMATIC)
 
@@ -56,8 +56,8 @@ def save_urdf(robot: Any, path: Path, mesh_prefix: str, wider: float = 0.0) -> N
             if alike and (robot.groups or robot.states):  # an SRDF that names nothing would cause a warning
                 srdf = _semantics(robot, (), "")
             else:
-                # Without any rule, adjacent links would be exempt. A rule on a link without a body, or on the only
-                # link, exempts no pair that could collide.
+                # Without any rule, adjacent links would be exempt. Write a rule that exempts no pair that could
+                # collide: on a link without a body, or on the only link.
                 srdf = _semantics(robot, listed, "" if listed else top or (*bare, *robot.link_names)[0])
             read_srdf(semantics, described, srdf)
     except LoewnerError as error:
@@ -153,7 +153,7 @@ def _joints(robot: Any, top: str | None) -> Iterator[Joint]:
         if name in robot.mimics:
             mimic = Mimic(driven[int(tree.column[k])], float(tree.multiplier[k]), offset)
         pose, axis = _pose_and_axis(tree.constants[k], kind, 0.0 if mimic else offset)
-        if parent is not None and tree.kind[number[parent]] == columns.FIXED:  # it is a frame of its rigid group
+        if parent is not None and tree.kind[number[parent]] == columns.FIXED:  # the parent is a frame of a rigid group
             pose = in_frame(constant_pose(tree.constants[number[parent]]), pose)
         if kind not in (*ONE_VALUE, columns.FIXED):
             _refuse_bounds(robot, name)
@@ -166,7 +166,7 @@ def _joints(robot: Any, top: str | None) -> Iterator[Joint]:
 def _pose_and_axis(constants: Floats, kind: int, offset: float) -> tuple[Floats, Floats]:
     """Return the pose of a joint, and its axis in its own frame; see `tree.tree_of`.
 
-    A joint from MJCF may have its child at the joint's origin at a value other than 0, which differs by `offset`.
+    In MJCF, the child of a joint may be at the joint's origin at a value other than 0; `offset` is the difference.
     """
     pose, axis = constant_pose(constants), np.array([1.0, 0.0, 0.0])
     if kind == columns.PRISMATIC:
@@ -186,7 +186,7 @@ def _limits(robot: Any, column: int, mimic: Mimic | None) -> dict[str, Any]:
     if mimic is not None:
         _, multiplier, offset = mimic
         lower, upper = sorted(multiplier * end + offset for end in hard) if multiplier else (offset, offset)
-        # Leave the limits out if they would narrow the other joint's limits: that joint's limits imply them.
+        # Leave the limits out if they would narrow the followed joint's limits, which already imply them.
         back = sorted((end - offset) / multiplier for end in (lower, upper)) if multiplier else hard
         rounded = abs(back[0] - hard[0]) > LEAST_CUT / 2 or abs(back[1] - hard[1]) > LEAST_CUT / 2
         if rounded or max(-lower, upper) > FARTHEST_LIMIT:
@@ -247,7 +247,7 @@ def mjcf_text(robot: Any, wider: float) -> str:
     made: dict[str, ElementTree.Element] = {}
     for name in robot.link_names:
         joint = above.get(name)
-        if name == "world":  # MuJoCo's own name for it, which no other body may have
+        if name == "world":  # MuJoCo's own name for the world, which no other body may have
             if joint is not None or name in robot.bodies:
                 found = f"below the joint {joint.name!r}" if joint is not None else "with shapes"
                 raise InputError(f"expected a link 'world' only as a root without shapes, found one {found}")
@@ -285,7 +285,7 @@ def _add_mjcf_joint(body: ElementTree.Element, equality: ElementTree.Element, jo
 
 
 def _semantics(robot: Any, exempt: Any, alone: str) -> str:
-    """Write the groups, the states, the exempt pairs, and the link that has no pairs, unless its name is empty."""
+    """Write the groups, the states, the exempt pairs, and a rule for the link `alone`, unless this name is empty."""
     root = ElementTree.Element("robot", name=robot.name)
     for name, joints in robot.groups.items():
         group = ElementTree.SubElement(root, "group", name=name)

@@ -134,7 +134,7 @@ def link_bodies(
 
 
 def _doubts(placed: list[tuple[str, str, Body]]) -> Iterator[tuple[str, str]]:
-    """Collect reasons to doubt that bodies are in metres, with their links; bodies have the kinds of their shapes."""
+    """Collect reasons to doubt that bodies are in metres, with their links; `placed` lists links, kinds and bodies."""
     for link, kind, body in placed:
         rows = packed_of(body).kernel.table
         if len(rows):
@@ -168,7 +168,7 @@ def _body(
         with suppress(FileError):  # missing or damaged
             return Body.load(kept)
         body = _mesh_body(file, shape, model, tol)
-        if _key(file, shape, model, tol) != key:  # the file changed in between, and the body may be of either content
+        if _key(file, shape, model, tol) != key:  # the file has changed, and the body may come from either version
             return body
         with suppress(OSError):  # a cache that cannot be written is no error
             kept.parent.mkdir(parents=True, exist_ok=True)

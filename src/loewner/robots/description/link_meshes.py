@@ -23,7 +23,7 @@ from loewner.meshes.protrusion import Solid, protrusions
 NEAR, NEAR_SHARE = 1e-3, 0.01
 
 # Relative accuracy of bounds, coarse enough that a hull is examined no further once it is found to stick out too far.
-# No bound exceeds such a distance by this factor, and no distance times this factor overflows.
+# No bound is larger than a distance by this factor, and no distance times this factor overflows.
 AT_ONCE = 1e12
 
 # A part that encloses less than this share of the cube of the mesh's diameter has no inside: far above rounding.
@@ -54,7 +54,7 @@ def mesh_body(mesh: Any, model: str, tol: float) -> Body:
 
 
 def described(body: Body) -> str:
-    """Describe in a few words the body that a mesh has become; the words before the first comma are its kind."""
+    """Describe in a few words the body that a mesh has become; the words before the first comma name its kind."""
     first, covering = body.pieces[0], body.covering
     if first.triangles is not None and first.kind in ("surface", "solid"):
         kind = "surface without an inside" if first.kind == "surface" else "solid" if covering is None else CAPPED
@@ -142,8 +142,8 @@ def _boundary(triangles: Ints) -> tuple[Ints, Ints]:
 def _capped(vertices: Floats, triangles: Ints, start: Ints, end: Ints) -> tuple[Floats, Ints]:
     """Close a mesh by triangles from each connected part of its boundary to the middle of that part.
 
-    The boundary leaves each vertex as often as it enters the vertex, so the new triangles close the mesh. They lie in
-    the hull of the mesh. The mesh's own triangles remain.
+    The boundary leaves each vertex as often as it enters the vertex, so the new triangles close the mesh. The new
+    triangles lie in the hull of the mesh, and the mesh's own triangles remain.
     """
     # Imported late: SciPy's graph routines are needed for meshes only.
     from scipy.sparse import coo_array

@@ -22,7 +22,8 @@ from loewner.robots.description.xml_elements import LARGEST
 
 JointKind = Literal["fixed", "revolute", "continuous", "prismatic", "planar", "floating", "ball"]
 
-# Number of values with limits, if it is not one: two positions and an angle, or a position without its quaternion.
+# Number of values with limits for joints with several values: two positions and an angle, or a position without its
+# quaternion.
 LIMITED_VALUES = {"planar": 3, "floating": 3}
 
 
@@ -37,7 +38,7 @@ class Joint:
     ----------
     name : str
     kind : {"fixed", "revolute", "continuous", "prismatic", "planar", "floating", "ball"}
-        "planar": x, y and an angle about the axis, which is the z axis unless another one is given. "floating": a
+        "planar": x, y and an angle about the axis, which is the z axis unless another axis is given. "floating": a
         position and a quaternion (wxyz). "ball": a quaternion.
     parent, child : str
         Names of links.
@@ -238,7 +239,7 @@ def unit_axis(axis: ArrayLike, name: str) -> Floats:
     longest = float(np.abs(direction).max())
     if longest < SHORTEST_AXIS:
         raise InputError(f"{name}: expected a direction, found {direction.tolist()}")
-    direction = direction / longest  # its squares do not overflow
+    direction = direction / longest  # so that squares do not overflow
     return np.asarray(direction / lengths(direction))
 
 

@@ -17,7 +17,7 @@ from loewner.robots.description.urdf import VALUES, Description, Joint, Mimic, n
 from loewner.robots.description.xml_elements import some
 from loewner.scenes.mjcf_models import MjcfBody, MjcfJoint, MjcfModel
 
-# Largest deviation of a keyframe's value from the value that couplings give a joint [rad or m].
+# Largest deviation of a joint's value in a keyframe from the value that couplings determine [rad or m].
 UNCOUPLED = 1e-6
 
 KINDS = {"slide": "prismatic", "ball": "ball", "free": "floating"}
@@ -87,7 +87,7 @@ def _joints_of(body: MjcfBody, parent: str, links: set[str]) -> Iterator[Joint]:
     the next frame is moved back.
     """
     T_above_body = body.T_parent_body  # the body's frame so far, relative to the last link
-    if body.joints and body.joints[0].kind == "free":  # its values are the pose in the world
+    if body.joints and body.joints[0].kind == "free":  # the joint's values are the pose in the world
         T_above_body = np.eye(4)
     last = len(body.joints) - 1
     for number, joint in enumerate(body.joints):

@@ -64,8 +64,8 @@ class Order(NamedTuple):
     width : int
         Number of values of a configuration.
     columns : mapping
-        Maps each joint to the columns of its values, in the robot's order. If a single value has two columns, they are
-        its cosine and sine.
+        Maps each joint to the columns of its values, in the robot's order. If a single value has two columns, these
+        columns are its cosine and sine.
     constants : mapping
         Maps each column that is constant to its value.
     """
@@ -141,7 +141,7 @@ def layout_of(
         The joint above each link of the tree; empty if there is none.
     tree : Tree
     references : mapping
-        Maps each joint to its value at the tree's 0, if this value is not 0.
+        Maps each joint whose value is not 0 at the tree's 0 to that value.
     """
     dof = max((at.stop for at in own_columns.values()), default=0)
     source, factors, offsets = np.full(order.width, dof), np.zeros(order.width), np.zeros(order.width)
@@ -151,7 +151,7 @@ def layout_of(
         at, k = own_columns.get(joint), rows[joint]
         for column in theirs:
             names[column] = joint
-        if at is None:  # it mimics another
+        if at is None:  # the joint mimics another joint
             source[theirs[0]], factors[theirs[0]] = tree.column[k], tree.multiplier[k]
             offsets[theirs[0]] = tree.offset[k] + references.get(joint, 0.0)
         elif len(theirs) == at.stop - at.start:

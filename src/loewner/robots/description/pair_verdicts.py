@@ -183,7 +183,7 @@ class ProvenPairs:
         ------
         InputError
             If a proven range is narrower than the hard limits, unless `narrower` is true; or if the margin is not 0 and
-            a pair is ALWAYS within it, since this does not prove contact.
+            a pair is ALWAYS within it, since bodies within a margin need not be in contact.
         FileError
             If the file is not an SRDF of this robot, or cannot be read or written.
         """

@@ -163,7 +163,7 @@ def _moves(model: Any, joint: Any, name: str) -> Moves:
 def _screw(model: Any, joint: Any) -> tuple[Floats, Floats]:
     """Return the velocity and the angular velocity of a joint with one value, at the rate 1."""
     data = joint.createData()
-    joint.calc(data, np.eye(1, model.nq, joint.idx_q)[0])  # it reads beyond shorter arrays
+    joint.calc(data, np.eye(1, model.nq, joint.idx_q)[0])  # `calc` reads beyond the end of shorter arrays
     motion = np.asarray(data.S, dtype=np.float64).reshape(6)
     return motion[:3], motion[3:]
 

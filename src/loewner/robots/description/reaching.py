@@ -30,7 +30,7 @@ MOST_SEEDS, KEPT = 2**16, 1024
 # the kernel's search would not end.
 LARGEST = 1e50
 
-# If the first solution is not free, this many solutions are tried; if none is free, all seeds are tried.
+# If the first solution is not free, FEW solutions are tried; if they are not free either, all seeds are tried.
 FEW = 4
 
 IDENTITY = np.eye(3)

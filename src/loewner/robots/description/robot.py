@@ -58,20 +58,20 @@ from loewner.scenes.scene import Scene
 if TYPE_CHECKING:
     from loewner.meshes.coverage import CoverReport
 
-# Allowed deviation from 1 of a quaternion's norm: far above rounding, far below the deviation after interpolation.
+# Allowed deviation of a quaternion's norm from 1: far more than rounding causes, far less than interpolation causes.
 QUATERNION_TOLERANCE = 1e-6
 
 # Kinds of joints whose last four values are a quaternion.
 WITH_QUATERNION = ("floating", "ball")
 
-# In pictures, the balls of robots with more links than this are coarse.
+# Pictures draw balls more coarsely if the robot has more links than this.
 MANY_LINKS = 30
 
 # Smallest number of configurations that a thread takes at a time: about 0.1 ms of work.
 LEAST_SHARE = 1024
 
-# Implementations of `Robot.prove_pairs`, `free_range` and the methods on covers: `pair_ranges`, `covers` and
-# `cover_files`, which are above this module, put their functions here.
+# Implementations of `Robot.prove_pairs`, `free_range` and the methods on covers. The modules `pair_ranges`, `covers`
+# and `cover_files` import this module, so they put their functions here.
 answers: dict[str, Callable[..., Any]] = {}
 
 
@@ -105,7 +105,7 @@ def _text_of(
 
 
 def _model(meshes: str, decompose: bool) -> str:
-    """Return the representation of meshes that the two arguments `meshes` and `decompose` choose."""
+    """Return the representation of meshes that the arguments `meshes` and `decompose` select."""
     _validate.choice(meshes, "meshes", MODELS)
     if not _validate.flag(decompose, "decompose"):
         return meshes
@@ -133,20 +133,19 @@ class Robot(KeepsReadOnly):
         entries.
     lower, upper : ndarray, shape (dof,)
         Limits for sampling, planning and `reach`, in radians for joints that turn and metres for joints that slide;
-        infinite for values without limits. These limits are within the limits and the soft limits
-        (``<safety_controller>``) of the file, and they keep each mimicking joint within its own limits. All functions
-        accept configurations outside the limits; the first configuration far outside them causes a warning (see
-        `checked`).
+        infinite for values without limits. These limits respect both the file's limits and its soft limits
+        (``<safety_controller>``), and keep each mimicking joint within its own limits. All functions accept
+        configurations outside the limits; the first configuration far outside them causes a warning (see `checked`).
     hard_lower, hard_upper : ndarray, shape (dof,)
-        Limits of the joints in the file. A plan may start outside `lower` and `upper` if its start is within these
+        Limits of the joints, as given in the file. A plan may start outside `lower` and `upper`, but not outside these
         limits.
     velocity, acceleration, jerk : ndarray, shape (dof,)
         The largest rates of each value [rad or m per s, s² and s³]: the URDF's limits, or lower values if a mimicking
         joint would otherwise exceed its own limit. NaN if the URDF gives no positive limit, and for planar and floating
         joints. Only URDF 1.2 has acceleration and jerk limits.
     bodies : dict
-        Maps the names of links with collision geometry to a `Body` in the frame of the link. For this and the next
-        three attributes, looking up an unknown name raises an UnknownNameError that lists the known names.
+        Maps the names of links with collision geometry to a `Body` in the frame of the link. In `bodies`, `shapes`,
+        `groups` and `states`, looking up an unknown name raises an UnknownNameError that lists the known names.
     shapes : dict
         Maps link names to descriptions of the bodies of their collision shapes, in the order of the URDF: "box", "hull,
         sticks out by up to 0.4 mm", "pieces, 3 that stick out by up to 2 mm", "solid, 1,234 triangles", "surface
@@ -161,7 +160,7 @@ class Robot(KeepsReadOnly):
         Sorted pairs of links that the SRDF exempts from checking.
     adjacent_pairs : frozenset
         Sorted pairs of links with bodies. The links of a pair are connected directly by a joint, or by a chain of links
-        without bodies, with at most one moving joint.
+        without bodies in which at most one joint moves.
     mimics : dict
         Maps the name of each mimicking joint to the name of the joint that it mimics and the factor between their
         rates.
@@ -207,20 +206,19 @@ class Robot(KeepsReadOnly):
     urdf: Path
     package_dirs: tuple[Path, ...]
     _columns: dict[str, slice] = field(repr=False)
-    # For each link except roots, the joint above it ("" for a joint without a name), and its parent (None for the
-    # world).
+    # The joint above each link except roots ("" if the joint has no name), and the link's parent (None for the world).
     _above: dict[str, tuple[str, str | None]] = field(repr=False)
-    # The links that only have visual geometry, for messages.
+    # Links that have only visual geometry; messages name them.
     _only_visual: tuple[str, ...] = field(repr=False)
     _watch: Watch = field(repr=False)
     # The tree with the root link at the origin.
     _rooted: Tree = field(repr=False)
-    # Descriptions, and the robots that were joined.
+    # The descriptions from which the robot and its parts were read; then the robots that were joined, by name.
     _sources: tuple[Source, ...] = field(repr=False)
     _parts: dict[str, Part[Robot]] = field(repr=False)
     # Whether an SRDF or an MJCF has rules on pairs. If so, no adjacent pair is exempt by default.
     _ruled: bool = field(repr=False)
-    # Bodies that were added in the world, which the robot's pose does not move.
+    # Bodies that were added to the world. The robot's pose does not move them.
     _in_world: tuple[str, ...] = field(repr=False)
     # The order of values in the model from which the robot was made.
     _layout: Layout | None = field(repr=False)
@@ -249,7 +247,7 @@ class Robot(KeepsReadOnly):
         path : path, optional
             A URDF file. If its name ends in ``.xacro``, the package xacro expands it (``pip install
             "loewner[xacro]"``). The expansion evaluates Python expressions in the file, so read only files that you
-            trust. Line numbers in messages then refer to the expanded text.
+            trust. For such a file, line numbers in messages refer to the expanded text.
         text : str, optional
             The contents of a URDF or xacro file, given instead of `path`; for instance, the text in ROS's
             ``/robot_description``. Relative paths of meshes in the text are resolved from the working directory.
@@ -257,7 +255,7 @@ class Robot(KeepsReadOnly):
             Values for the arguments of a xacro file. If `xacro_args` is given, a file is expanded even if its name does
             not end in ``.xacro``. ``$(find package)`` is the folder of a package; see `package_dirs`.
         srdf : path, optional
-            A file with groups, states and disabled pairs. It is expanded if its name ends in ``.xacro``.
+            A file with groups, states and disabled pairs. A file whose name ends in ``.xacro`` is expanded first.
         package_dirs : path or iterable of paths
             Packages, or folders that contain packages, in which to find ``package://`` and ``model://`` paths. The
             folders in ROS's environment variables and the folders above the URDF are also searched.
@@ -306,10 +304,9 @@ class Robot(KeepsReadOnly):
         UserWarning
             If ``meshes="auto"`` and meshes are not closed; one warning names all of them. If the URDF or the SRDF has
             parts that its format does not define (docs/robots.md). If the limits of a mimicking joint would leave the
-            other joint hardly any range. If the SRDF is for a different robot, names links or joints that the robot
-            does not have, names none that it has, or contains passive joints or a base that moves. If a body is
-            probably not in metres, or the angles of an origin or the limits of revolute joints are probably not in
-            radians.
+            joint that it mimics hardly any range. If the SRDF is for a different robot, names unknown links or joints,
+            names no known ones, or contains passive joints or a moving base. If a body is probably not in metres, or
+            the angles of an origin or the limits of revolute joints are probably not in radians.
 
         Examples
         --------
@@ -432,8 +429,8 @@ class Robot(KeepsReadOnly):
         Warns
         -----
         UserWarning
-            If the file has parts that MuJoCo uses in its computations but that are not read, such as flexible bodies
-            and constraints; if limits of hinges are probably not in radians after MuJoCo's conversion.
+            If the file has parts that MuJoCo simulates but this function does not read, such as flexible bodies and
+            constraints. If limits of hinges, after MuJoCo's conversion, are probably not in radians.
 
         Examples
         --------
@@ -464,8 +461,8 @@ class Robot(KeepsReadOnly):
         data : mujoco.MjData, optional
             Supplies the poses of mocap bodies and the active constraints. By default, the model supplies them.
         couplings : bool
-            Let a joint follow another one if an active equality couples the two linearly. If `couplings` is False, or
-            there are no such equalities, a configuration equals `qpos`, entry by entry.
+            Let a joint follow another joint if an active equality constraint couples them linearly. If `couplings` is
+            False, or there are no such constraints, a configuration equals `qpos`, entry by entry.
         tol : float
             Upper limit on the certified log-volume gap of every fit to a mesh.
 
@@ -536,8 +533,7 @@ class Robot(KeepsReadOnly):
         -------
         Robot
             A robot whose link "footprint" moves on the joints ``base/x``, ``base/y`` and ``base/theta``, as from
-            `add_base`. The base may move in every direction: proofs of its motions are valid for a base that can drive
-            sideways.
+            `add_base`. The base may move in any direction: a proven motion may require the base to drive sideways.
 
         Raises
         ------
@@ -587,7 +583,7 @@ class Robot(KeepsReadOnly):
         ------
         InputError
             If links and joints do not form a tree; if a name is used twice, limits are not in order, or a joint is
-            given a value that its kind does not have.
+            given an argument that does not apply to its kind.
         PoseError
             If a pose is not a rigid motion.
         UnknownNameError
@@ -596,8 +592,8 @@ class Robot(KeepsReadOnly):
         Warns
         -----
         UserWarning
-            If the limits of a mimicking joint would leave the other joint hardly any range; if the limits of revolute
-            joints are probably not in radians.
+            If the limits of a mimicking joint would leave the joint that it mimics hardly any range; if the limits of
+            revolute joints are probably not in radians.
 
         Examples
         --------
@@ -639,8 +635,8 @@ class Robot(KeepsReadOnly):
             The context of the whole diagram, which supplies geometry, filters, poses of frames and locked joints.
             Locked joints become fixed. By default, the model supplies these values.
         mimic : mapping, optional
-            Joints that follow others, as ``{joint: (other, gear ratio, offset)}`` with the robot's names. Drake's
-            Python interface cannot read couplers.
+            Joints that follow other joints, as ``{joint: (other, gear ratio, offset)}`` with the robot's names. They
+            have to be passed because Drake's Python interface cannot read couplers.
         tol : float
             Upper limit on the certified log-volume gap of every fit to a mesh.
 
@@ -648,8 +644,8 @@ class Robot(KeepsReadOnly):
         -------
         Robot
             Every body of the plant is a link with the same name, or with the name MODEL::NAME if several models use the
-            name. Each shape of the world is a separate link, as is each shape of a body if its filters differ from the
-            filters of the body's first shape.
+            name. Each shape of the world is a separate link. A shape of another body is also a separate link if its
+            filters differ from the filters of the body's first shape.
 
         Raises
         ------
@@ -703,8 +699,8 @@ class Robot(KeepsReadOnly):
         Returns
         -------
         Robot
-            Every body frame is a link with the same name. Each shape of the universe is a separate link, as is each
-            shape of a link that is not checked against the same shapes as the link's first shape.
+            Every body frame is a link with the same name. Each shape of the universe is a separate link. A shape of
+            another link is also a separate link if it is not checked against the same shapes as the link's first shape.
 
         Raises
         ------
@@ -751,8 +747,8 @@ class Robot(KeepsReadOnly):
         Raises
         ------
         InputError
-            If the robot was made in another way, or has gained values since then. After `join`, for example, convert
-            the configurations of each part.
+            If the robot was not made from such a model, or has gained values since then. After `join`, for example,
+            convert the configurations of each part instead.
 
         Examples
         --------
@@ -830,20 +826,20 @@ class Robot(KeepsReadOnly):
         """Write the robot as a URDF, with an SRDF with the same stem, for other programs and for `from_urdf`.
 
         Together, the two files describe the robot's kinematics, limits, rates, groups, states and shapes, up to the
-        rounding of poses, and a `CollisionChecker` of the robot read from them checks the same pairs. A root link
-        "world" is added if the robot has several roots or is placed. In that case, do not pass ``skip_adjacent=True``,
-        since links fixed to "world" can count as adjacent. Visual geometry, masses and efforts are not written. Where
-        `lower` and `upper` are narrower than `hard_lower` and `hard_upper`, they become soft limits.
+        rounding of poses. A `CollisionChecker` of the robot that is read from both files checks the same pairs. A root
+        link "world" is added if the robot has several roots or is placed. Do not pass ``skip_adjacent=True`` to a
+        checker of a robot with this link, since links fixed to "world" can count as adjacent. Visual geometry, masses
+        and efforts are not written. Where `lower` and `upper` are narrower than `hard_lower` and `hard_upper`, they
+        become soft limits.
 
-        Pass the SRDF to `from_urdf`, too: without the SRDF, pairs that this robot checks may be exempt. A solid is
-        written as its triangles, which some other programs replace with the solid's convex hull. Existing files are
-        replaced.
+        Pass both files to `from_urdf`: without the SRDF, pairs that this robot checks may be exempt. A solid is written
+        as its triangles, which some other programs replace with the solid's convex hull. Existing files are replaced.
 
         Parameters
         ----------
         path : path
-            The URDF. The SRDF has the suffix ``.srdf``, and meshes are files next to the URDF, ``STEM-DIGEST.obj``, as
-            for `Body.to_urdf`.
+            The URDF. The SRDF has the suffix ``.srdf``. Meshes are written next to the URDF, to files
+            ``STEM-DIGEST.obj``, as by `Body.to_urdf`.
         mesh_prefix : str
             Prefix for the names of mesh files in the URDF, for instance ``"package://my_robot/meshes/"``.
 
@@ -852,8 +848,8 @@ class Robot(KeepsReadOnly):
         InputError
             If the robot has something that URDF cannot express: a ball joint, bounds of a floating base, a cone, an
             ellipsoid or a point cloud, or a surface that ``meshes="auto"`` would not read as the same solid. If a name
-            contains unprintable characters, a dollar sign, or spaces at its ends, which readers would change; or if the
-            path ends in ``.srdf`` or ``.xacro``.
+            contains unprintable characters, a dollar sign, or leading or trailing spaces, which readers would change;
+            or if the path ends in ``.srdf`` or ``.xacro``.
         FileError
             If a file cannot be written.
 
@@ -1028,7 +1024,7 @@ class Robot(KeepsReadOnly):
             tolerance gives fewer pieces.
         joint_error : float, or array_like of shape (dof,)
             Largest deviation of each value from the curve [rad or m]. The body also contains the links at such
-            deviations; the space that this adds counts as sticking out.
+            deviations; the added space counts as sticking out.
         scene : Scene, optional
             Bodies that are attached in the scene are carried along; other bodies of the scene are ignored.
         progress : callable, optional
@@ -1057,8 +1053,8 @@ class Robot(KeepsReadOnly):
 
         Notes
         -----
-        Links are represented by their bodies (`bodies`): a solid is cut into convex pieces that stick out by two fifths
-        of the tolerance, if ten seconds of work for each solid suffice. docs/certified.md, "Swept volumes", derives the
+        Links are represented by their bodies (`bodies`). Each solid is cut into convex pieces that stick out by at most
+        two fifths of the tolerance, if ten seconds of work suffice. docs/certified.md, "Swept volumes", derives the
         bounds.
 
         Examples
@@ -1108,7 +1104,7 @@ class Robot(KeepsReadOnly):
         boxes : int
             Largest number of boxes of configurations that are examined, for all pairs together.
         cache : bool
-            Keep answers on disk, so that later calls only read them, if there are no `limits`, no margin and no scene.
+            If there are no `limits`, no margin and no scene, keep answers on disk, so that later calls only read them.
             The key of an answer covers everything on which the answer depends.
         progress : callable, optional
             Called as ``progress(done, total)`` with numbers of pairs.
@@ -1142,8 +1138,8 @@ class Robot(KeepsReadOnly):
         -----
         NEVER and ALWAYS are proofs, like FREE in `CollisionChecker.certify_edges`; docs/certified.md derives the
         bounds. Planar joints need ranges for their positions, and pairs with a floating or ball joint between them are
-        OPEN. A pair with many joints between its bodies takes many boxes, so that a pair with six or more joints is
-        rarely decided.
+        OPEN. A pair with many joints between its bodies needs many boxes: with six or more joints between its bodies, a
+        pair is rarely decided.
 
         Examples
         --------
@@ -1263,7 +1259,7 @@ class Robot(KeepsReadOnly):
         See Also
         --------
         save_cover : Writes the shapes for a planner.
-        covered_by : Judges any other model.
+        covered_by : Checks whether another robot's bodies contain the links.
 
         Examples
         --------
@@ -1369,8 +1365,8 @@ class Robot(KeepsReadOnly):
     ) -> None:
         """Write the bodies of links, and the pairs that need no check, for a planner.
 
-        The shapes in the file contain the bodies of this robot: numbers are rounded outward to float32 for programs
-        that use float32, and shapes whose angles are rounded are enlarged by 1 nm on each side. `with_cover` reads the
+        The shapes in the file contain the bodies of this robot. For programs that use float32, numbers are rounded
+        outward to float32. Shapes whose angles are rounded are enlarged by 1 nm on each side. `with_cover` reads the
         file, so that `covered_by` can prove that the shapes in the file contain the links. Existing files are replaced.
 
         Parameters
@@ -1379,8 +1375,9 @@ class Robot(KeepsReadOnly):
         format : str, optional
             "curobo": the keys for spheres and pairs in a cuRobo configuration (.yml). "vamp" and "foam": a URDF of
             spheres, with an SRDF with the same stem. "pyroki": JSON, with ignored pairs in ``STEM.ignored.json``.
-            "urdf": as `to_urdf`, with each capsule written as a cylinder and two spheres. "mjcf": a model for MuJoCo.
-            "scene": bodies in the frames of links (.yaml). By default the suffix determines the format.
+            "urdf": a URDF as from `to_urdf`, but with each capsule written as a cylinder and two spheres. "mjcf": a
+            model for MuJoCo. "scene": bodies in the frames of links (.yaml). By default the suffix determines the
+            format.
 
         Raises
         ------
@@ -1569,8 +1566,8 @@ class Robot(KeepsReadOnly):
 
         Notes
         -----
-        Solutions are within the limits, except for values that are kept from a start outside them. For a pose at (x, y,
-        z) in metres, they meet the tolerance of the position up to 1e-10 (1 + abs(x) + abs(y) + abs(z)) m, and the
+        Solutions are within the limits, except for values kept from a start outside the limits. For a pose at (x, y, z)
+        in metres, solutions meet the tolerance of the position up to 1e-10 (1 + abs(x) + abs(y) + abs(z)) m, and the
         tolerance of the rotation up to 1e-10 in twice the sine of half the angle. A search that finds no solution does
         not prove that no solution exists; more seeds find more solutions. A joint that can turn by more than a whole
         turn is returned at the angle nearest to the start. Which solution comes first does not depend on the number of
@@ -1602,7 +1599,7 @@ class Robot(KeepsReadOnly):
 
     @kept
     def _chains(self) -> dict[tuple[str, tuple[str, ...]], reaching.Chain]:
-        """Chains that have been made, by link and joints."""
+        """Chains that have been made so far, keyed by link and joints."""
         return {}
 
     def checked(self, Q: ArrayLike, name: str = "Q") -> Floats:
@@ -1661,7 +1658,7 @@ class Robot(KeepsReadOnly):
             if np.abs(norm - 1).max(initial=0.0) > QUATERNION_TOLERANCE:
                 worst = norm.flat[np.abs(norm - 1).argmax()]
                 raise InputError(f"{name}: expected quaternions (wxyz) of norm 1 for {joint}, found norm {worst:g}")
-        return array if array.flags.carray else array.copy()  # read-only arrays are another type to Numba
+        return array if array.flags.carray else array.copy()  # for Numba, a read-only array has another type
 
     def checked_one(self, q: ArrayLike, name: str = "q") -> Floats:
         """Check one configuration and return it in the form that kernels take.
@@ -1783,8 +1780,7 @@ class Robot(KeepsReadOnly):
         ----------
         reach : float
             Replaces a missing limit, or a limit outside ±1e6, which some programs write for "no limit". The new limit
-            is at the distance `reach` from 0, or at twice that distance from the value's other limit if that is farther
-            out.
+            is at the distance `reach` from 0 or, if farther out, at twice that distance from the value's other limit.
 
         Returns
         -------
@@ -1912,7 +1908,7 @@ def chain_to(robot: Robot, link: str, joints: str | Iterable[str] | None = None)
 
 
 def _expect_order(robot: Robot, Q: object, name: str) -> None:
-    """Refuse a table, or a row of a table, whose labels are joints in another order: its array has no labels."""
+    """Refuse a table, or a row of a table, whose labels are joints in another order; an array would lose the labels."""
     labels = getattr(Q, "columns" if hasattr(Q, "columns") else "index", None)
     if labels is None or callable(labels) or isinstance(Q, np.ndarray):
         return
@@ -1941,7 +1937,7 @@ def exported_rates(robot: Robot, rates: Floats) -> Floats:
 
 
 def joints_above(robot: Robot) -> tuple[str, ...]:
-    """Return the name of the joint above each link, in the order of the links; empty if there is none."""
+    """Return the name of the joint above each link, in the order of the links; an empty string if there is none."""
     return tuple(robot._above.get(link, ("", None))[0] for link in robot.link_names)
 
 
@@ -1960,7 +1956,7 @@ def link_poses(robot: Robot, Q: Floats) -> Floats:
 
 def interpolated(robot: Robot, a: Floats, b: Floats, at: Floats) -> Floats:
     """Interpolate between checked configurations as in `Robot.between`; fractions have a final axis of length 1."""
-    Q = np.where(at == 1, b, a + at * (b - a))  # the sum may miss b by a rounding of a
+    Q = np.where(at == 1, b, a + at * (b - a))  # the sum may differ from b by a rounding error
     for quaternion in robot._quaternions.values():
         p = a[..., quaternion]
         q, cosine = _nearer(p, b[..., quaternion])
@@ -1995,7 +1991,7 @@ def unlimited(robot: Robot) -> tuple[Bools, Bools, Bools]:
     moved = tree.kind != kernel_columns.FIXED
     turns = (tree.kind == kernel_columns.REVOLUTE) & (tree.multiplier == np.rint(tree.multiplier))
     turning[tree.column[moved]] = True
-    turning[tree.column[moved & ~turns]] = False  # by all that follow the joint
+    turning[tree.column[moved & ~turns]] = False  # unless all links that the column moves turn by whole multiples
     return below, above, turning & below & above
 
 
@@ -2033,13 +2029,13 @@ def _nearer(p: Floats, q: Floats) -> tuple[Floats, Floats]:
 
 
 def first_shown(robot: Robot) -> tuple[str | None, Floats]:
-    """Return the state with the most joints, or None, and its configuration, or zero, moved into the limits."""
+    """Return the state with the most joints, or None, and a configuration (without a state, zeros) within the limits."""
     state = max(robot.states, key=lambda name: len(robot.states[name][1]), default=None)
     return state, np.clip(robot.configuration(state), robot.lower, robot.upper)
 
 
 def drawn(robot: Robot) -> tuple[list[Shape], dict[str, Floats], str]:
-    """Return the shapes and the poses of links, and a note, for the configuration that a picture shows first."""
+    """Return the shapes of links, their poses and a note, for the configuration that a picture shows first."""
     state, q = first_shown(robot)
     poses = dict(zip(robot.link_names, robot.forward_kinematics(q), strict=True))
     shapes = [

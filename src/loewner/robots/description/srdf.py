@@ -21,7 +21,7 @@ HARMLESS = {
     "robot": frozenset((
         "@version",
         "contact", "gripper", "handle", "position", "rotor_params", "specificities",  # additions of other programs
-        "end_effector",  # which group is a hand: for markers to drag
+        "end_effector",  # names the group that is a hand, for interactive markers
         "link_sphere_approximation",  # the shapes of the URDF are used
     )),
     "disable_collisions": frozenset(("@reason",)),
@@ -297,7 +297,7 @@ def _chain(robot: Description, depth: dict[str, int], base: str | None, tip: str
 def _states(
     root: Element, names: _Names, groups: Mapping[str, tuple[str, ...]]
 ) -> tuple[dict[str, State], Iterator[str]]:
-    """Read the states, and collect warnings about values that have no effect, or reach beyond a group."""
+    """Read the states, and collect warnings about values that have no effect or are for joints outside the group."""
     states: dict[str, State] = {}
     driven = set(names.robot.driven)
     first: dict[tuple[str, str], Element] = {}

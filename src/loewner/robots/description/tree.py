@@ -40,8 +40,8 @@ def adjacent_pairs(robot: Description, bodies: Collection[str] | None = None) ->
     """Find pairs of links with bodies that are connected by one joint, or through links without bodies.
 
     By default, links with shapes count as links with bodies. The path over links without bodies may have at most one
-    moving joint. MoveIt's setup assistant allows any number, but links separated by two moving joints may well collide,
-    and a collision of an unchecked pair is never found.
+    moving joint. MoveIt's setup assistant allows any number of moving joints, but links separated by two moving joints
+    may well collide, and a collision of an unchecked pair is never found.
     """
     # Rigidly joined links without bodies form one place, named by its topmost link. Fixed and moving joints lead from
     # each place to links with bodies.
@@ -88,7 +88,7 @@ def tree_of(robot: Description, slices: dict[str, slice]) -> Tree:
     parent, kind, column = np.full(count, -1), np.zeros(count, dtype=np.int64), np.zeros(count, dtype=np.int64)
     multiplier, offset = np.ones(count), np.zeros(count)
     constants = np.zeros((count, columns.CONSTANTS))
-    # For each link, the first link of its rigid group, and its pose in the frame of that link.
+    # For each link, the first link of its rigid group, and the link's pose in the frame of that first link.
     frames: dict[str, tuple[int, Floats]] = {}
     for i, name in enumerate(robot.shapes):
         joint = robot.joint_above.get(name)
@@ -155,7 +155,7 @@ def _from_z(axis: Floats) -> Floats:
     """Compute the smallest rotation that takes the z axis to a unit vector."""
     x, y, z = axis
     across = x * x + y * y
-    if z < 0 and across < 1e-24:  # half a turn about any perpendicular axis: x
+    if z < 0 and across < 1e-24:  # half a turn about any perpendicular axis, such as x
         return np.diag([1.0, -1.0, -1.0])
     cross = np.array([[0, 0, x], [0, 0, y], [-x, -y, 0]])
     above = 1 + z if z >= 0 else across / (1 - z)  # 1 + z, without cancellation

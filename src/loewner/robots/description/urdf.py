@@ -68,7 +68,7 @@ HARMLESS = {
         "gazebo*",  # plugins, friction and sensors of a simulator
         "material*",  # colours
         "ros2_control",  # hardware; `_warn_of_extensions` reports its limits and mimics
-        "self_collision_checking", "drake:collision_filter_group",  # exempt pairs: without them, more is checked
+        "self_collision_checking", "drake:collision_filter_group",  # exempt pairs; without them, more pairs are checked
         "sensor*",  # where cameras look
         "transmission",  # gears, which name joints
     )),
@@ -79,7 +79,7 @@ HARMLESS = {
         "visual*",  # looks; read by `read_visuals`
     )),
     "collision": frozenset((
-        "@concave", "@enabled", "@group",  # exempt shapes, or make them larger: without them, more is checked
+        "@concave", "@enabled", "@group",  # exempt shapes, or make shapes larger; without them, more is checked
         "@name",
         "drake:proximity_properties",  # friction and stiffness
         "material", "verbose",  # looks, and output of a simulator
@@ -101,7 +101,7 @@ HARMLESS = {
 # means that the mimicking joints' limits were never used, as in the grippers of the PR2.
 LEAST_LEFT = 0.1
 
-# The shortest part of a range that limits of mimicking joints cut off [rad or m], since these limits are rounded.
+# Limits of mimicking joints never cut off less of a range than this [rad or m], since these limits are rounded.
 LEAST_CUT = 1e-9
 
 # The share of the range by which limits in extensions may differ: they are often the joints' limits with fewer digits.
@@ -238,8 +238,8 @@ def read_urdf(path: str | os.PathLike[str], text: str | None = None) -> Descript
     -----
     UserWarning
         If the file has parts that URDF does not define, or its version is newer than 1.2; if a joint mimics a joint
-        that does not exist, or the limits of a mimicking joint would leave the other joint hardly any range; if the
-        angles of an origin, or limits, are probably in degrees.
+        that does not exist, or the limits of a mimicking joint would leave the joint that it mimics hardly any range;
+        if the angles of an origin, or limits, are probably in degrees.
     """
     root = read_xml(path, "a URDF", text)
     name, version = root.get("name"), _version(root)
@@ -264,7 +264,7 @@ def read_urdf(path: str | os.PathLike[str], text: str | None = None) -> Descript
     shapes = {link: tuple(_shape(e, version) for e in links[link].all("collision")) for link in order}
     for link in links.values():
         if link.has("origin") and not np.array_equal(_origin(link, version), np.eye(4)):
-            link.disown("origin")  # a link has none, but its shapes; the identity does no harm
+            link.disown("origin")  # shapes have origins, but links do not; the identity does no harm
     _doubt_angles(root)
     doubt_limits(root.path, joints)
     _warn_of_extensions(root, joints)
@@ -436,7 +436,7 @@ def _rates(limit: Element, version: tuple[int, int]) -> dict[str, float]:
 
 
 def _soft(joint: Element, kind: str, lower: float, upper: float) -> tuple[float, float]:
-    """Read the limits at which the controller of a joint begins to slow it down; infinite without a controller."""
+    """Read the limits at which a joint's controller begins to slow down the joint; infinite without a controller."""
     none = -math.inf, math.inf
     element = joint.one("safety_controller")
     if element is None:
@@ -554,7 +554,7 @@ def _warn_of_extensions(root: Element, joints: dict[str, Joint]) -> None:
 
 
 def _controlled(root: Element, joints: dict[str, Joint]) -> Iterator[str]:
-    """List limits in <ros2_control> that are narrower than the joints' own, and mimics that joints do not have."""
+    """List limits in <ros2_control> that are narrower than the joints' limits, and mimics that joints do not have."""
     listed = (child for control in root.children if control.tag == "ros2_control" for child in control.children)
     for element in listed:
         joint = joints.get(element.attributes.get("name", ""))

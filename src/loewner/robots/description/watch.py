@@ -17,11 +17,11 @@ from loewner._base._validate import Floats
 ANGLE_OUTSIDE = 2 * math.pi
 LENGTH_OUTSIDE, SPANS_OUTSIDE = 1.0, 10.0
 
-# The angle of a joint without limits that is more likely in degrees: about eight turns [rad].
+# A larger angle of a joint without limits is probably in degrees: about eight turns [rad].
 LARGEST_TURN = 50.0
 
-# Larger values of joints are refused [rad or m]: values up to this, times the largest factor of a description and added
-# up along the longest chain, are finite, so that no pose is NaN.
+# Larger values of joints are refused [rad or m], so that no pose is NaN: accepted values stay finite when they are
+# multiplied by the largest factor of a description and added up along the longest chain.
 LARGEST_VALUE = 1e200
 
 
@@ -82,7 +82,7 @@ class Watch(KeepsReadOnly):
 
     def passes_one(self, values: list[float]) -> bool:
         """Return whether one configuration needs no warning."""
-        return all(map(le, self._least, values)) and all(map(le, values, self._most))  # neither holds for NaN
+        return all(map(le, self._least, values)) and all(map(le, values, self._most))  # no comparison holds for NaN
 
     def passes(self, Q: Floats) -> bool:
         """Return True if no configuration in a batch, shape (..., dof), needs a warning."""

@@ -21,7 +21,7 @@ from loewner.robots.description.link_bodies import package_folder
 # Suffix of the names of files that are expanded.
 SUFFIX = ".xacro"
 
-# The package keeps the state of an expansion in its modules.
+# The package keeps the state of an expansion in its modules, so only one expansion runs at a time.
 _alone = threading.RLock()
 
 
@@ -80,7 +80,7 @@ def expanded(
         try:
             document = xacro.process_file(str(file), mappings=_Arguments(given, used), verbosity=0)
             return str(document.documentElement.toprettyxml(indent="  "))
-        except Exception as error:  # its expressions raise any error
+        except Exception as error:  # expressions in the file can raise any error
             if isinstance(getattr(error, "exc", None), FileError):
                 raise error.exc from None  # type: ignore[attr-defined]
             named = str(error) or type(error).__name__
@@ -114,7 +114,7 @@ def _text(name: object, value: object) -> str:
 
 @contextmanager
 def _finding(substitution: Any, file: Path, folders: Sequence[str | os.PathLike[str]]) -> Iterator[None]:
-    """Let ``$(find package)`` search where meshes of packages are searched for; xacro itself needs ROS for this."""
+    """Let ``$(find package)`` search the folders in which meshes are sought; xacro itself needs ROS for this."""
 
     def find(package: str) -> str:
         return str(package_folder(package, file, folders).absolute())  # xacro resolves paths from the file's folder

@@ -14,20 +14,20 @@ from loewner._base._files import read_regular
 from loewner._base._plausible import warn
 from loewner.errors import FileError, InputError
 
-# Limits on a description, a hundred times the largest known robots: bytes of a file, number of elements, and depth of
-# their nesting.
+# Limits on a description, a hundred times as large as the largest known robots need: bytes of a file, number of
+# elements, and depth of their nesting.
 MOST_BYTES = 2**25
 MOST_ELEMENTS = 250_000
 DEEPEST = 100
 
-# Larger lengths, factors and offsets in a description are refused [m, rad, 1]: results from thousands of smaller
-# numbers are finite.
+# Larger lengths, factors and offsets in a description are refused [m, rad, 1]: results computed from thousands of
+# smaller numbers are finite.
 LARGEST = 1e12
 
 # Advice for a text that is passed as a path.
 ITS_TEXT = {"a URDF": "; give it by text="}
 
-# Largest number of names that a message lists, and of parts that are not read.
+# Largest number of names, or of unread parts, that a message lists.
 LISTED = 30
 UNREAD = 8
 

@@ -3,7 +3,7 @@
 A piece is sampled, and a descent starts from the smallest distance. A proof of the piece as a motion then shows that
 every pair keeps this distance, less a hundredth. If the proof fails, it names a time at which a pair is nearer, and the
 search continues there. Where the robot collides, no separating planes exist. Such pieces are divided into parts until
-no point moves farther within a part than the two bounds may differ.
+no point moves farther within a part than the allowed difference between the two bounds.
 """
 
 from __future__ import annotations
@@ -27,10 +27,11 @@ from loewner.robots.proofs import in_time, motions
 from loewner.robots.proofs.courses import CURVE_ROUNDINGS, configurations, parts
 from loewner.robots.proofs.curves import Curve, curves_of, cut_in_time, expect_short, hits, proven
 
-# The largest difference of the two bounds on a distance, if possible: as a share of the distance, or in metres.
+# Largest difference between the two bounds on a distance, unless a search ends early: as a share of the distance, or in
+# metres.
 SHARE, NEAR = 0.01, 1e-5
 
-# Fractions of each piece at which distances are measured first; the last piece also has an end.
+# Fractions of each piece at which distances are measured first; the last piece is also measured at its end.
 FIRST = np.arange(4) / 4
 
 # Search for a valley: the first distance to both sides of a time, as a share of the piece, the factor by which the
@@ -40,7 +41,7 @@ WIDE, NARROWER, STEPS = 0.125, 0.4, 12
 # Fractions of pieces at which collisions are sought.
 TICKS = np.arange(32) / 32
 
-# How often the proof may name a time at which a piece is nearer.
+# How often a proof may name a time at which the distance is smaller.
 MOST_ROUNDS = 30
 
 # Parts into which a part is divided, and the largest number of parts of one piece.
@@ -68,8 +69,8 @@ class ClosestApproach(_validate.Brief):
         negative value bounds the depth of all overlaps. The bound is -inf if surfaces overlap, since their depths have
         no upper bound.
     distance : ndarray, shape (n,)
-        The least distance found: the exact distance at ``time``, or minus the depth. It exceeds `lower` by at most the
-        larger of 10 µm and a hundredth of the distance, unless a search ended early.
+        The least distance found: the exact distance at ``time``, or minus the depth. The distance exceeds `lower` by at
+        most the larger of 10 µm and a hundredth of the distance, unless a search ended early.
     time : ndarray, shape (n,)
         Times of the least distances, in seconds.
     names : ndarray of str, shape (n, 2)
@@ -182,7 +183,7 @@ def measured(ready: Problem, curve: Curve, number: int = 0) -> ClosestApproach:
         left, shares, before = open_pieces[~free], found.fractions[~free], before[~free]
         search.look(left, shares)
         search.descend(left, shares)
-        # The others are measured by parts.
+        # The other pieces are measured by parts.
         open_pieces = left[(search.distance[left] < before - _allowed(before) / 4) & (search.distance[left] > 0)]
     rest = np.flatnonzero(lower == -np.inf)
     if len(rest):
@@ -200,8 +201,8 @@ class Measured(NamedTuple):
     Attributes
     ----------
     near : ClosestApproach
-        The approach of all pairs. A pair that may be in contact at the beginning or the end does not count on proven
-        pieces on which the pair comes within its margin.
+        The approach of all pairs. On a proven piece, a pair that may be in contact at the beginning or the end does not
+        count if it comes within its margin.
     allowed : dict of (str, str) to ClosestApproach
         The approach of each pair that may be in contact.
     contacts : ndarray, shape (m, 2)
@@ -233,7 +234,7 @@ def along(checker: Any, curve: Curve, unproven: Ints) -> Measured:
             np.where(nearer, own.distance, near.distance), np.where(nearer, own.time, near.time),
             np.where(nearer[:, None], own.names, near.names),
         )  # fmt: skip
-    if not np.isfinite(near.distance).any():  # all is contact that is allowed
+    if not np.isfinite(near.distance).any():  # all contact is allowed
         near = measured(ready, whole)
     return Measured(near, allowed, contacts(ready, whole, unproven, near))
 
@@ -296,7 +297,7 @@ class Search:
         self.distance, self.share, self.bodies = np.full(n, np.inf), np.zeros(n), np.zeros((n, 2), dtype=np.int64)
         pieces, shares = np.repeat(np.arange(n), len(FIRST)), np.tile(FIRST, n)
         distances = self.look(np.append(pieces, n - 1), np.append(shares, 1.0))
-        # A piece ends where the next one begins.
+        # A piece ends where the next piece begins, so reuse the distance there.
         lower_at_end = np.flatnonzero(distances[len(FIRST) :: len(FIRST)] < self.distance)
         self.look(lower_at_end, np.ones(len(lower_at_end)))
 
@@ -404,7 +405,7 @@ def _changes(robot: Robot, courses: Floats, low: Floats, high: Floats) -> Floats
     if courses.shape[1] == 2:
         center, *ends = (configurations(robot, courses, share) for share in ((low + high) / 2, low, high))
         changes = np.maximum(*(np.abs(end - center) for end in ends))
-        for at in quaternions:  # turn at a constant rate: farthest at the ends, in no single column
+        for at in quaternions:  # turn at a constant rate: farthest at the ends; bound all columns by the norm
             changes[:, at] = lengths(changes[:, at])[:, None] / 2
         return np.asarray(changes)
     points = center = parts(courses, low, high)

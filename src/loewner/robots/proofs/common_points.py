@@ -17,16 +17,17 @@ from loewner.queries._exact import cross, dot, minus, placed
 # A point that is this share of the depth away from the boundaries of both pieces is well inside them.
 WELL_INSIDE = 0.05
 
-# How far from the witnesses points are sought, in multiples of the depth, and how often curved pieces get more planes.
+# Distances from the witnesses within which points are sought, in multiples of the depth; and how often curved pieces
+# get more planes.
 AWAY, ROUNDS = (4.0, 256.0, 2.0**16), 24
 
-# Lengths below this share of the pieces' size are rounding.
+# Lengths below this share of the pieces' size are rounding errors.
 LEAST = 1e-15
 
-# If planes that are this near matter, in multiples of the size, rounding matters as well.
+# If planes within this distance matter, in multiples of the size, rounding matters as well.
 ROUNDED = 1e-9
 
-# A step beside a point, in multiples of its depth: a point in the middle of a hull is in the faces of many tetrahedra.
+# A step away from a point, in multiples of the point's depth: the middle of a hull lies in faces of many tetrahedra.
 BESIDE = np.array([0.17, 0.08, -0.23])
 
 # Vertices of a hull from which tetrahedra are tried, and how many from each.
@@ -57,7 +58,7 @@ def blocks(packs: Sequence[Packed], poses: Floats, near: Floats) -> Iterator[byt
 
 
 def _steps(a: _Piece, b: _Piece, near: Floats) -> Iterator[Floats]:
-    """Make steps from the middle of the witnesses to points that may be in two pieces, first to points well inside."""
+    """Yield steps from the middle of the witnesses to points that may be in two pieces, first to points well inside."""
     middle, half = near.mean(axis=0), (near[1] - near[0]) / 2
     scale = max(2.0 * float(np.linalg.norm(half)), LEAST * (a.size + b.size))
     if (depth := min(a.depth(middle), b.depth(middle))) > WELL_INSIDE * scale:
@@ -102,8 +103,8 @@ def _innermost(a: _Piece, b: _Piece, middle: Floats, scale: float, away: float) 
 class _Piece:
     """A piece in the world: its kind, radius and size, the points of its core, and faces or the factor of its image.
 
-    A surface or a cloud counts as the ball about its corner that is nearest to a point. A plane is a row: a unit
-    outward normal, and the plane's distance from a point, which is `place` for `faces`.
+    A surface or a cloud counts as the ball about its corner nearest to `near`. A plane is a row: a unit outward normal,
+    and the plane's distance from a point, which is `place` for `faces`.
     """
 
     def __init__(self, packed: Packed, k: int, T: Floats, near: Floats) -> None:
@@ -157,7 +158,7 @@ class _Piece:
             share = (x - self.points[0]) @ along / max(float(along @ along), 1e-300)
             n = x - self.points[0] - min(max(share, 0.0), 1.0) * along
             length = float(np.linalg.norm(n))
-            if length == 0.0:  # any direction across
+            if length == 0.0:  # any perpendicular direction
                 n = np.cross(along, np.eye(3)[np.argmin(np.abs(along))]) if along.any() else np.eye(3)[0]
             return np.append(n / np.linalg.norm(n), self.radius - length)[None]
         back = np.linalg.inv(self.factor)

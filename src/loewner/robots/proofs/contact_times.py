@@ -20,9 +20,9 @@ from loewner.robots.proofs.courses import CURVE_ROUNDINGS, elevated, parts
 from loewner.robots.proofs.curves import MEASURED, Curve, configurations_at, curves_of, cut_in_time, expect_short
 from loewner.robots.proofs.proofs import prove
 
-# Parts into which a piece that is not proven free is cut, and the number of times that this is done.
+# Number of parts into which an unproven piece is cut, and the largest number of successive cuts.
 PARTS = 8
-MOST_CUTS = 17  # after which two fractions of a piece may be the same number
+MOST_CUTS = 17  # after more cuts, two fractions of a piece may be equal
 
 # Share of the tolerance that is left to the proof.
 FOR_PROOF = 0.25
@@ -104,7 +104,7 @@ def first_contact(
     -----
     The first piece that is not proven free is cut into eight parts, repeatedly, until the pair is within the tolerance
     where the proof ends. The proof ends earlier if many triangles of two surfaces come near each other at the same
-    time, or if rounding matters. Rounding is about 1e-11 of the lengths involved and 2e-14 of the times.
+    time, or if rounding matters. Rounding errors are about 1e-11 of the lengths involved and 2e-14 of the times.
 
     Contact that `Scene.leave` or `Scene.reach` allows on this curve is not reported. A contact at the end that becomes
     deeper than its rule allows is reported from the time at which it begins.
@@ -168,7 +168,7 @@ def _first(ready: Problem, problem: Problem, curve: Curve, tolerance: float, num
         unproven = np.flatnonzero(proven.verdicts != codes.FREE).tolist()
         if not unproven:
             continue
-        # The others are proven only if the first one turns out to be free.
+        # The other unproven pieces are examined only if the first one turns out to be free.
         first, pair = unproven[0], int(proven.pairs[unproven[0]])
         gap = distance_at(problem, pair, piece.courses[first, 0]) - problem.margins[pair]
         gap -= problem.off_at_start(piece.off[first, piece.courses.shape[2] :])[pair]
@@ -179,7 +179,7 @@ def _first(ready: Problem, problem: Problem, curve: Curve, tolerance: float, num
     if doubt is None:
         return TrajectoryContact(Verdict.FREE, np.inf, np.inf, ("", ""))
     a, b = (problem.names[n] for n in problem.pairs[doubt[1]])
-    # Times of parts are rounded.
+    # Allow for the rounding of the times of parts.
     free = max(doubt[0] - CURVE_ROUNDINGS * float(np.abs(curve.times).max()), float(curve.times[0]))
 
     def colliding(times: Floats) -> Ints:
@@ -226,7 +226,7 @@ def _cut(ready: Problem, piece: Curve) -> Curve:
 
 
 def _earlier(hits: Callable[[Floats], Ints], free: float, touching: float) -> float:
-    """Return a hit from `free` to `touching`, just after a time that is no hit; `free` if that time itself is a hit."""
+    """Return a hit from `free` to `touching`, just after a time that is no hit; `free` itself if it is a hit."""
     if len(hits(np.array([free]))):
         return free
     while True:

@@ -45,10 +45,11 @@ FAR_ROUNDINGS = 1e-8
 FOR_PROOF = 0.25
 
 # Pieces that are apart by less than this share of the robot's reach count as touching: `distance` is accurate to a
-# thousandth of it. Pieces farther apart must keep their margin.
+# thousandth of this share. Pieces farther apart must keep their margin.
 TOUCHING = 1e-9
 
-# Two bodies that are farther apart than their margin and the tolerance by this share of the robot's reach have parted.
+# Two bodies have parted if their distance exceeds the sum of their margin and the tolerance by this share of the
+# robot's reach.
 PARTED = 1e-4
 
 # Places on each course at which the distance is measured first, and the largest number of places.
@@ -215,8 +216,7 @@ def stages(ready: Problem, pair: int, courses: Floats, off: Floats, tolerance: f
 def deeper_than_ends(ready: Problem, path: Floats, rows: Ints, tolerance: float) -> tuple[int, int] | None:
     """Find the first row of a path at which a pair is in deeper contact than its rules allow, and the pair.
 
-    On each motion of a path, a contact may become deeper by the tolerance, but not by more than that along the whole
-    path.
+    A contact may become deeper by the tolerance on each motion, but by no more than the tolerance along the whole path.
     """
     for pair in ready.ruled.tolist():
         allowed = float(ready.margins[pair])
@@ -247,7 +247,7 @@ class _Left(NamedTuple):
     until : tuple of (int, float)
         The course and the fraction at which the stretch of contact ends.
     beside : Problem or None
-        The pieces and the planes behind which they may not go on the stretch; None without a stretch.
+        The pieces, and the planes behind which the pieces must not go on the stretch; None without a stretch.
     for_proof : float
         The tolerance for the proof that the pieces stay in front of the planes.
     least : float
@@ -262,7 +262,7 @@ class _Left(NamedTuple):
 
 
 def _runs(ready: Problem, pair: int, courses: Floats, off: Floats, tolerance: float) -> list[tuple[Run, bool, float]]:
-    """Return runs from the ends where contact is allowed, whether from the start, and the deepest allowed contact.
+    """Return runs from the ends where contact is allowed, whether each is from the start, and the deepest contact.
 
     The depth of a contact at the start of a motion is given; the depth of a contact at the end is chosen.
     """
@@ -271,10 +271,10 @@ def _runs(ready: Problem, pair: int, courses: Floats, off: Floats, tolerance: fl
         return [(whole, True, np.inf)]
     if not ready.leaving[pair]:
         return [(whole.backwards(), False, tolerance)]
-    # Between the two contacts, the pair is apart; any place gives a sound proof.
+    # Cut between the two contacts, where the pair is apart; the proof is sound for any cut.
     before, after = whole.cut(ready.robot, farthest(ready, pair, whole))
     runs = [(before, True, np.inf), (after.backwards(), False, tolerance)]
-    return [run for run in runs if len(run[0].number)]  # the distance may be largest at an end
+    return [run for run in runs if len(run[0].number)]  # a run is empty if the cut is at an end
 
 
 def _leave(ready: Problem, pair: int, run: Run, tolerance: float, deepest: float, work: Work) -> _Left:
@@ -284,7 +284,7 @@ def _leave(ready: Problem, pair: int, run: Run, tolerance: float, deepest: float
     found = _settled(alone, run.courses, FOR_PROOF * tolerance, run.off, work)
     unproven = np.flatnonzero(found.verdicts != codes.FREE).tolist()
     apart = [(k, float(found.fractions[k]), margin) for k in unproven]
-    if not unproven or at_start > margin + tolerance:  # no contact to end
+    if not unproven or at_start > margin + tolerance:  # there is no contact to leave
         return _Left(apart)
     if at_start < -deepest:
         return _Left([(0, 0.0, -deepest)])
@@ -322,7 +322,7 @@ def _settled(problem: Problem, courses: Floats, tolerance: float, off: Floats, w
 def _end_of_contact(ready: Problem, pair: int, run: Run, near: float, parted: float) -> tuple[int, float]:
     """Return the course and fraction at which a pair has first parted, or the run's end if it never comes near again.
 
-    The distance is measured at places between which the pair moves too little to part and to come near.
+    The distance is measured at places between which the pair moves too little to part and come near again.
 
     Parameters
     ----------
@@ -344,7 +344,7 @@ def _end_of_contact(ready: Problem, pair: int, run: Run, near: float, parted: fl
         change = np.diff(poses, axis=0)
         turned = np.linalg.norm(change[..., :3], axis=(1, 2))
         moved = lengths(change[..., :3] @ center + change[..., 3]) + radius * turned
-        # How far the pair has to move from one place to the next for it to part and come near between them.
+        # Between two places, the pair can part and come near again only if it moves this far.
         far = near + parted
         low, high = np.minimum(distances[:-1], distances[1:]), np.maximum(distances[:-1], distances[1:])
         needed = high - low + 2.0 * np.where(high <= far, far - high, np.where(low >= far, low - near, parted))
@@ -368,7 +368,8 @@ def _on_course(at: float) -> tuple[int, float]:
 def _samples(ready: Problem, pair: int, run: Run, at: Floats | None = None) -> tuple[Floats, Floats, Floats]:
     """Return places on a run, a pair's distances there, and the poses of its first body in the second body's frame.
 
-    Places are numbers of courses plus fractions; by default they are spread evenly. Poses have the shape (N, 3, 4).
+    A place is the index of a course plus a fraction; by default, places are spread evenly. Poses have the shape (N, 3,
+    4).
     """
     i, j = (int(k) for k in ready.pairs[pair])
     if at is None:
@@ -425,7 +426,7 @@ class _Touched(NamedTuple):
     distances : ndarray
         Signed distances of the pairs that touch.
     normals : ndarray, shape (planes, 3)
-        Unit vectors in the frame of the second body, which point to the first one.
+        Unit vectors in the frame of the second body, which point to the first body.
     """
 
     ours: Bodies
@@ -464,7 +465,7 @@ def _touched(ready: Problem, pair: int, T: Floats, reach: float, tolerance: floa
     moved = np.tile(T[0, i], (len(planes), 1, 1))
     moved[:, :3, 3] -= LEAST_SHARE * reach * found.normal[0]
     apart_by_little = queries.distance(ours[u], moved, theirs[v], T[0, j], exact=True).normal
-    # In the frame of the second body, which carries the planes.
+    # Convert normals to the frame of the second body, which carries the planes.
     R = T[when, j, :3, :3]
     normals = -np.einsum("kri,kr->ki", R, np.where((when > 0)[:, None], found.normal[when, nth], apart_by_little))
     return _Touched(ours, theirs, apart, planes, at_start[touching], normals)
@@ -473,9 +474,9 @@ def _touched(ready: Problem, pair: int, T: Floats, reach: float, tolerance: floa
 def _beside_planes(ready: Problem, pair: int, run: Run, end: float, tolerance: float) -> tuple[Problem, float]:
     """Pair the pieces of the first body with planes in front of which they begin, in place of the touched pieces.
 
-    Also return the tolerance for the proof that the pieces stay in front. The plane of touching pieces leaves most of
-    the tolerance; the plane of separate pieces leaves only their margin. Normals are sought up to the place `end` on
-    the run, which is the number of a course plus a fraction.
+    Also return the tolerance for the proof that the pieces stay in front. The plane of touching pieces is moved back by
+    most of the tolerance; the plane of separate pieces is moved back until only their margin is left. Normals are
+    sought up to the place `end` on the run, which is the index of a course plus a fraction.
     """
     i, j = (int(k) for k in ready.pairs[pair])
     places = np.append(0.0, end * STRETCHES[::-1])
@@ -483,7 +484,7 @@ def _beside_planes(ready: Problem, pair: int, run: Run, end: float, tolerance: f
     margin, T = float(ready.margins[pair]), ready.poses(configurations(ready.robot, run.courses[k], places - k))
     reach = _reach(ready, pair, run)
     ours, theirs, apart, planes, distances, normals = _touched(ready, pair, T, reach, tolerance)
-    # How far the piece reaches along the normal, whatever that is: from its distance to a wall beyond it.
+    # How far the piece reaches along any given normal, from the distance between the piece and a wall beyond it.
     far = 2 * float(packed_of(theirs).kernel.table[:, columns.REACH].max())
     walls = Bodies([Body.half_space(-n, -far, extent=8 * far) for n in normals])
     reached = far * (1 + FAR_ROUNDINGS) - queries.distance(theirs[planes[:, 1]], None, walls, None, exact=True).distance

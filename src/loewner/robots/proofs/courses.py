@@ -11,7 +11,7 @@ from loewner._base._validate import Floats
 from loewner._kernels import tolerances
 from loewner.robots.description.robot import Robot, interpolated, on_the_way
 
-# Bound on the error of control points that are converted from another form, in units of their largest numbers.
+# Bound on the error of control points that are converted from another form, relative to their largest numbers.
 CURVE_ROUNDINGS = 128.0 * tolerances.UNIT_ROUNDOFF  # certified.md B51
 
 
@@ -29,7 +29,7 @@ def configurations(robot: Robot, courses: Floats, fractions: Floats) -> Floats:
         return interpolated(robot, courses[:, 0], courses[:, 1], fractions[:, None])
     t = fractions[:, None]
     Q = np.zeros(courses[:, 0].shape)
-    for k in range(degree + 1):  # as in C (`evaluate` in `queries.c`), so that both have the same bits
+    for k in range(degree + 1):  # as in C (`evaluate` in `queries.c`), so that both give the same bits
         Q += math.comb(degree, k) * power(t, k) * power(1 - t, degree - k) * courses[:, k]
     for columns in robot._quaternions.values():
         Q[:, columns] /= lengths(Q[:, columns])[:, None]

@@ -116,7 +116,7 @@ class CertifiedTrajectory(_validate.Brief):
 
     @property
     def first(self) -> float:
-        """Time until which the curve is at least proven free: the start of its first segment that is not FREE.
+        """A time until which the curve is proven free: the start of its first segment that is not FREE.
 
         The time is inf if the curve is FREE. With bodies that follow motions, segments also begin where the bodies
         change their rates; `CollisionChecker.first_contact` is more precise.
@@ -353,7 +353,7 @@ def form_of(given: Any, name: str) -> Curve | None:
     _refuse_other_evaluation(given, name)
     try:
         return _of_scipy(given, name)
-    except (ValueError, IndexError, TypeError, OverflowError) as error:  # attributes that were damaged since
+    except (ValueError, IndexError, TypeError, OverflowError) as error:  # attributes damaged later
         if isinstance(error, InputError):
             raise
         raise InputError(f"{name}: expected a curve that SciPy can evaluate, found {error}") from error
@@ -364,7 +364,7 @@ def _of_scipy(given: Any, name: str) -> Curve:
     c = np.asarray(given.c)
     if np.iscomplexobj(c):
         raise InputError(f"{name}: expected real coefficients, found {c.dtype}")
-    # SciPy has moved the axes of the pieces to the front, for every `axis`.
+    # SciPy has moved the axis of the pieces to the front, for any value of `axis`.
     c = c.astype(np.float64)
     interpolate = sys.modules["scipy.interpolate"]
     if isinstance(given, interpolate.BSpline):
@@ -378,7 +378,7 @@ def _of_scipy(given: Any, name: str) -> Curve:
 
 def _is_of_scipy(given: Any) -> bool:
     """Return whether an object is a SciPy curve, without importing SciPy's module for curves."""
-    interpolate = sys.modules.get("scipy.interpolate")  # loaded, if there is an object of its types
+    interpolate = sys.modules.get("scipy.interpolate")  # loaded if an object of its types exists
     types = () if interpolate is None else (interpolate.PPoly, interpolate.BPoly, interpolate.BSpline)
     return isinstance(given, types)
 
@@ -386,10 +386,10 @@ def _is_of_scipy(given: Any) -> bool:
 def _refuse_other_evaluation(given: Any, name: str) -> None:
     """Refuse a curve whose values are computed by other code than SciPy's.
 
-    Such values may differ from the polynomials of the coefficients at any time, and samples cannot show it.
+    Such values may differ from the polynomials of the coefficients at any time, and samples cannot rule this out.
     """
     for method in ("__call__", "_evaluate"):
-        function = getattr(type(given), method, None)  # not all types have both
+        function = getattr(type(given), method, None)  # some types have only one of the methods
         if method in vars(given) or not getattr(function, "__module__", "scipy.").startswith("scipy."):
             raise InputError(
                 f"{name}: expected a curve that SciPy evaluates, found {type(given).__name__} with its own {method}; "
@@ -504,7 +504,7 @@ def _refuse_faults(robot: Robot, curve: Curve, name: str) -> None:
 def joint_errors(robot: Robot, given: ArrayLike, name: str = "joint_error") -> Floats:
     """Expand a joint error, one number or one per value, to the allowed deviation of each value, shape (dof,)."""
     if isinstance(given, float) and 0.0 <= given < np.inf:
-        return np.full(robot.dof, given)  # the checks take as long as the proof of a motion
+        return np.full(robot.dof, given)  # checks would take as long as the proof of a motion
     array = _validate.finite_array(given, name, ("...",))
     wanted = f"{name}: expected one number >= 0 or {robot.dof} of them, found"
     if array.shape not in ((), (robot.dof,)):

@@ -28,15 +28,15 @@ from loewner.robots.proofs.proofs import apply_rules, deviations, refuse_starts
 # Number of values of a floating joint.
 WIDTH = 7
 
-# Bounds on the rounding of positions and quaternions, in units of their largest numbers, and of times.
+# Bounds on rounding errors: of positions and quaternions, relative to their largest numbers; and of times.
 VALUE_ROUNDINGS = 128.0 * tolerances.UNIT_ROUNDOFF  # certified.md B56
 TIME_ROUNDINGS = 16.0 * tolerances.UNIT_ROUNDOFF  # certified.md B57
 
-# A cubic curve through an arc of a unit circle, with its tangents at both ends, misses it by φ⁴ / 384 at most.
+# A cubic curve with the ends and end tangents of an arc of angle φ on a unit circle misses the arc by at most φ⁴ / 384.
 ARC_ERROR = 1.0 / 384.0
 
 
-# The tolerance of a proof of a robot at rest [m], for which nothing has to be halved.
+# Tolerance for proofs about a robot at rest [m], which halve no intervals.
 STILL = 1e-9
 
 
@@ -134,7 +134,7 @@ def pieces(robot: Robot, paths: PackedPaths, courses: Floats, off: Floats, t0: F
 
 
 def _joined(paths: PackedPaths, begin: Floats, end: Floats, courses: Floats, off: Floats) -> tuple[Floats, Floats]:
-    """Append the courses of all bodies between times, and how far values may deviate from them."""
+    """Append the courses of all bodies between times, and how far values may deviate from the courses."""
     M, points, dof = courses.shape
     width = dof + WIDTH * len(paths.far)
     made, allowed = np.empty((M, points, width)), np.empty((M, width + 3 * len(paths.bounds)))
@@ -176,7 +176,7 @@ def _write_courses(a: Floats, b: Floats, out: Floats) -> Floats | float:
     for k in range(1, points - 1):
         share = k / (points - 1)
         out[:, k, :, :3] = (1.0 - share) * a[..., :3] + share * b[..., :3]
-    if points <= 3:  # motions of degree 1 turn at a constant rate, and in others of so few points nothing turns
+    if points <= 3:  # degree 1 turns at a constant rate; with degree 2, no body turns
         out[:, 1:-1, :, 3:] = q[:, None]
         return 0.0
     arc = 2.0 * _elementary.arcsin(np.minimum(np.linalg.norm(q - p, axis=-1, keepdims=True) / 2.0, 1.0))
@@ -212,7 +212,7 @@ def prove_edges(
     refuse_starts(ready.as_given, cut.courses[:, 0], found)
     if off is None:
         apply_rules(ready, cut.courses, cut.off, first, tolerance, found, steps)
-    found.verdicts[found.verdicts == codes.BY_CARE] = codes.COLLIDING  # confirmed below, as all are
+    found.verdicts[found.verdicts == codes.BY_CARE] = codes.COLLIDING  # confirmed below, like all collisions
     made = found if len(cut.owner) == len(a) else _gathered(cut, found, len(a))
     at = (made.verdicts == codes.COLLIDING).nonzero()[0]
     if len(at):
@@ -228,8 +228,8 @@ def _gathered(cut: Pieces, found: Found, total: int) -> Found:
     """Combine the answers about pieces into answers about motions: the worst answer, where it first occurs."""
     work = np.add.reduceat(found.work, np.flatnonzero(np.diff(cut.owner, prepend=-1)))
     made = Found(np.full(total, codes.FREE, dtype=np.int8), np.full(total, np.nan), np.full(total, -1), work)
-    for verdict in (codes.AMBIGUOUS, codes.COLLIDING, codes.TOO_LONG):  # the later ones count more
-        at = np.flatnonzero(found.verdicts == verdict)[::-1]  # of a motion's pieces, the first is written last
+    for verdict in (codes.AMBIGUOUS, codes.COLLIDING, codes.TOO_LONG):  # a later verdict overrides an earlier one
+        at = np.flatnonzero(found.verdicts == verdict)[::-1]  # the first piece of a motion is written last
         at_owner = cut.owner[at]
         made.verdicts[at_owner], made.pairs[at_owner] = verdict, found.pairs[at]
         made.fractions[at_owner] = cut.low[at] + found.fractions[at] * (cut.high[at] - cut.low[at])

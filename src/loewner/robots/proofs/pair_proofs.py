@@ -91,7 +91,7 @@ def prove(
 
 
 def _apart(model: Model, parts: bool, measured: Callable[[], queries.Distance]) -> Proof:
-    """Write a proof with planes that leave room for checkers that round, or if there are none, with any planes.
+    """Write a proof with planes that leave room for checkers that round or, without such planes, with any planes.
 
     The search for planes fails near contact. The search for the distance is more careful, and is used last.
     """

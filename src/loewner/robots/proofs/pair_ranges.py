@@ -54,24 +54,25 @@ FIRST_BOXES = 1000
 # Least tolerance of a proof [m].
 LEAST_TOLERANCE = 1e-12
 
-# Largest denominator of a multiplier of a joint that follows another one without limits: the range is a common period.
+# Largest denominator of a joint's multiplier, if the joint follows a value without limits: the range is a common
+# period.
 MOST_TURNS = 64
 
 # Accuracy of ranges of one value [rad or m], and number of bisections for boxes of several values.
 FINEST, BISECTIONS = 1e-10, 20
 
-# An allowance for the rounding of bounds on motions.
+# Factor that allows for rounding errors of bounds on motions.
 UP = 1.0 + 1e-5
 
-# Errors that are subtracted from distances and depths: shares of themselves, of the lengths from which positions are
-# computed, and of the size of curved pieces. The last share covers searches that stop beside the best direction: their
-# error was measured as 7.1e-6 at most, for cylinders with a common axis.
+# Errors that are subtracted from distances and depths: shares of the distance or depth itself, of the lengths from
+# which positions are computed, and of the size of curved pieces. The last share covers searches that stop beside the
+# best direction: their error was measured as 7.1e-6 at most, for cylinders with a common axis.
 OF_DEPTH, OF_LENGTHS, OF_CURVED = 1e-6, 1e-12, 1e-4
 
 # Verdicts that more boxes may change.
 UNDECIDED = (PairVerdict.CAN, PairVerdict.OPEN)
 
-# Starts of a search for the least distance, and its steps.
+# Numbers of starts and of steps of a search for the least distance.
 STARTS, STEPS = 4, 50
 
 
@@ -81,15 +82,15 @@ class _Question:
 
     Attributes
     ----------
-    names, pair : names of the bodies, and their numbers in `every`, which has all bodies of the robot and the scene
-    columns : numbers of the values between them
+    names, pair : names of the bodies, and their indices in `every`, which has all bodies
+    columns : columns of the values between the bodies
     ready : the two bodies on a robot that has only the joints between them
     base : a configuration of the robot
-    lower, upper, complete : the range, and whether it has all of the hard limits
+    lower, upper, complete : the range, and whether it covers the hard limits
     reason : why boxes cannot be halved further; usually empty
     levers : how far a point moves at most, for each value [m per rad or m]
     waiting : boxes that are neither proven nor examined, in arrays of shape (n, 2, columns)
-    always : whether contact everywhere is to be proven, and not its absence
+    always : whether contact everywhere is to be proven, instead of its absence
     colliding, free, nearest, distance, boxes, share : see `ProvenPair`
     """
 
@@ -137,7 +138,7 @@ class _Question:
         return found
 
     def try_some(self) -> None:
-        """Look for contact, and for configurations without it, at corners, in the middle and between them."""
+        """Search for configurations with and without contact: at corners, in the middle, and in between."""
         count = len(self.columns)
         corners = np.array(list(itertools.product((0.0, 1.0), repeat=min(count, 6))))
         corners = np.concatenate([corners, np.full((len(corners), count - corners.shape[1]), 0.5)], axis=1)
@@ -239,7 +240,8 @@ class _Question:
         courses = straight(self.ready.robot, a, b)
         proven = np.zeros(len(boxes), dtype=bool)
         for like in _of_like_size(moved):
-            # At this tolerance, motions of such lengths are not halved, and their deviations do not count as rounding.
+            # With this tolerance, motions of such lengths are not halved, and their deviations do not count as
+            # rounding.
             some, tolerance = courses[like], 2.0 * float(moved[like].max()) + LEAST_TOLERANCE
             found = proofs.prove(self.ready, some, tolerance, proofs.deviations(some, half[like]))
             proven[like] = found.verdicts == codes.FREE
@@ -267,7 +269,7 @@ class _Question:
 
     @property
     def non_convex(self) -> bool:
-        """Whether a body has triangles, for which proofs of motions may take a box."""
+        """Whether a body has triangles, which proofs of motions may replace with a box."""
         return bool((self.ready.packed.layout[:, kernel_columns.KIND] <= kernel_columns.SURFACE).any())
 
     def moved(self, half: Floats) -> Floats:
@@ -324,7 +326,7 @@ def _halved(boxes: Floats, levers: Floats) -> Floats:
 
 
 def _joints(tree: Tree, link: int) -> list[int]:
-    """Return the joints between the world and a link, as the links that they move."""
+    """Return the joints between the world and a link, identified by the links that they move."""
     return [k for k in reversed(links_above(tree, link)) if tree.kind[k] != kernel_columns.FIXED]
 
 
@@ -375,7 +377,7 @@ def _levers(ready: Problem, body: int, lower: Floats, upper: Floats) -> tuple[Fl
             turns.append((k, at + 2, 1.0))
         else:
             (slides if tree.kind[k] == kernel_columns.PRISMATIC else turns).append((k, at, by))
-    # Joints that slide add their distance from 0, at which reaches are measured.
+    # Reaches are measured with sliding joints at 0, so add the joints' distances from 0.
     travel = sum(max(abs(lower[at]), abs(upper[at])) * by + abs(float(tree.offset[k])) for k, at, by in slides)
     levers = np.zeros(len(lower))
     for _, at, by in slides:
@@ -386,7 +388,7 @@ def _levers(ready: Problem, body: int, lower: Floats, upper: Floats) -> tuple[Fl
 
 
 def _range(whole: Robot, joints: list[int], column: int, turns: bool) -> tuple[float, float, str]:
-    """Return the hard limits of a value, or a full turn of all joints that follow it, and why there is no range."""
+    """Return a value's hard limits, or a full turn of all joints that follow it, and a reason if there is no range."""
     low, high = float(whole.hard_lower[column]), float(whole.hard_upper[column])
     name, tree = whole.configuration_names[column], whole.tree
     if low > -FARTHEST_LIMIT and high < FARTHEST_LIMIT:
@@ -406,7 +408,7 @@ def _range(whole: Robot, joints: list[int], column: int, turns: bool) -> tuple[f
 
 
 def _values(whole: Robot, joints: list[int]) -> tuple[dict[int, bool], str]:
-    """Return the columns on which joints depend, whether each is only an angle, and why there are no ranges."""
+    """Return the columns on which joints depend, whether each is only an angle, and a reason if there is no range."""
     tree, found = whole.tree, dict[int, bool]()
     for k in joints:
         kind, at = int(tree.kind[k]), int(tree.column[k])
@@ -446,7 +448,7 @@ def prove_pairs(
     stated = None
     if _validate.flag(proof, "proof"):
         ready = prepared(self, scene, self._usually_skipped, scene.version, None)
-        stated = model_of(ready), ready  # refused at once if there is none
+        stated = model_of(ready), ready  # refused at once if there is no model
     every = prepared(self, scene, (), scene.version, None)
     asked = _asked(self, every, pairs)
     kept = cache and not given and margin == 0.0 and not scene.names and not scene.margins
@@ -623,7 +625,7 @@ def _checked_limits(whole: Robot, limits: Mapping[str, tuple[float, float]] | No
 
 
 def _expect_value(whole: Robot, name: Any, argument: str) -> None:
-    """Refuse a name that is none of the values of a configuration."""
+    """Refuse a name that is not the name of a value of a configuration."""
     if isinstance(name, str) and name in whole.mimics:
         other, _ = whole.mimics[name]
         raise InputError(
@@ -633,7 +635,7 @@ def _expect_value(whole: Robot, name: Any, argument: str) -> None:
 
 
 def _asked(whole: Robot, every: Problem, pairs: Iterable[Pair] | None) -> list[tuple[int, int]]:
-    """Return the pairs in question, as numbers of bodies; the first body of each pair moves."""
+    """Return the pairs in question, as indices of bodies; the first body of each pair moves."""
     place = {name: k for k, name in enumerate(every.names)}
     if pairs is None:
         listed = whole.disabled_pairs if whole._lists_pairs else itertools.combinations(whole.bodies, 2)
@@ -686,7 +688,7 @@ def _question(
     standing = every.standing.poses.reshape(-1, 16)[b - moving :][:1] if b >= moving else np.empty((0, 16))
     ready = _pair_problem(chain, packs, numbers, margin, standing)
     if b < moving:
-        # In proofs, the body moves that moves less as seen from the other body.
+        # In proofs, the moving body is the body that moves less as seen from the other body.
         first, second = (((upper - lower) * _levers(ready, body, lower, upper)[0]).sum() for body in (0, 1))
         if second < first:
             ready = _pair_problem(chain, packs[::-1], numbers[::-1], margin, standing)
@@ -720,6 +722,6 @@ def _settle(
     if search:
         for question in order:
             if question.proven_free or not only_free:
-                question.descend()  # also for pairs that are proven: contact would be a contradiction
+                question.descend()  # also for proven pairs, where contact would be a contradiction
     if progress is not None:
         progress(len(order), len(order))

@@ -197,7 +197,7 @@ def model_of_pair(packs: Sequence[Packed], cut: Sequence[Packed], poses: Floats,
     """
     none, nothing = np.array([-1]), np.zeros((1, 3))
     identity = quaternions_of(np.eye(3)[None])
-    # A link of its own: bodies of the world are not checked among themselves.
+    # One body gets a link of its own, since bodies of the world are not checked against each other.
     links = Links(
         ["a"], none, np.array([STAYS]), none, np.ones(1), np.zeros(1), identity, nothing, nothing, none
     )  # fmt: skip
@@ -253,7 +253,7 @@ def _refuse(ready: Problem) -> None:
 
 
 def _links(tree: Tree, names: tuple[str, ...]) -> tuple[Links, Ints, Floats, Floats]:
-    """Make the links; for each link of the robot, also return the link that carries it and its frame there."""
+    """Make the links; for each link of the robot, also return the link that carries it, and its frame in that link."""
     rows: list[tuple[str, int, int, int, float, float, Floats, Floats, Floats, int]] = []
     count = len(names)
     at, turns, shifts = np.zeros(count, dtype=np.int64), np.tile(np.eye(3), (count, 1, 1)), np.zeros((count, 3))
@@ -360,7 +360,7 @@ def of_bodies(bodies: Placed) -> bytes:
 
 def of_pairs(group: Ints, pairs: Ints, margins: Floats) -> bytes:
     """Write which pairs are not to be checked, and the margins of the other pairs."""
-    moving = int((group >= 0).sum())  # these come first, and bodies in the world are not checked among themselves
+    moving = int((group >= 0).sum())  # moving bodies come first; pairs in the world are not checked
     unchecked = np.triu(group[:moving, None] != group, 1)
     unchecked[pairs[:, 0], pairs[:, 1]] = False
     usual = 0.0

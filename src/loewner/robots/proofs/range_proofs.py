@@ -27,8 +27,8 @@ from loewner.robots.proofs.written_proofs import FARTHEST_TURN, RANGES, VERSION,
 # Largest size of a file [bytes], and largest number of products of a point and a normal that checkers compute.
 MOST_BYTES, MOST_WORK = 5_000_000, 2**29
 
-# Largest numbers of nodes in the trees of all pairs together, of levels of a tree, and of halvings of a side, whose
-# ends are exact doubles.
+# Largest numbers of nodes in the trees of all pairs together, of levels of a tree, and of halvings of a side (the ends
+# of its parts are exact doubles).
 MOST_NODES, DEEPEST, MOST_HALVED = 2**19, 64, 48
 
 # Largest numbers of corners that are examined at a time, and of sides of a box: planes are checked at all corners.
@@ -40,7 +40,7 @@ OF_TERMS, OF_SIZE = 2e-9, 2e-11
 # A plane is written with 16 bits per coordinate if the gap exceeds the margin by this share of the bodies' size.
 COARSE, LONGEST = 3e-4, 32767
 
-# Pieces are divided if the plane of the nearest points has less than this share of the room between the bodies.
+# Pieces are divided if the plane of the nearest points leaves less room than this share of the gap between the bodies.
 OF_ROOM = 0.5
 
 # Tokens for a halved box, for the last plane again, and for planes with 16 bits per coordinate and with doubles.
@@ -167,7 +167,7 @@ class _Joints:
         return np.swapaxes(one, 1, 2) @ other, np.einsum("nji,nj->ni", one, end - start)
 
     def bends(self, lower: int, center: Floats, radius: float) -> Floats:
-        """Bound second derivatives, by each value, of points of the upper body, which are in a ball."""
+        """Bound second derivatives, with respect to each value, of points in a ball on the upper body."""
         links, passed = self.links, list[tuple[int, float]]()
         for path, upward in ((self.paths[1 - lower], True), (self.paths[lower][::-1], False)):
             for k in path:
@@ -194,7 +194,7 @@ class _Joints:
         return bends
 
     def size(self, link: int) -> float:
-        """Return the length of the chain of a link, with all slides."""
+        """Return the length of the chain of a link, slides included."""
         total = 0.0
         while link >= 0:
             slide = self.length[link] * self.far(link) if self.links.moves[link] == SLIDES else 0.0
@@ -365,7 +365,7 @@ class _Search:
         self._divide(rest, parts, below, gap[~done] - self.claim.margin, room[~done], takes[~done])
 
     def _with_known_planes(self, boxes: _Boxes, parts: Parts) -> _Boxes:
-        """Prove boxes by the planes of the boxes above, and return the remaining boxes."""
+        """Prove boxes with the planes of the boxes above them, and return the remaining boxes."""
         known = np.flatnonzero(boxes.plane >= 0)
         left = np.ones(len(boxes.node), dtype=bool)
         frames = np.array([self.planes[k][0] for k in boxes.plane[known].tolist()], dtype=np.int64)
@@ -432,7 +432,7 @@ class _Search:
         self, boxes: _Boxes, parts: Parts, below: Level, gap: Floats,
         room: Floats, takes: Floats,
     ) -> None:  # fmt: skip
-        """Divide boxes: across a value, or their pieces."""
+        """Halve boxes across a value, or divide their pieces."""
         if len(boxes.node) == 0:
             return
         if self.nodes + 2 * len(boxes.node) > self.most or self.work > self.most_work:
@@ -478,7 +478,7 @@ class _Search:
     # -- bytes --------------------------------------------------------------------------------
 
     def _written(self) -> bytes:
-        """Write the tree; a plane that follows itself is not named again."""
+        """Write the tree; a plane that equals the previous plane is not named again."""
         data, last, rest = list[bytes](), -1, [0]
         while rest:
             node = rest.pop()

@@ -40,7 +40,8 @@ NAMED = slice(4, 8)
 # How often a motion, or half of a motion, is halved for the shortest contacts.
 MOST_HALVED = 15
 
-# Least distances below 0 are raised by this share for the search, which adds room for rounding to sums in proportion.
+# For the search, least distances below 0 are raised by this share, since the search adds room for rounding in
+# proportion to sums.
 DEPTH_ROOM = 4e-9
 
 # The model of two bodies that do not move has no joints of a robot.
@@ -75,7 +76,7 @@ def trees(
     """
     prepared = _known.get(ready)
     if prepared is None:
-        links = np.append(model.links.of_robot, -1)[model.link]  # behind the robot's links, the world
+        links = np.append(model.links.of_robot, -1)[model.link]  # the world comes after the robot's links
         placed_by = np.where(links < 0, len(ready.robot.link_names), links)
         prepared = _known[ready] = _Prepared(model, ready.robot.tree, placed_by)
     speeds, memory = prepared.speeds(courses, deviations), _Memory.of(model)
@@ -191,7 +192,7 @@ class _Prepared:
         """Bound speeds, second derivatives, deviations and travel of joints on motions, shape (N, joints, 4)."""
         links, degree = self.links, courses.shape[1] - 1
         m = np.where(links.value < 0, 0.0, np.abs(links.multiplier))
-        P = np.pad(courses, ((0, 0), (0, 0), (0, 1)))[:, :, links.value]  # links that do not move follow the last one
+        P = np.pad(courses, ((0, 0), (0, 0), (0, 1)))[:, :, links.value]  # fixed links have the added value 0
         rates = m * degree * np.abs(np.diff(P, axis=1)).max(axis=1)
         bends = m * degree * (degree - 1) * np.abs(np.diff(P, n=2, axis=1)).max(axis=1, initial=0.0)
         off = np.broadcast_to(m * np.append(deviations, 0.0)[links.value], rates.shape)
@@ -202,7 +203,7 @@ class _Prepared:
         self, course: Floats, speeds: Floats, room: float, memory: _Memory, pairs: slice = slice(None),
         margins: Floats | None = None,
     ) -> bytes | Failed:  # fmt: skip
-        """Make the trees of all pairs, or of some consecutive ones, for one motion."""
+        """Make the trees of all pairs, or of consecutive pairs, for one motion."""
         own = self.model.margins[pairs] if margins is None else margins
         some = self.model._replace(pairs=self.model.pairs[pairs], margins=own)
         tables = records.table_of(some), records.table_of(self.tree)
@@ -247,7 +248,7 @@ class _Search(NamedTuple):
     def with_contacts(self, trees: list[bytes | Failed], touching: list[Contact]) -> list[bytes | Failed]:
         """Make the trees that failed, if contacts suffice, and append the contacts, each as short as possible.
 
-        The contacts of a pair are one stretch from the start of the curve, or to its end.
+        The contacts of a pair form one stretch from the start of the curve, or one stretch to its end.
         """
         failed = [k for k, tree in enumerate(trees) if isinstance(tree, Failed)]
         rules, middle = int(self.model.rules[self.pair]), -1 if self.model.rules[self.pair] == AT_END else len(trees)
@@ -262,7 +263,8 @@ class _Search(NamedTuple):
         made, start, end = list[Contact](), [(0.0, 1.0, 0)], [(0.0, 1.0, 1)]
         halves = [(0.0, 0.5, 0), (0.5, 1.0, 1)]
         for k in failed:
-            # Between both contacts, each half of a motion may be in contact at its end, or else all of it at one end.
+            # In the motion between the two contacts, each half may be in contact at its outer end, or else the whole
+            # motion at one end.
             for way in [halves, start, end] if k == middle else [start] if k < middle else [end]:
                 new = list[Contact]()
                 found = [self._part(k, *part, touches[part[2]], new) for part in way]
@@ -274,7 +276,8 @@ class _Search(NamedTuple):
             else:
                 return trees
         self.memory.state[self.pair, NAMED] = 0.0  # planes were not named in the order of the file
-        # Contact lasts all along the motions between the start or the end of the curve and the last motion in contact.
+        # A contact lasts from the start of the curve to its last motion in contact, or from its first motion in contact
+        # to the end.
         ends = {end: [contact for contact in made if contact.end == end] for end in (0, 1)}
         for last in ends[0][-1:]:
             touching += [last._replace(motion=k, k=0) for k in range(self.first, last.motion)] + [last]
@@ -303,7 +306,7 @@ class _Search(NamedTuple):
         least, normals = touch
         if not isinstance(whole, Failed) or len(normals) == 0:  # nothing touches
             return whole
-        # Halves at the other end, as long as they keep the margin.
+        # Split off halves at the other end, as long as they keep the margin.
         rest, width = list[bytes](), high - low
         while len(rest) < MOST_HALVED:
             width /= 2.0

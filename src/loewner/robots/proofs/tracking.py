@@ -18,7 +18,7 @@ from loewner.robots.checking.problem import Problem
 from loewner.robots.proofs.curves import joint_errors
 from loewner.robots.proofs.proofs import prove_by_rules
 
-# The search ends when an error that is not proven is at most this many times the result.
+# The search ends when an unproven error is at most NEAR times the result.
 NEAR = 1.02
 
 # The first error that is tried, in radians or metres, and the factor to the next one. Large errors take longest.
@@ -42,7 +42,7 @@ def largest(ready: Problem, a: Floats, b: Floats, weights: Floats, most: float, 
         else:
             low = e
         e = min(STEP * low, most) if high == math.inf else math.sqrt(low) * math.sqrt(high)
-    # Motions proven for a larger error need not be proven for this error, since the intervals differ.
+    # Motions that are proven for a larger error may be unproven for this error, since the intervals differ.
     while low > 0.0 and (prove_by_rules(ready, starts, ends, tolerance, low * weights).verdicts != codes.FREE).any():
         low = low / NEAR if low > FIRST else 0.0
     return low

@@ -21,7 +21,7 @@ from loewner.robots.proofs.proof_models import LARGEST, TURNS, Model, contents, 
 if TYPE_CHECKING:
     from loewner.verify import Report
 
-# Models without rules of contact have the first version.
+# Files whose models have no contact rules have the first version of the format.
 MAGIC, VERSION, WITHOUT_RULES, FREE, COMMON, RANGES = b"LOEWNERP", 2, 1, 1, 2, 3
 _HEAD = struct.Struct("<8sIIII")
 
@@ -153,7 +153,7 @@ class Proof:
         InputError
             If proofs cannot express the checker's robot or scene, or if `data` does not contain a model.
         """
-        if not hasattr(checker, "_ready"):  # its class is above this module
+        if not hasattr(checker, "_ready"):  # the checker's class is in a higher module
             raise InputError(f"checker: expected loewner.CollisionChecker, found {type(checker).__name__}")
         expected = model_of(checker._ready(timed=True)).data
         try:
