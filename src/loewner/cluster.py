@@ -141,8 +141,8 @@ def fit(
     Raises
     ------
     InputError
-        If an option has the wrong type or value; if two meshes would have the same body file, or a mesh is not in
-        `root`; or if `client` is not a Dask client, is closed, or is an address at which no scheduler answers.
+        If an option has the wrong type or value. If two meshes would have the same body file, or a mesh is not in
+        `root`. If `client` is not a Dask client, is closed, or is an address at which no scheduler answers.
     FileError
         If the folder cannot be created.
     MissingExtraError
@@ -159,10 +159,10 @@ def fit(
     Each body equals the body that `Body.from_mesh` makes. A body is first written under a temporary name, and the file
     is then renamed.
 
-    A mesh is skipped if its body and record exist, the body has not changed since it was written, and the record has
-    the checksum of the mesh file, the same options and the same version of loewner. Repeating a call that was
-    interrupted, or whose workers died, therefore continues where the first call stopped. A glTF file that refers to
-    other files is always fitted again.
+    A mesh is skipped if its body and record exist, and the body has not changed since it was written. In addition, the
+    record must have the checksum of the mesh file, the same options and the same version of loewner. Repeating a call
+    that was interrupted, or whose workers died, therefore continues where the first call stopped. A glTF file that
+    refers to other files is always fitted again.
 
     If a worker dies, Dask gives its files to the remaining workers, including finished files whose outcome was lost
     with the worker. Tasks may be cancelled while the scheduler runs, for instance because its connection breaks or it

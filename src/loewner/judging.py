@@ -286,15 +286,15 @@ def judge_answers(
     Raises
     ------
     PoseError, InputError
-        As for `distance`; also if the shapes of answers do not broadcast with the poses; if an answer is infinite, or a
-        depth is negative; or if no answer is given.
+        As for `distance`. Also if the shapes of answers do not broadcast with the poses, an answer is infinite, a depth
+        is negative, or no answer is given.
 
     Notes
     -----
     Depths and normals of overlapping bodies have a single meaning only for two convex pieces. For other bodies, a depth
-    is called too small only if it is less than the depth of two of their pieces, and too large only if a shorter
-    translation separates the bodies. For such bodies, normals and the distances between witnesses are never called
-    wrong.
+    is called too small only if it is less than the depth of two of their pieces. It is called too large only if a
+    shorter translation separates the bodies. For bodies with several pieces, normals and the distances between
+    witnesses are never called wrong.
 
     Examples
     --------

@@ -1,22 +1,22 @@
 """Check, in integers and fractions and without the rest of the library, a file that proves motions collision-free.
 
 This module also checks proofs that pairs of bodies are free over ranges of the joints between them, or that two bodies
-collide. It needs only Python's standard library, and can be run by itself: ``python verify.py plan.proof``. The page
-docs/proof-format.md describes the files and shows why a file that passes is a proof. Lengths, sines and matrices are
-integers in units of 2^-72. The following bounds on rounding errors are in these units, and hold for the norms of
+collide. The module needs only Python's standard library, and can be run by itself: ``python verify.py plan.proof``. The
+page docs/proof-format.md describes the files and shows why a file that passes is a proof. Lengths, sines and matrices
+are integers in units of 2^-72. The following bounds on rounding errors are in these units, and hold for the norms of
 vectors and matrices (the root of the sum of squares). Lengths that appear as factors are in metres.
 
 - A double, and each entry of a fixed rotation or of an axis, has a rounding error below 1. The error of a sine or
   cosine is less than 2: a tenth for the angle, a thousandth for the series, and 1 for the result. In a joint's rotation
-  c + s e + (1 - c) e e, the terms have errors below 2, 3 and 4 in each entry, and the sum adds 1, so the matrix has an
-  error below 30. Multiplying by the fixed rotation and by the parent's rotation increases this to 41 for each link of
-  the chain: ``TURN``.
+  c + s e + (1 - c) e e, the terms have errors below 2, 3 and 4 in each entry, and the sum adds 1. The matrix therefore
+  has an error below 30. Multiplying by the fixed rotation and by the parent's rotation increases this to 41 for each
+  link of the chain: ``TURN``.
 - A link is at its parent's position plus a rotated step of length l. The step has an error below 3 l + 8, the parent's
   rotation adds its error times l, and rounding adds 2. With E = TURN (links of the chain + 1) and the length L of the
   chain, the error is at most E (L + 1).
 - A plane's normal n is exact, since any vector is valid. In the other body's frame, the normal has an error of 2 E |n|
   + 5. A gap therefore has an error of at most (|n| + 1) E (2 X + 4 L + 3), where X is the size of the bodies, plus |n|
-  times the errors of the placed points of both bodies, which are at most ``_Body.fuzz``.
+  times the errors of the placed points of both bodies. The latter errors are at most ``_Body.fuzz``.
 """
 
 import argparse
@@ -75,9 +75,9 @@ class Report:
         ``left_out`` lists pairs that the model exempts. ``uncovered`` lists bodies whose pieces do not cover their
         interior; the planes prove nothing about such an interior.
     points, motions : tuple of tuple of tuple of float, and tuple of (int, bool, bool, int)
-        ``points`` has the control points of each motion. ``motions`` has the degree of each motion, whether it starts
-        where the previous motion ends, whether its control points are within the limits of the values, and the number
-        of its configurations at which planes were checked.
+        ``points`` has the control points of each motion. ``motions`` has the degree of each motion, and whether it
+        starts where the previous motion ends. It also has whether the control points are within the limits of the
+        values, and the number of configurations at which planes were checked.
     tightest, common : (str, str, int, Fraction, Fraction, float, Fraction) or None, and (str, str) or None
         ``tightest`` is the check with the least room to spare: two bodies, a motion, an interval, the margin, and the
         remaining room. If the file claims a common point, ``common`` names the two bodies that share this point.
@@ -88,8 +88,8 @@ class Report:
     ranges : tuple of (str, str, float, tuple of (str, float, float, bool))
         Each entry of ``ranges``, if the file claims any, has two bodies, their margin in metres, and the values between
         the bodies. Each value has a name, the ends of the range over which the bodies are farther apart than the
-        margin, and whether the range covers all numbers that the value can have. In this case, the last five entries of
-        ``tightest`` are the index of the pair, 0, 1, the margin, and the remaining room.
+        margin, and a flag. The flag is true if the range covers all numbers that the value can have. In this case, the
+        last five entries of ``tightest`` are the index of the pair, 0, 1, the margin, and the remaining room.
     """
 
     model: str
@@ -600,7 +600,7 @@ class _Checker:
         return ups
 
     def tree(self, motion: _Motion, pair: Pair) -> None:
-        """Check that a tree proves two bodies apart. Its parts cover the interval, or the box, and all pieces."""
+        """Check that a tree proves two bodies apart: its parts must cover the interval, or the box, and all pieces."""
         sides = len(motion.sides) if isinstance(motion, _Box) else 0
         spans = [(0, 1 << DEEPEST), *((0, len(self.bodies[k].pieces)) for k in pair), *[(0, 1 << DEEPEST)] * sides]
         rest = [(spans, 0)]

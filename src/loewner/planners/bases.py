@@ -194,8 +194,8 @@ def plan_drive(
     ----------
     checker : CollisionChecker
         A checker whose robot has a base from `Robot.footprint` or `Robot.add_base`; the base faces along x at theta =
-        0. The origin of the base is the point that follows arcs and lines: put it midway between the driven wheels of a
-        differential base, or in the middle of a car's rear axle.
+        0. The origin of the base follows arcs and lines. Put the origin midway between the driven wheels of a
+           differential base, or in the middle of a car's rear axle.
     start, goal : array_like, shape (dof,)
         Only the base moves, so all other joints must have the same values at the start and the goal.
     base : {"differential", "car"}
@@ -230,8 +230,9 @@ def plan_drive(
     -----
     A* searches a lattice of arcs, lines and turns in place (hybrid A*: Dolgov et al., IJRR 2010) until one of its poses
     is connected to the goal. For a car, the connection is a Reeds-Shepp path, or a Dubins path if the car may not
-    reverse; for a differential base, it is a turn, a line and another turn. Parts of the path are then replaced with
-    shorter ways of the same kinds. A contact counts as a collision even if `Scene.leave` or `Scene.reach` permits it.
+    reverse. For a differential base, the connection is a turn, a line and another turn. Parts of the path are then
+    replaced with shorter ways of the same kinds. A contact counts as a collision even if `Scene.leave` or `Scene.reach`
+    permits it.
 
     Examples
     --------
@@ -367,9 +368,9 @@ def _search(
 ) -> tuple[Path | None, int, tuple[float, float, float]]:
     """Search the lattice from the start until a way from one of its poses to the goal is proven.
 
-    Finer motions, by powers of `FINER`, lead to finer cells, and cost as much as coarse ones. The result is the way,
-    the number of poses from which the search continued, and for the pose nearest to the goal: the cost of its distance
-    and turn from the goal, the distance, and the turn.
+    Finer motions, by powers of `FINER`, lead to finer cells, and cost as much as coarse ones. The result has three
+    parts: the way; the number of poses from which the search continued; and, for the pose nearest to the goal, the cost
+    of its distance and turn from the goal, the distance, and the turn.
     """
     fine, coarse = FINER ** np.arange(finest + 1.0), base.lattice()
     steps, costs = np.concatenate([coarse / scale for scale in fine]), np.tile(_costs(coarse), finest + 1)
@@ -561,7 +562,7 @@ def _shortened(base: Base, path: Path) -> Path:
 
 
 def _pass(base: Base, path: Path) -> tuple[Path, float, float]:
-    """Find the cheapest sequence of motions of a path and proven ways between its poses; return both costs."""
+    """Find the cheapest sequence of motions of a path and proven ways between its poses; return old and new cost."""
     path = _cut(path)
     n, ways = len(path.poses), path.motions[:, None]
     plain = _costs(path.motions) + CHANGE * base.step * _changes(path.motions)

@@ -48,8 +48,8 @@ class Brakes(NamedTuple):
     counts : ndarray of int64, shape (n,)
         Number of times that describe each brake; 0 for a brake that does not end on the path.
     needed : ndarray of int64, shape (n,)
-        Index of the row of the path by which each brake ends, or the number of rows if the brake ends later; 0 for
-        brakes that leave the path.
+        For each brake, the index of the first row of the path that is not before the end of the brake, or the number of
+        rows if the brake ends later. 0 for brakes that leave the path.
     """
 
     times: Floats

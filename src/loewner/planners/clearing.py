@@ -19,8 +19,8 @@ RISE = 9.0
 # Least number of motions into which a path is divided, and largest number of motions of a path that is divided.
 MOTIONS, MOST_MOTIONS = 48, 400
 
-# The first step of a point, as a share of a motion's length; factors of the step after a success and after a failure;
-# and the step below which a point is no longer moved.
+# Steps of a point, as shares of a motion's length: the first step, the factors after a success and after a failure, and
+# the step below which the point is no longer moved.
 FIRST_STEP, LONGER, SHORTER, LEAST_STEP = 1.0, 1.5, 0.5, 1e-3
 
 # A point is left out if the cost rises by at most this share.
@@ -125,7 +125,7 @@ class Clearing:
         steps[rows] *= np.where(cheaper, LONGER, SHORTER)
 
     def _free(self, before: Floats, there: Floats, after: Floats, chosen: Bools) -> Bools:
-        """Return which points have free motions to both sides; only the `chosen` ones are tried."""
+        """Return which points have free motions to both neighbours; only the `chosen` points are tried."""
         free = np.zeros(len(there), dtype=bool)
         a, b = np.concatenate([before[chosen], there[chosen]]), np.concatenate([there[chosen], after[chosen]])
         free[chosen] = self.judge.free(a, b).reshape(2, -1).all(axis=0)

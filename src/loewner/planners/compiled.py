@@ -174,7 +174,7 @@ def _how_far(growth: Growth, spent: str, option: str) -> str:
 
 
 def _what_is_between(growth: Growth) -> str:
-    """Describe what prevents motions from one tree to the other, from configurations spread over both."""
+    """Describe what prevents motions from one tree to the other, from configurations spread over both trees."""
     judge, counts = growth.judge, growth.state[[STARTS, GOALS]].tolist()
     if judge.resolution:
         return ""

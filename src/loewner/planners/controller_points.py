@@ -68,8 +68,8 @@ class Origin:
     touching : dict
         Links that a carried body may touch, by the name of the body.
     free : tuple of str
-        Bodies that the robot carries in another part of the message, but not during these points; queries raise an
-        error if these bodies are attached in the scene.
+        Bodies that the robot carries in another part of the message, but not during these points. Queries raise an
+        error if such bodies are attached in the scene.
     straight : tuple of str
         Columns of a base, which are interpolated by straight lines although other columns have velocities.
     """
@@ -173,7 +173,7 @@ class ControllerPoints:
         ----------
         path : path
             A ``.json`` or ``.yaml`` file with a ROS ``trajectory_msgs/JointTrajectory``, by itself or within a message
-            of MoveIt or of a controller's action; or a ``.csv`` file whose columns are ``time``, the joints' names and
+            of MoveIt or of a controller's action. Or a ``.csv`` file whose columns are ``time``, the joints' names and
             optionally ``NAME velocity`` and ``NAME acceleration`` for each joint. Files written by `Trajectory.save`
             can be read as well.
         robot : Robot, optional
@@ -272,8 +272,8 @@ class ControllerPoints:
         Raises
         ------
         InputError
-            As for `Trajectory.save`; if a message would contain the same time twice, or a negative time; or if the base
-            of a robot moves straight while joints have velocities, which no such file can express.
+            As for `Trajectory.save`. If a message would contain the same time twice, or a negative time. If the base of
+            a robot moves straight while joints have velocities, since no such file can express this.
         UnknownNameError, FileError, MissingExtraError
             As for `Trajectory.save`.
 

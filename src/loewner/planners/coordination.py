@@ -88,8 +88,8 @@ def coordinate(
     UnknownNameError
         If the robot has no part of this name.
     PlanningError
-        If the starts or the ends are not free, or the robots cannot pass each other on these paths; the message names
-        the two bodies that meet at the farthest point that the search reached.
+        If the starts or the ends are not free, or the robots cannot pass each other on these paths. The message names
+        the two bodies that meet at the farthest point of the search.
 
     Notes
     -----

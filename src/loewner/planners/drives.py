@@ -83,8 +83,8 @@ class Drive(KeepsReadOnly):
         The columns of x, y and theta.
     times : ndarray, shape (k + 1,)
         When motions begin, and when the last one ends, in seconds. Within a motion, the base drives and turns at
-        constant rates. Drives from `plan` and `of` are as fast as possible without exceeding 1 m/s and 1 rad/s;
-        ``dataclasses.replace(drive, times=drive.times / 0.5)`` drives half as fast.
+        constant rates. Drives from `plan` and `of` are as fast as possible without exceeding 1 m/s and 1 rad/s. The
+        drive ``dataclasses.replace(drive, times=drive.times / 0.5)`` is half as fast.
     iterations : int
         Number of poses from which the search continued.
     seconds : float

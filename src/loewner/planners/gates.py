@@ -88,7 +88,7 @@ class GateAnswer(_validate.Brief):
         free.
     scale : float
         1 if all targets may be executed. Otherwise, the largest time scale among 1/2, 1/4 and 1/8 at which all targets
-        may be executed, that is, with periods of dt / scale. The scale is 0 if none of the three suffices, or if the
+        may be executed, that is, with periods of dt / scale. The scale is 0 if even 1/8 does not suffice, or if the
         limit on the work is reached first.
     reason : str
         The reason why not all targets may be executed. "contact": the robot collides on the way to a target. "brake":
@@ -97,7 +97,7 @@ class GateAnswer(_validate.Brief):
         a target is outside the limits or too fast. "budget": the limit on the work was reached. The reason is empty for
         GO.
     names : tuple of str
-        The pair of bodies, or the joint, to which the reason applies; empty if there is none.
+        The pair of bodies, or the joint, to which the reason applies; empty if there is no such pair or joint.
     distance, normal : float, ndarray of shape (3,)
         The distance between the two bodies where the proof fails [m], negative if they overlap, and the direction
         towards the second body. All bodies are at their given poses. NaN if there is no pair.
@@ -350,9 +350,9 @@ class Gate:
 
         Notes
         -----
-        Proofs of earlier checks are used again under three conditions: the targets continue unchanged; the scene has
-        not changed, or each body is within its earlier bounds; and the measured state is within `joint_error` and
-        `velocity_error` of the proven motion. If a condition does not hold, everything is proven again.
+        Proofs of earlier checks are used again if the targets continue unchanged, and the measured state is within
+        `joint_error` and `velocity_error` of the proven motion. In addition, the scene must be unchanged, or each body
+        must be within its earlier bounds. If a condition does not hold, everything is proven again.
         """
         robot = self._checker.robot
         period, now = _validate.positive_scalar(dt, "dt"), self._time(time)
@@ -384,9 +384,8 @@ class Gate:
         Returns
         -------
         Proof
-            The motions of the proof are the chunk's motions up to the last target with a proven brake, followed by all
-            pieces of the brakes in the order of the ticks. In the proof, all motions may deviate by as much as the
-            brakes.
+            The proof contains the chunk's motions up to the last target with a proven brake, followed by all pieces of
+            the brakes in the order of the ticks. In the proof, all motions may deviate by as much as the brakes.
 
         Raises
         ------

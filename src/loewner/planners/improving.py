@@ -73,9 +73,9 @@ class Improve:
         the weighted changes. Weights make metres and radians comparable; a joint with a large weight moves little.
         Default: 1 for each value.
     clearance : float, optional
-        Distance [m] that the path should keep from the bodies of the scene where possible. This is a preference, not a
-        constraint: at smaller distances, a motion costs up to ten times its length, and half of the rounds move the
-        path away from the bodies. For a distance that must be kept everywhere, use `Scene.margin`.
+        Distance [m] that the path should keep from the bodies of the scene where possible. The clearance is a
+        preference, not a constraint: at smaller distances, a motion costs up to ten times its length. Half of the
+        rounds move the path away from the bodies. For a distance that must be kept everywhere, use `Scene.margin`.
 
     Raises
     ------
@@ -144,8 +144,9 @@ class Plan(KeepsReadOnly):
     proof : Proof or None
         A proof that the path is free, if one was requested.
     clearance : float or None
-        Least distance [m] of the robot from the scene's bodies that are not attached to it, at 128 or more points of
-        the path; infinite if there are no such bodies. None unless a clearance was requested.
+        Least distance [m] of the robot, at 128 or more points of the path, from the scene's bodies that are not
+        attached to the robot. The distance is infinite if there are no such bodies, and None unless a clearance was
+        requested.
     approach : int or None
         The row of the path at which the approach of a `PoseGoal` begins, if there is an approach.
     retreat : ndarray, shape (k, dof), or None

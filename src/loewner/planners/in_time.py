@@ -65,8 +65,8 @@ DRAWN, MOTIONS, ARRIVALS = 8, 3, 4
 # the path, and how near. HASTY: the share of branches at full speed.
 SHARE, GROWTH, ALONG, NEAR, HASTY = 1 / 6, 1.2, 0.5, 0.1, 0.5
 
-# Limits of shortening: the number of rounds, the number of rounds without success, and the least relative gain; and for
-# each change in a round, the share of the possible gain in time.
+# Limits of shortening: the number of rounds, the number of rounds without success, and the least relative gain. SAVED:
+# for each change in a round, the share of the possible gain in time.
 ROUNDS, IDLE, GAIN = 6, 2, 1e-3
 SAVED = (1.0, 1.0, 1.0, 1.0, 0.5, 0.5, 0.0, 0.0)
 
@@ -185,9 +185,9 @@ def plan_in_time(
     velocity : float or array_like, shape (dof,), optional
         The largest velocity of each value [rad/s or m/s]. Default: the URDF's limits (`Robot.velocity`).
     arrive_by : float, optional
-        The latest arrival [s], on the same clock as `start_time`. The default, which is also the upper limit, is four
-        times the time that the joints need to cross their ranges, counted from the end of all bodies' motions; for a
-        motion that repeats, two periods count.
+        The latest arrival [s], on the same clock as `start_time`. The default, which is also the upper limit, is
+        counted from the end of all bodies' motions (for a motion that repeats, of two periods), and is four times the
+        time that the joints need to cross their ranges.
     search : Search, optional
         The fields `max_iterations`, `timeout` and `simplify` apply; `planner` must not be set, and motions are always
         proven.
@@ -202,7 +202,7 @@ def plan_in_time(
     Raises
     ------
     PlanningError
-        As for `plan`; also if the start collides at the start time (the message names pairs and depths), or if no goal
+        As for `plan`. Also if the start collides at the start time (the message names pairs and depths), or if no goal
         can be reached by the latest arrival within the velocity limits.
     InputError, UnknownNameError
         As for `plan`.
@@ -572,7 +572,7 @@ def _changed(judge: TimedJudge, rows: Floats, begin: float, end: float, share: f
     two[:, -1] = at
     first, last = int(np.searchsorted(times, begin - SLACK)), int(np.searchsorted(times, end + SLACK))
     saved = share * max(end - begin - float(judge.seconds(two[0], two[1])), 0.0)
-    two = two[: 1 if saved == end - begin else 2]  # if no time is left between the two states, one is enough
+    two = two[: 1 if saved == end - begin else 2]  # if no time is left between the two states, keep one
     changed: Floats = np.concatenate([rows[:first], two, rows[last:]])
     changed[first + 1 :, -1] -= saved
     changed[0], changed[-1, :-1] = rows[0], rows[-1, :-1]

@@ -1,8 +1,8 @@
 """Time the motions of a path, and the blends between them, with limited jerk: every piece is a cubic polynomial.
 
-Along a motion, the speed follows a profile of phases with constant jerk. Across a corner, the velocity changes from one
-motion's direction to the other's in up to three phases: the acceleration grows, stays constant, and falls. Both kinds
-of pieces begin and end without acceleration. docs/howto/trajectories.md and docs/design/trajectories.md describe these
+Along a motion, the speed follows a profile of phases with constant jerk. Across a corner, the velocity changes to the
+direction of the next motion in up to three phases: the acceleration grows, stays constant, and falls. Both kinds of
+pieces begin and end without acceleration. docs/howto/trajectories.md and docs/design/trajectories.md describe these
 pieces.
 """
 
@@ -57,7 +57,8 @@ class JerkLimited(NamedTuple):
     along : list of Limits
         For each motion, limits on changes of the speed along it, as shares of full speed.
     across : list of Limits
-        For each corner, limits on the change from one motion's velocity to the other's, as shares of full speed.
+        For each corner, limits on the change from one motion's velocity to the next motion's velocity, as shares of
+        full speed.
     """
 
     straights: Straights
@@ -167,8 +168,9 @@ class JerkLimited(NamedTuple):
     def _bends(self, halves: Floats) -> tuple[Floats, Floats, Floats]:
         """Compute three cubic pieces of each blend; the second may have no duration.
 
-        The arrays are the ends of the pieces, shape (corners, 4, dof); the velocities there, times the duration of the
-        blend; and the durations of the pieces as shares of the blend's duration, shape (corners, 3, 1).
+        The first array has the ends of the pieces, shape (corners, 4, dof). The second has the velocities at these
+        ends, times the duration of the blend. The third has the durations of the pieces as shares of the blend's
+        duration, shape (corners, 3, 1).
         """
         first, _, last = self.straights.corners(halves)
         sized = zip(halves.tolist(), self.across, strict=True)

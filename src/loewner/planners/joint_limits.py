@@ -32,8 +32,8 @@ MOST_BYTES = 2**24
 # Kinds of limits in a file, and the attribute that each of them bounds.
 KINDS = {"velocity": "velocity", "acceleration": "acceleration", "deceleration": "acceleration", "jerk": "jerk"}
 
-# Keys of a joint. The last ones, from MoveIt and ros2_control, do not affect trajectories: forces, gains, and whether
-# an angle wraps around.
+# Keys of a joint. Keys of MoveIt and ros2_control for forces, gains and angles that wrap around come last: they do not
+# affect trajectories.
 KEYS = (
     *(key for kind in KINDS for key in (f"max_{kind}", f"has_{kind}_limits")),
     *("min_position", "max_position", "has_position_limits"),
@@ -86,10 +86,10 @@ class JointLimits(KeepsReadOnly):
         path : path
             A YAML file with the key ``joint_limits``, which may be within ROS's parameters, and may occur several times
             for different joints. For each joint, ``has_velocity_limits: true`` and ``max_velocity`` give a limit, and
-            ``has_velocity_limits: false`` means that there is none. Limits of acceleration, deceleration and jerk have
-            the same form, and so do ``min_position`` and ``max_position``; soft limits narrow this range of positions.
-            Limits of a mimicking joint bound the joint that it mimics, except for position limits, which cause a
-            warning instead. Angles may be tagged ``!degrees``.
+            ``has_velocity_limits: false`` means that the velocity is unlimited. Limits of acceleration, deceleration
+            and jerk have the same form, and so do ``min_position`` and ``max_position``; soft limits narrow this range
+            of positions. Limits of a mimicking joint bound the joint that it mimics, except for position limits, which
+            cause a warning instead. Angles may be tagged ``!degrees``.
         robot : Robot
         scaled : bool
             Multiply the limits of velocity and acceleration by the file's default scaling factors, which are at most 1.
@@ -101,8 +101,8 @@ class JointLimits(KeepsReadOnly):
         Raises
         ------
         FileError
-            If the file does not exist, contains no limits, contains a joint or a key twice, or contains an unknown key
-            of a joint or a malformed limit; or if a scaling factor is not next to ``joint_limits``.
+            If the file does not exist, contains no limits, or contains a joint or a key twice. If a joint has an
+            unknown key or a malformed limit. If a scaling factor is not next to ``joint_limits``.
         UnknownNameError
             If the file names a joint that the robot lacks; the message lists such joints and the robot's joints.
         MissingExtraError
@@ -111,9 +111,8 @@ class JointLimits(KeepsReadOnly):
         Warns
         -----
         UserWarning
-            If limits of a joint that turns are probably in degrees; or if the file contains other tables next to
-            ``joint_limits``, or position limits of joints that mimic others. Each of the two warnings is issued at most
-            once.
+            If limits of a joint that turns are probably in degrees. If the file contains other tables next to
+            ``joint_limits``, or position limits of joints that mimic other joints. Each warning is issued at most once.
 
         Examples
         --------
@@ -325,7 +324,7 @@ def _factors(holder: dict[str, Node], scaled: bool) -> dict[str, float]:
 
 
 def _limits_of_joint(entry: Node) -> dict[str, float]:
-    """Return the limits of one joint by their kinds, "lower" and "upper" among them; infinite if it declares none."""
+    """Return the limits of one joint, keyed by kind, "lower" or "upper"; infinite if the joint declares no limit."""
     keys, found = entry.mapping(None), {}
     if not keys:
         raise entry.error("expected limits by their names, found none")

@@ -29,8 +29,8 @@ LARGEST_ANGLE = np.pi - 1e-6
 # Rounding error per joint of a deviation from a line on a curve, relative to the lengths and the largest value.
 ROUNDINGS = 128.0 * tolerances.UNIT_ROUNDOFF  # certified.md B68
 
-# Numbers of equal parts into which a course is divided, in turn, until its bound is within the tolerance; and the
-# largest number of configurations that are computed at a time.
+# Numbers of equal parts into which a course is divided, one number after another, until the bound is within the
+# tolerance; and the largest number of configurations that are computed at a time.
 PARTS, MOST_CONFIGURATIONS = (4, 16, 64, 256, 1024), 2**14
 
 
@@ -47,7 +47,7 @@ class Line:
     first, last : int
         Rows of the path at which the line begins and ends; negative rows count from the end. Default: the whole path.
     position, rotation : float
-        Largest allowed deviations of the link from the line, in metres and radians, at least 1e-9 each: at every
+        Largest allowed deviations of the link from the line, in metres and radians, at least 1e-9 each. At every
         instant, the link's pose differs from some pose of the line by at most these deviations.
 
     Raises

@@ -34,7 +34,7 @@ LIKELY = (0.05, 2.0)
 # Velocity limit [rad/s or m/s] that the check of times assumes for a joint without a limit.
 USUAL = 2.0
 
-# Velocities at both ends of a monotone cubic are at most STEEPEST times its mean velocity. Velocities are doubted if
+# Velocities at the ends of a monotone cubic are at most STEEPEST times its mean velocity. Velocities are doubted if
 # pieces with other velocities cover more than the share DOUBTED of a joint's way.
 STEEPEST, DOUBTED = 3.0, 0.5
 
@@ -84,7 +84,7 @@ class Jump(NamedTuple):
 def used(robot: Robot, curve: Curve, limits: JointLimits | None, timed: bool) -> list[Use]:
     """Return how far a curve with the robot's columns uses each joint's limits; without times, only position limits.
 
-    Position limits are the hard limits, unless the file of `limits` gives others.
+    Position limits are the hard limits, unless the file of `limits` gives other limits.
     """
     lower, upper = robot.hard_lower, robot.hard_upper
     if limits is not None:

@@ -149,8 +149,8 @@ class Motion:
     times : ndarray, shape (n,)
         In seconds.
     rows : dict
-        "positions", and "velocities" and "accelerations" if the points have them, of shape (n, joints); or
-        "transforms", with positions and quaternions x, y, z, w, of shape (n, joints, 7).
+        Arrays of shape (n, joints) for "positions" and, if the points have them, "velocities" and "accelerations". Or
+        an array of shape (n, joints, 7) for "transforms": positions and quaternions x, y, z, w.
     """
 
     names: list[str]

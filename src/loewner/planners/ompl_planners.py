@@ -190,8 +190,8 @@ def _motion_validator() -> Any:
     class Motions(parent):  # type: ignore[misc]
         """Check whether motions are free in the scene's current state.
 
-        The validator keeps no reference to the ``SpaceInformation``. That object refers to the validator, so the two
-        would never be freed.
+        The validator keeps no reference to the ``SpaceInformation``, which refers to the validator: with references in
+        both directions, neither object would ever be freed.
         """
 
         def __init__(self, information: Any, space: Space, judge: Judge) -> None:

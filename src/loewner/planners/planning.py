@@ -144,7 +144,7 @@ def plan(
         example to avoid spilling a cup. The angle is proven for every motion of the path itself; joint errors are not
         included. Only the compiled planner supports this option.
     joint_error : float or array_like, shape (dof,)
-        Radians or metres by which each value may deviate from the path: every motion is proven for all such deviations,
+        Radians or metres by which each value may deviate from the path. Every motion is proven for all such deviations,
         including deviations of joints that do not move. With a joint error, contact at the ends is not allowed.
     search : Search, optional
         The planner, its limits, and whether it proves its motions. Default: ``Search()``.
@@ -296,10 +296,10 @@ def plan_full(
     Notes
     -----
     Each round of improvement searches the configurations through which a cheaper path may lead (Gammell et al., IROS
-    2014), and polishes the new path and the best one: corners are cut or moved, and single joints are straightened.
-    With a clearance, the cost of a motion is its weighted length times the mean of 1 + 9 (1 - d / clearance)² along the
-    motion. Here, d is the distance from the robot to the nearest body of the scene that is not attached to it, or the
-    clearance if that is smaller.
+    2014). The new path and the best path are then polished: corners are cut or moved, and single joints are
+    straightened. With a clearance, the cost of a motion is its weighted length times the mean of 1 + 9 (1 - d /
+    clearance)² along the motion. Here, d is the distance from the robot to the nearest body of the scene that is not
+    attached to it, or the clearance if that is smaller.
 
     Examples
     --------

@@ -21,7 +21,7 @@ from loewner.robots.checking.verdicts import contacts, free
 from loewner.robots.description.reaching import MOST_SEEDS, checked_tolerance
 from loewner.robots.description.robot import chain_to
 
-# Largest number of configurations that are tried as goals: free ones first, then the ones nearest to the start.
+# Largest number of configurations that are tried as goals: free configurations first, then the nearest to the start.
 MOST_GOALS = 16
 
 # A goal in contact that has lines counts as this many goals, since proofs under contact rules take twenty times as
@@ -101,7 +101,7 @@ class PoseGoal:
     def configurations(
         self, checker: CollisionChecker, start: ArrayLike, joints: str | Iterable[str] | None = None
     ) -> Floats:
-        """Find configurations that reach the goal; free ones come first, and are sorted by their distance from `start`.
+        """Find configurations that reach the goal, sorted by distance from `start`, with free configurations first.
 
         Parameters
         ----------
@@ -114,8 +114,8 @@ class PoseGoal:
         Returns
         -------
         ndarray, shape (goals, dof)
-            At most sixteen configurations, including colliding ones only if there are too few free ones. The goal's
-            approach and retreat, if any, are free for all these configurations.
+            At most sixteen configurations. Colliding configurations are included only if there are fewer free ones. The
+            goal's approach and retreat, if any, are free for all these configurations.
 
         Raises
         ------
@@ -266,7 +266,7 @@ class PoseGoal:
         Raises
         ------
         PlanningError
-            If there are none; the message counts the reasons.
+            If there are no such configurations. The message counts the reasons.
         """
         kept, room = list[int](), MOST_GOALS
         made, reasons = Approaches(judge, [], []), dict[str, list[str]]()
@@ -310,7 +310,7 @@ class Approaches(NamedTuple):
     judge : Judge
         The judge that found the lines free.
     rows : list of ndarray, shape (k, dof)
-        For each goal, the approach; a single configuration if there is none.
+        For each goal, the approach; without an approach, a single configuration.
     retreats : list of ndarray, shape (k, dof), or None
         For each goal, the retreat.
     """

@@ -46,7 +46,8 @@ class Phase(NamedTuple):
 
 
 def ramp(change: float, limits: Limits) -> tuple[float, float]:
-    """Return the durations of the phases of a change of speed: two phases with jerk, and one without jerk in between.
+    """Return the durations of the phases of a change of speed: two phases with jerk, and a phase without jerk in
+    between.
 
     The change is the fastest within the limits, except that no phase is shorter than the least duration.
     """

@@ -386,7 +386,7 @@ class Roadmap(KeepsReadOnly):
         Roadmap
             The roadmap, which belongs to `checker`. A verdict depends on the robot's joints and bodies, the checked
             pairs, margins, attachments, and the poses of the scene's bodies. If all this is unchanged since the roadmap
-            was saved, the motions marked as free in the file count as free in the search for a path; otherwise the
+            was saved, the motions marked as free in the file count as free in the search for a path. Otherwise, the
             first query proves all motions again. The path itself is proven in either case.
 
         Raises

@@ -153,7 +153,7 @@ class Space:
         return verdicts.is_free(prepared_of(self.checker), q)
 
     def free_among(self, Q: Floats) -> Bools:
-        """Return which configurations of a batch are proven free; unsettled ones count as not free."""
+        """Return which configurations of a batch are proven free; unsettled configurations count as not free."""
         return verdicts.free(prepared_of(self.checker), np.array(Q, order="C"))  # kernels take no views
 
     def name(self, column: int) -> str:

@@ -1,7 +1,7 @@
 """Connect poses (x, y, heading) by ways that a base can drive: Reeds-Shepp paths, Dubins paths, or turns in place.
 
-A way is a sequence of motions. Each motion has a length [m], negative for backwards, and a turn [rad], both at constant
-rates, so that it is an arc of a circle, a straight line, or a turn in place.
+A way is a sequence of motions. Each motion has a length [m], negative for backwards, and a turn [rad]. Both have
+constant rates, so that a motion is an arc of a circle, a straight line, or a turn in place.
 
 References
 ----------

@@ -66,7 +66,7 @@ class Straights(NamedTuple):
 
     @property
     def straights(self) -> Straights:
-        """These motions themselves, for a common interface with `JerkLimited`."""
+        """This object itself, for a common interface with `JerkLimited`."""
         return self
 
     @property
@@ -153,8 +153,8 @@ class Straights(NamedTuple):
         Parameters
         ----------
         halves : ndarray, shape (corners,)
-            Seconds at full speed from the beginning of a blend to its corner, which equals the time from the corner to
-            the blend's end; 0 for a stop.
+            Seconds at full speed from the beginning of a blend to its corner, and likewise from the corner to the
+            blend's end; 0 for a stop.
         """
         with np.errstate(invalid="ignore"):
             limits = np.sqrt(np.where(halves > 0, 2 * halves * self._room(), 0.0))

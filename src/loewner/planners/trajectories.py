@@ -55,7 +55,7 @@ ROUNDED = 1e-15
 # at least CLOSEST periods from any knot.
 SPACED, SPACED_WITHOUT_JERK, CLOSEST = 1.3, 0.5, 0.05  # certified.md, "Rounding of limits"
 
-# Rows that are closer in time than this [s] are merged, since a message cannot hold both.
+# Rows that are closer in time than this [s] are merged, since times in a message are whole nanoseconds.
 NANOSECOND = 1e-9
 
 # Number of corners whose blends are chosen together: the effort grows quadratically, and distant corners hardly matter.
@@ -377,8 +377,8 @@ class Trajectory(KeepsReadOnly):
         Raises
         ------
         InputError
-            If the trajectory is for another robot; if the robot is not from `Robot.from_drake`, or has quaternions; or
-            if velocities jump and also change between jumps, as on a brake through joint targets.
+            If the trajectory is for another robot. If the robot is not from `Robot.from_drake`, or has quaternions. If
+            velocities jump and also change between jumps, as on a brake through joint targets.
         MissingExtraError
             If Drake is not installed.
 
@@ -399,7 +399,7 @@ class Trajectory(KeepsReadOnly):
         return PiecewisePolynomial.CubicHermite(self.times, knots, rates)
 
     def part(self, name: str) -> Trajectory:
-        """Return the motion of one robot that `Robot.join` has joined to others, with its own names and the same times.
+        """Return the motion of one of several joined robots (`Robot.join`), with its own names and the same times.
 
         Parameters
         ----------
@@ -410,7 +410,7 @@ class Trajectory(KeepsReadOnly):
         -------
         Trajectory
             The columns whose names begin with ``name/``, without this prefix. A proof for one robot does not cover the
-            others: prove the whole trajectory. `stops` are the times at which this robot rests, and `blends` the
+            other robots: prove the whole trajectory. `stops` are the times at which this robot rests, and `blends` the
             intervals in which any of the robots cuts a corner.
 
         Raises
@@ -456,17 +456,17 @@ class Trajectory(KeepsReadOnly):
             in the first line, unless it is 0.
         joints : sequence of str, optional
             Names of the columns to write, in this order. Default: all. The file does not contain the motion of the
-            other columns, so a proof of the whole trajectory holds only if the other columns also follow the trajectory
+            omitted columns, so a proof of the whole trajectory holds only if these columns also follow the trajectory
             at the same times.
         names : mapping or sequence of str, optional
-            Names of the columns in the file: a mapping from names of the trajectory, or a list with a name for each
-            column that is written.
+            Names of the columns in the file: a mapping from the trajectory's names to new names, or a list with a name
+            for each written column.
         controllers : path, optional
             A YAML file of ros2_control or MoveIt that lists controllers. A file is written for each controller, such as
             ``moved.arm_controller.yaml`` for ``path="moved.yaml"`` and the controller ``arm_controller``. The file
             contains the controller's joints, in the controller's order. Each column whose values change must belong to
-            a controller that accepts trajectories. The columns must include all joints of such a controller, unless
-            they include none or the controller allows partial goals.
+            a controller that accepts trajectories. The columns must include all joints of such a controller or none,
+            unless the controller allows partial goals.
         rate : float, optional
             Also write rows at this rate [1/s], for programs that connect rows with straight lines. By default the rows
             are the knots, between which accelerations are constant or change linearly. If velocities jump, the robot
@@ -612,7 +612,7 @@ class Trajectory(KeepsReadOnly):
         acceleration, jerk : float or array_like, shape (dof,), optional
             Limits [rad/s² and rad/s³, or m/s² and m/s³]. Default: from `limits`. Without a jerk limit, accelerations
             jump. With ``how="path"`` and a trajectory from `trajectory`, the limits must be no lower than the
-            trajectory's own; there must be jerk limits if and only if the trajectory has them.
+            trajectory's own. In this case, give jerk limits if and only if the trajectory has them.
         limits : JointLimits, optional
         beyond : bool
             Whether the robot may continue straight after the end of a trajectory that ends in motion.

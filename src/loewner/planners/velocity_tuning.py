@@ -100,7 +100,7 @@ class _Stations(NamedTuple):
 
 def _seconds(steps: Floats, rates: Floats, blended: Bools, strongest: Floats) -> Floats:
     """Compute the durations of sections between shares of speeds; see `_Stations`."""
-    # Along a straight motion, velocities are proportional to each other, so that one norm is as good as another.
+    # Along a straight motion, velocities are proportional to each other, so that any norm will do.
     first, last = np.abs(rates[:-1]).max(axis=1), np.abs(rates[1:]).max(axis=1)
     _validate.fits_memory(16 * len(SHARES) ** 2 * (rates.size + 2 * len(rates)), f"{len(rates)} stations")
     x, y = SHARES[:, None], SHARES
@@ -158,9 +158,9 @@ def time_path(
     start_time : float
         Time at which the robot is at rest at the first configuration [s], on the clock of the bodies' motions.
     arrive_by : float, optional
-        The latest arrival [s]. The default, which is also the upper limit, is twice the time that the path takes
-        without moving bodies, counted from the end of all bodies' motions; for a motion that repeats, two periods
-        count.
+        The latest arrival [s]. The default, which is also the upper limit, is counted from the end of all bodies'
+        motions (for a motion that repeats, of two periods), and is twice the time that the path takes without moving
+        bodies.
     arrive_at : float, optional
         The time of arrival [s]. Default: the earliest time that the search finds.
     end_velocity : array_like, shape (dof,), optional
@@ -188,7 +188,7 @@ def time_path(
         the arrival time is too early. If no timing is found; the message names a pair of bodies, the place and the
         time.
     InputError
-        As for `trajectory`; if the path has only one configuration; or if the velocity at the end is not along the last
+        As for `trajectory`. If the path has only one configuration. If the velocity at the end is not along the last
         motion, cannot be reached on the path, or is given together with jerk limits.
 
     See Also

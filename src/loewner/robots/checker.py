@@ -78,7 +78,7 @@ class CollisionChecker:
     all bodies of the scene, except for allowed pairs. Rigidly joined bodies are never checked against each other.
     Bodies of the scene are not checked against each other either: use `Scene.pairs`.
 
-    The scene's margin applies to pairs with a body of the scene; a pair of links has a margin only if
+    The scene's margin applies to pairs with a body of the scene. A pair of links has a margin only if
     `Scene.set_margin` sets a margin for all links, for one of the two links, or for the pair (see `Scene.margin_of`).
 
     If no pair is checked (for example, because all pairs are allowed), every configuration is free: see
@@ -188,7 +188,9 @@ class CollisionChecker:
 
     @property
     def scene(self) -> Scene:
-        """The scene in which the robot is checked. Its contents may change; a different scene needs a new checker."""
+        """The scene in which the robot is checked. The scene's contents may change; a different scene needs a new
+        checker.
+        """
         return self._scene
 
     @property
@@ -224,8 +226,8 @@ class CollisionChecker:
         Raises
         ------
         InputError
-            If the width of Q is not dof, an entry is not finite, there are more than 2^24 pairs to check, or bodies of
-            the scene follow motions (`Scene.follow`) and no time is given.
+            If the width of Q is not dof, or an entry is not finite. If there are more than 2^24 pairs to check. If
+            bodies of the scene follow motions (`Scene.follow`) and no time is given.
         UnknownNameError
             If an attachment, an allowed pair or a margin of the scene names a link that the robot does not have.
         ConvergenceError
@@ -413,15 +415,16 @@ class CollisionChecker:
         Raises
         ------
         InputError
-            If the width of Q0 or Q1 is not dof, an entry is not finite, the shapes do not broadcast, the tolerance is
-            not positive and finite, or a joint error is negative; if a motion is so long that it would take more than
-            458,752 intervals; if bodies of the scene follow motions and a time is missing, or t1 is before t0; if
-            `steps` is not an integer >= 1; or if a proof is requested and proofs cannot express the robot or the scene.
+            If the width of Q0 or Q1 is not dof, an entry is not finite, or the shapes do not broadcast. If the
+            tolerance is not positive and finite, a joint error is negative, or `steps` is not an integer >= 1. If a
+            motion is so long that it would take more than 458,752 intervals. If bodies of the scene follow motions and
+            a time is missing, or t1 is before t0. If a proof is requested and proofs cannot express the robot or the
+            scene.
         UnknownNameError
             As for `collide`.
         ConvergenceError
-            If the motions are free, but a proof cannot be written. Possible reasons are that the proof's bound on the
-            effect of joint errors is too coarse, that a pair comes within a few micrometres of its margin, or that the
+            If the motions are free, but a proof cannot be written. There are three possible reasons: the proof's bound
+            on the effect of joint errors is too coarse, a pair comes within a few micrometres of its margin, or the
             planes of a contact do not suffice. The message names the pair.
 
         See Also
@@ -544,8 +547,8 @@ class CollisionChecker:
         Raises
         ------
         InputError
-            If the curve has the wrong type, does not match the robot's joints, or is not continuous; if its degree is
-            above 7, a number is not finite, or its times do not increase; if the values of a SciPy curve differ from
+            If the curve has the wrong type, does not match the robot's joints, or is not continuous. If its degree is
+            above 7, a number is not finite, or its times do not increase. If the values of a SciPy curve differ from
             the values that its coefficients define. If a proof is requested, also as for `certify_edges`.
         ConvergenceError
             As for `certify_edges`.
@@ -673,8 +676,8 @@ class CollisionChecker:
         Notes
         -----
         The gradient is n · (J_b x_b - J_a x_a), with the normal n from a to b and the Jacobians J of the witnesses,
-        regarded as points fixed to their links. Where the nearest pair or its witnesses are not unique (two pairs tie,
-        or faces or edges are parallel), the distance has a kink, and the gradient is the derivative for one of the
+        regarded as points fixed to their links. If the nearest pair or its witnesses are not unique (two pairs tie, or
+        faces or edges are parallel), the distance has a kink. The gradient is then the derivative for one of the
         choices. The derivative with respect to a quaternion accounts only for the rotation that the quaternion
         represents, so its component along the quaternion is 0.
 
@@ -710,7 +713,7 @@ class CollisionChecker:
         Q : array_like, shape (..., dof)
         softness : float
             Softness in metres. The bound lies below the least gap by at most the softness times the logarithm of the
-            number of pairs of pieces; a smaller softness gives a tighter bound with sharper bends.
+            number of pairs of pieces. A smaller softness gives a tighter bound with sharper bends.
         gradient : bool
             Also compute the derivative of the bound with respect to the configuration.
 
@@ -836,7 +839,7 @@ class CollisionChecker:
         return np.ascontiguousarray(np.asarray(found.gradient)[..., : self.robot.dof])
 
     def _exact(self, ready: Problem, Q: Floats) -> Verdicts:
-        """Decide verdict and tier of every configuration in the current scene; ConvergenceError if one is unsettled."""
+        """Decide verdict and tier of all configurations in the current scene; ConvergenceError if any is unsettled."""
         flat = edges.flat(Q)
         found = verdicts.classified(ready, codes.EXACT, flat)
         self._learn(ready, len(flat))

@@ -34,8 +34,8 @@ from loewner.scenes.scene import Scene
 
 FORMATS = ("curobo", "vamp", "foam", "pyroki", "urdf", "mjcf", "scene")
 
-# Formats with spheres only. Their programs compute in float32, so numbers are rounded to float32, outwards when
-# written.
+# Formats with spheres only. Programs that use these formats compute in float32, so numbers are rounded to float32,
+# outwards when written.
 OF_SPHERES = ("curobo", "vamp", "foam", "pyroki")
 
 # Formats by suffix of the file; the keys of a file decide between formats with the same suffix.

@@ -42,7 +42,7 @@ def pairs_by_sampling(
     Returns
     -------
     dict
-        Maps sorted pairs of links to a reason: "adjacent" if a joint connects them; "default" if they collide at
+        Maps sorted pairs of links to a reason: "adjacent" if a joint connects the links; "default" if they collide at
         `known_free`; "always" if they collide at no less than the fraction `always` of the samples; "never" if they
         collide at no sample. Rigidly joined links are never checked and are not listed.
 

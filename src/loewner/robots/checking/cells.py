@@ -31,8 +31,8 @@ def save(path: str | os.PathLike[str], robot: Robot, scene: Scene, ready: Proble
     Raises
     ------
     InputError
-        If bodies of the scene follow motions, since programs that read the file cannot pass a time; if the robot has no
-        joints; if a margin is larger than `MOST_MARGIN`; or if a name contains a NUL.
+        If bodies of the scene follow motions, since programs that read the file cannot pass a time. If the robot has no
+        joints, a margin is larger than `MOST_MARGIN`, or a name contains a NUL.
     """
     if ready.margins.max(initial=scene.margin) > MOST_MARGIN or robot.dof == 0:
         raise InputError(f"expected joints, and margins of at most {MOST_MARGIN:g} m, found none or larger ones")

@@ -1,7 +1,7 @@
 """Prepare the pairs of bodies to check, at one state of the scene, as arrays for the kernels.
 
-Work that is the same for every query is done here once: balls about moving bodies, bounds and ellipsoids of static
-bodies in world coordinates, and the additional data for proofs of motions.
+This module computes once the data that are the same for every query: balls about moving bodies, bounds and ellipsoids
+of static bodies in world coordinates, and additional data for proofs of motions.
 """
 
 from __future__ import annotations

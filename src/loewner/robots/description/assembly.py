@@ -181,8 +181,8 @@ def add_base(self: R, kind: Literal["planar", "floating"], bounds: ArrayLike | N
     Raises
     ------
     InputError
-        If the bounds have the wrong shape, a lower bound is above the upper bound, or a name is taken; or if
-        `with_body` has added a body in the world, which would move with the base.
+        If the bounds have the wrong shape, a lower bound is above the upper bound, or a name is taken. If `with_body`
+        has added a body in the world, which would move with the base.
     UnknownNameError
         If `kind` is unknown.
 
@@ -313,7 +313,8 @@ def with_body(
     joint : str
         Kind of the joint.
     parent : str, optional
-        The link to which the joint belongs. Default: the world. In that case, place the robot or add its base first.
+        The link to which the joint belongs. Default: the world. Before you add a body in the world, place the robot or
+        add its base.
     axis : array_like, shape (3,)
         Axis along which the joint slides or about which it turns.
     limits : (float, float), optional
@@ -333,8 +334,8 @@ def with_body(
     Raises
     ------
     InputError
-        If a name is taken, `body` is not a body, the axis has no direction, or limits are missing or not in order; if a
-        velocity or a mimic is given for a joint that does not have exactly one value; or if the narrowed limits of the
+        If a name is taken, `body` is not a body, the axis has no direction, or limits are missing or not in order. If a
+        velocity or a mimic is given for a joint that does not have exactly one value. If the narrowed limits of the
         followed joint would contain no values.
     PoseError
         If the pose is not a rigid motion.
@@ -461,7 +462,7 @@ def placed_parts(parts: Mapping[str, Part[Any]], T: Floats) -> dict[str, Part[An
 
 
 class _Piece(NamedTuple):
-    """A robot that is combined with others: the prefix of its names, and the link to which its root is fixed.
+    """A robot that is combined with other robots: the prefix of its names, and the link to which its root is fixed.
 
     The root is fixed to the world if `on` is None, and left out if `without_root` is true.
     """

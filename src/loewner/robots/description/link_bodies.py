@@ -93,8 +93,8 @@ def link_bodies(
     Warns
     -----
     UserWarning
-        Once, if a body is probably not in metres. With "auto", also if meshes are not closed; one warning names them
-        all.
+        Once, if a body is probably not in metres. With "auto", also if meshes are not closed; one warning names all
+        open meshes.
     """
     folders = list(package_dirs)
     for folder in folders:

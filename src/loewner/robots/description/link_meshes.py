@@ -104,8 +104,8 @@ def hull_or_solid(vertices: Floats, triangles: Ints) -> tuple[Choice, tuple[Floa
         "hull": the mesh is closed, and its hull is proven to stick out by at most `NEAR`, or by at most `NEAR_SHARE`.
         "solid": the mesh is closed, but its hull is not proven to be so close. "open": the mesh has no inside.
     mesh : tuple of ndarray
-        Vertices and triangles, closed if the mesh was nearly closed. Each closed part is turned outward, unless all
-        tested points of the part lie in a larger part: such a part is a cavity of the larger part.
+        Vertices and triangles, closed if the mesh was nearly closed. Each closed part is turned outward, except for
+        cavities: a part is a cavity of a larger part if all of its tested points lie in the larger part.
     edges : int
         The number of edges at which the mesh was open.
     """
@@ -159,7 +159,7 @@ def _capped(vertices: Floats, triangles: Ints, start: Ints, end: Ints) -> tuple[
 
 
 def _has_inside(vertices: Floats, part: ClosedPart, least: float) -> bool:
-    """Return whether a closed part has a volume, or is flat and needs none; a two-sided sheet has no inside."""
+    """Return whether a closed part has a volume, or is flat and needs no volume; a two-sided sheet has no inside."""
     if part.volume > least:
         return True
     try:

@@ -54,7 +54,7 @@ class ProvenPair(_validate.Brief):
     margin : float
         Distance in metres that counts as contact.
     distance : float
-        The least signed distance that was found [m]; a negative value is a depth. NaN if none could be computed.
+        The least signed distance that was found [m]; a negative value is a depth. NaN if no distance could be computed.
     nearest : ndarray, shape (dof,), or None
         A configuration at which the bodies have this distance; values on which the pair does not depend are as in
         `Robot.configuration`.
@@ -104,7 +104,7 @@ class ProvenPairs:
     rows : tuple of ProvenPair
         One row per pair, sorted by names.
     rigid : tuple of pairs of str
-        The requested pairs whose bodies are on the same rigid part. They are never checked.
+        The requested pairs whose bodies are on the same rigid part. Such pairs are never checked.
     proof : Proof or None
         A proof of all rows, if all are NEVER, for other programs to verify; None if no proof was requested.
 
@@ -182,8 +182,8 @@ class ProvenPairs:
         Raises
         ------
         InputError
-            If a proven range is narrower than the hard limits, unless `narrower` is true; or if the margin is not 0 and
-            a pair is ALWAYS within it, since bodies within a margin need not be in contact.
+            If a proven range is narrower than the hard limits, unless `narrower` is true. If the margin is not 0 and a
+            pair is ALWAYS within it, since bodies within a margin need not be in contact.
         FileError
             If the file is not an SRDF of this robot, or cannot be read or written.
         """

@@ -290,8 +290,8 @@ class Robot(KeepsReadOnly):
             If a file is missing or cannot be read, or one of `package_dirs` is not a folder. For a mesh, the message
             names the mesh's link and the places searched.
         InputError
-            If neither or both of `path` and `text` are given; if `path` is not a path (but XML, for instance); if the
-            SRDF is a URDF; if the links do not form a tree; or if a joint is not well defined.
+            If neither or both of `path` and `text` are given. If `path` is not a path (but XML, for instance), or the
+            SRDF is a URDF. If the links do not form a tree, or a joint is not well defined.
         GeometryError
             If a shape is flat or has no size.
         UnknownNameError
@@ -302,11 +302,11 @@ class Robot(KeepsReadOnly):
         Warns
         -----
         UserWarning
-            If ``meshes="auto"`` and meshes are not closed; one warning names all of them. If the URDF or the SRDF has
-            parts that its format does not define (docs/robots.md). If the limits of a mimicking joint would leave the
-            joint that it mimics hardly any range. If the SRDF is for a different robot, names unknown links or joints,
-            names no known ones, or contains passive joints or a moving base. If a body is probably not in metres, or
-            the angles of an origin or the limits of revolute joints are probably not in radians.
+            If ``meshes="auto"`` and meshes are not closed; one warning names all open meshes. If the URDF or the SRDF
+            has parts that its format does not define (docs/robots.md). If the limits of a mimicking joint would leave
+            the joint that it mimics hardly any range. If the SRDF is for a different robot, names unknown links or
+            joints, names no known links or joints, or contains passive joints or a moving base. If a body is probably
+            not in metres, or the angles of an origin or the limits of revolute joints are probably not in radians.
 
         Examples
         --------
@@ -582,7 +582,7 @@ class Robot(KeepsReadOnly):
         Raises
         ------
         InputError
-            If links and joints do not form a tree; if a name is used twice, limits are not in order, or a joint is
+            If links and joints do not form a tree, a name is used twice, or limits are not in order. If a joint is
             given an argument that does not apply to its kind.
         PoseError
             If a pose is not a rigid motion.
@@ -635,8 +635,8 @@ class Robot(KeepsReadOnly):
             The context of the whole diagram, which supplies geometry, filters, poses of frames and locked joints.
             Locked joints become fixed. By default, the model supplies these values.
         mimic : mapping, optional
-            Joints that follow other joints, as ``{joint: (other, gear ratio, offset)}`` with the robot's names. They
-            have to be passed because Drake's Python interface cannot read couplers.
+            Joints that follow other joints, as ``{joint: (other, gear ratio, offset)}`` with the robot's names. Pass
+            these joints because Drake's Python interface cannot read couplers.
         tol : float
             Upper limit on the certified log-volume gap of every fit to a mesh.
 
@@ -660,8 +660,8 @@ class Robot(KeepsReadOnly):
         Warns
         -----
         UserWarning
-            If the plant has more constraints than `mimic` couples, or geometry that is deformable or not part of the
-            plant; if bodies that are fixed to each other collide, since such pairs are not checked.
+            If the plant has constraints that `mimic` does not represent, or geometry that is deformable or not part of
+            the plant. If bodies that are fixed to each other collide, since such pairs are not checked.
 
         Examples
         --------
@@ -1033,15 +1033,15 @@ class Robot(KeepsReadOnly):
         Returns
         -------
         Body
-            A body of convex pieces, in the frame of the world. Its `Body.covering` contains the proven excess,
-            `max_protrusion`: no point of the body is farther than this from the links' swept volume. The coordinates of
-            vertices have single precision, so `Body.to_stl` writes exactly this body.
+            A body of convex pieces, in the frame of the world. The attribute `Body.covering` contains the proven
+            excess, `max_protrusion`: no point of the body is farther than this distance from the links' swept volume.
+            The coordinates of vertices have single precision, so `Body.to_stl` writes exactly this body.
 
         Raises
         ------
         InputError
-            As for `CollisionChecker.certify_trajectory`; also if the tolerance is not positive and finite, or too small
-            to be met, or so small that the curve would need too many poses of links.
+            As for `CollisionChecker.certify_trajectory`. Also if the tolerance is not positive and finite, cannot be
+            met, or is so small that the curve would need too many poses of links.
         UnknownNameError
             If there is no such link or body.
         GeometryError
@@ -1090,7 +1090,7 @@ class Robot(KeepsReadOnly):
         Parameters
         ----------
         pairs : iterable of pairs of str, optional
-            Names of links with bodies, or of bodies that are attached to links of this robot or at rest in `scene`; at
+            Names of links with bodies, or of bodies that are attached to links of this robot or at rest in `scene`. At
             least one body of each pair must move. Default: the pairs that the SRDF or the MJCF exempts from checking,
             or all pairs of links with bodies if neither has rules on pairs.
         margin : float
@@ -1110,8 +1110,8 @@ class Robot(KeepsReadOnly):
             Called as ``progress(done, total)`` with numbers of pairs.
         proof : bool
             Write a proof of all rows, `ProvenPairs.proof`, for other programs to verify. All rows must be NEVER, all
-            bodies must consist of convex pieces, and all joints must turn or slide, with at most eight ranges of values
-            between the two bodies of a pair.
+            bodies must consist of convex pieces, and all joints must turn or slide. Between the two bodies of a pair,
+            at most eight values may have a range.
 
         Returns
         -------
@@ -1123,10 +1123,10 @@ class Robot(KeepsReadOnly):
         UnknownNameError
             If there is no such link, body or value.
         InputError
-            If an entry is not a pair of two different bodies, or neither body moves; if a link has no body; if the
-            lower end of a range is above the upper one; if the robot has no collision geometry; or if a body of the
-            scene follows a motion. With `proof`, also if a row is not NEVER, or if the format cannot express the model
-            or the proof within 5 MB.
+            If an entry is not a pair of two different bodies, neither body moves, or a link has no body. If the lower
+            end of a range is above the upper end. If the robot has no collision geometry, or a body of the scene
+            follows a motion. With `proof`, also if a row is not NEVER, or if the format cannot express the model or the
+            proof within 5 MB.
         ConvergenceError
             With `proof`, if a pair comes so near to its margin that the format cannot express a proof.
 
@@ -1173,8 +1173,8 @@ class Robot(KeepsReadOnly):
         ----------
         joints : str or iterable of str
             The name of one value, or of several values, as in `configuration_names`. The range of a single value ends
-            where contact begins, up to 1e-9 rad or m, or at the value's limit. The range of several values is a box:
-            each end is at the same fraction of the way from the configuration to that value's limit.
+            where contact begins, up to 1e-9 rad or m, or at the value's limit. The range of several values is a box.
+            Each end of the box is at the same fraction of the way from the configuration to the value's limit.
         about : array_like, shape (dof,), optional
             The configuration about which the range extends; values that are not in `joints` stay fixed. Default:
             `configuration()`.
@@ -1318,10 +1318,10 @@ class Robot(KeepsReadOnly):
         Parameters
         ----------
         path : path
-            A cuRobo configuration or sphere file, or an XRDF; a URDF with spheres, from VAMP or foam; a JSON file with
-            spheres, for pyroki or from foam; any other URDF, which is read with the SRDF with the same stem if there is
-            one; an MJCF file whose bodies have the names of the links; or a scene whose bodies have the names of the
-            links and poses in the frames of the links.
+            A cuRobo configuration or sphere file, or an XRDF. A URDF with spheres, from VAMP or foam. A JSON file with
+            spheres, for pyroki or from foam. Any other URDF; an SRDF with the same stem is read, too. An MJCF file
+            whose bodies have the names of the links. Or a scene whose bodies have the names of the links, and poses in
+            the frames of the links.
         format : str, optional
             The program for which the file was made. By default the suffix and the keys determine the format. In the
             formats "curobo", "vamp", "foam" and "pyroki", numbers are rounded to float32, as in these programs.
@@ -1622,7 +1622,7 @@ class Robot(KeepsReadOnly):
         Raises
         ------
         InputError
-            If the width is not dof, an entry is not finite (or beyond ±1e200), a quaternion does not have norm 1, or
+            If the width is not dof, an entry is not finite (or beyond ±1e200), or a quaternion does not have norm 1. If
             the columns of a table (such as a pandas DataFrame) have the names of joints in another order.
 
         Warns
@@ -1737,8 +1737,8 @@ class Robot(KeepsReadOnly):
         """Draw n configurations uniformly within the limits, shape (n, dof).
 
         A value without limits is drawn from -π .. π (even a length, in metres); quaternions are uniform. A value with
-        one limit is drawn from a range that starts at the limit and extends over 2π, or to the far end of -π .. π if
-        that end is farther away. A limit outside ±1e6 does not set the range, but is still respected.
+        one limit is drawn from a range that starts at the limit and extends over 2π or, if farther away, to the far end
+        of -π .. π. A limit outside ±1e6 does not set the range, but is still respected.
 
         Parameters
         ----------
@@ -2029,7 +2029,7 @@ def _nearer(p: Floats, q: Floats) -> tuple[Floats, Floats]:
 
 
 def first_shown(robot: Robot) -> tuple[str | None, Floats]:
-    """Return the state with the most joints, or None, and a configuration (without a state, zeros) within the limits."""
+    """Return the state with the most joints, or None, and its configuration, or zeros, moved into the limits."""
     state = max(robot.states, key=lambda name: len(robot.states[name][1]), default=None)
     return state, np.clip(robot.configuration(state), robot.lower, robot.upper)
 

@@ -76,13 +76,13 @@ HARMLESS = {
         "@type",  # has no meaning in any reader
         "collision_checking", "self_filter",  # shapes for other programs' purposes
         "contact*", "gravity*", "inertial*", "kinematic*", "surface*",  # dynamics
-        "visual*",  # looks; read by `read_visuals`
+        "visual*",  # appearance; read by `read_visuals`
     )),
     "collision": frozenset((
         "@concave", "@enabled", "@group",  # exempt shapes, or make shapes larger; without them, more is checked
         "@name",
         "drake:proximity_properties",  # friction and stiffness
-        "material", "verbose",  # looks, and output of a simulator
+        "material", "verbose",  # appearance, and output of a simulator
         "surface",  # friction, as in SDF
     )),
     "geometry": frozenset(("@name",)),
@@ -110,7 +110,8 @@ ROUNDED = 0.01
 # The first versions of URDF with quaternions and with acceleration and jerk, and the first unknown version.
 WITH_QUATERNIONS, WITH_ACCELERATIONS, UNKNOWN = (1, 1), (1, 2), (1, 3)
 
-# Limit on the number of pairs of links from rules of an SRDF or links without shapes: far more than any robot has.
+# Limit on the number of pairs of links that result from SRDF rules or links without shapes: far more than any robot
+# has.
 MOST_PAIRS = 2**22
 
 
@@ -237,9 +238,9 @@ def read_urdf(path: str | os.PathLike[str], text: str | None = None) -> Descript
     Warns
     -----
     UserWarning
-        If the file has parts that URDF does not define, or its version is newer than 1.2; if a joint mimics a joint
-        that does not exist, or the limits of a mimicking joint would leave the joint that it mimics hardly any range;
-        if the angles of an origin, or limits, are probably in degrees.
+        If the file has parts that URDF does not define, or its version is newer than 1.2. If a joint mimics a joint
+        that does not exist, or the limits of a mimicking joint would leave the joint that it mimics hardly any range.
+        If the angles of an origin, or limits, are probably in degrees.
     """
     root = read_xml(path, "a URDF", text)
     name, version = root.get("name"), _version(root)

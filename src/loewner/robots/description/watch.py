@@ -12,8 +12,8 @@ from loewner._base._plausible import FARTHEST_LIMIT, warn
 from loewner._base._read_only import KeepsReadOnly
 from loewner._base._validate import Floats
 
-# How far a joint's value may be outside its limits: an angle by a turn [rad], since it may have been wrapped; a length
-# by a metre and a multiple of the distance between the limits.
+# How far a joint's value may be outside its limits without a warning: an angle by a turn [rad], since it may have been
+# wrapped; a length by a metre plus a multiple of the distance between the limits.
 ANGLE_OUTSIDE = 2 * math.pi
 LENGTH_OUTSIDE, SPANS_OUTSIDE = 1.0, 10.0
 
@@ -39,7 +39,7 @@ class Watch(KeepsReadOnly):
     turns : sequence of bool
         Which entries are angles.
     free : sequence of bool
-        Which entries belong to planar and floating joints, which have no limits in any unit.
+        Which entries belong to planar and floating joints. Such entries have no limits in any unit.
 
     Attributes
     ----------

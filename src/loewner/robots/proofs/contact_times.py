@@ -155,7 +155,7 @@ def _first(ready: Problem, problem: Problem, curve: Curve, tolerance: float, num
 
     `ready` has the motions that these bodies follow.
     """
-    waiting = [(curve, 0)]  # pieces that are not proven yet, the earliest last, and the numbers of cuts
+    waiting = [(curve, 0)]  # unproven pieces and their numbers of cuts, with the earliest piece last
     touching, doubt = np.inf, None  # the earliest collision, and the first place that is too near
     while waiting:
         piece, cuts = waiting.pop()

@@ -458,7 +458,7 @@ def _touched(ready: Problem, pair: int, T: Floats, reach: float, tolerance: floa
     touching = at_start <= float(ready.margins[pair]) + tolerance
     apart, planes = every[~touching], every[touching]
     # Two pieces that just touch have no computable normal; slightly later on the motion, or slightly moved apart, they
-    # have one. Any normal is safe, since the proof fails with a bad one.
+    # have a normal. Any normal is safe, since the proof fails with a bad normal.
     u, v = planes.T
     found = queries.distance(ours[u], T[:, None, i], theirs[v], T[:, None, j], exact=True)
     when, nth = (np.abs(found.distance) > LEAST_SHARE * reach).argmax(axis=0), np.arange(len(planes))

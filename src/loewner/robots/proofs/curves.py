@@ -57,8 +57,8 @@ class Curve(NamedTuple):
     off : ndarray, shape (n, dof)
         Bounds on the rounding error of each value.
     carried : tuple of (str, str)
-        Each body that the robot has to carry, with the link that carries it; the link is empty for a body that the
-        robot must not carry.
+        Each body that the robot has to carry, with the link that carries the body. The link is empty if the robot must
+        not carry the body.
     """
 
     names: tuple[str, ...] | None
@@ -305,9 +305,9 @@ def curve_of(robot: Robot, given: Any, name: str) -> Curve:
     Raises
     ------
     InputError
-        If the curve has the wrong type, its columns do not match the robot, a number is not finite, times do not
-        increase, the degree is above 7, the curve is not continuous, or the values of a SciPy curve differ from the
-        values that its coefficients define.
+        If the curve has the wrong type, its columns do not match the robot, or it is not continuous. If a number is not
+        finite, times do not increase, or the degree is above 7. If the values of a SciPy curve differ from the values
+        that its coefficients define.
     """
     with np.errstate(over="ignore", invalid="ignore"):  # refused below
         curve = form_of(given, name)

@@ -50,8 +50,8 @@ class CertifiedMotions(_validate.Brief):
         pairs of pieces.
     steps : int or ndarray of int64
         The total work, in steps, which `CollisionChecker.certify_edges` can limit. An AMBIGUOUS motion that took more
-        steps than allowed was given up at `fraction`, and nothing more is known about it; `names` are empty if the
-        proof had not begun.
+        steps than allowed was given up at `fraction`, and nothing more is known about the motion. In this case, `names`
+        are empty if the proof had not begun.
     proof : Proof or None
         A proof that all motions are free, if a proof was requested and all motions are free.
 
@@ -120,7 +120,7 @@ class Found(NamedTuple):
         Raises
         ------
         InputError
-            If there is such a motion; the message gives the number of the first one.
+            If there is such a motion. The message gives the number of the first such motion.
         """
         for k in (self.verdicts == codes.TOO_LONG).nonzero()[0][:1]:
             raise InputError(
@@ -161,8 +161,8 @@ def settle(
         Distance in metres, as for `CollisionChecker.certify_edges`.
     off : ndarray, shape (N, dof + 3 growing), optional
         How far each value may deviate from the course at any fraction; FREE covers all such deviations. The last
-        columns bound how far points of bodies may deviate, in the form that the kernel takes; COLLIDING counts these
-        bounds as a margin, unless `as_given`.
+        columns bound how far points of bodies may deviate, in the form that the kernel takes. COLLIDING counts these
+        bounds as a margin, unless `as_given` is true.
     clear : ndarray, shape (N,), optional
         Distances in metres that all pairs must keep on a motion in addition to their margins; COLLIDING then refers to
         these distances, too.

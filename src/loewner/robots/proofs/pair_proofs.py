@@ -39,18 +39,18 @@ def prove(
     Returns
     -------
     Proof
-        Its `verdict` is FREE or COLLIDING. A proof of FREE contains planes between the bodies, or a single plane if
-        both bodies are single pieces. A proof of COLLIDING contains a common point.
+        The `verdict` of the proof is FREE or COLLIDING. A proof of FREE contains planes between the bodies, or a single
+        plane if both bodies are single pieces. A proof of COLLIDING contains a common point.
 
     Raises
     ------
     PoseError, InputError
         As for `collide`; also if more than one pair is given.
     ConvergenceError
-        If the format cannot express a proof of the answer. There are four possible reasons: the bodies are apart, but
-        not by more than the margin; the bodies touch or nearly touch, so that rounding leaves no point inside both
-        bodies, or no plane between them; a surface takes part in a collision; or hulls of parts of surfaces and
-        clouds meet although the bodies do not.
+        If the format cannot express a proof of the answer, for one of four reasons. The bodies may be apart, but not by
+        more than the margin. They may touch or nearly touch, so that rounding leaves no point inside both bodies, or no
+        plane between them. A surface may take part in a collision. Hulls of parts of surfaces and clouds may meet
+        although the bodies do not.
 
     Examples
     --------

@@ -290,7 +290,7 @@ def _links(tree: Tree, names: tuple[str, ...]) -> tuple[Links, Ints, Floats, Flo
 
 
 def _groups(links: Links, link: Ints) -> Ints:
-    """Number groups of bodies that do not move relative to each other, as the format defines them; -1 in the world."""
+    """Assign a number to each group of bodies that do not move relative to each other; -1 for bodies in the world."""
     group = np.where((links.moves != STAYS) | (links.above < 0), np.arange(len(links.above)), links.above)
     return np.append(group, -1)[link]
 

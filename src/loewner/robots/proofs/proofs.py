@@ -116,7 +116,7 @@ def apply_rules(
 
 
 def deviations(courses: Floats, joint_error: Floats | None) -> Floats | None:
-    """Add to a joint error the rounding of configurations that users compute from a course; None without an error.
+    """Add the rounding of configurations that users compute from a course to a joint error; None without an error.
 
     Returns
     -------

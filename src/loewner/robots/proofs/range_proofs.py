@@ -110,7 +110,7 @@ def _refuse(model: Model, ready: Problem, claim: Claim, names: str) -> None:
 def _path(links: Links, a: int, b: int) -> tuple[list[int], list[int]]:
     """Return the links from each of two links up to the common link above both, which is left out."""
     ups: tuple[list[int], list[int]] = ([], [])
-    while a != b:  # a link comes after the one above it
+    while a != b:  # a link comes after the link above it
         ups[a < b].append(max(a, b))
         a, b = (int(links.above[k]) if k == max(a, b) else k for k in (a, b))
     return ups
@@ -335,7 +335,7 @@ class _Search:
         )
 
     def _examine(self, boxes: _Boxes, parts: Parts, below: Level) -> None:
-        """Find planes for boxes, and divide the boxes that have none."""
+        """Find planes for boxes, and divide the boxes that have no plane."""
         boxes = self._with_known_planes(boxes, parts)
         if len(boxes.node) == 0:
             return

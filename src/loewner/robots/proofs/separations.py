@@ -1,7 +1,8 @@
 """Find planes that separate all pairs of bodies along motions: the trees of a proof, see docs/proof-format.md.
 
-The kernel `plane_trees` searches for the planes. It uses no result of the kernel that proved the motions. This module
-prepares the input: the pieces of all bodies, which trees may divide, and the joints between the bodies of each pair.
+The kernel `plane_trees` searches for the planes. This kernel uses no result of the kernel that proved the motions. This
+module prepares the input: the pieces of all bodies, which trees may divide, and the joints between the bodies of each
+pair.
 """
 
 from __future__ import annotations
@@ -365,7 +366,7 @@ def clusters_of(model: Model) -> tuple[Floats, Floats, Ints, Ints]:
     curved = pieces.kind != HULL
     counts = np.array([0 if other else len(points) for points, other in zip(pieces.points, curved, strict=True)])
     begin = np.append(0, np.cumsum(counts))
-    # Blocks of eight corners, each filled up with repeats of the last one.
+    # Blocks of eight corners, each filled up with repeats of the last corner.
     filled = -(-counts // BLOCK) * BLOCK
     column = np.append(0, np.cumsum(filled))
     piece = np.repeat(np.arange(len(counts)), filled)
