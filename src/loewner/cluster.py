@@ -126,7 +126,7 @@ def fit(
         Folder for the bodies; it is created if it does not exist. The body of ``part.stl`` is ``part.npz``, and
         ``part.fit.json`` beside it records the mesh and the options.
     root : path, optional
-        A folder that contains all meshes. If it is given, the body of ``root/a/part.stl`` is ``out/a/part.npz``. By
+        A folder that contains all meshes. If `root` is given, the body of ``root/a/part.stl`` is ``out/a/part.npz``. By
         default, all bodies are written to `out` itself.
     decompose, tol, scale, cover, tolerance, threshold, max_pieces, seed
         As for `Body.from_mesh`; `tolerance` is in metres.
@@ -165,9 +165,9 @@ def fit(
     refers to other files is always fitted again.
 
     If a worker dies, Dask gives its files to the remaining workers, including finished files whose outcome was lost
-    with the worker. Tasks may be cancelled while the scheduler runs, for instance because its connection breaks or it
-    is restarted. Cancelled tasks are requested again, at most four times in all. A file counts as failed if four
-    workers died while fitting it, since the file may need more memory than the workers have. While there are no
+    with the worker. Tasks may be cancelled while the scheduler runs, for instance because a connection breaks or the
+    scheduler is restarted. Cancelled tasks are requested again, at most four times in all. A file counts as failed if
+    four workers died while fitting it, since the file may need more memory than the workers have. While there are no
     workers, the call waits for one. After an interrupt, files in progress are finished and no further file is started.
 
     Examples

@@ -392,7 +392,7 @@ class _Pairs:
         return single, (families[0] == families[1]) & (families[0] != UNLIKE)
 
     def size(self) -> Floats:
-        """Bound the lengths involved, in metres: the distance of the origins and the reaches of both bodies."""
+        """Bound the lengths involved, in metres: the distance between the origins, and the reaches of both bodies."""
         size = np.abs(self.Tb[..., :3, 3] - self.Ta[..., :3, 3]).sum(axis=-1)
         for body in (self.a, self.b):
             size = size + _of_each(body, np.maximum, packed_of(body).kernel.table[:, columns.REACH])
@@ -473,7 +473,7 @@ def _filled(pairs: _Pairs, said: dict[str, Floats], lower: Floats, upper: Floats
 def _conventions(
     court: _Court, pairs: _Pairs, said: dict[str, Floats], lower: Floats, upper: Floats
 ) -> Iterator[Convention]:
-    """Count the errors that other conventions explain, where many answers are wrong."""
+    """Count the errors that other conventions explain, if many answers are wrong."""
     for about, reading, answers, is_unit in _readings(pairs, said):
         at = [PARTS.index(name) for name in answers]
         kinds, excess, right, spoilt = court.kinds[..., at], court.excess[..., at], 0, 0
@@ -492,7 +492,7 @@ def _conventions(
 
 
 def _readings(pairs: _Pairs, said: dict[str, Floats]) -> Iterator[tuple[str, str, dict[str, Floats], bool]]:
-    """Yield other conventions: the kind of parts, the convention, the converted answers, and whether it is a unit."""
+    """Yield other conventions: kind of parts, description, converted answers, and whether the convention is a unit."""
     if "normal" in said:
         yield "normals", "point the other way, from b to a", {"normal": -said["normal"]}, False
     for name in ("distance", "depth"):
@@ -547,7 +547,7 @@ def _judge_lengths(court: _Court, said: dict[str, Floats], lower: Floats, upper:
 
 
 def _judge_witness(court: _Court, name: str, body: Body | Bodies, T: Floats, point: Floats) -> None:
-    """Judge whether a point is in its body; a point within the body is right."""
+    """Judge whether a point is in its body; any point inside the body counts as right."""
     given = np.asarray(~np.isnan(point).any(axis=-1))
     place = np.zeros(T.shape)
     place[...] = np.eye(4)
@@ -557,7 +557,7 @@ def _judge_witness(court: _Court, name: str, body: Body | Bodies, T: Floats, poi
 
 
 def _judge_witnesses(court: _Court, said: dict[str, Floats], known: Bools, upper: Floats) -> None:
-    """Judge whether two witnesses are as far apart as the distance or depth, where a depth has one meaning.
+    """Judge whether two witnesses are as far apart as the distance, or the depth if it has a single meaning.
 
     A distance of 0 for overlapping bodies has no witnesses.
     """

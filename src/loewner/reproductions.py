@@ -17,7 +17,7 @@ from loewner.errors import GeometryError, InputError
 from loewner.judging import PARTS, POINT, Finding, Judgement, judge_answers
 from loewner.queries import pairs as queries
 
-# Answers of another program, by the names of arguments of `judging.judge_answers`.
+# Answers of another program, keyed by the names of arguments of `judging.judge_answers`.
 Answers = Mapping[str, Any]
 
 # Numbers of decimals to which corners are rounded, in the order in which they are tried.

@@ -1,8 +1,9 @@
 """Plan for mobile bases: search a lattice of poses whose arcs are proven, connect it to the goal, and shorten the path.
 
 The search is A* over cells of position and heading (hybrid A*: Dolgov et al., IJRR 2010). The search estimates costs by
-the distance to the goal on a grid of the map; cells that are blocked at all tried headings count several times. Poses
-are taken from the queue in batches, since the overhead of a kernel call is as long as the proof of forty arcs.
+the distance to the goal on a grid of the map; distances in cells that are blocked at all tried headings count several
+times. Poses are taken from the queue in batches, since the overhead of a kernel call is as long as the proof of forty
+arcs.
 """
 
 from __future__ import annotations
@@ -607,7 +608,7 @@ def _cut(path: Path) -> Path:
 
 
 def _merged(path: Path) -> Path:
-    """Join motions on the same circle, line or place, as long as they turn by no more than half a turn."""
+    """Join successive motions on the same circle or line, or in the same place, if they turn by at most half a turn."""
     ways = [path.motions[0]]
     for way in path.motions[1:]:
         (length, turn), sums = ways[-1], ways[-1] + way

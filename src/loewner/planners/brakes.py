@@ -320,7 +320,7 @@ def _on_line(q: Floats, way: Floats, times: Floats, states: Floats, bent: bool) 
 
 
 def _slower(rest: Timed, k: int, last: int, rate: float, strongest: Floats, jerk: Floats | None) -> Timed:
-    """Return pieces of the trajectory at a lower rate, without their first state."""
+    """Return pieces of the trajectory at a lower rate, without the first state."""
     T, after = np.diff(rest.times[k : last + 1])[:, None], slice(k + 1, last + 1)
     if rest.bends is None or jerk is None:
         pushes, bends = np.diff(rest.rates[k : last + 1], axis=0) / T, None

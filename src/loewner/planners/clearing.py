@@ -16,7 +16,7 @@ from loewner.robots.checking.problem import Problem
 # Additional cost of a motion in contact, as a multiple of its length.
 RISE = 9.0
 
-# Least number of motions into which a path is divided, and largest number of motions of a path that is divided.
+# Smallest number of motions into which a path is divided, and largest number that may result.
 MOTIONS, MOST_MOTIONS = 48, 400
 
 # Steps of a point, as shares of a motion's length: the first step, the factors after a success and after a failure, and
@@ -35,8 +35,8 @@ class Clearing:
     """The cost of a path near obstacles.
 
     The cost of a motion is the integral of its weighted length times 1 + 9 (1 - d / wanted)². Here, d is the distance
-    from the robot to the nearest body of the scene that is not attached to it, or `wanted` if that is smaller. The
-    integral is computed by the trapezoidal rule.
+    from the robot to the nearest body of the scene that is not attached to the robot, or `wanted` if that is smaller.
+    The integral is computed by the trapezoidal rule.
 
     Attributes
     ----------

@@ -117,7 +117,7 @@ class Growth:
 
 
 def _trees(joints: int, capacity: int) -> Floats:
-    """Allocate trees with room for this number of configurations each."""
+    """Allocate two trees with room for `capacity` configurations each."""
     rows = 2 * joints + TREE_ROWS
     fits_memory(8 * rows * capacity, f"trees of {capacity} configurations")
     return np.empty((rows, capacity))

@@ -31,7 +31,7 @@ class Departures:
     start, goals : ndarray, shapes (dof,) and (goals, dof)
         As given by the user.
     free_start, free_goals : ndarray, of the same shapes
-        Free configurations near `start` and `goals`; equal to them if no contact has to end or begin.
+        Free configurations near `start` and `goals`; equal to `start` and `goals` if no contact has to end or begin.
     """
 
     space: Space

@@ -37,8 +37,7 @@ MOST_PIECES = 100_000
 # An arc's polynomial has an error of at most the arc's eighth derivative divided by this number, 8! 2^8.
 REMAINDER = 40320.0 * 256.0
 
-# Bound on the rounding errors of courses and of positions on arcs, relative to positions, and to lengths times 1 +
-# turns.
+# Bound on the rounding errors of courses and of positions on arcs, relative to positions, and to length * (1 + turn).
 ARC_ROUNDINGS = 64.0 * tolerances.UNIT_ROUNDOFF  # certified.md B70
 
 # Largest deviation of the motion of the base's link from a plane [m, or a cosine].
@@ -82,7 +81,7 @@ class Drive(KeepsReadOnly):
     columns : tuple of int
         The columns of x, y and theta.
     times : ndarray, shape (k + 1,)
-        When motions begin, and when the last one ends, in seconds. Within a motion, the base drives and turns at
+        When motions begin, and when the last motion ends, in seconds. Within a motion, the base drives and turns at
         constant rates. Drives from `plan` and `of` are as fast as possible without exceeding 1 m/s and 1 rad/s. The
         drive ``dataclasses.replace(drive, times=drive.times / 0.5)`` is half as fast.
     iterations : int

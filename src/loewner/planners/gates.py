@@ -345,8 +345,8 @@ class Gate:
         Raises
         ------
         InputError
-            If an argument has the wrong shape or is not finite, or if the time runs backwards or is missing. In these
-            cases, the brake of the last answer is the safe motion.
+            If an argument has the wrong shape or is not finite, or if the time runs backwards or is missing. After such
+            an error, the brake of the last answer is the safe motion.
 
         Notes
         -----
@@ -499,7 +499,7 @@ class Gate:
         return math.ceil(min(self._latency / dt * (1 - SAME_TICK), MANY))
 
     def _within_limits(self, q: Floats, wanted: Floats, dt: float) -> tuple[int, str]:
-        """Return how many targets are within the limits, and the name of the joint whose target is not."""
+        """Return how many targets are within the limits, and the name of the joint that exceeds its limits first."""
         robot = self._checker.robot
         speeds = np.abs(np.diff(np.vstack([q, wanted]), axis=0)) / dt
         with np.errstate(over="ignore"):

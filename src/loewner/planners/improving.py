@@ -1,4 +1,6 @@
-"""Improve paths in rounds: each round searches within a bound on the cost, and polishes paths; the cheapest is kept."""
+"""Improve paths in rounds: each round searches within a bound on the cost and polishes paths; the cheapest path is
+kept.
+"""
 
 from __future__ import annotations
 

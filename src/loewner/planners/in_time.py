@@ -3,7 +3,7 @@
 A state is a configuration followed by a time [s], which counts from the start of the plan. First the direct motion is
 tried, and then a path planned without the moving bodies, with several starting times and speeds. After that, two trees
 grow, forward in time from the start and backward from the goals. Motions are proven in batches, since the overhead of a
-call equals the proof of ten motions.
+call is as long as the proof of ten motions.
 """
 
 from __future__ import annotations
@@ -315,7 +315,7 @@ def _judge(
 
 
 def horizon_of(ready: Problem, begin: float) -> float:
-    """Return how long bodies still move after the start of a plan; for motions that repeat, `PERIODS` periods."""
+    """Return how long bodies still move after the start of a plan; a repeated motion counts for `PERIODS` periods."""
     paths = () if ready.paths is None else ready.paths.paths
     spans = [PERIODS * path.period if path.repeat else max(float(path.times[-1]) - begin, 0.0) for path in paths]
     return max(spans, default=0.0)

@@ -103,7 +103,7 @@ class JerkLimited(NamedTuple):
 
     @property
     def roundings(self) -> float:
-        """Bound on the error of computed blends, in units of the largest value."""
+        """Bound on the error of computed blends, relative to the largest value."""
         return CUBIC_ROUNDINGS
 
     @property

@@ -41,7 +41,7 @@ KEYS = (
     *("max_effort", "has_effort_limits", "angle_wraparound", "k_position", "k_velocity"),
 )
 
-# Keys beside the table of the joints.
+# Key of the table of joints, and keys of the scaling factors next to it.
 TABLE = "joint_limits"
 FACTORS = {kind: f"default_{kind}_scaling_factor" for kind in ("velocity", "acceleration")}
 
@@ -237,7 +237,7 @@ def _holders(top: Node, beside: list[Node]) -> list[dict[str, Node]]:
 
 
 def _read(root: Node, robot: Robot, scaled: bool) -> tuple[JointLimits, list[str]]:
-    """Return the limits, and why some may be in degrees."""
+    """Return the limits, and the reasons why some of them may be in degrees."""
     beside: list[Node] = []
     holders = _holders(root, beside)
     if not holders:

@@ -35,7 +35,7 @@ LIKELY = (0.05, 2.0)
 USUAL = 2.0
 
 # Velocities at the ends of a monotone cubic are at most STEEPEST times its mean velocity. Velocities are doubted if
-# pieces with other velocities cover more than the share DOUBTED of a joint's way.
+# pieces that break this rule cover more than the share DOUBTED of a joint's way.
 STEEPEST, DOUBTED = 3.0, 0.5
 
 

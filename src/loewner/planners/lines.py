@@ -147,7 +147,7 @@ def followed(
 
 
 def _from_start(robot: Robot, chain: Chain, q: Floats, link: str) -> Chain:
-    """Refuse joints that do not move along straight lines, and a start outside the limits; see `with_start`."""
+    """Refuse joints whose values do not change linearly, and a start outside the limits; see `with_start`."""
     refuse_unsteady(chain, link)
     ranges, values = chain.ranges.copy(), q[chain.columns]
     ends = [columns.LEAST, columns.MOST]

@@ -29,8 +29,8 @@ def _harmless(*keys: str) -> dict[str, str]:
     return dict.fromkeys(keys, HARMLESS)
 
 
-# Fields by type; all but the harmless ones are in the order in which they take effect. For a field that is a list, the
-# type is the type of its entries.
+# Fields by type; except for harmless fields, they are in the order in which they take effect. For a field that is a
+# list, the type is the type of its entries.
 TYPES: dict[str, dict[str, str]] = {
     "JointTrajectory": {"header": HARMLESS, "joint_names": USED, "points": USED},
     "MultiDOFJointTrajectory": {"header": HARMLESS, "joint_names": USED, "points": USED},
@@ -198,8 +198,7 @@ def read(root: Node) -> Message:
     Raises
     ------
     FileError
-        If the message is of none of the known types, has a key that its type does not have, or a value of the wrong
-        kind.
+        If the message is not of a known type, has a key that its type does not have, or a value of the wrong kind.
     """
     found, state = Message(), State()
     for each in _listed(root):
@@ -506,7 +505,7 @@ def _list(keys: dict[str, Node], key: str) -> list[Node]:
 
 
 def _listed(node: Node) -> list[Node]:
-    """Return the entries of a list; a message that is not in a list counts as well."""
+    """Return the entries of a list; a message that is not in a list counts as the only entry."""
     return list(node.items()) if node.kind == "sequence" else [node]
 
 

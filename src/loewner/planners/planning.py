@@ -179,8 +179,8 @@ def plan(
         the contact normal ends a contact at the start, or begins a contact at the goal. If no path was found within the
         iterations or in time, or if OMPL's path fails the final check. The message gives the reason with its numbers:
         for example, how near the link came to the pose, which joints are at fault, which pairs collide and how deep,
-        the largest error that is proven, or the motion that fails. If the search failed, the message states how far it
-        got, and which pairs prevent motions between the trees.
+        the largest error that is proven, or the motion that fails. If the search failed, the message states how far the
+        search got, and which pairs prevent motions between the trees.
     InputError
         If an argument has the wrong shape or value, or options exclude each other. If a goal moves a joint that is not
         among `joints`, or one of `joints` is a planar, floating or ball joint, which has no limits to search within.
@@ -299,7 +299,7 @@ def plan_full(
     2014). The new path and the best path are then polished: corners are cut or moved, and single joints are
     straightened. With a clearance, the cost of a motion is its weighted length times the mean of 1 + 9 (1 - d /
     clearance)² along the motion. Here, d is the distance from the robot to the nearest body of the scene that is not
-    attached to it, or the clearance if that is smaller.
+    attached to the robot, or the clearance if that is smaller.
 
     Examples
     --------

@@ -45,7 +45,7 @@ class PoseGoal:
     tolerance : array_like, shape (6,), optional
         Largest deviations from a pose, as for `Robot.reach`.
     seeds : int
-        As for `Robot.reach`: more seeds find more of the configurations.
+        As for `Robot.reach`: more seeds find more configurations.
     approach, retreat : float, array_like, shape (3,), or (str, array_like), optional
         Straight lines along which the link moves to the goal and away from it. Each line is given by the link's
         displacement in metres: a vector in the frame of the link at the goal, or ``("world", vector)`` in the frame of
@@ -55,7 +55,7 @@ class PoseGoal:
     Notes
     -----
     A configuration is accepted only if the link can follow its approach and its retreat, as by `straight`, and both are
-    proven free. The path of `plan` ends with the approach; with ``full=True``, ``Plan.approach`` is the row at which
+    proven free. The path of `plan` ends with the approach. With ``full=True``, ``Plan.approach`` is the row at which
     the approach begins, and ``Plan.retreat`` is the path of the retreat. Lines are proven in the scene in which the
     path is planned. After a change to the scene, such as `Scene.attach`, `retreat_path` proves the retreat again.
 
@@ -332,7 +332,7 @@ class Approaches(NamedTuple):
         Raises
         ------
         PlanningError
-            If a line is not proven after these shifts, which involve rounding, or in the state of the scene to which
+            If a line is not proven after these shifts, which are rounded, or not in the state of the scene to which
             `judge` refers.
         """
         k = int(np.abs(goals - path[-1]).max(axis=1).argmin())

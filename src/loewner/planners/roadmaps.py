@@ -53,7 +53,7 @@ class _Links(NamedTuple):
     nodes, lengths : ndarray, shape (s,)
         Nodes and lengths of motions from the start.
     goals, from_nodes, to_lengths : ndarray, shape (g,)
-        For each motion to a goal: the goal, the node where it starts, and its length.
+        For each motion to a goal: the goal, the node where the motion starts, and the length of the motion.
     """
 
     nodes: Ints
@@ -494,7 +494,7 @@ class Roadmap(KeepsReadOnly):
             tried, last = last, min(2 * last, most)
 
     def _straight(self, judge: Judge, q: Floats, goals: Floats) -> _Links:
-        """Find the straight motions from the start to goals that are free."""
+        """Find the free straight motions from the start to goals."""
         free, lengths = self._judged(judge, np.broadcast_to(q, goals.shape), goals)
         at = np.flatnonzero(free)
         return _Links(at[:0], lengths[:0], at, np.full(len(at), len(self)), lengths[at])

@@ -85,8 +85,8 @@ def driven(poses: Floats, lengths: Floats, turns: Floats) -> Floats:
 def car(a: Floats, b: Floats, radius: float, reverse: bool = True) -> Ways:
     """Return the ways of a car from poses a to poses b, shape (N, 3) each.
 
-    With `reverse`, the ways follow all words of Reeds and Shepp, and one of them is the shortest; otherwise the ways
-    follow Dubins's words.
+    With `reverse`, the ways follow all words of Reeds and Shepp, and the shortest path is among these ways. Otherwise,
+    the ways follow Dubins's words.
     """
     x, y, turn = _seen_from(a, b)
     lengths, steered = _words(x / radius, y / radius, turn, reverse)

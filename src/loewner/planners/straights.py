@@ -71,7 +71,7 @@ class Straights(NamedTuple):
 
     @property
     def roundings(self) -> float:
-        """Bound on the error of computed blends, in units of the largest value."""
+        """Bound on the error of computed blends, relative to the largest value."""
         return BLEND_ROUNDINGS
 
     @property

@@ -89,8 +89,8 @@ class Trajectory(KeepsReadOnly):
         Times in seconds from the start; the first is 0.
     knots, rates : ndarray, shape (n, dof)
         Positions [rad or m] and velocities [rad/s or m/s] at these times. The robot starts and ends at rest, except in
-        plans in time, at the start of a brake, and at an `end_velocity` of `time_path`. Where velocities jump,
-        ``rates`` has the values after the jump.
+        plans in time, at the start of a brake, and at the end of a `time_path` with an `end_velocity`. Where velocities
+        jump, ``rates`` has the values after the jump.
     blended : ndarray of bool, shape (n - 1,)
         For each interval, whether the robot cuts a corner; in all other intervals it is on the path.
     bends : ndarray, shape (n, dof), or None
@@ -249,7 +249,7 @@ class Trajectory(KeepsReadOnly):
         return found
 
     def velocities(self, t: ArrayLike) -> Floats:
-        """Compute the velocities at given times; at a jump, return the velocity after it.
+        """Compute the velocities at given times; at a jump, return the velocity after the jump.
 
         Parameters
         ----------
@@ -282,7 +282,7 @@ class Trajectory(KeepsReadOnly):
         return found if self.bends is None else found + x * (1 - x) * (T / 2) * (self.bends[k] - self.bends[m])
 
     def accelerations(self, t: ArrayLike) -> Floats:
-        """Compute the accelerations at given times; at a jump, return the acceleration after it.
+        """Compute the accelerations at given times; at a jump, return the acceleration after the jump.
 
         Parameters
         ----------
@@ -683,7 +683,7 @@ class Trajectory(KeepsReadOnly):
     # -- inside -------------------------------------------------------------------------------
 
     def _pieces(self, t: ArrayLike) -> tuple[Any, Floats, Floats]:
-        """Find the piece at each time, the time since it began, and its duration, with an axis for joints."""
+        """Find the piece at each time, the time since its beginning, and its duration, with an axis for joints."""
         at = _validate.finite_array(t, "t", ("...",))
         if at.size and not (at.min() >= 0 and at.max() <= self.duration):
             worst = float(at.min() if at.min() < 0 else at.max())

@@ -57,7 +57,7 @@ def with_ending(path: str | os.PathLike[str], endings: tuple[str, ...], hint: st
 
 
 def written(rows: Rows, suffix: str) -> str:
-    """Return the text of a file with this extension, one of `ENDINGS`."""
+    """Return the text of a file with the extension `suffix`, one of `ENDINGS`."""
     return _csv(rows) if suffix == ".csv" else json.dumps(_held(rows))
 
 

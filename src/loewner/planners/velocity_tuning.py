@@ -4,8 +4,9 @@ The path is first timed as fast as possible. The motion is then slowed down and 
 body. The robot passes each station along the trajectory at one of several shares of the highest speed; between
 stations, its acceleration is constant. A state thus consists of a station, a share and a time; states are searched
 station by station. The search considers the bodies only when the robot is at a station, so the resulting trajectory is
-proven as a whole. If the proof fails, the place and time are blocked, and the search is repeated. With limited jerk,
-positions are averaged over a time window; averaging keeps all limits. docs/design/moving.md gives the reasons.
+proven as a whole. If the proof fails, the place and time of the failure are blocked, and the search is repeated. With
+limited jerk, positions are averaged over a time window; averaging keeps all limits. docs/design/moving.md gives the
+reasons.
 """
 
 from __future__ import annotations
@@ -185,7 +186,7 @@ def time_path(
     ------
     PlanningError
         If a motion of the path is not proven free without the moving bodies, the start collides at the start time, or
-        the arrival time is too early. If no timing is found; the message names a pair of bodies, the place and the
+        the arrival time is too early. If no timing is found. The message names a pair of bodies, the place and the
         time.
     InputError
         As for `trajectory`. If the path has only one configuration. If the velocity at the end is not along the last
@@ -273,7 +274,7 @@ def _expect_reached(base: Trajectory, wanted: Floats) -> None:
 def _times(
     begin: float, arrive_by: float | None, arrive_at: float | None, least: float, bodies: float
 ) -> tuple[float, bool]:
-    """Check the times of arrival; return the latest one, counted from the start, and whether it is the only one."""
+    """Check the times of arrival; return the latest arrival, counted from the start, and whether it is fixed."""
     if arrive_by is not None and arrive_at is not None:
         raise InputError("arrive_at: expected no arrive_by with it, found both")
     name, given = ("arrive_by", arrive_by) if arrive_at is None else ("arrive_at", arrive_at)
@@ -374,7 +375,7 @@ class _Search(NamedTuple):
         )
 
     def _fastest(self, arrives: float) -> _Visits:
-        """Return the visits at full speed, after a wait if they end early."""
+        """Return the visits at full speed, after a wait if they would end too early."""
         n = len(self.stations.seconds)
         share = np.where(self.stations.rates.any(axis=1), len(SHARES) - 1, 0)
         at = np.append(0.0, np.cumsum(self.stations.seconds[np.arange(n), share[:-1], share[1:]]))
@@ -476,7 +477,7 @@ def _searched(
     resting : ndarray of bool, shape (n + 1,)
         Stations at which the robot is at rest in any case.
     free : ndarray of bool, shape (n + 1, bins + 1)
-        Whether the robot may be at a station at a multiple of a step [s].
+        Whether the robot may be at each station at each multiple of `step` [s].
     first, last : int
         Indices of the shares at the first and the last station.
     exact : bool

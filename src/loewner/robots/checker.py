@@ -879,7 +879,7 @@ class CollisionChecker:
         self._prepared = (-1, None, ready) if timed else (ready.version, ready.single, ready)
 
     def _ready(self, *, timed: bool = False) -> Problem:
-        """Return the prepared pairs, prepared again if the scene has changed.
+        """Return the prepared pairs; prepare them again if the scene has changed.
 
         Raises
         ------

@@ -248,7 +248,7 @@ def _rounded(balls: _Balls) -> _Balls:
         needed = np.where(moved > 0, np.nextafter(balls.radii + moved * (1 + 1e-12), np.inf), balls.radii)
         single = needed.astype(np.float32)
         radii = np.where(single < needed, np.nextafter(single, np.float32(np.inf)), single).astype(float)
-    if not np.isfinite(radii).all():  # a center that is not finite makes its radius not finite
+    if not np.isfinite(radii).all():  # a center that is not finite gives a radius that is not finite
         raise InputError(f"expected spheres that float32 can express, found a radius of {balls.radii.max():g} m")
     return _Balls(centers, radii)
 
@@ -282,7 +282,7 @@ def _of_positive(balls: list[tuple[list[float], float]], name: str, others: str,
 
 
 def _pairs(ignored: Mapping[str, Node]) -> frozenset[Pair]:
-    """Read pairs that are listed by their first link."""
+    """Read pairs that are listed under their first link."""
     return frozenset(
         (min(a, b), max(a, b))
         for a, others in ignored.items()

@@ -31,7 +31,7 @@ USUAL = 0.02
 # that meets in one of a hundred configurations is missed in about one of 23,000 robots.
 TRIED = 1000
 
-# Largest number of boxes of configurations for the proofs that these pairs never collide; most pairs take a few
+# Largest number of boxes of configurations for proofs that pairs of links never collide; most pairs take a few
 # thousand.
 BOXES = 200_000
 
@@ -141,7 +141,7 @@ def _bytes_of(body: Body) -> tuple[bytes, ...]:
 
 
 def _of_number(robot: Robot, kind: Kind, n: int, progress: Progress | None) -> dict[str, Body]:
-    """Cover all links with nearly n shapes, and at most n, that stick out of all links by the same length."""
+    """Cover all links with at most n shapes, but nearly n, that stick out of all links by the same length."""
     low, high, best, protrusion = LEAST, LARGEST, None, FIRST
     for step in range(STEPS):
         if n < len(robot.bodies):

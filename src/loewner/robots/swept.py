@@ -2,8 +2,8 @@
 
 The curve is evaluated at knots. The knots are so close together that each point of a link stays near the chords between
 its positions at successive knots. Consider the hull of a convex piece's positions at two knots. If this hull is grown
-by the largest distance of points from their chords, it contains the piece all the way between the two knots.
-docs/certified.md, "Swept volumes", derives this containment and the bound on the excess.
+by the largest distance of points from their chords, the grown hull contains the piece all the way between the two
+knots. docs/certified.md, "Swept volumes", derives this containment and the bound on the excess.
 """
 
 from __future__ import annotations
@@ -300,7 +300,7 @@ def _around(kind: int, radius: float, center: Floats, factor: Floats, room: floa
 
 
 def _thinned(points: Floats, room: float) -> tuple[Floats, float]:
-    """Choose vertices of the points' hull; return them with a bound on the points' distances from their hull."""
+    """Choose vertices of the points' hull; return them with a bound on any point's distance from the vertices' hull."""
     vertices = Polytope.from_points(points).vertices
     size = float(np.abs(vertices).max())
     if len(vertices) <= FEW:

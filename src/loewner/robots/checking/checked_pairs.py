@@ -97,7 +97,7 @@ def _check_names(robot: Robot, scene: Scene) -> None:
 
 
 def _bodies(robot: Robot, scene: Scene, following: list[str]) -> tuple[tuple[str, ...], list[Packed], Ints]:
-    """List names and bodies, the moving ones first, and the link with which each moving body moves."""
+    """List names and bodies, moving bodies first, and the link with which each moving body moves."""
     links = {name: k for k, name in enumerate(robot.link_names)}
     moving = [(name, links[name], packed_of(body)) for name, body in robot.bodies.items()]
     moving += [(name, links[held.link], _on_link(scene[name], held)) for name, held in scene.attachments.items()]

@@ -1,4 +1,4 @@
-"""Compute a robot's distances from obstacles and itself, for the nearest pair or all near pairs, with gradients."""
+"""Compute a robot's distances from obstacles and from itself, for the nearest or all near pairs, with gradients."""
 
 from __future__ import annotations
 

@@ -17,7 +17,7 @@ from loewner._base._validate import Floats, Ints
 from loewner.errors import InputError
 from loewner.robots.description.robot import Robot
 
-# Smallest number of configurations of edges that is worth a call.
+# Smallest number of configurations of edges that is worth a kernel call.
 AT_LEAST = 64
 
 # Largest number of configurations that are made at a time, unless there are more edges. For ten joints, these
@@ -94,7 +94,7 @@ def coarse_first(parts: int) -> Floats:
 
 
 def ends(robot: Robot, Q0: ArrayLike, Q1: ArrayLike) -> tuple[Floats, Floats, tuple[int, ...]]:
-    """Check and broadcast the starts and ends of motions; return both as rows, and the shape of the batch."""
+    """Check and broadcast the starts and ends of motions; return them as rows, with the shape of the batch."""
     a, b = robot.checked(Q0, "Q0"), robot.checked(Q1, "Q1")
     if a.ndim == b.ndim == 1:
         return a[None], b[None], ()

@@ -63,7 +63,7 @@ class Problem:
     Attributes
     ----------
     robot : Robot
-        The robot. After its own joints, it has a floating joint for each body that follows a motion.
+        The robot, which has, after its own joints, a floating joint for each body that follows a motion.
     version, structure_version : int
         Versions of the scene's state.
     names : tuple of str

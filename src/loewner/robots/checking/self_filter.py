@@ -50,8 +50,8 @@ def off_the_robot(
     """Keep a sensor's points that are neither on the robot nor on a body that the robot carries.
 
     A point is removed if it is inside, or within `clear` of, a link's body or a body that is attached to a link. With
-    ``time``, this also applies to a body of the scene that follows a motion, at its pose at that time. All other points
-    are kept; the test is exact.
+    ``time``, points on a body of the scene that follows a motion are also removed, for the body's pose at that time.
+    All other points are kept; the test is exact.
 
     Parameters
     ----------
@@ -114,7 +114,7 @@ def off_the_robot(
 
 
 def _moving(checker: Any, q: Floats, time: float | None) -> Iterator[tuple[Body, Floats]]:
-    """Yield the bodies that a sensor does not see as obstacles, with their poses."""
+    """Yield the bodies whose points are removed, with their poses."""
     robot, scene = checker.robot, checker.scene
     poses = dict(zip(robot.link_names, robot.forward_kinematics(q), strict=True))
     for link, body in robot.bodies.items():

@@ -437,7 +437,7 @@ def with_moving_bodies(self: R, names: Sequence[str]) -> R:
 
 
 def refuse_bodies_in_world(robot: Any, what: str) -> None:
-    """Refuse to move a robot with bodies that `with_body` has added in the world, which do not move with it."""
+    """Refuse to move a robot with bodies that `with_body` has added in the world, since they would stay behind."""
     for name in robot._in_world:
         raise InputError(
             f"expected a robot without bodies in the world, to be {what}, found {name!r}; call with_body afterwards"

@@ -127,7 +127,7 @@ def _shapes(link: ElementTree.Element, robot: Any, path: Path, mesh_prefix: str,
 
 
 def _stays_solid(mesh: Mesh) -> bool:
-    """Return whether `from_urdf` makes a solid of a mesh again, and not its hull."""
+    """Return whether `from_urdf` turns a mesh into a solid again, instead of its hull."""
     return hull_or_solid(*mesh)[0] == "solid"
 
 
@@ -135,7 +135,7 @@ def _stays_solid(mesh: Mesh) -> bool:
 
 
 def _joints(robot: Any, top: str | None) -> Iterator[Joint]:
-    """List the joints as URDF has them, in the order of the links below them."""
+    """List the joints in the form of URDF, in the order of the links below them."""
     tree, number = robot.tree, {name: k for k, name in enumerate(robot.link_names)}
     driven = {at.start: name for name, at in robot._columns.items()}
     taken = {*robot.joint_names, *robot.mimics}
@@ -144,7 +144,7 @@ def _joints(robot: Any, top: str | None) -> Iterator[Joint]:
         if parent is None and top is None:
             continue
         kind = int(tree.kind[k])
-        if kind == columns.FIXED:  # a robot has no names for such joints
+        if kind == columns.FIXED:  # robots have no names for fixed joints
             name = unused(name or child, taken)
             taken.add(name)
         if kind not in NAMES:

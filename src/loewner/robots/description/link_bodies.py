@@ -85,8 +85,8 @@ def link_bodies(
     Raises
     ------
     FileError
-        If a mesh cannot be found or read, in which case the message names the link and the places searched; or if one
-        of `package_dirs` is not a folder.
+        If a mesh cannot be found or read (the message names the link and the places searched), or one of `package_dirs`
+        is not a folder.
     GeometryError
         If a mesh is flat or empty.
 
@@ -206,7 +206,7 @@ def _code() -> str:
 
 def hash_of_code(places: Iterable[Path]) -> str:
     """Hash the kernels, and the Python modules at the given places: files, or folders with all their contents."""
-    import hashlib  # it loads OpenSSL, which only robots with meshes need
+    import hashlib  # hashlib loads OpenSSL, which only robots with meshes need
 
     digest = hashlib.sha256((_sources.source_hash() or "").encode())
     for place in places:

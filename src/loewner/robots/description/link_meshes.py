@@ -19,7 +19,7 @@ from loewner.meshes.closed_parts import ClosedPart, closed_parts
 from loewner.meshes.coverage import Covering
 from loewner.meshes.protrusion import Solid, protrusions
 
-# A hull is near its mesh if it sticks out by at most this length [m], or this share of the mesh's diameter.
+# A hull is close to its mesh if it sticks out by at most this length [m], or this share of the mesh's diameter.
 NEAR, NEAR_SHARE = 1e-3, 0.01
 
 # Relative accuracy of bounds, coarse enough that a hull is examined no further once it is found to stick out too far.
@@ -119,7 +119,7 @@ def hull_or_solid(vertices: Floats, triangles: Ints) -> tuple[Choice, tuple[Floa
         return "open", (vertices, triangles), edges
     hull = Polytope.from_points(vertices)
     far = hull.vertices[lengths(hull.vertices - hull.vertices[0]).argmax()]
-    diameter = float(lengths(hull.vertices - far).max())  # or somewhat less, which is on the safe side
+    diameter = float(lengths(hull.vertices - far).max())  # or slightly less, which is safe
     if not all(_has_inside(vertices, part, NO_INSIDE * diameter**3) for part in parts):
         return "open", (vertices, triangles), edges
     triangles = np.concatenate([part.triangles for part in parts])

@@ -45,8 +45,8 @@ class Joint:
     T_parent_joint : array_like, shape (4, 4), optional
         Pose of the joint in the frame of the parent; translation in metres. Default: the identity.
     T_joint_child : array_like, shape (4, 4), optional
-        Pose of the child in the frame that the joint moves. If it is given for a joint that moves, the frame that the
-        joint moves becomes a link without a body, with the name CHILD/NAME. Default: the identity.
+        Pose of the child in the frame that the joint moves. If this pose is given for a joint that moves, the frame
+        that the joint moves becomes a link without a body, with the name CHILD/NAME. Default: the identity.
     axis : array_like, shape (3,)
         Axis in the frame of the joint; its length does not matter.
     lower, upper : float or array_like, shape (3,)
@@ -106,7 +106,7 @@ def described(
         raise InputError(f"links: expected a mapping from names to bodies, found {_validate.short(links)}")
     bodies = {link: body for link, shapes in links.items() if (body := _body(link, shapes)) is not None}
     listed = _validate.listed(joints, "joints", wanted="a list of loewner.Joint")
-    names = dict.fromkeys(links)  # in order; frames of joints follow
+    names = dict.fromkeys(links)  # in order; links for frames of joints follow
     made: dict[str, urdf.Joint] = {}
     above: dict[str, urdf.Joint] = {}
     for joint in listed:

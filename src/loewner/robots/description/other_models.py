@@ -84,8 +84,8 @@ class Layout(KeepsReadOnly):
     names : tuple of str
         The joint of each column of the model, for messages.
     source, factors, offsets : ndarray, shape (width,)
-        Each column of the model is a multiple of one of the robot's columns, plus a constant; `source` is dof where the
-        robot's column is replaced with zero.
+        Each column of the model is a factor times the robot's column `source`, plus an offset. If `source` is dof, zero
+        replaces the robot's column.
     own : ndarray, shape (dof,)
         For each of the robot's columns, the column of the model that equals it.
     turning : ndarray, shape (k, 3)
@@ -113,7 +113,7 @@ class Layout(KeepsReadOnly):
         return np.asarray(self.factors * padded[..., self.source])
 
     def imported(self, q: Floats, tolerance: float) -> Floats:
-        """Convert the model's configurations, shape (..., width), which must satisfy its couplings, to the robot's."""
+        """Convert the model's configurations, shape (..., width), to the robot's; they must satisfy the couplings."""
         Q = q[..., self.own]
         for column, cosine, sine in self.turning.tolist():
             Q[..., column] = _elementary.arctan2(q[..., sine], q[..., cosine])
@@ -225,7 +225,7 @@ def with_shapes(
 def warn_of_fixed_contacts(
     model: Model, bodies: Mapping[str, Body], names: Sequence[str], tree: Tree, skipped: Container[Pair]
 ) -> None:
-    """Warn about bodies that are fixed to each other and collide: the model's library checks them, checkers do not."""
+    """Warn about bodies that are fixed to each other and collide: the model's library checks these, checkers do not."""
     fixed = tree.kind == columns.FIXED
     groups = np.where(fixed, tree.parent, np.arange(len(names)))
     poses = {

@@ -315,7 +315,7 @@ class Solutions(NamedTuple):
         return cls(Q[order], poses, free[order])
 
     def choose(self, Q: Floats, reached: Bools) -> None:
-        """Write the first solution of each pose that has one into Q, and whether it is free into `reached`."""
+        """Write the first solution of each pose that has solutions into Q, and whether it is free into `reached`."""
         having, first = np.unique(self.poses, return_index=True)
         Q[having], reached[having] = self.Q[first], self.free[first]
 

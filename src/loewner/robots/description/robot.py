@@ -167,8 +167,8 @@ class Robot(KeepsReadOnly):
     tree : Tree
         Arrays for the kernels, described in ``loewner/_kernels/robots/kinematics.py``.
     urdf : Path
-        The file that was read: a URDF or an MJCF. For a description given as a string, or a robot made in memory, it is
-        a placeholder name in the current working directory.
+        The file that was read: a URDF or an MJCF. For a description given as a string, or a robot made in memory, the
+        path is a placeholder name in the current working directory.
     package_dirs : tuple of Path
         Additional folders that were searched for meshes.
 
@@ -216,7 +216,7 @@ class Robot(KeepsReadOnly):
     # The descriptions from which the robot and its parts were read; then the robots that were joined, by name.
     _sources: tuple[Source, ...] = field(repr=False)
     _parts: dict[str, Part[Robot]] = field(repr=False)
-    # Whether an SRDF or an MJCF has rules on pairs. If so, no adjacent pair is exempt by default.
+    # Whether an SRDF or an MJCF has rules on pairs. With rules, no adjacent pair is exempt by default.
     _ruled: bool = field(repr=False)
     # Bodies that were added to the world. The robot's pose does not move them.
     _in_world: tuple[str, ...] = field(repr=False)
@@ -363,7 +363,7 @@ class Robot(KeepsReadOnly):
         turns = [kinds[name] in ("revolute", "continuous") for name, _ in entries]
         free = [kinds[name] in ("planar", *WITH_QUATERNION) for name, _ in entries]
         tree = tree_of(robot, columns)
-        # Absolute: the visual geometry is read later, perhaps from another working directory.
+        # Make paths absolute: the visual geometry is read later, perhaps from another working directory.
         path, package_dirs = robot.path.absolute(), tuple(place.absolute() for place in places)
         return cls(
             name=robot.name,
@@ -712,8 +712,8 @@ class Robot(KeepsReadOnly):
         Warns
         -----
         UserWarning
-            If bodies that are fixed to each other collide, since such pairs are not checked; if there are shapes but no
-            pairs; or, with ``meshes="auto"``, if meshes are not closed.
+            If bodies that are fixed to each other collide, since such pairs are not checked. If there are shapes but no
+            pairs. With ``meshes="auto"``, if meshes are not closed.
 
         Examples
         --------
@@ -829,8 +829,8 @@ class Robot(KeepsReadOnly):
         rounding of poses. A `CollisionChecker` of the robot that is read from both files checks the same pairs. A root
         link "world" is added if the robot has several roots or is placed. Do not pass ``skip_adjacent=True`` to a
         checker of a robot with this link, since links fixed to "world" can count as adjacent. Visual geometry, masses
-        and efforts are not written. Where `lower` and `upper` are narrower than `hard_lower` and `hard_upper`, they
-        become soft limits.
+        and efforts are not written. If `lower` and `upper` are narrower than `hard_lower` and `hard_upper`, the
+        narrower limits become soft limits.
 
         Pass both files to `from_urdf`: without the SRDF, pairs that this robot checks may be exempt. A solid is written
         as its triangles, which some other programs replace with the solid's convex hull. Existing files are replaced.
@@ -1542,7 +1542,7 @@ class Robot(KeepsReadOnly):
         checker : CollisionChecker, optional
             Look for a solution at which this checker's `CollisionChecker.collide` finds no collision.
         all : bool
-            Return all distinct solutions found. Otherwise the search for a pose ends with its first solution.
+            Return all distinct solutions found. If `all` is False, the search for a pose ends with the first solution.
         tolerance : array_like, shape (6,), optional
             Largest deviations to either side, in the frame of the target: three lengths along x, y and z [m], the tilts
             of the link's z axis about x and y [rad], and the spin about the z axis [rad]. ``inf`` leaves a direction

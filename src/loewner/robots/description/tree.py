@@ -15,7 +15,7 @@ from loewner._kernels.records import Tree
 from loewner.errors import InputError
 from loewner.robots.description.urdf import MOST_PAIRS, VALUES, Description, Joint
 
-# Kinds of joints: the kernels' names for the types of URDF.
+# Kinds of joints: maps URDF's types to the kernels' kinds.
 KINDS = {
     "fixed": columns.FIXED,
     "revolute": columns.REVOLUTE,

@@ -104,7 +104,8 @@ LEAST_LEFT = 0.1
 # Limits of mimicking joints never cut off less of a range than this [rad or m], since these limits are rounded.
 LEAST_CUT = 1e-9
 
-# The share of the range by which limits in extensions may differ: they are often the joints' limits with fewer digits.
+# The share of the range by which limits in extensions may differ. Such limits are often the joints' limits with fewer
+# digits.
 ROUNDED = 0.01
 
 # The first versions of URDF with quaternions and with acceleration and jerk, and the first unknown version.
@@ -199,8 +200,8 @@ class Description:
         Maps every link name to the link's collision shapes; parents come before children, siblings are in the file's
         order.
     joints : dict
-        Maps joint names to joints, in the file's order. No joint mimics a joint that itself mimics another: such chains
-        are resolved.
+        Maps joint names to joints, in the file's order. No joint mimics a joint that itself mimics another joint: such
+        chains are resolved.
     joint_above : dict
         Maps each link name except the root's to the joint above the link.
     only_visual : tuple of str
@@ -430,7 +431,7 @@ def _rates(limit: Element, version: tuple[int, int]) -> dict[str, float]:
     kinds = ("velocity",), ("acceleration", "deceleration"), ("jerk",)
     for names in kinds if version >= WITH_ACCELERATIONS else kinds[:1]:
         rates = {name: limit.numbers(name, 1, "0")[0] for name in names}
-        # Many files write 0 for "no limit"; a rate below 0 is not a limit, and not a value either.
+        # Many files write 0 for "no limit"; a rate below 0 is neither a limit nor a valid rate.
         limit.disown(*("@" + name for name, rate in rates.items() if rate < 0))
         found[names[0]] = min((rate for rate in rates.values() if 0 < rate < math.inf), default=math.nan)
     return found
@@ -599,7 +600,7 @@ def _is_narrower(least: str | None, most: str | None, lower: float, upper: float
 
 
 def _doubt_angles(root: Element) -> None:
-    """Warn, once for all origins, if their angles seem to be in degrees."""
+    """Warn, once for all origins, if angles of origins seem to be in degrees."""
     for owner in (*root.all("joint"), *(e for link in root.all("link") for e in link.all("collision"))):
         origin = owner.one("origin")
         doubt = "" if origin is None else doubt_about_rpy(origin.finite("rpy", 3, "0 0 0"))
@@ -609,7 +610,7 @@ def _doubt_angles(root: Element) -> None:
 
 
 def doubt_limits(path: Path, joints: dict[str, Joint]) -> None:
-    """Warn, once for all revolute joints, if their limits seem to be in degrees."""
+    """Warn, once for all revolute joints, if limits seem to be in degrees."""
     doubts = {j: doubt_about_limits(j.lower, j.upper) for j in joints.values() if j.kind == "revolute"}
     doubtful = [joint for joint, doubt in doubts.items() if doubt]
     if doubtful:

@@ -36,7 +36,7 @@ UNREAD = 8
 TO_EXPAND = ("xacro", "www.w3.org/2001/xinclude")
 UNDECLARED = {"xacro": "xacro", "xi": "www.w3.org/2001/xinclude"}
 
-# Elements of xacro from the time before it had a prefix; as children of <robot>, they have no other meaning.
+# Elements of xacro from the time before xacro had a prefix; as children of <robot>, they have no other meaning.
 WITHOUT_PREFIX = ("include", "macro", "property")
 
 # Elements that describe a robot, even inside another program's extension.

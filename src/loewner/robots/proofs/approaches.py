@@ -1,9 +1,9 @@
 """Bound how near a robot comes to contact on each piece of a curve: from below by a proof, and from above by a sample.
 
 A piece is sampled, and a descent starts from the smallest distance. A proof of the piece as a motion then shows that
-every pair keeps this distance, less a hundredth. If the proof fails, it names a time at which a pair is nearer, and the
-search continues there. Where the robot collides, no separating planes exist. Such pieces are divided into parts until
-no point moves farther within a part than the allowed difference between the two bounds.
+every pair keeps 99 % of this distance. A failed proof names a time at which a pair is nearer, and the search continues
+there. Where the robot collides, no separating planes exist. Such pieces are divided into parts until no point moves
+farther within a part than the allowed difference between the two bounds.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ TICKS = np.arange(32) / 32
 # How often a proof may name a time at which the distance is smaller.
 MOST_ROUNDS = 30
 
-# Parts into which a part is divided, and the largest number of parts of one piece.
+# Number of parts into which a part is divided, and the largest number of parts of one piece.
 PARTS, MOST_PARTS = 4, 1 << 14
 
 # Exact distances are accurate to this share of the lengths from which they are computed.
@@ -385,7 +385,7 @@ def _slides(tree: Any, off: Floats) -> Floats:
 
 
 def _turns(tree: Any, off: Floats) -> Floats:
-    """Bound how far joints turn points, in units of the distance from their axes, if values change by `off`."""
+    """Bound how far joints turn points, relative to the distance from the axes, if values change by `off`."""
     found = np.zeros((*off.shape[:-1], len(tree.kind)))
     for link, (kind, at, by) in enumerate(zip(tree.kind, tree.column, tree.multiplier, strict=True)):
         if kind == columns.REVOLUTE:

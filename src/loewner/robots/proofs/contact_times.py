@@ -74,7 +74,7 @@ def first_contact(self: Any, curve: Any, *, tolerance: float = ..., t0: float | 
 def first_contact(
     self: Any, curve: Any, *, tolerance: float = 1e-6, t0: float | None = None
 ) -> TrajectoryContact | tuple[TrajectoryContact, ...]:
-    """Find when a robot on a curve first touches something, and prove that it is free until then.
+    """Find when a robot on a curve first touches something, and prove that the robot is free until then.
 
     Parameters
     ----------
@@ -107,7 +107,7 @@ def first_contact(
     time, or if rounding matters. Rounding errors are about 1e-11 of the lengths involved and 2e-14 of the times.
 
     Contact that `Scene.leave` or `Scene.reach` allows on this curve is not reported. A contact at the end that becomes
-    deeper than its rule allows is reported from the time at which it begins.
+    deeper than its rule allows is reported from the time at which the contact begins.
 
     Examples
     --------

@@ -1,9 +1,9 @@
 """Prove motions that begin or end in contact, as the rules of `Scene.leave` and `Scene.reach` allow.
 
 Two convex pieces that touch are separated, or nearly separated, by the plane perpendicular to their contact normal. If
-this plane is moved back by their depth and by the tolerance, one piece lies in front of it. As long as that piece stays
-in front, the overlap deepens by at most the tolerance. The space behind the plane is treated as a body, so the proof of
-motions also settles whether the piece stays in front; see docs/certified.md, "Contact that has to end".
+this plane is moved back by the depth and by the tolerance, one piece lies in front of the plane. As long as that piece
+stays in front, the overlap deepens by at most the tolerance. The space behind the plane is treated as a body, so the
+proof of motions also settles whether the piece stays in front; see docs/certified.md, "Contact that has to end".
 """
 
 from __future__ import annotations
@@ -114,7 +114,7 @@ class Run(NamedTuple):
         return Run(self.number[rows], self.low[rows], self.high[rows], self.courses[rows], self.off[rows])
 
     def cut(self, robot: Robot, at: tuple[int, float]) -> tuple[Run, Run]:
-        """Divide the courses at a fraction of one of them."""
+        """Divide the courses at a fraction of one course."""
         k, fraction = at
         if fraction in (0.0, 1.0):
             return self.rows(0, k + int(fraction)), self.rows(k + int(fraction), len(self.number))
@@ -320,7 +320,7 @@ def _settled(problem: Problem, courses: Floats, tolerance: float, off: Floats, w
 
 
 def _end_of_contact(ready: Problem, pair: int, run: Run, near: float, parted: float) -> tuple[int, float]:
-    """Return the course and fraction at which a pair has first parted, or the run's end if it never comes near again.
+    """Return the course and fraction where a pair has first parted; the run's end if the pair never comes near again.
 
     The distance is measured at places between which the pair moves too little to part and come near again.
 
@@ -415,7 +415,7 @@ def _reach(ready: Problem, pair: int, run: Run) -> float:
 
 
 class _Touched(NamedTuple):
-    """The pieces of two bodies, the pairs of them that are apart or touch at a configuration, and contact normals.
+    """The pieces of two bodies, the pairs of pieces that are apart or touch at a configuration, and contact normals.
 
     Attributes
     ----------

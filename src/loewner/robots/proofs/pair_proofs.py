@@ -24,8 +24,8 @@ def prove(
 ) -> Proof:  # fmt: skip
     """Decide whether two bodies collide, and write a proof of the answer.
 
-    The answer agrees with `collide`, except for bodies that are apart by less than rounding: `collide` counts these
-    bodies as touching, but `prove` proves that they are FREE.
+    The answer agrees with `collide`, except for bodies that are apart by less than rounding errors: `collide` counts
+    these bodies as touching, but `prove` proves that they are FREE.
 
     Parameters
     ----------
@@ -34,7 +34,7 @@ def prove(
         Poses; translation in metres. None is the identity.
     margin : float
         Distance in metres that the bodies have to keep. If the bodies are farther apart than the margin, the proof
-        shows it.
+        shows this.
 
     Returns
     -------

@@ -65,8 +65,8 @@ FINEST, BISECTIONS = 1e-10, 20
 UP = 1.0 + 1e-5
 
 # Errors that are subtracted from distances and depths: shares of the distance or depth itself, of the lengths from
-# which positions are computed, and of the size of curved pieces. The last share covers searches that stop beside the
-# best direction: their error was measured as 7.1e-6 at most, for cylinders with a common axis.
+# which positions are computed, and of the size of curved pieces. The last share covers searches that stop near, but not
+# at, the best direction. The largest measured error of such searches is 7.1e-6, for cylinders with a common axis.
 OF_DEPTH, OF_LENGTHS, OF_CURVED = 1e-6, 1e-12, 1e-4
 
 # Verdicts that more boxes may change.
@@ -78,7 +78,7 @@ STARTS, STEPS = 4, 50
 
 @dataclass(eq=False)
 class _Question:
-    """A pair of bodies, with all that is known about it so far.
+    """A pair of bodies, and everything known about the pair so far.
 
     Attributes
     ----------
@@ -515,7 +515,7 @@ def free_range(
         ends |= {at: (q[at] - share * (q[at] - low), q[at] + share * (high - q[at])) for at, low, high in columns}
         asked_now = [_question(self, every, pair, keeps, ends) for pair, keeps in zip(asked, kept, strict=True)]
         for one in asked_now:
-            if isinstance(one, ProvenPair):  # a box of no size would be a silent answer
+            if isinstance(one, ProvenPair):  # a box of size 0 would silently be the answer
                 raise InputError(f"pairs: expected ranges, found none for {' and '.join(one.names)}: {one.reason}")
         questions = [one for one in asked_now if isinstance(one, _Question)]
         _settle(questions, boxes, None, search=False)
@@ -716,7 +716,7 @@ def _settle(
     while boxes > 0 and (left := [question for question in left if not question.settled]):
         if progress is not None:
             progress(len(order) - len(left), len(order))
-        # Next, the question that probably needs the fewest boxes.
+        # Continue with the question that probably needs the fewest boxes.
         question = min(left, key=lambda question: question.to_go)
         boxes -= question.proceed(min(max(FIRST_BOXES, math.ceil(min(2 * question.to_go, boxes))), boxes))
     if search:

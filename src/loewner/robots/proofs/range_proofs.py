@@ -1,8 +1,8 @@
 """Write proofs that pairs are never nearer than a margin over ranges of values; see docs/proof-format.md.
 
 The box of all values of the joints between two bodies is halved until a plane separates the bodies in each part. The
-plane is perpendicular to the shortest connection between the bodies at the center of the box, and its condition refers
-to the box's corners. Boxes are examined in batches, in floating point, with room for the checkers' rounding.
+plane is perpendicular to the shortest connection between the bodies at the center of the box, and is checked at the
+box's corners. Boxes are examined in batches, in floating point, with room for the checkers' rounding.
 """
 
 from __future__ import annotations
@@ -399,7 +399,9 @@ class _Search:
         return np.asarray(found.distance), np.asarray(found.normal)
 
     def _conditions(self, boxes: _Boxes, parts: Parts, low: int, given: Floats) -> tuple[Bools, Floats, Floats]:
-        """Return whether the planes' conditions hold, the room at the centers of boxes, and each side's share of it."""
+        """Return whether the planes' conditions hold, the room at the centers of boxes, and the room that each side
+        takes.
+        """
         lower, count = self.shapes[low], len(given)
         n = given @ lower.turn.T
         norm = np.linalg.norm(n, axis=1)

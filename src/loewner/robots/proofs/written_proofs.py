@@ -1,4 +1,4 @@
-"""Proofs of motions that other programs can verify: `Proof`, and functions that make one."""
+"""Proofs of motions that other programs can verify: `Proof`, and functions that make proofs."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ class Proof:
 
     @property
     def model_hash(self) -> str:
-        """SHA-256 of the model, in hexadecimal digits; `CollisionChecker.model_hash` returns it without a proof."""
+        """SHA-256 of the model, in hexadecimal digits; `CollisionChecker.model_hash` returns this hash without a proof."""
         return hashlib.sha256(self.model).hexdigest()
 
     @property
@@ -121,7 +121,7 @@ class Proof:
         Returns
         -------
         loewner.verify.Report
-            Its `str` is the table that ``loewner verify`` prints.
+            The `str` of the report is the table that ``loewner verify`` prints.
 
         Raises
         ------
