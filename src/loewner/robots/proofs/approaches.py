@@ -1,9 +1,9 @@
 """Bound how near a robot comes to contact on each piece of a curve: from below by a proof, and from above by a sample.
 
 A piece is sampled, and a descent starts from the smallest distance. A proof of the piece as a motion then shows that
-every pair keeps 99 % of this distance. A failed proof names a time at which a pair is nearer, and the search continues
-there. Where the robot collides, no separating planes exist. Such pieces are divided into parts until no point moves
-farther within a part than the allowed difference between the two bounds.
+every pair keeps at least this distance minus one hundredth. A failed proof names a time at which a pair is nearer, and
+the search continues there. Where the robot collides, no separating planes exist. Such pieces are divided into parts
+until no point moves farther within a part than the allowed difference between the two bounds.
 """
 
 from __future__ import annotations

@@ -85,7 +85,7 @@ class Proof:
 
     @property
     def model_hash(self) -> str:
-        """SHA-256 of the model, in hexadecimal digits; `CollisionChecker.model_hash` returns this hash without a proof."""
+        """SHA-256 of the model, in hexadecimal digits; `CollisionChecker.model_hash` needs no proof to return it."""
         return hashlib.sha256(self.model).hexdigest()
 
     @property
