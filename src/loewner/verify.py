@@ -88,8 +88,8 @@ class Report:
     ranges : tuple of (str, str, float, tuple of (str, float, float, bool))
         Each entry of ``ranges``, if the file claims any, has two bodies, their margin in metres, and the values between
         the bodies. Each value has a name, the ends of the range over which the bodies are farther apart than the
-        margin, and a flag. The flag is true if the range covers all numbers that the value can have. In this case, the
-        last five entries of ``tightest`` are the index of the pair, 0, 1, the margin, and the remaining room.
+        margin, and a flag. The flag is true if the range covers all numbers that the value can have. With ``ranges``,
+        the last five entries of ``tightest`` are the index of the pair, 0, 1, the margin, and the remaining room.
     """
 
     model: str
@@ -657,7 +657,7 @@ class _Checker:
         else:
             bend, stray = self.bound(motion, below.link, high)
             needed = _up(margin) + stray - (-bend * (end - start) ** 2 >> 2 * DEEPEST + 3)
-        gap = min(gaps) - below.support(some, n, norm) - (norm + ONE) * slack  # |n| times this, and |n| > norm - 2
+        gap = min(gaps) - below.support(some, n, norm) - (norm + ONE) * slack  # |n| times the gap, and |n| > norm - 2
         spare = gap // (norm if gap > 0 else norm - 2) - needed
         since, until = (Fraction(t, 1 << DEEPEST) for t in spans[0])
         if spare <= 0:

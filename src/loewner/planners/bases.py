@@ -62,7 +62,7 @@ GRID, TRIED, BLOCKED = 2**13, 4, 5.0
 # are shortened.
 GREED = 1.5
 
-# A change between forwards and backwards costs as much as this share of a step.
+# Cost of a change between forwards and backwards, as a share of the cost of a step.
 CHANGE = 1.0
 
 # In one of SHOOTING batches, ways to the goal are tried from the first MOST_SHOOTING poses whose distance on the grid
@@ -75,10 +75,10 @@ PASSES, PLACES = 3, 32
 # Largest radius, and largest distance between limits [m].
 LARGEST = 1e6
 
-# Lengths and turns up to this are rounding errors of formulas [m, rad].
+# Lengths and turns up to NOTHING [m, rad] are rounding errors of formulas.
 NOTHING = 1e-10
 
-# A pass that saves less than this share is the last.
+# A pass that saves less than the share GAIN of the cost is the last.
 GAIN = 0.01
 
 

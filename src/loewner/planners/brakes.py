@@ -17,19 +17,19 @@ from loewner._native import entries
 from loewner.errors import InputError, PlanningError
 from loewner.planners.joint_limits import JointLimits, limits_by_name
 
-# A piece is straight if its velocities point along the way between its ends, up to this share of the way and of the
-# distance covered at these velocities.
+# A piece is straight if its velocities point along the way between its ends, up to the share STRAIGHT of the way and of
+# the distance covered at these velocities.
 STRAIGHT = 1e-9
 
-# A line that is too short for a stop by only this share counts as long enough: the trajectory itself may stop at the
-# end of the line.
+# A line that is too short for a stop by at most the share ROUNDED counts as long enough: the trajectory itself may stop
+# at the end of the line.
 ROUNDED = 1e-9
 
-# Limits that are lower than the trajectory's own limits by only this share count as equal.
+# Limits that are lower than the trajectory's own limits by at most the share EQUAL count as equal.
 EQUAL = 1e-6
 
-# On a line that is too short for a stop, the robot keeps at least this share of its speed, so that it does not creep on
-# the next blend.
+# On a line that is too short for a stop, the robot keeps at least the share SLOWEST of its speed, so that it does not
+# creep on the next blend.
 SLOWEST = 0.5
 
 # Number of halvings of the range that contains the lowest speed at the end of a line.

@@ -23,10 +23,10 @@ MOTIONS, MOST_MOTIONS = 48, 400
 # the step below which the point is no longer moved.
 FIRST_STEP, LONGER, SHORTER, LEAST_STEP = 1.0, 1.5, 0.5, 1e-3
 
-# A point is left out if the cost rises by at most this share.
+# A point is left out if the cost rises by at most the share TOLERATED.
 TOLERATED = 1e-3
 
-# Motions are measured at points that are at most this share of the path's length apart.
+# Largest distance between the points at which motions are measured, as a share of the path's length.
 SHARE = 1 / 128
 
 

@@ -173,9 +173,9 @@ class ControllerPoints:
         ----------
         path : path
             A ``.json`` or ``.yaml`` file with a ROS ``trajectory_msgs/JointTrajectory``, by itself or within a message
-            of MoveIt or of a controller's action. Or a ``.csv`` file whose columns are ``time``, the joints' names and
-            optionally ``NAME velocity`` and ``NAME acceleration`` for each joint. Files written by `Trajectory.save`
-            can be read as well.
+            of MoveIt or of a controller's action. Alternatively, a ``.csv`` file whose columns are ``time``, the
+            joints' names and optionally ``NAME velocity`` and ``NAME acceleration`` for each joint. Files written by
+            `Trajectory.save` can be read as well.
         robot : Robot, optional
             Columns are added for the values of this robot that the file does not name; these values do not change. The
             motion of a base (a multi-DOF trajectory) is read for a floating or planar joint of this robot.

@@ -22,10 +22,10 @@ from loewner.robots import CollisionChecker
 from loewner.robots.description.assembly import parts_of
 from loewner.robots.description.robot import interpolated
 
-# Largest number of states of all robots together; proofs of this number take several minutes.
+# Largest number of states of all robots together; the proofs for 2^20 states take several minutes.
 MOST_STATES = 2**20
 
-# Two motions whose directions differ by less than this share are parts of one straight motion.
+# Two motions whose directions differ by less than the share STRAIGHT are parts of one straight motion.
 STRAIGHT = 1e-9
 
 # Speed of a value without a limit [rad/s or m/s].

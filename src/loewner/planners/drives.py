@@ -34,7 +34,7 @@ DEVIATION, LARGEST_TURN = 1e-6, math.pi / 2.0
 # Limit on the pieces of a drive, so that a turn by millions of radians does not exhaust the memory.
 MOST_PIECES = 100_000
 
-# An arc's polynomial has an error of at most the arc's eighth derivative divided by this number, 8! 2^8.
+# An arc's polynomial has an error of at most the arc's eighth derivative divided by 8! 2^8.
 REMAINDER = 40320.0 * 256.0
 
 # Bound on the rounding errors of courses and of positions on arcs, relative to positions, and to length * (1 + turn).

@@ -36,13 +36,13 @@ from loewner.robots.proofs.written_proofs import Proof, proof_of
 # Time scales that are tried if a chunk is not free at its own speed: a half, a quarter and an eighth.
 SCALES = (0.5, 0.25, 0.125)
 
-# Times that agree within this share of a period belong to the same tick.
+# Times that agree within the share SAME_TICK of a period belong to the same tick.
 SAME_TICK = 1e-6
 
 # Upper limit on quotients that may be infinite: more periods than any chunk has.
 MANY = 2.0**31
 
-# Bounds count as within older bounds only if they are narrower by this much, in metres, radians and shares.
+# Bounds count as within older bounds only if they are narrower by WITHIN, in metres, radians and shares.
 WITHIN = 1e-12
 
 # Rounding error of the angle between two quaternions [rad]: a cosine near 1 has an error of several roundings.
@@ -100,7 +100,7 @@ class GateAnswer(_validate.Brief):
         The pair of bodies, or the joint, to which the reason applies; empty if there is no such pair or joint.
     distance, normal : float, ndarray of shape (3,)
         The distance between the two bodies where the proof fails [m], negative if they overlap, and the direction
-        towards the second body. All bodies are at their given poses. NaN if there is no pair.
+        towards the second body. Both are for bodies at their given poses, and NaN if there is no pair.
     brake : Trajectory
         The brake to execute after `steps` targets (and the gate's `latency`) if no new answer arrives by then, or at
         once if the state is BRAKE.
@@ -595,7 +595,7 @@ class Gate:
             error += self._farther(chunk.rates[ticks])
             wholes, more = self._wholes(ready, brakes, chunk.rates[ticks], error, starts, most - work)
             tried, work = np.flatnonzero(~wholes), work + more
-        # A long brake that fails mostly fails at its end, so prove the ends first; this halves no intervals.
+        # A long brake that fails mostly fails at its end, so prove the ends first, which halves no intervals.
         long = tried if self._on_path else tried[brakes.counts[tried] > 2]
         still = np.repeat(brakes.states[long, brakes.counts[long] - 1, :1], 2, axis=1)
         at_rest = starts[long] + brakes.durations[long]

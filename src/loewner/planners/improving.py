@@ -28,8 +28,8 @@ from loewner.planners.searches import Search
 from loewner.planners.space import Space
 from loewner.robots import Proof, Robot
 
-# Searches sample the ellipsoid whose excess over the straight path is this multiple of the best path's excess, since
-# polishing shortens the paths that they find.
+# Searches sample an ellipsoid whose excess over the straight path is SLACK times the best path's excess, since
+# polishing shortens the paths found.
 SLACK = 1.5
 
 # Number of iterations of a search, at first and at most; and the factors by which this number changes after a failure
@@ -48,7 +48,7 @@ PROMISING = 1.2
 # Number of rows that a path may gain.
 ROOM = 64
 
-# A path that costs at most this share more than the straight path is not improved.
+# A path is not improved if its cost exceeds the cost of the straight path by at most the share NOTHING_LEFT.
 NOTHING_LEFT = 1e-9
 
 # Limit on weights and on their inverses: beyond it, squares of costs could overflow.

@@ -30,7 +30,7 @@ from loewner.robots.proofs.courses import straight
 from loewner.robots.proofs.curves import joint_errors
 from loewner.robots.proofs.proofs import deviations, prove, prove_by_rules
 
-# Motions that come nearer than this to colliding [m] may count as not free.
+# Motions that come nearer than TOLERANCE to colliding [m] may count as not free.
 TOLERANCE = 1e-5
 
 

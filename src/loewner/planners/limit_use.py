@@ -23,7 +23,7 @@ QUANTITIES = ("position", "velocity", "acceleration", "jerk")
 # Fractions of a piece at which values are compared first; roots are sought only where they may give larger values.
 TRIED = np.arange(9) / 8
 
-# Extremes and jumps below this share of the largest value count as rounding errors.
+# Extremes and jumps below the share ROUNDED of the largest value count as rounding errors.
 ROUNDED = 1e-9
 
 # Times are doubted if the largest velocity, multiplied by the factor of a unit of time, would be between the two LIKELY

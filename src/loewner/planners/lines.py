@@ -24,7 +24,7 @@ from loewner.robots.description.robot import chain_to
 from loewner.robots.proofs.contacts import deeper_than_ends
 from loewner.robots.proofs.proofs import prove_by_rules
 
-# Singular values of the Jacobian [m, rad] below this count as singular in messages.
+# In messages, singular values of the Jacobian below SINGULAR [m, rad] indicate a singularity.
 SINGULAR = 0.02
 
 

@@ -149,8 +149,8 @@ class Motion:
     times : ndarray, shape (n,)
         In seconds.
     rows : dict
-        Arrays of shape (n, joints) for "positions" and, if the points have them, "velocities" and "accelerations". Or
-        an array of shape (n, joints, 7) for "transforms": positions and quaternions x, y, z, w.
+        Arrays of shape (n, joints) for "positions" and, if the points have them, "velocities" and "accelerations".
+        Alternatively, an array of shape (n, joints, 7) for "transforms": positions and quaternions x, y, z, w.
     """
 
     names: list[str]

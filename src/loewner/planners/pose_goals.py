@@ -24,8 +24,7 @@ from loewner.robots.description.robot import chain_to
 # Largest number of configurations that are tried as goals: free configurations first, then the nearest to the start.
 MOST_GOALS = 16
 
-# A goal in contact that has lines counts as this many goals, since proofs under contact rules take twenty times as
-# long.
+# A goal in contact that has lines counts as TOUCHING goals, since proofs under contact rules take twenty times as long.
 TOUCHING = 4
 
 # A displacement: the frame of its vector ("link" or "world"), and the vector, shape (3,) [m].

@@ -554,7 +554,7 @@ def roadmap(
     ----------
     checker : CollisionChecker
         Bodies that are attached in the checker's scene move with the robot. If bodies come and go, make the roadmap
-        while the scene has few bodies: configurations that collide when it is made are excluded permanently.
+        while the scene has few bodies: configurations that collide when the roadmap is made are excluded permanently.
     samples : int or array_like, shape (n, dof)
         The number of configurations to sample uniformly within the limits, or the configurations themselves. All free
         configurations become nodes.

@@ -24,7 +24,7 @@ class Search:
     Parameters
     ----------
     planner : str or callable, optional
-        The name of a class of ``ompl.geometric``, such as "BITstar" or "PRM". Or a function that takes the
+        The name of a class of ``ompl.geometric``, such as "BITstar" or "PRM". Alternatively, a function that takes the
         ``SpaceInformation`` and returns an OMPL planner that you have set up. Default: the compiled RRT-Connect.
     certified : bool
         Prove every motion free with `CollisionChecker.certify_edges`; otherwise sample motions in steps.

@@ -22,7 +22,7 @@ from loewner.robots.proofs import tracking
 from loewner.robots.proofs.proofs import prove_by_rules
 from loewner.scenes.scene import Contact
 
-# A deviation below this, in the units of the joints, is probably due to rounding.
+# A deviation below A_HAIR, in the units of the joints, is probably due to rounding.
 A_HAIR = 1e-4
 
 # Limit on the configurations and pairs that a message names.

@@ -22,10 +22,10 @@ from loewner._base._validate import Floats
 
 HALF, TURN = math.pi, 2.0 * math.pi
 
-# Angles and lengths up to this [rad, radii] count as 0; otherwise, a forward arc could become a whole circle.
+# Angles and lengths up to NO_TURN [rad, radii] count as 0; otherwise, a forward arc could become a whole circle.
 NO_TURN = 1e-9
 
-# Circles count as touching if they miss each other by no more than this [radii].
+# Circles count as touching if they miss each other by at most TOUCH [radii].
 TOUCH = 1e-12
 
 # Signs of lengths and of turns to the left for four problems: the given one, driven backwards, mirrored, and both.

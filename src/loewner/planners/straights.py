@@ -15,8 +15,8 @@ from loewner.errors import InputError
 # whole time.
 BLEND_ROUNDINGS = 32.0 * tolerances.UNIT_ROUNDOFF  # certified.md B35
 
-# Changes of speed, and distances at constant speed, below this share are merged into the neighbouring phase. A blend
-# below this share becomes a stop. In shorter phases, rounding would affect the acceleration.
+# Changes of speed, and distances at constant speed, below the share SHORTEST are merged into the neighbouring phase. A
+# blend below this share becomes a stop. In shorter phases, rounding would affect the acceleration.
 SHORTEST = 1e-7
 
 # Limit on the seconds of a motion at full speed, on the seconds to reach full speed, and on the reciprocals of both:

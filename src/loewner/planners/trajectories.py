@@ -45,8 +45,8 @@ HALVINGS = 5
 # take almost no time.
 LEAST_BLEND = 1e-3
 
-# A row that deviates from the straight line between its neighbours by at most this share of its values counts as lying
-# on the line.
+# A row that deviates from the straight line between its neighbours by at most the share ROUNDED of its values counts as
+# lying on the line.
 ROUNDED = 1e-15
 
 # Least time between a row added for a rate and any other row, in multiples of the shortest phase that rounding permits.
@@ -55,7 +55,7 @@ ROUNDED = 1e-15
 # at least CLOSEST periods from any knot.
 SPACED, SPACED_WITHOUT_JERK, CLOSEST = 1.3, 0.5, 0.05  # certified.md, "Rounding of limits"
 
-# Rows that are closer in time than this [s] are merged, since times in a message are whole nanoseconds.
+# Rows that are less than a nanosecond apart are merged, since times in a message are whole nanoseconds.
 NANOSECOND = 1e-9
 
 # Number of corners whose blends are chosen together: the effort grows quadratically, and distant corners hardly matter.
@@ -482,8 +482,8 @@ class Trajectory(KeepsReadOnly):
         ------
         InputError
             If the file has another extension, the rate is not a number from 0 to 1e9, or `message` is true for a
-            ``.csv`` file. If names are repeated, or a ``.csv`` file would interpret a name as another kind of column.
-            If the controllers and the columns do not match, or velocities jump and also change between jumps.
+            ``.csv`` file. If names are repeated, or a name would count as another kind of column in a ``.csv`` file. If
+            the controllers and the columns do not match, or velocities jump and also change between jumps.
         UnknownNameError
             If `joints` or `names` has a name that the trajectory lacks.
         FileError
@@ -612,7 +612,7 @@ class Trajectory(KeepsReadOnly):
         acceleration, jerk : float or array_like, shape (dof,), optional
             Limits [rad/s² and rad/s³, or m/s² and m/s³]. Default: from `limits`. Without a jerk limit, accelerations
             jump. With ``how="path"`` and a trajectory from `trajectory`, the limits must be no lower than the
-            trajectory's own. In this case, give jerk limits if and only if the trajectory has them.
+            trajectory's own. For such a brake, give jerk limits if and only if the trajectory has them.
         limits : JointLimits, optional
         beyond : bool
             Whether the robot may continue straight after the end of a trajectory that ends in motion.

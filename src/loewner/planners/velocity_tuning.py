@@ -47,7 +47,7 @@ FIRST = 3.0
 # Number of trajectories that are proven before the search gives up.
 ROUNDS = 64
 
-# Accelerations may exceed their limits by this share, because of rounding.
+# Accelerations may exceed their limits by the share ROUNDING, because of rounding.
 ROUNDING = 1e-12
 
 # Largest relative deviation of a given end velocity from the direction of the last motion.

@@ -39,10 +39,10 @@ from loewner.robots.proofs.written_proofs import proof_of
 from loewner.scenes.scene import Contact, Scene, poses_since
 from loewner.scenes.scene import drawn as drawn_scene
 
-# Pairs are reordered after this many configurations, and again each time the number of configurations has doubled.
+# Number of configurations after which pairs are reordered; they are reordered again each time this number has doubled.
 FIRST_LOOK = 32
 
-# A pair is suspected of always colliding only if it also collides in this number of random configurations.
+# Number of random configurations in which a pair must also collide before it is suspected of always colliding.
 SUSPECTED = 64
 
 # Version of the scene, queries for one configuration, and the prepared pairs; one tuple is thread-safe and fast.

@@ -27,8 +27,8 @@ KINDS: tuple[Kind, ...] = get_args(Kind)
 # How far shapes may stick out of links by default [m].
 USUAL = 0.02
 
-# Number of configurations in the search for pairs that meet only because of a cover's shapes. With this number, a pair
-# that meets in one of a hundred configurations is missed in about one of 23,000 robots.
+# Number of configurations in the search for pairs that meet only because of a cover's shapes. With 1,000
+# configurations, a pair that meets in one of a hundred is missed in about one of 23,000 robots.
 TRIED = 1000
 
 # Largest number of boxes of configurations for proofs that pairs of links never collide; most pairs take a few

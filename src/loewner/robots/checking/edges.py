@@ -24,7 +24,8 @@ AT_LEAST = 64
 # configurations take 80 MB.
 MOST_AT_ONCE = 2**20
 
-# A quotient of a length and a step that is this close to an integer may be rounded to either side of it.
+# A quotient of a length and a step that is within NEARLY_WHOLE of an integer may be rounded to either side of the
+# integer.
 NEARLY_WHOLE = 1e-9
 
 # Bytes of a motion's results: a verdict, a fraction, a pair, and the work that was done.

@@ -16,7 +16,7 @@ from loewner.bodies import Body
 from loewner.errors import InputError
 from loewner.queries.pairs import collide
 
-# Boxes grow by this share of the lengths involved, far more than the rounding errors of their sides.
+# Boxes grow by the share ROUNDING of the lengths involved, far more than the rounding errors of their sides.
 ROUNDING = 1e-9
 
 # A camera's loop passes the same distance in each frame, and making a ball takes as long as testing thousands of

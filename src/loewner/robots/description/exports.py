@@ -57,7 +57,7 @@ def save_urdf(robot: Any, path: Path, mesh_prefix: str, wider: float = 0.0) -> N
                 srdf = _semantics(robot, (), "")
             else:
                 # Without any rule, adjacent links would be exempt. Write a rule that exempts no pair that could
-                # collide: on a link without a body, or on the only link.
+                # collide: for a link without a body, or for the only link.
                 srdf = _semantics(robot, listed, "" if listed else top or (*bare, *robot.link_names)[0])
             read_srdf(semantics, described, srdf)
     except LoewnerError as error:
@@ -181,7 +181,7 @@ def _pose_and_axis(constants: Floats, kind: int, offset: float) -> tuple[Floats,
 
 
 def _limits(robot: Any, column: int, mimic: Mimic | None) -> dict[str, Any]:
-    """Return limits and rates of a joint of one value, and the limits for planning if they are narrower."""
+    """Return limits and rates of a joint with one value, and the limits for planning if they are narrower."""
     hard = float(robot.hard_lower[column]), float(robot.hard_upper[column])
     if mimic is not None:
         _, multiplier, offset = mimic

@@ -19,14 +19,16 @@ from loewner.meshes.closed_parts import ClosedPart, closed_parts
 from loewner.meshes.coverage import Covering
 from loewner.meshes.protrusion import Solid, protrusions
 
-# A hull is close to its mesh if it sticks out by at most this length [m], or this share of the mesh's diameter.
+# A hull is close to its mesh if it sticks out by at most NEAR [m], or by at most the share NEAR_SHARE of the mesh's
+# diameter.
 NEAR, NEAR_SHARE = 1e-3, 0.01
 
 # Relative accuracy of bounds, coarse enough that a hull is examined no further once it is found to stick out too far.
 # No bound is larger than a distance by this factor, and no distance times this factor overflows.
 AT_ONCE = 1e12
 
-# A part that encloses less than this share of the cube of the mesh's diameter has no inside: far above rounding.
+# A part that encloses less than the share NO_INSIDE of the cube of the mesh's diameter has no inside. This volume is
+# far above rounding errors.
 NO_INSIDE = 1e-12
 
 # Bodies of meshes that are not closed, as `described` and the warning name them.

@@ -64,7 +64,7 @@ QUATERNION_TOLERANCE = 1e-6
 # Kinds of joints whose last four values are a quaternion.
 WITH_QUATERNION = ("floating", "ball")
 
-# Pictures draw balls more coarsely if the robot has more links than this.
+# Number of links above which a robot's balls are drawn more coarsely in pictures.
 MANY_LINKS = 30
 
 # Smallest number of configurations that a thread takes at a time: about 0.1 ms of work.
@@ -247,7 +247,7 @@ class Robot(KeepsReadOnly):
         path : path, optional
             A URDF file. If its name ends in ``.xacro``, the package xacro expands it (``pip install
             "loewner[xacro]"``). The expansion evaluates Python expressions in the file, so read only files that you
-            trust. For such a file, line numbers in messages refer to the expanded text.
+            trust. For a ``.xacro`` file, line numbers in messages refer to the expanded text.
         text : str, optional
             The contents of a URDF or xacro file, given instead of `path`; for instance, the text in ROS's
             ``/robot_description``. Relative paths of meshes in the text are resolved from the working directory.
@@ -1320,8 +1320,8 @@ class Robot(KeepsReadOnly):
         path : path
             A cuRobo configuration or sphere file, or an XRDF. A URDF with spheres, from VAMP or foam. A JSON file with
             spheres, for pyroki or from foam. Any other URDF; an SRDF with the same stem is read, too. An MJCF file
-            whose bodies have the names of the links. Or a scene whose bodies have the names of the links, and poses in
-            the frames of the links.
+            whose bodies have the names of the links. A scene whose bodies have the names of the links, and poses in the
+            frames of the links.
         format : str, optional
             The program for which the file was made. By default the suffix and the keys determine the format. In the
             formats "curobo", "vamp", "foam" and "pyroki", numbers are rounded to float32, as in these programs.

@@ -32,7 +32,7 @@ HARMLESS = {
 # Limit on the number of joints of all groups together: far more than any robot has.
 MOST_MEMBERS = 2**22
 
-# If less than this share of the names in an SRDF belong to the robot, it was written for another robot.
+# If less than the share LEAST_IN_COMMON of the names in an SRDF belong to the robot, the SRDF is for another robot.
 LEAST_IN_COMMON = 0.25
 
 # Group, and values by joint; the group is "" for a state of the whole robot.

@@ -101,7 +101,7 @@ HARMLESS = {
 # means that the mimicking joints' limits were never used, as in the grippers of the PR2.
 LEAST_LEFT = 0.1
 
-# Limits of mimicking joints never cut off less of a range than this [rad or m], since these limits are rounded.
+# Limits of mimicking joints never cut off less of a range than LEAST_CUT [rad or m], since these limits are rounded.
 LEAST_CUT = 1e-9
 
 # The share of the range by which limits in extensions may differ. Such limits are often the joints' limits with fewer

@@ -47,7 +47,7 @@ MOST_ROUNDS = 30
 # Number of parts into which a part is divided, and the largest number of parts of one piece.
 PARTS, MOST_PARTS = 4, 1 << 14
 
-# Exact distances are accurate to this share of the lengths from which they are computed.
+# Relative accuracy of exact distances, as a share of the lengths from which they are computed.
 ROUNDINGS = 1e-9
 
 # If a quaternion differs by δ, at most a half, from a quaternion of norm 1, the angle between the two is at most arcsin
@@ -74,7 +74,7 @@ class ClosestApproach(_validate.Brief):
     time : ndarray, shape (n,)
         Times of the least distances, in seconds.
     names : ndarray of str, shape (n, 2)
-        The pair of bodies that is nearest at that time.
+        The pair of bodies that is nearest at ``time``.
 
     Examples
     --------

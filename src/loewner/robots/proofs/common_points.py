@@ -14,17 +14,18 @@ from loewner._kernels import columns
 from loewner.bodies import Packed
 from loewner.queries._exact import cross, dot, minus, placed
 
-# A point that is this share of the depth away from the boundaries of both pieces is well inside them.
+# A point is well inside two pieces if its distance from their boundaries is at least the share WELL_INSIDE of the
+# depth.
 WELL_INSIDE = 0.05
 
 # Distances from the witnesses within which points are sought, in multiples of the depth; and how often curved pieces
 # get more planes.
 AWAY, ROUNDS = (4.0, 256.0, 2.0**16), 24
 
-# Lengths below this share of the pieces' size are rounding errors.
+# Lengths below the share LEAST of the pieces' size are rounding errors.
 LEAST = 1e-15
 
-# If planes within this distance matter, in multiples of the size, rounding matters as well.
+# If planes within the distance ROUNDED matter, in multiples of the size, rounding matters as well.
 ROUNDED = 1e-9
 
 # A step away from a point, in multiples of the point's depth: the middle of a hull lies in faces of many tetrahedra.

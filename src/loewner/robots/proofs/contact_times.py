@@ -39,8 +39,8 @@ class TrajectoryContact(_validate.Brief):
         rounded. AMBIGUOUS: the robot comes within the tolerance of contact at `free_until`, and no collision is known.
     free_until : float
         Seconds; inf if FREE. At every real time from the start of the curve until this time, every pair is proven to be
-        farther apart than its margin, or in contact as `Scene.leave` or `Scene.reach` allows. At this time, the pair is
-        within the tolerance of its margin, or of the depth that the rule allows.
+        farther apart than its margin, or in contact as `Scene.leave` or `Scene.reach` allows. At `free_until`, the pair
+        is within the tolerance of its margin, or of the depth that the rule allows.
     touching_at : float
         Seconds; the earliest time of a known collision, or inf if no collision is known. This time exceeds `free_until`
         by the time that the pair needs to cross the tolerance, unless the pair grazes before it collides.

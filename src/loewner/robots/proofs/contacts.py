@@ -31,11 +31,11 @@ from loewner.robots.proofs.motions import STEPS, Found, Limit
 # is used.
 STRETCHES = 2.0 ** -np.arange(16)
 
-# Values at the end of a stretch deviate from a straight motion by less than this share: `motion_path` rounds by 7
+# Values at the end of a stretch deviate from a straight motion by less than the share OFF: `motion_path` rounds by 7
 # units. On a course of a higher degree they deviate by less than `CURVE_ROUNDINGS`.
 OFF = 32 * 2.0**-53
 
-# Distances below this share of the robot's reach have no reliable normal.
+# Distances below the share LEAST_SHARE of the robot's reach have no reliable normal.
 LEAST_SHARE = 1e-6
 
 # Relative error allowed for the distance to a wall: ten times the error that `distance` guarantees.
@@ -44,11 +44,11 @@ FAR_ROUNDINGS = 1e-8
 # Share of the tolerance that remains for the proof; the plane is moved back by the rest.
 FOR_PROOF = 0.25
 
-# Pieces that are apart by less than this share of the robot's reach count as touching: `distance` is accurate to a
-# thousandth of this share. Pieces farther apart must keep their margin.
+# Pieces that are apart by less than the share TOUCHING of the robot's reach count as touching: `distance` is accurate
+# to a thousandth of this share. Pieces farther apart must keep their margin.
 TOUCHING = 1e-9
 
-# Two bodies have parted if their distance exceeds the sum of their margin and the tolerance by this share of the
+# Two bodies have parted if their distance exceeds the sum of their margin and the tolerance by the share PARTED of the
 # robot's reach.
 PARTED = 1e-4
 
@@ -344,7 +344,7 @@ def _end_of_contact(ready: Problem, pair: int, run: Run, near: float, parted: fl
         change = np.diff(poses, axis=0)
         turned = np.linalg.norm(change[..., :3], axis=(1, 2))
         moved = lengths(change[..., :3] @ center + change[..., 3]) + radius * turned
-        # Between two places, the pair can part and come near again only if it moves this far.
+        # Between two places, the pair can part and come near again only if it moves as far as `far`.
         far = near + parted
         low, high = np.minimum(distances[:-1], distances[1:]), np.maximum(distances[:-1], distances[1:])
         needed = high - low + 2.0 * np.where(high <= far, far - high, np.where(low >= far, low - near, parted))

@@ -31,7 +31,7 @@ from loewner.robots.proofs.proofs import apply_rules, prove
 from loewner.robots.proofs.written_proofs import proof_of
 from loewner.scenes.scene import Scene
 
-# Two segments of a curve join if their ends differ by no more than this share of the curve's values.
+# Two segments of a curve join if their ends differ by at most the share JUMP of the curve's values.
 JUMP = 1e-9
 
 # Largest difference of SciPy's values from the proven curve, in multiples of a bound on rounding.

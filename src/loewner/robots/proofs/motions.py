@@ -50,8 +50,8 @@ class CertifiedMotions(_validate.Brief):
         pairs of pieces.
     steps : int or ndarray of int64
         The total work, in steps, which `CollisionChecker.certify_edges` can limit. An AMBIGUOUS motion that took more
-        steps than allowed was given up at `fraction`, and nothing more is known about the motion. In this case, `names`
-        are empty if the proof had not begun.
+        steps than allowed was given up at `fraction`, and nothing more is known about the motion. If the proof of a
+        motion had not begun, its `names` are empty.
     proof : Proof or None
         A proof that all motions are free, if a proof was requested and all motions are free.
 

@@ -37,10 +37,11 @@ AT_ONCE, MOST_SIDES = 4096, 8
 # Room for checkers that compute with enclosures: shares of the terms of the condition, and of the model's size.
 OF_TERMS, OF_SIZE = 2e-9, 2e-11
 
-# A plane is written with 16 bits per coordinate if the gap exceeds the margin by this share of the bodies' size.
+# A plane is written with 16 bits per coordinate if the gap exceeds the margin by the share COARSE of the bodies' size.
 COARSE, LONGEST = 3e-4, 32767
 
-# Pieces are divided if the plane of the nearest points leaves less room than this share of the gap between the bodies.
+# Pieces are divided if the plane of the nearest points leaves less room than the share OF_ROOM of the gap between the
+# bodies.
 OF_ROOM = 0.5
 
 # Tokens for a halved box, for the last plane again, and for planes with 16 bits per coordinate and with doubles.

@@ -41,7 +41,7 @@ NAMED = slice(4, 8)
 # How often a motion, or half of a motion, is halved for the shortest contacts.
 MOST_HALVED = 15
 
-# For the search, least distances below 0 are raised by this share, since the search adds room for rounding in
+# For the search, least distances below 0 are raised by the share DEPTH_ROOM, since the search adds room for rounding in
 # proportion to sums.
 DEPTH_ROOM = 4e-9
 

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 MAGIC, VERSION, WITHOUT_RULES, FREE, COMMON, RANGES = b"LOEWNERP", 2, 1, 1, 2, 3
 _HEAD = struct.Struct("<8sIIII")
 
-# Programs that check proofs may refuse larger files [bytes], and joints that turn beyond this [rad].
+# Programs that check proofs may refuse files larger than MOST_BYTES, and joints that turn beyond FARTHEST_TURN [rad].
 MOST_BYTES, FARTHEST_TURN = 2**24, 1e6
 
 
