@@ -585,7 +585,7 @@ class _Checker:
             for value, (low, high) in ends.items():
                 name, least, most = self.values[value]
                 joints = [link for link in between if link.value == value]
-                turn = max(link.by.denominator for link in joints) * 4 * (HALF_PI + 1)  # all denominators divide it
+                turn = max(link.by.denominator for link in joints) * 4 * (HALF_PI + 1)  # every denominator divides it
                 whole = all(link.kind == 1 for link in joints) and _down(Fraction(high) - Fraction(low), GUARD) >= turn
                 found.append((name, low, high, whole or (low <= least and most <= high)))
             self.ranges.append((*self.named(pair), margin, tuple(found)))
@@ -630,7 +630,7 @@ class _Checker:
         (low, high), (some, others) = (pair, spans[1:3]) if first else (pair[::-1], spans[2:0:-1])
         below, above = self.bodies[low], self.bodies[high]
         exact = [sum(a * b for a, b in zip(below.whole[k : k + 3], normal, strict=True)) for k in (0, 3, 6)]
-        shift = BITS + 16 - max(map(abs, exact)).bit_length()  # the scale of M N does not matter, and it may be rounded
+        shift = BITS + 16 - max(map(abs, exact)).bit_length()  # M N may have any scale, and may be rounded
         n = tuple(x << shift if shift > 0 else x >> -shift for x in exact)
         count = 100 + sum(b.counts[k[1]] - b.counts[k[0]] for b, k in ((below, some), (above, others)))
         self.spend(count)

@@ -58,8 +58,8 @@ BATCH, SHOTS = 16, 4
 # cell lengthens distances.
 GRID, TRIED, BLOCKED = 2**13, 4, 5.0
 
-# Weight of the estimate in the order of the queue. A larger weight makes searches faster, but ways longer before they
-# are shortened.
+# Weight of the estimate in the order of the queue. A larger weight makes searches faster, but the ways found longer,
+# until they are shortened.
 GREED = 1.5
 
 # Cost of a change between forwards and backwards, as a share of the cost of a step.

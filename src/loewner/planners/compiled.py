@@ -181,7 +181,7 @@ def _what_is_between(growth: Growth) -> str:
     spread = [np.unique(np.linspace(0, count - 1, BETWEEN, dtype=np.int64)) for count in counts]
     halves = np.split(growth.search.trees[:-TREE_ROWS], 2)
     first, last = (nodes[:, numbers].T for nodes, numbers in zip(halves, spread, strict=True))
-    with np.errstate(over="ignore"):  # differences beyond 1e154: any node will do then
+    with np.errstate(over="ignore"):  # if squares of differences overflow, any node will do
         nearest = lengths(first[:, None] - last).argmin(axis=1)
     a, b = growth.space.configurations(first), growth.space.configurations(last[nearest])
     found, parts = prove_by_rules(judge.ready, a, b, TOLERANCE, judge.joint_error), []

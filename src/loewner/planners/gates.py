@@ -306,7 +306,7 @@ class Gate:
         self._strongest, self._jerk = brake_limits(names, moves, robot, limits, acceleration, jerk)
         known = robot.velocity if limits is None else limits.velocity
         self._fastest = np.where(np.isnan(known), np.inf, known)
-        self._last: _Chunk | None = None  # proven for all poses that its world allows
+        self._last: _Chunk | None = None  # proven for all poses that the chunk's world allows
         self._drift = 0.0  # growth of bounds within the tolerance of a tick
         self._now = -math.inf
 
@@ -528,8 +528,8 @@ class Gate:
         q, dq = state
         off = (np.abs(q - last.rows) > self._error) | (np.abs(dq - last.rates) > self._rate_error)
         near = np.asarray(~off.any(axis=1))
-        # Several ticks, if the robot is slow. If the given time advances, it decides between them, even in a world at
-        # rest.
+        # If the robot is slow, several ticks fit. If the given time advances, it decides between them, even in a world
+        # at rest.
         found = [j for j in ticks if near[j]]
         away: Floats = np.abs(q - last.rows).max(axis=1)
         found.sort(key=lambda j: -1.0 if 0 < j == tick else float(away[j]))

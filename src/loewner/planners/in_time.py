@@ -547,7 +547,7 @@ def _shortened(judge: TimedJudge, rows: Floats, least: float, rng: np.random.Gen
             break
         cuts = np.sort(rng.random((len(SAVED), 2)) * rows[-1, -1], axis=1).tolist()
         tried = [_changed(judge, rows, begin, end, share) for (begin, end), share in zip(cuts, SAVED, strict=True)]
-        if idle == 0:  # also try motions between corners, and without waits
+        if idle == 0:  # also cut single corners, and leave out waits
             waits = (rows[1:, :-1] == rows[:-1, :-1]).all(axis=1)
             at = rows[:, -1]
             pairs = np.concatenate([[at[:-2], at[2:]], [at[:-1][waits], at[1:][waits]]], axis=1).T.tolist()

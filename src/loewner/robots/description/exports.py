@@ -295,7 +295,7 @@ def _semantics(robot: Any, exempt: Any, alone: str) -> str:
         state = ElementTree.SubElement(root, "group_state", {"name": name} | ({"group": of} if of else {}))
         for joint, value in values.items():
             entries = np.atleast_1d(value)
-            if len(entries) == len(VALUES["floating"]):  # SRDF has the real part of a quaternion last
+            if len(entries) == len(VALUES["floating"]):  # SRDF writes the real part of a quaternion last
                 entries = np.concatenate([entries[:3], entries[4:], entries[3:4]])
             ElementTree.SubElement(state, "joint", name=joint, value=numbers(entries))
     for a, b in sorted(exempt):

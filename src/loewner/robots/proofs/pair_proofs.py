@@ -82,7 +82,7 @@ def prove(
         proof = assembled(COMMON, model.data, block)
         if _holds(proof):
             return proof
-    if found.distance > keep:  # `collide` counts bodies as touching that are apart by less than rounding
+    if found.distance > keep:  # `collide` counts bodies as touching if only rounding errors separate them
         return _apart(model, parts, lambda: found)
     raise ConvergenceError(
         f"proof: expected a point that is inside both bodies by more than rounding, found none; their overlap is "

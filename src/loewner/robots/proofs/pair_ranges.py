@@ -54,8 +54,8 @@ FIRST_BOXES = 1000
 # Least tolerance of a proof [m].
 LEAST_TOLERANCE = 1e-12
 
-# Largest denominator of a joint's multiplier, if the joint follows a value without limits: the range is a common
-# period.
+# Largest denominator of a joint's multiplier, if the joint follows a value without limits: the range is a common period
+# of the joints.
 MOST_TURNS = 64
 
 # Accuracy of ranges of one value [rad or m], and number of bisections for boxes of several values.
