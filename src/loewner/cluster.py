@@ -168,7 +168,8 @@ def fit(
     with the worker. Tasks may be cancelled while the scheduler runs, for instance because a connection breaks or the
     scheduler is restarted. Cancelled tasks are requested again, at most four times in all. A file counts as failed if
     four workers died while fitting it, since the file may need more memory than the workers have. While there are no
-    workers, the call waits for one. After an interrupt, files in progress are finished and no further file is started.
+    workers, the call waits for a worker. After an interrupt, files in progress are finished and no further file is
+    started.
 
     Examples
     --------

@@ -16,7 +16,7 @@ vectors and matrices (the root of the sum of squares). Lengths that appear as fa
   chain, the error is at most E (L + 1).
 - A plane's normal n is exact, since any vector is valid. In the other body's frame, the normal has an error of 2 E |n|
   + 5. A gap therefore has an error of at most (|n| + 1) E (2 X + 4 L + 3), where X is the size of the bodies, plus |n|
-  times the errors of the placed points of both bodies. The latter errors are at most ``_Body.fuzz``.
+  times the errors of the placed points of both bodies. The errors of placed points are at most ``_Body.fuzz``.
 """
 
 import argparse

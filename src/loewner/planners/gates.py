@@ -649,7 +649,8 @@ class Gate:
     ) -> tuple[Bools, int]:
         """Try to prove each brake as one course, which takes one interval if nothing is near; also count the steps.
 
-        Each brake may take about as many steps as one interval does. No brake is tried unless this is possible for all.
+        Each brake may take about as many steps as one interval does. If not all brakes may take this number of steps,
+        none is tried.
         """
         free, steps = np.zeros(len(rates), dtype=bool), max(len(ready.pairs), LEAST_STEPS)
         chosen = np.flatnonzero(brakes.counts > 2)

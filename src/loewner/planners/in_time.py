@@ -196,8 +196,8 @@ def plan_in_time(
     -------
     Trajectory
         Between the trajectory's times, the robot moves straight at a constant rate, or waits. The times are relative to
-        the trajectory's `start_time`. For this start, ``checker.certify_trajectory(found)`` proves the trajectory FREE.
-        No velocity exceeds its limit by more than two units of rounding.
+        the trajectory's `start_time`. For this start time, ``checker.certify_trajectory(found)`` proves the trajectory
+        FREE. No velocity exceeds its limit by more than two units of rounding.
 
     Raises
     ------

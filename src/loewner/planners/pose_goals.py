@@ -113,8 +113,8 @@ class PoseGoal:
         Returns
         -------
         ndarray, shape (goals, dof)
-            At most sixteen configurations. Colliding configurations are included only if there are fewer free ones. The
-            goal's approach and retreat, if any, are free for all these configurations.
+            At most sixteen configurations. Colliding configurations are included only if fewer than sixteen
+            configurations are free. The goal's approach and retreat, if any, are free for all these configurations.
 
         Raises
         ------

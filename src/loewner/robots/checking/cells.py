@@ -13,7 +13,7 @@ from loewner.robots.checking.problem import Problem
 from loewner.robots.description.robot import Robot, unlimited
 from loewner.scenes.scene import Scene
 
-# The library for C refuses larger margins, as kernels refuse larger bodies.
+# Largest margin that the library for C accepts; the kernels have the same limit on the size of bodies.
 MOST_MARGIN = 1e30
 
 

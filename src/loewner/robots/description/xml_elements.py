@@ -20,8 +20,8 @@ MOST_BYTES = 2**25
 MOST_ELEMENTS = 250_000
 DEEPEST = 100
 
-# Larger lengths, factors and offsets in a description are refused [m, rad, 1]: results computed from thousands of
-# smaller numbers are finite.
+# Lengths, factors and offsets above LARGEST in a description are refused [m, rad, 1]: results computed from thousands
+# of smaller numbers are finite.
 LARGEST = 1e12
 
 # Advice for a text that is passed as a path.

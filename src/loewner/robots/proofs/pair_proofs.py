@@ -93,7 +93,7 @@ def prove(
 def _apart(model: Model, parts: bool, measured: Callable[[], queries.Distance]) -> Proof:
     """Write a proof with planes that leave room for checkers that round or, without such planes, with any planes.
 
-    The search for planes fails near contact. The search for the distance is more careful, and is used last.
+    The search for planes fails near contact. The more careful search for the distance is used last.
     """
     for room, careful in ((separations.ROOM, False), (0.0, False), (0.0, True)):
         tree = separations.still(model, room, np.asarray(measured().normal) if careful else None)

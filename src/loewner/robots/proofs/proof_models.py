@@ -37,7 +37,7 @@ FARTHEST = 0.0, 1.0, np.sqrt(2.0), np.sqrt(2.0)
 # Where rules allow contact: at the start of motions, at their end, or at both (the sum).
 AT_START, AT_END = 1, 2
 
-# Programs that check proofs may refuse longer lengths [m], and more links.
+# Programs that check proofs may refuse lengths above LARGEST [m], and more than MOST_LINKS links.
 LARGEST, MOST_LINKS = 2.0**32, 1000
 
 # Names are preceded by their length in 16 bits.
