@@ -420,8 +420,7 @@ class _Motion:
 
 
 class _Box(_Motion):
-    """A pair with a range for each value between its bodies, as a motion from the lower to the upper ends of the
-    ranges.
+    """A pair with ranges of the values between its bodies, as a motion from the lower to the upper ends of the ranges.
 
     `paths` lists the links from each body up to the common link, which is left out. `sides` lists the values, with the
     start and the width of each range.

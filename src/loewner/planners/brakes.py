@@ -68,9 +68,7 @@ class Brakes(NamedTuple):
     def on_path(
         cls, rows: Floats, at: Floats, begins: Floats, strongest: Floats, jerk: Floats | None, *, beyond: bool
     ) -> Brakes:
-        """Stop on straight motions between rows, shape (k, dof), passed at the times `at`: one brake per time in
-        `begins`.
-        """
+        """Stop on motions between rows, shape (k, dof), passed at the times `at`: one brake per time in `begins`."""
         made, steep = cls._empty(len(begins), len(rows) + 4, rows.shape[1]), _steep(strongest, jerk)
         entries.brakes_on_path(*(np.array(x) for x in (rows, at, begins, strongest, steep)), beyond, *made)
         return made

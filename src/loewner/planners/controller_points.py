@@ -625,8 +625,7 @@ def _is_far(T: Floats, other: Floats) -> bool:
 def _stated(
     part: messages.Part, points: ControllerPoints, name: str, robot: Robot | None, others: Floats | None
 ) -> tuple[dict[str, float], dict[str, str]]:
-    """Return the values that a message states for columns that the points do not name, and the keys where the values
-    are.
+    """Return the values that a message states for columns that the points do not name, and the values' keys.
 
     Values that belong to no column are refused, unless they are 0 and no robot is given.
     """

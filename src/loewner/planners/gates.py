@@ -100,7 +100,8 @@ class GateAnswer(_validate.Brief):
         The pair of bodies, or the joint, to which the reason applies; empty if there is no such pair or joint.
     distance, normal : float, ndarray of shape (3,)
         The distance between the two bodies where the proof fails [m], negative if they overlap, and the direction
-        towards the second body. Both are for bodies at their given poses, and NaN if there is no pair.
+        towards the second body. The distance and the direction are for bodies at their given poses, and NaN if there is
+        no pair.
     brake : Trajectory
         The brake to execute after `steps` targets (and the gate's `latency`) if no new answer arrives by then, or at
         once if the state is BRAKE.
@@ -159,7 +160,7 @@ class _Stop(NamedTuple):
     tick : int
         The tick at which the motion or the brake begins.
     needed : int
-        Number of targets on which it depends.
+        Number of targets on which the motion or the brake depends.
     block : _Block
     """
 

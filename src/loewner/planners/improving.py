@@ -1,6 +1,4 @@
-"""Improve paths in rounds: each round searches within a bound on the cost and polishes paths; the cheapest path is
-kept.
-"""
+"""Improve paths in rounds, which search within a bound on the cost and polish paths; the cheapest path is kept."""
 
 from __future__ import annotations
 

@@ -46,8 +46,7 @@ class Phase(NamedTuple):
 
 
 def ramp(change: float, limits: Limits) -> tuple[float, float]:
-    """Return the durations of the phases of a change of speed: two phases with jerk, and a phase without jerk in
-    between.
+    """Return the durations of phases for a change of speed: two phases with jerk, and a phase without jerk between.
 
     The change is the fastest within the limits, except that no phase is shorter than the least duration.
     """

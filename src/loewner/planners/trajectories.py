@@ -716,9 +716,7 @@ class Trajectory(KeepsReadOnly):
         return np.asarray((1 - x) * bends[k] + x * end)
 
     def _cubics(self, k: Any, x: Floats, T: Floats) -> Floats:
-        """Return positions on cubic pieces, computed from the nearer end for the least rounding error on straight
-        lines.
-        """
+        """Return positions on cubic pieces, computed from the nearer end for small rounding errors on lines."""
         m, z = k + (T[..., 0] > 0), np.minimum(x, 1 - x)
         near, far, away = 3 * z * (1 - z) ** 2, 3 * z * z * (1 - z), z * z * z
         a, b, first, last = self.knots[k], self.knots[m], self.rates[k] * (T / 3), self.rates[m] * (T / 3)

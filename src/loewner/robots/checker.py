@@ -131,9 +131,7 @@ class CollisionChecker:
         self._seen, self._next_look, self._suspected = 0, FIRST_LOOK, False
 
     def __getstate__(self) -> dict[str, Any]:
-        """Leave the prepared pairs out of copies and pickles: their handle is an address that is valid only in this
-        object.
-        """
+        """Leave the prepared pairs out of copies and pickles: their handle is an address, valid only in this object."""
         return {**self.__dict__, "_prepared": UNPREPARED, "_still": None}
 
     def __repr__(self) -> str:
@@ -188,9 +186,7 @@ class CollisionChecker:
 
     @property
     def scene(self) -> Scene:
-        """The scene in which the robot is checked. The scene's contents may change; a different scene needs a new
-        checker.
-        """
+        """The scene in which the robot is checked. The scene may be changed; a different scene needs a new checker."""
         return self._scene
 
     @property
@@ -811,9 +807,7 @@ class CollisionChecker:
     # -- inside -------------------------------------------------------------------------------
 
     def _at(self, Q: ArrayLike, t: ArrayLike | None) -> tuple[Floats, Problem]:
-        """Check configurations and times; return configurations with values for bodies that follow motions, and the
-        pairs.
-        """
+        """Check configurations and times; return configurations with values of moving bodies, and prepared pairs."""
         checked, ready = self.robot.checked(Q), self._ready(timed=t is not None)
         if t is None:
             return checked, ready
@@ -824,9 +818,7 @@ class CollisionChecker:
         return np.array(made.reshape(*shape, made.shape[1]), order="C"), ready
 
     def _doubted(self, ready: Problem, Q: Floats, t: Floats | None, out: NDArray[np.int8]) -> NDArray[np.int8]:
-        """Return FREE if free at all poses within the errors, COLLIDING if colliding at the given poses, else
-        AMBIGUOUS.
-        """
+        """Return FREE if free at all poses within the errors, COLLIDING if so at the given poses, else AMBIGUOUS."""
         timed = t is not None and ready.paths is not None and ready.paths.bounds
         if ready.given is None and not timed:
             return out

@@ -400,7 +400,7 @@ class _Search:
         return np.asarray(found.distance), np.asarray(found.normal)
 
     def _conditions(self, boxes: _Boxes, parts: Parts, low: int, given: Floats) -> tuple[Bools, Floats, Floats]:
-        """Return whether the planes' conditions hold, the room at the centers of boxes, and the room that each side
+        """Return whether planes satisfy their condition, the room at the centers of boxes, and the room each side
         takes.
         """
         lower, count = self.shapes[low], len(given)
