@@ -185,9 +185,9 @@ def plan_in_time(
     velocity : float or array_like, shape (dof,), optional
         The largest velocity of each value [rad/s or m/s]. Default: the URDF's limits (`Robot.velocity`).
     arrive_by : float, optional
-        The latest arrival [s], on the same clock as `start_time`. The default, which is also the upper limit, is
-        counted from the end of all bodies' motions (for a motion that repeats, of two periods), and is four times the
-        time that the joints need to cross their ranges.
+        The latest arrival [s], on the same clock as `start_time`. The default, which is also the upper limit, leaves
+        four times the time that the joints need to cross their ranges after the end of all bodies' motions. A repeated
+        motion counts as ended after two periods.
     search : Search, optional
         The fields `max_iterations`, `timeout` and `simplify` apply; `planner` must not be set, and motions are always
         proven.

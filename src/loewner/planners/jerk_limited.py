@@ -168,9 +168,9 @@ class JerkLimited(NamedTuple):
     def _bends(self, halves: Floats) -> tuple[Floats, Floats, Floats]:
         """Compute three cubic pieces of each blend; the second may have no duration.
 
-        The first array has the ends of the pieces, shape (corners, 4, dof). The second has the velocities at these
-        ends, times the duration of the blend. The third has the durations of the pieces as shares of the blend's
-        duration, shape (corners, 3, 1).
+        The first array has the ends of the pieces, shape (corners, 4, dof). The second array has the velocities at
+        these ends, times the duration of the blend. The third array has the durations of the pieces as shares of the
+        blend's duration, shape (corners, 3, 1).
         """
         first, _, last = self.straights.corners(halves)
         sized = zip(halves.tolist(), self.across, strict=True)

@@ -159,9 +159,8 @@ def time_path(
     start_time : float
         Time at which the robot is at rest at the first configuration [s], on the clock of the bodies' motions.
     arrive_by : float, optional
-        The latest arrival [s]. The default, which is also the upper limit, is counted from the end of all bodies'
-        motions (for a motion that repeats, of two periods), and is twice the time that the path takes without moving
-        bodies.
+        The latest arrival [s]. The default, which is also the upper limit, leaves twice the time that the path takes
+        without moving bodies after the end of all bodies' motions. A repeated motion counts as ended after two periods.
     arrive_at : float, optional
         The time of arrival [s]. Default: the earliest time that the search finds.
     end_velocity : array_like, shape (dof,), optional

@@ -241,7 +241,7 @@ class CollisionChecker:
                 single = ready.single
             collides = single.collide(Q)
             if collides is not None:
-                self._seen += 1  # not by `_learn`: a call would take a tenth of the time
+                self._seen += 1  # not in `_learn`: calling it would take a tenth of the time
                 if self._seen >= self._next_look:
                     self._learn(ready, 0)
                 return collides
@@ -818,7 +818,7 @@ class CollisionChecker:
         return np.array(made.reshape(*shape, made.shape[1]), order="C"), ready
 
     def _doubted(self, ready: Problem, Q: Floats, t: Floats | None, out: NDArray[np.int8]) -> NDArray[np.int8]:
-        """Return FREE if free at all poses within the errors, COLLIDING if so at the given poses, else AMBIGUOUS."""
+        """Return FREE if free at all poses within errors, COLLIDING if colliding at the given poses, else AMBIGUOUS."""
         timed = t is not None and ready.paths is not None and ready.paths.bounds
         if ready.given is None and not timed:
             return out

@@ -2,8 +2,8 @@
 
 A body that follows a motion is a link on a floating joint (`assembly.with_moving_bodies`). Between two successive times
 of its motion, the body moves straight and turns at a constant rate, as such a joint does. A motion of the robot is
-therefore cut at these times, and each piece is proven as usual. The ends of pieces are rounded; docs/certified.md,
-"Motions in time", derives the bounds below.
+therefore cut at the times of the bodies' motions, and each piece is proven as usual. The ends of pieces are rounded;
+docs/certified.md, "Motions in time", derives the bounds below.
 """
 
 from __future__ import annotations
