@@ -33,11 +33,11 @@ REACHED = {"yes": "reached", "no": "missed"}
 
 INTRODUCTION = """# Measurements
 
-This page is made from the files in `benchmarks/results` when the site is built. Times are for one item (a pair, a body, a
-configuration), in nanoseconds of processor time. A ratio is the other library's time divided by loewner's, from one run
-in which the two libraries took turns. Below 1, the other library is faster, and the row names it. A target is a goal
-that loewner has set itself for a ratio. The page on [benchmarks](benchmarks.md) describes how the comparison
-is kept fair, and its limits."""
+This page is made from the files in `benchmarks/results` when the site is built. Times are for one item (a pair, a
+body, a configuration), in nanoseconds of processor time. A ratio is the other library's time divided by loewner's,
+from one run in which the two libraries took turns. Below 1, the other library is faster, and the row names it. A
+target is a goal that loewner has set itself for a ratio. The page on [benchmarks](benchmarks.md) describes how the
+comparison is kept fair, and its limits."""
 
 
 RATIOS_TITLE = """## Ratios by commit
