@@ -51,7 +51,7 @@ from loewner.scenes.scene import Attachment, Contact, Scene
 
 __version__ = "0.1.0"
 
-# Modules that take longer to import than all others together, or need an extra, are imported at their first use.
+# These modules need an extra, or take longer to import than all other modules together; they are imported at first use.
 _AT_FIRST_USE = ("cluster", "gpu", "jax", "paper", "planners", "plots", "torch", "viewer")
 
 __all__ = [

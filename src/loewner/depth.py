@@ -16,10 +16,11 @@ from loewner.robots import CollisionChecker
 
 __all__ = ["SeenSpace", "points_of"]
 
-# Seen cells are nearer than the depths behind them by this share, far above the rounding of a projection.
+# A seen cell is nearer than the depths behind it by at least this share of its depth, far above a projection's
+# rounding.
 ROUNDING = 1e-9
 
-# Bytes per corner of a cell in a call of `see`.
+# Memory that a call of `see` uses, in bytes per cell corner.
 BYTES = 200
 
 
@@ -46,7 +47,7 @@ class SeenSpace:
     age : ndarray of int64, shape (p, q, r)
         How many images ago each cell was last seen; -1 for unknown cells.
     time : float or None
-        The time of the last image that was given a time, in seconds.
+        The time of the last image for which a time was given, in seconds.
 
     Raises
     ------
@@ -107,15 +108,15 @@ class SeenSpace:
         Raises
         ------
         InputError, PoseError
-            As for `points_of`; InputError also if the image is older than the last image with a time, since a body may
-            have moved into cells between the two times.
+            As for `points_of`. An image older than the last image with a time also raises InputError, because a body
+            may since have moved into cells that this image shows as empty.
         """
         depths, intrinsics, T = camera_of(image, K, T_world_camera)
         now = None if time is None else float(_validate.finite_array(time, "time", ()))
         if now is not None and self.time is not None and now < self.time:
             raise InputError(f"time: expected {self.time:g} s, the time of the last image, or more, found {now:g}")
         depths = np.nan_to_num(depths)
-        # Before the division by their depths, the images of corners are affine: sums of a number for each axis.
+        # Before the division by depth, the projection of a corner is affine in its indices: a sum of one term per axis.
         turn = intrinsics @ T[:3, :3].T
         first = turn @ (self._low - T[:3, 3])
         steps = self._size * turn
@@ -130,7 +131,7 @@ class SeenSpace:
         nearest = z[:-1, :-1, :-1] + np.minimum(steps[2], 0.0).sum()
         farthest = z[:-1, :-1, :-1] + np.maximum(steps[2], 0.0).sum()
         height, width = depths.shape
-        # A pixel sees half a pixel on each side of its center; the cells have to be completely inside the image.
+        # A pixel covers half a pixel on each side of its center, and a seen cell must be completely inside the image.
         inside = (nearest > 0.0) & (least_u >= 0.0) & (most_u <= width - 1) & (least_v >= 0.0) & (most_v <= height - 1)
         some = np.nonzero(inside)
         ends = [np.floor(x[some]).astype(np.int64) for x in (least_v, least_u)]
@@ -173,8 +174,8 @@ class SeenSpace:
         q : array_like, shape (dof,), optional
             The robot's configuration; required with `checker`.
         clear : float
-            Cells that come within this distance of the robot [m] are left out, as are some cells that are farther away
-            by up to the diagonal of a cell.
+            Cells within this distance of the robot, in metres, are left out. Some cells that are up to one cell
+            diagonal farther away are also left out.
         closed : bool
             Whether to put a layer of cells around the grid. Without this layer, the space outside the grid counts as
             free although it is unseen.
@@ -182,7 +183,7 @@ class SeenSpace:
         Returns
         -------
         Body
-            A body as from `Body.from_voxels`.
+            A body like the result of `Body.from_voxels`.
 
         Raises
         ------
@@ -217,7 +218,8 @@ def _over_cells(x: Floats) -> tuple[Floats, Floats]:
 
 
 def _least_in(depths: Floats, v0: Ints, u0: Ints, v1: Ints, u1: Ints) -> Floats:
-    """Find the least depth in rectangles of pixels, ends included, by windows of powers of two."""
+    """Find the least depth in rectangles of pixels, ends included, from minima over windows with sides of 2^k pixels.
+    """
     least = np.empty(len(v0))
     rows, cols = ((np.frexp(ends - starts + 1)[1] - 1).astype(np.int8) for starts, ends in ((v0, v1), (u0, u1)))
     by_rows = depths

@@ -1,6 +1,6 @@
 """Define every error that `loewner` raises on purpose, each as a subclass of `LoewnerError`.
 
-Each error also derives from the matching built-in exception, so that ``except ValueError`` works without this module.
+Each error also derives from the matching built-in exception, so that callers can write ``except ValueError``.
 """
 
 from importlib import import_module
@@ -64,7 +64,7 @@ class PoseError(InputError):
 
 
 class ConvergenceError(LoewnerError, ArithmeticError):
-    """An iteration did not reach its certificate; no guess is returned in place of a certified result.
+    """An iteration did not converge to a certified result, and no uncertified result is returned.
 
     Attributes
     ----------

@@ -81,7 +81,7 @@ def clearance(checker: CollisionChecker, *, softness: float = 0.005) -> Callable
 
 
 def distance(checker: CollisionChecker) -> Callable[[Any], Any]:
-    """Make a JAX function that computes the exact distance of `CollisionChecker.distance`, a function with kinks.
+    """Make a JAX function that computes the exact `CollisionChecker.distance`, which is not smooth everywhere.
 
     Parameters
     ----------
@@ -98,11 +98,12 @@ def distance(checker: CollisionChecker) -> Callable[[Any], Any]:
     InputError, MissingExtraError
         As for `clearance`.
     ConvergenceError
-        Raised by the returned function, as for `loewner.distance`.
+        If an exact distance does not converge, as for `loewner.distance`; the returned function raises this error.
 
     Notes
     -----
-    As for `clearance`; float32 distances are rounded down as well. Gradients are as for `CollisionChecker.distance`.
+    The notes on `clearance` apply, and float32 distances are also rounded down. For gradients, see
+    `CollisionChecker.distance`.
 
     Examples
     --------

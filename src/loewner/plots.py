@@ -33,24 +33,24 @@ COLOURS = ("#4477aa", "#cc6677")
 INNER, OUTER = "#228833", "#777777"
 NEAR = "#111111"
 SCENE, COLLIDING = "#bbbbbb", "#cc3311"
-# Pieces of a trajectory that are not proven free.
+# Legend and background colour of the pieces of a trajectory that are not proven free.
 SPANS = {
     Verdict.COLLIDING: ("collides in this piece", "#f9ddd4"),
     Verdict.AMBIGUOUS: ("ambiguous in this piece", "#e4e4e4"),
 }
 
-# For pictures of covers: the size of the largest triangle of a link, as a share of the link's diagonal, and the radius
-# of a point [m].
+# For pictures of covers: SMALL is the size of a link's largest triangle, as a share of the link's diagonal, and POINT
+# is the radius of a point [m].
 SMALL, POINT = 0.03, 1e-9
 
-# Colours of curves, in turn; they also differ in lightness, and each has its own marker.
+# Colours and markers of successive curves; the colours also differ in lightness.
 CURVES = (("#0072b2", "o"), ("#d55e00", "s"), ("#009e73", "D"), ("#cc79a7", "^"), ("#e69f00", "v"), ("#000000", "P"))
 LEVEL = "#555555"
 
 # Number of nearest pairs whose distances are drawn along a curve.
 MOST_PAIRS = 6
 
-# The fields of `Settled`: free in blue, colliding in orange, darker where the test costs more.
+# Label and colour of each field of `Settled`: blue for free, orange for colliding, and darker for costlier tests.
 TIERS = {
     "free_by_bounds": ("free: bounds", "#d6e9f5"),
     "free_by_ellipsoids": ("free: outer ellipsoids", "#8fc3e3"),
@@ -196,7 +196,7 @@ def configuration(checker: CollisionChecker, q: ArrayLike, *, ax: Any = None) ->
     Raises
     ------
     InputError
-        If `checker` is not a checker; for `q`, as for `CollisionChecker.collide`.
+        If `checker` is not a checker, or `q` is invalid, as for `CollisionChecker.collide`.
     MissingExtraError
         If matplotlib is not installed.
 
@@ -249,7 +249,8 @@ def cover(robot: Robot, model: Robot, q: ArrayLike | None = None, *, ax: Any = N
     Raises
     ------
     InputError
-        If `robot` or `model` is not a robot, or the robot has no bodies; for `q`, as for `CollisionChecker.collide`.
+        If `robot` or `model` is not a robot, the robot has no bodies, or `q` is invalid, as for
+        `CollisionChecker.collide`.
     MissingExtraError
         If matplotlib is not installed.
 
@@ -286,7 +287,7 @@ def cover(robot: Robot, model: Robot, q: ArrayLike | None = None, *, ax: Any = N
 
 
 def _small_triangles(body: Body) -> Floats:
-    """Return the triangles of a body, shape (n, 3, 3), divided until they are small beside it."""
+    """Return the triangles of a body, shape (n, 3, 3), divided until they are small relative to the body."""
     triangles = np.concatenate([vertices[corners] for vertices, corners in of_pieces(packed_of(body))])
     limit = float(np.linalg.norm(np.ptp(triangles.reshape(-1, 3), axis=0))) * SMALL
     small = []
@@ -332,17 +333,16 @@ def trajectory(checker: CollisionChecker, curve: Any, *, joint_error: ArrayLike 
     """Draw the distances of the nearest pairs along a curve, and mark its worst moment and the parts not proven free.
 
     A line shows the distance between two bodies in millimetres, measured at equal steps in time; a negative distance is
-    a depth. Lines are drawn for the nearest pairs and for each pair at which the proof of a piece of the curve ended.
-    The background of such a piece is coloured, since a pair collides or is ambiguous in it. A dot marks the least
-    measured distance.
+    a depth. Lines are drawn for the nearest pairs, and for each pair that stopped the proof of a piece of the curve. A
+    coloured background marks each piece in which a pair collides or is ambiguous. A dot marks the least measured
+    distance.
 
     Parameters
     ----------
     checker : CollisionChecker
     curve : PPoly, BPoly, BSpline, planners.Trajectory, planners.ControllerPoints, or ndarray, shape (k, dof)
-        A curve, as for `CollisionChecker.certify_trajectory`, or a path whose straight motions
-        `CollisionChecker.certify_edges` proves. A path has no times and is drawn over the indices of its
-        configurations.
+        A curve, as for `CollisionChecker.certify_trajectory`, or a path, as for `CollisionChecker.certify_edges`. A
+        path has no times and is drawn over the indices of its configurations.
     joint_error : float or array_like, shape (dof,)
         As for `CollisionChecker.certify_trajectory`, in radians or metres.
     ax : matplotlib axes, optional
@@ -351,8 +351,8 @@ def trajectory(checker: CollisionChecker, curve: Any, *, joint_error: ArrayLike 
     Returns
     -------
     matplotlib axes
-        The axes, titled with the verdict of the whole curve. Lines are cut off above the largest distance that the
-        nearest pair has at any time.
+        The axes, titled with the verdict of the whole curve. The vertical axis ends at the largest distance of the
+        nearest pair at any time.
 
     Raises
     ------
@@ -391,7 +391,7 @@ def trajectory(checker: CollisionChecker, curve: Any, *, joint_error: ArrayLike 
     for verdict, (label, colour) in SPANS.items():
         for k in np.flatnonzero(found.segments.verdict == verdict).tolist():
             ax.axvspan(found.times[k], found.times[k + 1], color=colour, linewidth=0, label=label)
-            label = "_"  # in the legend once
+            label = "_"  # so that the legend names the colour only once
     if near is not None:
         _draw_distances(ax, checker, (ticks, Q), found, near, "" if isinstance(curve, np.ndarray) else " s")
     ax.axhline(0.0, color=LEVEL, linewidth=0.8)
@@ -599,7 +599,7 @@ def accuracy(counts: Mapping[str, Mapping[str, tuple[int, int]]], *, ax: Any = N
         asked = {name: pair for name, pair in found.items() if pair[1] > 0}
         share = np.array([right / total for right, total in asked.values()])
         low, high = np.array([wilson(*pair) for pair in asked.values()]).reshape(-1, 2).T
-        # The rules of a family share half of its space side by side.
+        # The marks of a family's rules are side by side in half of the family's space.
         at = np.array([families.index(name) for name in asked]) + 0.5 * ((k + 0.5) / len(checked) - 0.5)
         colour, marker = CURVES[k % len(CURVES)]
         ends = 100 * np.array([share - low, high - share])
@@ -646,7 +646,7 @@ def save(figure: Any, path: str | os.PathLike[str]) -> Path:
         raise InputError(f"figure: expected a matplotlib figure or axes, found {type(figure).__name__}")
     from matplotlib import rc_context
 
-    # By default SVG contains the date and random names.
+    # By default, an SVG file contains the date and random identifiers.
     metadata = {"Date": None} if target.suffix == ".svg" else None
     with replacing(target) as temporary, rc_context({"svg.hashsalt": "loewner"}):
         try:
@@ -657,10 +657,10 @@ def save(figure: Any, path: str | os.PathLike[str]) -> Path:
 
 
 def _axes(given: Any, projection: str = "3d") -> Any:
-    """Return the given axes, or new ones, in space or in the plane ("rectilinear")."""
+    """Return the given axes, or new axes in space ("3d") or in the plane ("rectilinear")."""
     height, method, where = (6, "add_collection3d", "space") if projection == "3d" else (4, "barh", "the plane")
     if given is None:
-        # Without pyplot, which would keep every figure alive and choose a window system.
+        # Figures are made without pyplot, which would keep every figure alive and choose a window system.
         figures = imported("matplotlib.figure", "figures need matplotlib", "plots")
         return figures.Figure(figsize=(6, height)).add_subplot(projection=projection)
     if getattr(given, "name", None) != projection or not hasattr(given, method):

@@ -73,7 +73,7 @@ def clearance(checker: CollisionChecker, *, softness: float = 0.005) -> Callable
 
 
 def distance(checker: CollisionChecker) -> Callable[[Any], Any]:
-    """Make a PyTorch function that computes the exact distance of `CollisionChecker.distance`, a function with kinks.
+    """Make a PyTorch function that computes the exact `CollisionChecker.distance`, which is not smooth everywhere.
 
     Parameters
     ----------
@@ -90,11 +90,12 @@ def distance(checker: CollisionChecker) -> Callable[[Any], Any]:
     InputError, MissingExtraError
         As for `clearance`.
     ConvergenceError
-        Raised by the returned function, as for `loewner.distance`.
+        If an exact distance does not converge, as for `loewner.distance`; the returned function raises this error.
 
     Notes
     -----
-    As for `clearance`; float32 distances are rounded down as well. Gradients are as for `CollisionChecker.distance`.
+    The notes on `clearance` apply, and float32 distances are also rounded down. For gradients, see
+    `CollisionChecker.distance`.
 
     Examples
     --------
@@ -152,7 +153,7 @@ def _functions() -> tuple[Any, Any]:
     Function: Any = torch.autograd.Function
 
     class Asked(Function):  # type: ignore[misc]
-        """Compute the values of a measure, and its gradients, which have no columns if they are not needed."""
+        """Compute the values of a measure and its gradients; gradients that are not needed have no columns."""
 
         @staticmethod
         def forward(Q: Any, measure: Measure, gradient: bool) -> Any:
@@ -177,18 +178,19 @@ def _functions() -> tuple[Any, Any]:
         @staticmethod
         def vmap(info: Any, in_dims: Any, Q: Any, measure: Measure, gradient: bool) -> Any:
             Q = Q.movedim(in_dims[0], 0)
-            # Outside of vmap, Q may be differentiated although its rows are not.
+            # Derivatives with respect to Q may be requested outside of vmap even if none are requested for a row inside
+            # it.
             return Asked.apply(Q, measure, gradient or _is_differentiated(Q)), (0, 0)
 
     def kept(ctx: Any) -> tuple[Any, Any]:
-        """Return configurations and gradients. Gradients that were not computed in advance are computed now."""
+        """Return configurations and gradients, computing the gradients unless they were computed in advance."""
         Q, gradients = ctx.saved_tensors
         if gradients.shape != Q.shape:
             _, gradients = Asked.apply(Q, ctx.measure, True)
         return Q, gradients
 
     class Times(Function):  # type: ignore[misc]
-        """Multiply a factor by the gradients, which depend on Q: a second derivative raises instead of being zero."""
+        """Multiply a factor by the gradients, which depend on Q, so that a second derivative raises an error."""
 
         generate_vmap_rule = True
 

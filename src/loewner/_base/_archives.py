@@ -28,7 +28,7 @@ from loewner.errors import FileError, InputError
 
 T = TypeVar("T")
 
-# Largest size of a file's unpacked arrays [bytes], about a hundred million pieces, if the machine's memory permits.
+# Largest size of a file's unpacked arrays [bytes], for about a hundred million pieces; memory may set a lower limit.
 LARGEST_CONTENT = 2**36
 
 # Largest size of texts, such as format, digest and names [bytes].
@@ -40,8 +40,8 @@ CHUNK, MOST_AT_ONCE = 2**18, 2**20
 # Members of every file, besides its arrays.
 OWN = ("format", "version", "digest")
 
-# An array begins with MAGIC, followed by two bytes for the version. The first of them determines how many bytes hold
-# the length of the header, which is at most LONGEST_HEADER in `.npy` files.
+# An array begins with MAGIC, followed by two bytes for the version. The first version byte determines how many bytes
+# hold the length of the header, which is at most LONGEST_HEADER in `.npy` files.
 MAGIC, LENGTH_BYTES, LONGEST_HEADER = b"\x93NUMPY", {1: 2, 2: 4, 3: 4}, 2**16
 
 # NumPy's header of a plain array, which is read strictly, so that nothing is evaluated.
@@ -143,8 +143,8 @@ def read(
     path : path
     kind : Format
     make : callable
-        Called with a dict of the arrays: int64 or float64 in C order, and arrays of texts. Its result is returned, and
-        an InputError in it becomes a FileError that names the file.
+        Called with a dict of the arrays: int64 or float64 in C order, and arrays of texts. `read` returns its result;
+        an InputError that it raises becomes a FileError that names the file.
     wanted : str, optional
         The `digest` that the content must have.
 
@@ -361,7 +361,7 @@ def _array(archive: zipfile.ZipFile, info: zipfile.ZipInfo, header: _Header) -> 
 
 
 def _texts(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> Any:
-    """An array of short texts."""
+    """Unpack an array of short texts."""
     header = _header(archive, info)
     if header.dtype.kind != "U" or header.nbytes > LARGEST_TEXT:
         raise InputError(f"{info.filename}: expected short text, found {header.dtype} of shape {header.shape}")

@@ -1,7 +1,7 @@
-"""Elementary functions of numbers and arrays, with the same bits on every machine, which C libraries do not promise.
+"""Elementary functions of numbers and arrays, whose results have the same bits on every machine, unlike a C library's.
 
-For arrays, they take as long as the C library's functions; for a number, a microsecond. Their results are accurate to
-three units in the last place (`_kernels.elementary`).
+On an array, they take as long as the C library's functions; on a single number, about a microsecond. The results are
+accurate to three units in the last place (`_kernels.elementary`).
 """
 
 from typing import Any

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from loewner.errors import FileError
 
-# Bytes that are read at a time, since memory of a file's whole stated size must not be allocated at once.
+# Number of bytes read at a time, since a file's stated size must not determine how much memory is allocated at once.
 CHUNK = 1 << 24
 
 # Number of hexadecimal digits of a digest in a file's name, enough that two contents never share them by chance.
@@ -85,7 +85,7 @@ def _expect_regular(status: os.stat_result, name: str, what: str) -> None:
 
 
 def named_by_content(stem: str, digest: str, suffix: str) -> str:
-    """Name a file by its content, if another file refers to it: no later file with other content then replaces it."""
+    """Name a file after its content, so that no file with other content replaces it while another file refers to it."""
     return f"{stem}-{digest[:DIGITS]}{suffix}"
 
 

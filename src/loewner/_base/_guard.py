@@ -1,10 +1,9 @@
 """Handle interrupts and exhausted memory, which can occur in any call regardless of its arguments.
 
 The handler of a signal may raise an exception (`KeyboardInterrupt` on Ctrl+C) while Numba converts a kernel's arrays to
-Python's. Numba continues with the next array, for which Python raises a SystemError that is caused by a SystemError,
-which is caused by the KeyboardInterrupt. A caller's ``except Exception`` would swallow the interrupt. If memory runs
-out in NumPy, in a kernel or in Qhull, a raw MemoryError results. Guarded calls raise the interrupt itself, or
-`MemoryLimitError`.
+Python's. Numba continues with the next array, and Python raises two nested SystemErrors, the inner one caused by the
+KeyboardInterrupt. A caller's ``except Exception`` would swallow the interrupt. If memory runs out in NumPy, in a kernel
+or in Qhull, a raw MemoryError results. Guarded calls raise the interrupt itself, or `MemoryLimitError`.
 """
 
 from __future__ import annotations
@@ -75,8 +74,8 @@ def _guarded(function: Any) -> Any:
             cause = meant(error)
             if cause is error:
                 raise
-        # Raise outside the clause, from a name that is deleted: neither the earlier error nor this frame then refers to
-        # the exception, and all objects that its traceback holds are freed together with it.
+        # Raise outside the except clause, and delete the name `cause`, so that neither the earlier error nor this frame
+        # refers to the exception, and all objects in its traceback are freed together with it.
         try:
             raise cause
         finally:

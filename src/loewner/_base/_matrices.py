@@ -1,9 +1,9 @@
 """Products and factors of small matrices, and lengths of short vectors, with the same bits on every processor.
 
 BLAS, LAPACK, `np.einsum` and reductions choose the order of a sum, and whether to fuse products with it, to suit the
-processor. NumPy's sums and products of whole arrays round every entry by itself, as IEEE 754 demands. Values that two
-machines compare, such as the hash of a robot's model, are therefore computed by these functions, in the order in which
-C would compute them. Sines and logarithms are in `_elementary`.
+processor. NumPy's elementwise sums and products round every entry separately, as IEEE 754 demands. Values that two
+machines compare, such as the hash of a robot's model, are therefore computed by these functions, which add terms in a
+fixed order. Sines and logarithms are in `_elementary`.
 """
 
 import math
@@ -24,7 +24,7 @@ MOST_SWEEPS = 16
 # A number that is negligible beside entries of about 1; it is added to denominators, so that no quotient is 0 / 0.
 TINY = 1e-300
 
-# Number of matrices up to which arrays take longer than single numbers.
+# Number of matrices up to which arithmetic on arrays takes longer than on single numbers.
 FEW = 16
 
 # The entries of a column: numbers, or arrays with a number for each matrix.
@@ -69,7 +69,7 @@ def lengths(x: Floats) -> Floats:
 
 
 def normals_of(triangles: Floats) -> Floats:
-    """Compute normals of triangles, shape (n, 3, 3), twice as long as the areas; for a few, np.cross takes longer."""
+    """Compute normals of triangles, shape (n, 3, 3), as long as twice the areas; np.cross takes longer for few."""
     (ax, ay, az), (bx, by, bz) = (triangles[:, 1] - triangles[:, 0]).T, (triangles[:, 2] - triangles[:, 0]).T
     return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=1)
 
@@ -92,8 +92,8 @@ def power(x: Floats, exponent: int) -> Floats:
 def singular_values(A: Floats) -> Floats:
     """Compute the singular values of matrices, shape (N, 3, 3), largest first, by Jacobi's one-sided method.
 
-    Numbers and arrays pass through the same operations, so that a matrix has the same values alone and among other
-    matrices. For a few matrices, numbers take a tenth of the time of arrays.
+    A matrix has the same singular values alone and among other matrices, since the operations on single numbers and on
+    arrays are the same. For a few matrices, single numbers take a tenth of the time of arrays.
     """
     exponent = np.frexp(np.abs(A).max(axis=(1, 2), initial=0.0))[1]
     scaled = np.ldexp(A, -exponent[:, None, None])  # exact: a diagonal matrix keeps its entries
@@ -161,7 +161,7 @@ def _turn(aa: float, bb: float, ab: float) -> tuple[float, float] | None:
 
 
 def _turn_of_each(aa: Floats, bb: Floats, ab: Floats) -> tuple[Floats, Floats] | None:
-    """Do the same for many pairs of columns; orthogonal pairs get the cosine 1 and the sine 0."""
+    """Do the same as `_turn` for many pairs of columns; orthogonal pairs get the cosine 1 and the sine 0."""
     off = np.abs(ab) > ORTHOGONAL * np.sqrt(aa) * np.sqrt(bb)
     if not off.any():
         return None

@@ -16,14 +16,14 @@ import numpy as np
 from loewner._native import library
 from loewner.errors import MemoryLimitError
 
-# Smallest request that is checked [bytes], since reading the limits takes as long as filling a few hundred kilobytes.
+# Smallest request that is checked [bytes]; reading the limits takes as long as filling a few hundred kilobytes.
 LOOK = 2**26
 
 # Libraries that a process loads on first use: kernels with OpenBLAS's buffers, and SciPy's hulls and linear programs.
 KERNELS, SCIPY = "compiled kernels", "SciPy"
 
-# Measured address space [bytes] of these libraries, with a reserve. The native library and OpenBLAS for the first body
-# took 38 MiB, and SciPy 148 MiB. Numba and its compiled code took 180 MiB, and after them the rest of SciPy 45 MiB.
+# Measured address space [bytes] of these libraries, with a reserve. The native library and OpenBLAS took 38 MiB for the
+# first body, and SciPy took 148 MiB. Numba with its compiled code took 180 MiB; the rest of SciPy then took 45 MiB.
 LIBRARY = {KERNELS: 64 * 2**20, SCIPY: 192 * 2**20}
 NUMBA = {KERNELS: 256 * 2**20, SCIPY: 64 * 2**20}
 
@@ -49,7 +49,7 @@ def uncollected() -> Iterator[None]:
 
 
 def left(root: Path = _ROOT) -> tuple[int, str]:
-    """Available memory in bytes, and the limit that determines it, in words that follow the number in a message.
+    """Return the available memory in bytes, and a description of the limit that determines it, for messages.
 
     Parameters
     ----------
@@ -59,7 +59,7 @@ def left(root: Path = _ROOT) -> tuple[int, str]:
     return min([*_of_process(root), *_of_groups(root), *_of_machine(root)], default=(sys.maxsize, ""))
 
 
-_expected: set[str] = set()  # libraries that fitted, and are loaded by now
+_expected: set[str] = set()  # libraries that fitted and are loaded
 
 
 def expect_place(*names: str) -> None:
@@ -69,7 +69,7 @@ def expect_place(*names: str) -> None:
     """
     missing = [name for name in names if name not in _expected]
     if missing:
-        there, which = min(_of_process(_ROOT), default=(sys.maxsize, ""))  # libraries use little of their space
+        there, which = min(_of_process(_ROOT), default=(sys.maxsize, ""))  # libraries use little of their address space
         there_is_room = there >= LIBRARY[KERNELS]  # enough to open the native library
         sizes = NUMBA if there_is_room and library.level() is None else LIBRARY
         wanted = sum(sizes[name] for name in missing)

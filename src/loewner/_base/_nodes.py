@@ -25,7 +25,7 @@ from loewner.errors import FileError, InputError, MissingExtraError, installing
 LISTED = 30
 
 # Limits on a file: the depth of nested entries and, for YAML, the number of entries, where an alias counts at each use.
-# A scene of a hundred thousand boxes has half as many entries. Reading YAML takes a few seconds per megabyte.
+# A scene of a hundred thousand boxes has half of the allowed entries. Reading YAML takes a few seconds per megabyte.
 DEEPEST = 50
 MOST_ENTRIES = 2_000_000
 
@@ -321,7 +321,7 @@ class YamlNode(Node):
         return value
 
     def number(self) -> float:
-        """Read a finite number, which must not be quoted, or mean different numbers in YAML 1.1 and 1.2."""
+        """Read a finite number; refuse a quoted number, and a number that differs between YAML 1.1 and 1.2."""
         return self._number(self.expect("scalar", "a number"))
 
     def angle(self) -> float:
@@ -388,7 +388,7 @@ def read_yaml(data: bytes, file: Path, what: str, *, merges: bool = False) -> Ya
 
 def _merge(top: YamlNode) -> None:
     """Replace each key << with the entries of the mappings that it names; a mapping's own entries come first."""
-    # Parts come before the whole. An alias leads to its node again, even from within this node.
+    # The parts of a node come before the node. An alias leads to its node again, even from within that node.
     order, waiting, seen = [], [(top.raw, False)], set()
     while waiting:
         node, entered = waiting.pop()
@@ -439,7 +439,7 @@ def _loader() -> Any:
             node = super().compose_node(above, index)
             self.depth -= 1
             if isinstance(event, yaml.AliasEvent):
-                # Within the entries of an alias, a further alias counts as one entry: files are not read more deeply.
+                # A further alias within the entries of an alias counts as one entry.
                 self.entries = before + self.entries_of.get(event.anchor, 1)
             elif event.anchor is not None:
                 self.entries_of[event.anchor] = self.entries - before

@@ -28,7 +28,7 @@ class Outcome(NamedTuple):
 
 
 def outcome_of(mesh: Path, fit: Callable[[], Outcome]) -> Outcome:
-    """The result of `fit` with its warnings; an error becomes an outcome whose message begins with the file's name."""
+    """Return the outcome of `fit` with any warnings; an error becomes an outcome that names the file first."""
     warnings: list[str] = []
     try:
         with told_to(warnings):

@@ -1,7 +1,7 @@
 """Pictures for notebooks, as HTML of a few kilobytes: bodies, curves of joints, and rows of verdicts.
 
-Bodies are drawn with a depth buffer into a PNG file, which is small for any number of triangles. All pictures are
-complete in themselves, without scripts or requests, and have the text colour and the background of the page.
+Bodies are drawn with a depth buffer into a PNG file, which is small for any number of triangles. Every picture is
+self-contained, without scripts or requests, and has the text colour and the background of the page.
 """
 
 from __future__ import annotations
@@ -29,7 +29,8 @@ VERDICT_NAMES = ("FREE", "COLLIDING", "AMBIGUOUS")
 WIDTH, HEIGHT, BORDER = 400, 300, 6.0
 
 # A picture has up to two pixels for each pixel of the page, but fewer if all its triangles cover more than MOST_PIXELS.
-# With more than MOST_TRIANGLES, each n-th triangle of a shape is drawn, enlarged by the factor ENLARGED times sqrt(n).
+# If there are more than MOST_TRIANGLES triangles, only every n-th triangle of a shape is drawn, enlarged by the factor
+# ENLARGED times sqrt(n).
 MOST_PIXELS, MOST_TRIANGLES, ENLARGED = 1.2e6, 40_000, 1.8
 
 # Largest PNG file [bytes]; a larger picture is drawn with half of its rows and columns.
@@ -41,12 +42,12 @@ VAST = 100.0
 # Number of levels of brightness, and the lowest level.
 LEVELS, DARKEST = 20, 0.45
 
-# Largest numbers of named curves or bodies in a picture, of bodies, and of bars in a row of verdicts; and the number of
-# points of a curve.
+# A picture has at most MOST_NAMES named curves or bodies, and at most MOST_BODIES bodies. A row of verdicts has at most
+# MOST_BARS bars, and a curve has POINTS points.
 MOST_NAMES, MOST_BODIES, MOST_BARS, POINTS = 7, 1000, 200, 161
 
-# The directions to the right, down, and towards the viewer, who is in front, to the right and above; and the direction
-# to the light.
+# The directions to the right, down, and towards the viewer, and the direction to the light. The viewer is in front of
+# the bodies, above and to the right.
 _TOWARDS = np.array([0.43, -0.66, 0.35])
 _TOWARDS /= np.linalg.norm(_TOWARDS)
 _RIGHT = np.cross([0.0, 0.0, 1.0], _TOWARDS) / np.linalg.norm(_TOWARDS[:2])
@@ -93,13 +94,13 @@ class Shape(NamedTuple):
 
 def escape(text: str) -> str:
     """Write text in HTML."""
-    import html  # not on top, since it would take a percent of the time of `import loewner`
+    import html  # imported late, since it would take a percent of the time of `import loewner`
 
     return html.escape(text)
 
 
 def pictured(draw: Callable[[Any], str]) -> Callable[[Any], str]:
-    """Make `_repr_html_` from a function that draws: it shows text and picture, or the text alone if drawing fails."""
+    """Make `_repr_html_` from a function that draws; if drawing fails, it shows only the text."""
 
     @wraps(draw)
     def shown(thing: Any) -> str:
@@ -139,7 +140,7 @@ def bodies(
     entries: Sequence[tuple[str, str]] = (),
     note: str = "",
 ) -> str:
-    """Draw shapes, the outlines of ellipsoids over them, and below a legend and the extent along the axes."""
+    """Draw shapes and, over them, the outlines of ellipsoids; add a legend and the extent along the axes below."""
     shapes = [shape for shape in shapes if len(shape.corners)]
     if not shapes:
         return legend(entries, note)
@@ -275,7 +276,7 @@ def _png(image: Any, colours: Sequence[str]) -> bytes:
 
 
 def curves(names: Sequence[str] | None, times: Floats, values: Floats) -> str:
-    """Draw values (n, k) over times (n,): the `MOST_NAMES` that change most, each with its name or number."""
+    """Draw values (n, k) over times (n,): the `MOST_NAMES` columns that change most, with their names or numbers."""
     names = names or [f"value {k}" for k in range(values.shape[1])]
     chosen = np.sort(np.argsort(-np.ptp(values, axis=0), kind="stable")[:MOST_NAMES])
     left, top, wide, high = 44.0, 8.0, WIDTH - 52.0, 150.0
@@ -295,7 +296,7 @@ def curves(names: Sequence[str] | None, times: Floats, values: Floats) -> str:
 
 
 def verdicts(codes: Any, ends: Floats, label: str) -> str:
-    """Draw verdicts as bars from each of n + 1 `ends` to the next, lower for FREE; if many, the worst of several."""
+    """Draw n verdicts as bars between n + 1 `ends`, lower for FREE; if n is large, a bar shows the worst of several."""
     starts = np.arange(0, len(codes), 1 + len(codes) // MOST_BARS)
     worst = np.maximum.reduceat(np.array([0, 2, 1])[codes], starts)  # COLLIDING is the worst
     left, wide, at = 4.0, WIDTH - 8.0, np.append(ends[starts], ends[-1])

@@ -17,20 +17,21 @@ from contextlib import contextmanager
 # Files give angles of rotations within one turn; two turns leave a margin for any convention [rad].
 LARGEST_RPY = 4 * math.pi
 
-# A joint between stops makes few turns. Even if a joint turns freely, its limits in degrees are at most two turns. Some
-# files write a thousand or more for no limit [rad].
+# Limits [rad] in this range are probably in degrees: a joint between stops makes few turns, even a freely turning joint
+# has limits of at most two turns, and some files write a thousand or more for no limit.
 LIMITS_IN_DEGREES = 4 * math.pi, 720.0
 
-# Robot joints turn less than eight times per second; limits in degrees are between this and a few turns [rad/s].
+# Velocity limits [rad/s] in this range are probably in degrees, because robot joints make less than eight turns per
+# second.
 VELOCITY_IN_DEGREES = 50.0, 2000.0
 
-# Programs write larger limits for no limit [rad or m]: 1e16, or the largest float.
+# A larger limit [rad or m], such as 1e16 or the largest float, means that there is no limit.
 FARTHEST_LIMIT = 1e6
 
 # Sizes and distances [m] beyond which a warning asks about the unit: a hall in millimetres, a screw scaled down twice.
 LARGEST_RADIUS, SMALLEST_RADIUS, LARGEST_DISTANCE = 1000.0, 1e-5, 2000.0
 
-# A robot's mesh that is 50 m across is probably in millimetres, too.
+# A robot's mesh with a larger radius [m] is probably in millimetres.
 LARGEST_MESH_RADIUS = 25.0
 
 # Modules whose frames belong to a call of the library; `contextlib` wraps functions that are contexts.
@@ -76,7 +77,7 @@ def warn(text: str) -> None:
 
 
 def doubt_about_size(radius: float, distance: float, largest: float = LARGEST_RADIUS) -> str:
-    """Why a radius and a distance from the origin [m] of a body may be in another unit; empty if they are plausible."""
+    """Explain why a body's radius and distance from the origin [m] may be in another unit; empty if plausible."""
     if radius > largest:
         return f"lengths in metres, found a body {2 * radius:.3g} m across; is it in millimetres?"
     if 0 < radius < SMALLEST_RADIUS:
@@ -87,25 +88,25 @@ def doubt_about_size(radius: float, distance: float, largest: float = LARGEST_RA
 
 
 def doubt_about_unit(comments: str) -> str:
-    """Why lengths may be in another unit according to comments in a file; empty if the comments name none."""
+    """Explain why lengths may be in another unit, judged by a file's comments; empty if they name no unit."""
     found = _UNIT.search(comments)
     return f"lengths in metres, found {found[0]!r} in a comment, which is not read; give a scale" if found else ""
 
 
 def doubt_about_rpy(rpy: Sequence[float]) -> str:
-    """Why roll, pitch and yaw may be in degrees; empty if they are plausible in radians."""
+    """Explain why roll, pitch and yaw may be in degrees; empty if they are plausible in radians."""
     most = max(abs(angle) for angle in rpy)
     return f"roll, pitch and yaw in radians, found {most:g}; is it in degrees?" if most > LARGEST_RPY else ""
 
 
 def doubt_about_limits(lower: float, upper: float) -> str:
-    """Why the limits of a revolute joint may be in degrees; empty if they are plausible in radians."""
+    """Explain why the limits of a revolute joint may be in degrees; empty if they are plausible in radians."""
     least, most = LIMITS_IN_DEGREES
     doubtful = least < max(abs(lower), abs(upper)) <= most
     return f"limits in radians, found {lower:g} .. {upper:g}; are they in degrees?" if doubtful else ""
 
 
 def doubt_about_velocity(velocity: float) -> str:
-    """Why the velocity limit of a turning joint may be in degrees; empty if it is plausible in radians."""
+    """Explain why the velocity limit of a turning joint may be in degrees; empty if it is plausible in radians."""
     least, most = VELOCITY_IN_DEGREES
     return f"radians per second, found {velocity:g}; is it in degrees?" if least < velocity <= most else ""

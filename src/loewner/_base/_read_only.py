@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 
 class KeepsReadOnly:
-    """A class with attributes that are read-only arrays, or tuples of them; they are checked once, and then trusted.
+    """A class whose attributes may be read-only arrays, or tuples of arrays, that are checked once and then trusted.
 
     NumPy makes arrays writeable when it copies or unpickles them. Here, the state of an object lists its read-only
     arrays, and an object that `copy` or `pickle` makes from the state protects these arrays again.

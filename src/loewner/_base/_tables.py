@@ -15,7 +15,7 @@ from loewner.errors import FileError
 LINE_END, COMMENT = re.compile(r"\r\n|\r|\n"), re.compile("#[^\r\n]*")
 BLANK, CONTENT = re.compile(r"^[ \t]+(?=#|\r?$)", re.MULTILINE), re.compile(r"^[ \t]*[^#\s]", re.MULTILINE)
 
-# This precedes the time at which a trajectory starts, above the header of its table, unless the time is 0.
+# A line with this text and a trajectory's start time precedes the header of its table, unless the time is 0.
 STARTS = "# start_time: "
 
 
@@ -26,7 +26,7 @@ def row(text: str, *, commas: bool | None = None) -> list[float]:
     ----------
     text : str
     commas : bool, optional
-        Whether commas, not spaces, separate the numbers. By default, commas do if the line contains one.
+        Whether commas, not spaces, separate the numbers; the default is true if the line contains a comma.
 
     Raises
     ------

@@ -22,8 +22,8 @@ from loewner._base._validate import whole_number
 
 T = TypeVar("T")
 
-# A single thread takes shares of ALONE times `least` items: each share starts with cold caches, but the user must be
-# able to interrupt between shares.
+# A single thread takes shares of ALONE times `least` items. Larger shares would delay interrupts, which are noticed
+# between shares; smaller ones would start with cold caches more often.
 ALONE = 16
 
 # Target duration of a share [s]: interrupts are noticed between shares, and waiting for the last share must be short.
@@ -80,7 +80,7 @@ def set_num_threads(n: int) -> None:
 def get_num_threads() -> int:
     """Return the number of threads that calls of this thread may use.
 
-    This is the number that `set_num_threads` has set on this thread. If it has set none, the environment variable
+    This is the number that `set_num_threads` has set on this thread. If no number was set, the environment variable
     ``LOEWNER_NUM_THREADS`` gives the number, or else ``NUMBA_NUM_THREADS`` if it is a valid number, or else the number
     of processors that this process may use. The environment is read once, at the first call that needs the number.
 
@@ -142,7 +142,8 @@ def processors() -> int:
 
 
 def share(total: int, least: int) -> int:
-    """Largest number of items per share, at least `least`; each thread takes a few, so that the last one is short."""
+    """Return the largest number of items in a share, at least `least`; several shares per thread keep the last short.
+    """
     threads = get_num_threads()
     return ALONE * least if threads == 1 else max(least, -(-total // (4 * threads)))
 
@@ -193,13 +194,13 @@ class _Work(Generic[T]):
 
     def __init__(self, run: Callable[[int, int], T], total: int, size: int, largest: int) -> None:
         self._run, self._total, self._size, self._largest = run, total, size, largest
-        self._results: dict[int, T] = {}  # by first item
+        self._results: dict[int, T] = {}  # keyed by the first item of the share
         self._lock = threading.Lock()
         self._next = 0
         self._closed = False
         self._helping = 0
         self._left: SimpleQueue[None] = SimpleQueue()  # one entry for each helper that has finished
-        self._errors: dict[int, BaseException] = {}  # by first item
+        self._errors: dict[int, BaseException] = {}  # keyed by the first item of the share
 
     def take(self, progress: Callable[[int, int], None] | None = None) -> None:
         """Run shares until none are left."""

@@ -48,7 +48,7 @@ LISTED = 30
 
 # Largest count; no array can have more entries.
 LARGEST_INTEGER = 2**63 - 1
-# Bits of a seed of random numbers, as for NumPy's own seeds.
+# Largest seed of random numbers; it has 128 bits, as for NumPy's own seeds.
 LARGEST_SEED = 2**128 - 1
 
 # Largest number of characters of a value that a message shows.
@@ -56,7 +56,7 @@ LONGEST = 120
 # Largest number of entries of an array that the repr of a result writes out.
 FEW = 6
 
-# Depth to which nested lists are searched for quantities; NumPy's arrays have at most this many axes.
+# Depth to which nested lists are searched for quantities, the largest number of axes of NumPy's arrays.
 MOST_AXES = 64
 
 IDENTITY: Floats = np.eye(4)  # writable, since Numba would compile kernels again for the type of read-only arrays
@@ -114,7 +114,7 @@ def plain_array(x: ArrayLike, name: str) -> NDArray[Any]:
 
 
 def _refuse_quantity(x: Any, name: str) -> None:
-    """Refuse numbers with a unit, such as astropy, pint and xarray have; for a list, the first entry decides."""
+    """Refuse numbers with a unit, as in astropy, pint and xarray; for a list, the first entry decides."""
     for _ in range(MOST_AXES):
         if not (isinstance(x, (list, tuple)) and x):
             break
@@ -122,7 +122,7 @@ def _refuse_quantity(x: Any, name: str) -> None:
     if type(x) in (np.ndarray, list, tuple, float, int, str):
         return
     try:
-        # A table may have a column of that name, which is not a unit.
+        # A table may have a column named "unit" or "units", which is not a unit.
         units = (getattr(x, key, None) for key in ("unit", "units"))
         stated = [
             str(unit) for unit in units if isinstance(unit, str) or not (callable(unit) or hasattr(unit, "__len__"))
@@ -287,7 +287,8 @@ def listed(x: Any, name: str, *, wanted: str = "a list") -> list[Any]:
 
 
 def group_or_names(x: Any, name: str) -> Any:
-    """Return the name of a group, or None, unchanged, and other names as a list, since an iterator can end."""
+    """Return the name of a group or None unchanged, and several names as a list, since an iterator is read only once.
+    """
     return x if x is None or isinstance(x, str) else listed(x, name)
 
 

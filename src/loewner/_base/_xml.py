@@ -13,8 +13,8 @@ from loewner._base._memory import uncollected
 
 E = TypeVar("E", bound="Element")
 
-# Python's expat decodes no encodings with characters of several bytes, except Unicode's. Python's codecs have these
-# names for such encodings. All other names are left to expat, since some codecs do more than decode.
+# Names of Python's codecs for multibyte encodings. Except for Unicode's, expat does not decode these encodings. All
+# other names are left to expat, since some codecs do more than decode.
 _MULTIBYTE = frozenset(
     ["gb2312", "gbk", "gb18030", "big5", "cp950", "shift_jis", "cp932", "euc_jp", "iso2022_jp", "euc_kr", "cp949"]
 )
@@ -114,7 +114,7 @@ class Element:
         Yields
         ------
         element : Element
-            The element, or the element that has the attribute; its line is the place.
+            The unread element, or the element with the unread attribute; its `line` gives the place.
         name : str
             Words for messages, such as "<colision> in <link>", or "<limit min>" for an attribute.
         """

@@ -1,5 +1,5 @@
 """The kernels for Python: from the native library, or compiled on this machine.
 
-`entries` lists them with their signatures, `library` chooses the file for the processor, and `singles` calls the
+`entries` lists the kernels with their signatures, `library` chooses the file for the processor, and `singles` calls the
 extension for one pair, configuration or motion.
 """

@@ -1,11 +1,11 @@
-"""What Python calls of the kernels: each by its name, with its one signature.
+"""The kernels that Python calls, each with its name and its one signature.
 
-``entries.NAME`` is the kernel: of the native library where there is one for this machine (`library`), otherwise
-compiled by Numba when it is first called.
+``entries.NAME`` is the kernel NAME of the native library, if there is one for this machine (`library`). Otherwise,
+Numba compiles the kernel when it is first called.
 
-A signature is written in words of a letter and, for an array, its number of axes: ``i`` int64, ``f`` float64, ``b``
-bool; ``I1`` an array of int64, ``F2`` one of float64 with two axes, ``B`` int8, ``U`` uint8, ``T`` bool. Arrays are in
-C order; one marked ``c`` may be read-only.
+A signature is a sequence of words. A lower-case letter is the type of a number: ``i`` int64, ``f`` float64, ``b`` bool.
+An upper-case letter is the type of an array, followed by its number of axes: ``I`` int64, ``F`` float64, ``B`` int8,
+``U`` uint8, ``T`` bool. Arrays are in C order; an array marked ``c`` may be read-only.
 """
 
 from importlib import import_module
@@ -115,7 +115,7 @@ ENTRIES = {
 
 
 def __getattr__(name: str) -> Any:
-    """Look a kernel up at its first use; from then on it is an ordinary name of this module."""
+    """Look up a kernel at its first use, after which it is an ordinary name of this module."""
     if name not in ENTRIES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     kernel = library.kernel(ENTRIES[name]) or _compiled(ENTRIES[name])
@@ -130,7 +130,7 @@ def _compiled(entry: Entry) -> Any:
 
 
 def expect_numba() -> None:
-    """Refuse to go on where there is neither a library nor Numba."""
+    """Raise an error if there is neither a native library nor Numba."""
     try:
         import numba  # noqa: F401
     except ImportError:
@@ -141,13 +141,13 @@ def expect_numba() -> None:
 
 
 def signatures(entry: Entry) -> list[tuple[Any, ...]]:
-    """Numba's types of an entry's arguments: first with read-only arrays where they may be, then without."""
+    """Return Numba's types of an entry's arguments: with read-only arrays where they are allowed, and without them."""
     words = entry.arguments
     return [types_of(text) for text in dict.fromkeys([words, words.replace("c", "")])]
 
 
 def types_of(words: str) -> tuple[Any, ...]:
-    """Numba's types of a signature's words."""
+    """Return Numba's types for the words of a signature."""
     from numba import types
 
     numbers = {"i": types.int64, "f": types.float64, "b": types.boolean}

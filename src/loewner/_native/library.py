@@ -1,11 +1,11 @@
 """Find the native library for this machine, and check that it is intact.
 
 The library contains the kernels as machine code, made from the same sources by the same compiler that Numba uses on a
-user's machine (`native/`). It lies beside this file with a list of its files and sources. A library that was made from
-other sources, or was altered since, is not loaded.
+user's machine (`native/`). The library is next to this file, with a list of its files and sources. A library made from
+other sources, or altered since it was made, is not loaded.
 
-A build in a clone hands out kernels early: until it has ended, the list names a file with some of them, and a call of
-another one waits.
+A build in a clone provides kernels before it ends: the list names a file with the kernels built so far, and a call of
+any other kernel waits.
 """
 
 import json
@@ -26,7 +26,7 @@ LIST = "built.json"
 LOCK = "building"  # a file that is locked while files are built
 POLL = 0.1  # seconds between checks of a build
 EXTENSION = f"{__package__}._call"
-CALL = "_call.abi3.so"  # its file, for all Pythons; opened by its path, so the name suits every system
+CALL = "_call.abi3.so"  # the extension's file for all Pythons; it is opened by path, so the name suits every system
 
 
 class Entry(NamedTuple):
@@ -46,7 +46,7 @@ class _Refused(Exception):
 
 
 def kernel(entry: Entry) -> Any:
-    """Return a kernel of the library, as soon as it is built; None if there is none."""
+    """Return a kernel of the library, waiting until it is built; None if the library or the kernel is missing."""
     library, _ = _opened()
     if library is not None and is_missing(entry):
         _awaited(entry)
@@ -63,19 +63,19 @@ def is_missing(entry: Entry) -> bool:
 
 
 def level() -> str | None:
-    """Processor level for which the library in use was compiled; None if there is none."""
+    """Return the processor level for which the library in use was compiled; None if there is no library."""
     library, text = _opened()
     return None if library is None else text
 
 
 def why_not() -> str:
-    """The reason why no library is in use; empty if one is."""
+    """Return the reason why no library is in use; empty if a library is in use."""
     library, text = _opened()
     return "" if library is not None else text
 
 
 def extension() -> Any:
-    """Return the extension that calls the library in use; None if there is none."""
+    """Return the extension that calls the library in use; None if there is no library."""
     return None if _opened()[0] is None else sys.modules[EXTENSION]
 
 
@@ -88,7 +88,7 @@ def levels() -> tuple[str, ...]:
 
 
 def shipped(name: str) -> bytes | None:
-    """Content of a file that was built with the library, for any processor; None if there is no usable one."""
+    """Return the content of a file that was built with the library, for any processor; None if it is not usable."""
     if os.environ.get("LOEWNER_JIT") == "1":
         return None
     try:
@@ -128,10 +128,10 @@ def _opened() -> tuple[Any, str]:
 
 
 def _awaited(entry: Entry | None = None) -> dict[str, Any]:
-    """Read the list of built files; while a build runs, wait until there is one, and until it lists a kernel."""
+    """Read the list of built files; while a build runs, wait until the list exists and names the kernel, if given."""
     told = False
     while True:
-        is_running = is_being_built()  # first, so that a build that ends now is seen
+        is_running = is_being_built()  # checked first, so that a build that ends now is noticed
         try:
             built = _listed()
             if not is_running or entry is None or entry.name in built.get("entries", [entry.name]):
@@ -146,7 +146,7 @@ def _awaited(entry: Entry | None = None) -> dict[str, Any]:
 
 
 def is_being_built() -> bool:
-    """Find out whether a process builds the library at the moment."""
+    """Return whether a process is building the library now."""
     if sys.platform == "win32" or not (HOME / LOCK).exists():
         return False
     import fcntl
@@ -178,7 +178,7 @@ def _listed() -> dict[str, Any]:
 
 
 def _has_grown(built: dict[str, Any]) -> bool:
-    """Whether another list has replaced a list, and other files the ones that it names."""
+    """Return whether another list of files has replaced the given list."""
     try:
         return bool(built != _read_list())
     except (OSError, ValueError):
@@ -209,7 +209,7 @@ def _extension(built: dict[str, Any]) -> Any:
 
 
 def loaded(path: Path) -> Any:
-    """Load the extension from a file, whose name need not be one that `import` looks for."""
+    """Load the extension from a file, whose name may differ from the names that `import` looks for."""
     loader = ExtensionFileLoader(EXTENSION, str(path))
     spec = spec_from_loader(EXTENSION, loader)
     assert spec is not None
@@ -233,5 +233,5 @@ def _best(levels: tuple[str, ...], built: dict[str, Any]) -> str:
 
 
 def _file_of(level: str, built: dict[str, Any]) -> str:
-    """Name of the file with the kernels for a level; while it grows, its name has a number."""
+    """Return the name of the file with the kernels for a level; while a build adds kernels, the name has a number."""
     return next((file for file in built["files"] if file.startswith(f"kernels-{level}")), "")

@@ -1,7 +1,7 @@
-"""Queries that are a single call of the extension: the usual cases, without Python in between (`native/pairs.c`).
+"""Usual queries, each answered by a single call of the extension, without Python in between (`native/pairs.c`).
 
-Each of these returns an answer, or None if an argument is unusual or the answer takes more work. The caller then takes
-the long way, which checks and reports everything. Without a library they always return None.
+A query returns an answer, or None if an argument is unusual or the answer takes more work. After None, the caller takes
+the long way in Python, which checks and reports everything. Without a library, every query returns None.
 """
 
 from typing import Any
@@ -10,24 +10,24 @@ from numpy.typing import NDArray
 
 from loewner._native import entries, library
 
-# Queries of one pair of bodies: names of this module.
+# Names in this module of the queries about one pair of bodies.
 PAIRS = ("collide", "classify", "distance")
 
-# Kernels behind them, as the extension takes them; of the last two it takes the results.
+# Kernels of these queries, in the order in which the extension takes them; for the last two, it takes their results.
 NEEDED = (
     "settle_range", "distance_range", "measure_left", "first_fault", "workspace_size", "memory_of_distances",
 )  # fmt: skip
 
 
 def __getattr__(name: str) -> Any:
-    """Look a query up at its first use, as `entries` does with kernels."""
+    """Look up a query at its first use, as `entries` does for kernels."""
     if name not in PAIRS:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     call = library.extension()
     if call is None:
         made = dict.fromkeys(PAIRS, none)
     elif any(library.is_missing(entries.ENTRIES[kernel]) for kernel in NEEDED):
-        return none  # the library is being built, and other calls need less of it
+        return none  # the library is still being built, and other calls need fewer of its kernels
     else:
         *kernels, workspace, distances = (getattr(entries, kernel) for kernel in NEEDED)
         pairs = call.Pairs(*kernels, workspace(), distances())
@@ -37,11 +37,11 @@ def __getattr__(name: str) -> Any:
 
 
 def none(*_: Any) -> None:
-    """Return None: the caller takes the long way."""
+    """Return None, so that the caller takes the long way."""
 
 
 class LongWay:
-    """Replacement for queries of configurations if there are none."""
+    """Replacement for the queries of configurations if there is no library."""
 
     collide = classify = motion = staticmethod(none)
 
@@ -56,11 +56,11 @@ def configurations(
     pack, problem, hits
         As for `check_configurations`.
     memory : int
-        Number of scratch bytes that it needs.
+        Number of scratch bytes that a query needs.
     piece_pairs : int
         Number of pairs of pieces to check; if there are many, the interpreter lock is released.
     plain : ndarray, shape (2, dof), or None
-        Smallest and largest values of usual configurations; None if none is usual.
+        Smallest and largest values of usual configurations; None if no configuration is usual.
     held : object
         Owner of the memory behind the handles.
 

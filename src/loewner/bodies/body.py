@@ -55,7 +55,8 @@ class Piece(_validate.Brief, KeepsReadOnly):
         triangles of a surface are oriented as in the mesh.
     inner, outer : Ellipsoids
         The largest ellipsoid inside the piece and the smallest one around it. The inner ellipsoid of a surface is not
-        the largest possible; for an open surface without a radius it is a point, with semi-axes of zero.
+        the largest possible; without a radius, an open surface has a point as its inner ellipsoid, with semi-axes of
+        zero.
     inner_gap, outer_gap : float
         Certified bounds on how far the log-volume of each ellipsoid is from the optimum. The inner ellipsoid of a
         surface has no such bound; its `inner_gap` is 0.
@@ -143,7 +144,7 @@ class _Bodies:
         >>> Body.load("ball.npz")
         Body(sphere, 0 vertices)
         """
-        # Imported late: with archives and checksums, the import would be a fifth of the time of `import loewner`.
+        # Imported late, because archives and checksums would take a fifth of the time of `import loewner`.
         from loewner.bodies import files, native_files
 
         if native_files.is_meant(path):
@@ -609,8 +610,8 @@ class Body(_Bodies):
         clear : float
             Points within this distance of the robot, in metres, are left out; without a checker, `clear` has no effect.
             The distance must exceed the camera's noise plus the error of the robot's pose, so that no point on the
-            robot is kept. It must also exceed the radius, or a voxel's diagonal, plus the margin, so that the robot
-            does not collide with the body.
+            robot is kept. The distance must also exceed the margin plus the radius or the voxel's diagonal, so that the
+            robot does not collide with the body.
 
         Raises
         ------

@@ -9,7 +9,7 @@ import numpy as np
 from loewner._base import _elementary
 from loewner._base._validate import Floats
 
-# Largest number of triangles that suggest orientations.
+# Largest number of triangles used to choose an orientation.
 MOST_ASKED = 512
 
 # Number of longest edges of a hull along which a box is tried.
@@ -42,9 +42,10 @@ def least_box_axes(triangles: Floats) -> Floats:
 def _turns(triangles: Floats) -> Floats:
     """List candidate box axes, shape (k, 3, 3): the axes of the frame, the principal axes, and axes along faces.
 
-    For axes along faces, one axis is the normal of the largest triangle. The second is along an edge of the hull of all
-    points projected along that normal: the smallest rectangle around points in a plane has a side along such an edge
-    (Freeman and Shapira: Determining the minimum-area encasing rectangle for an arbitrary closed curve, 1975).
+    For axes along faces, one axis is the normal of the largest triangle. A second axis is along an edge of the hull of
+    all points projected along that normal, because the smallest rectangle around points in a plane has a side along an
+    edge of their hull (Freeman and Shapira: Determining the minimum-area encasing rectangle for an arbitrary closed
+    curve, 1975).
     """
     points = triangles.reshape(3, -1)
     off = points - points.mean(axis=1, keepdims=True)
@@ -65,7 +66,7 @@ def _turns(triangles: Floats) -> Floats:
 
 @cache
 def _looks() -> Floats:
-    """Directions, shape (2, k), whose farthest points approximate a hull: importing a library for it takes longer."""
+    """Return directions, shape (2, k), whose farthest points approximate a hull; importing a hull library is slower."""
     angles = np.arange(64) * (np.pi / 32)
     return np.stack([_elementary.cos(angles), _elementary.sin(angles)])
 

@@ -26,30 +26,30 @@ from loewner.bodies.pack import Packed
 from loewner.bodies.primitives import ellipsoids_in_frame
 from loewner.errors import InputError
 
-# Relative allowances of the tests: DOUBT, which rounding never exceeds, and ROUNDINGS times the aspect of the piece,
-# for the digits that coordinates of a thin piece lack. The latter is at most MOST_DOUBT, however thin the piece.
+# Relative tolerance of the tests: DOUBT plus ROUNDINGS times the aspect ratio of the piece, but at most MOST_DOUBT. The
+# second term is for thin pieces, whose coordinates have fewer accurate digits relative to their thickness.
 DOUBT, ROUNDINGS, MOST_DOUBT = 1e-9, 64 * 2.0**-53, 0.05
 
-# Flatter ellipsoids than this cannot be inverted in float64; polytopes as flat as this are refused when they are made.
+# Largest aspect ratio of an ellipsoid that can be inverted in float64; polytopes this flat are refused when made.
 MOST_ASPECT = 1e15
 
 # Vectors below this length, in units of an inner ellipsoid, have no reliable direction: their squares may underflow.
 SHORTEST = 1e-100
 
-# Share by which poses may stretch capsules and spheres: the radius is kept, and the ellipsoids are stretched.
+# Share by which poses may stretch the ellipsoids of capsules and spheres, whereas the stored radius stays the same.
 BEND = 4 * tolerances.ROTATION_TOLERANCE
 
 # Approximate number of points and planes in a block of polytopes, and of products formed at a time.
 BLOCK, AT_ONCE = 1 << 14, 1 << 16
 
-# Axes of curved pieces are orthogonal to this accuracy: after a hundred moves by poses barely accepted as rigid.
+# Axes of curved pieces are orthogonal to this accuracy even after a hundred poses that are barely accepted as rigid.
 MOST_SKEW = 1e-4
 
-# Average limit on candidates per plane and vertex in the search for the farthest vertex of large polytopes: the
-# direction map leaves about forty. Points that are not vertices of a hull could leave all of them, for every plane.
+# Limit on the candidates for the farthest vertices of large polytopes, per plane and vertex on average. The direction
+# map leaves about forty candidates per plane; if the points are not vertices of a hull, it could leave all of them.
 MOST_CANDIDATES = 512
 
-# Letters are counts: pieces, bodies, points, planes, triangles.
+# Expected shapes; the letters stand for the numbers of pieces, bodies, points, planes and triangles.
 EXPECTED: dict[str, tuple[int | str, ...]] = {
     "layout": ("P", 5),
     "points": ("V", 3),
@@ -116,7 +116,7 @@ def _check_numbers(arrays: dict[str, Any]) -> None:
     """Check that all numbers are finite, and so small that no product of three of them overflows."""
     for name in ARRAYS:
         array, most = arrays[name], np.inf if name == "gaps" else 10 * LARGEST
-        # Both comparisons fail for NaN, which the largest and the smallest number are if any number is.
+        # If any number is NaN, so are the largest and the smallest number, and both comparisons fail.
         if name not in INTEGERS and array.size and not (array.max() < most and array.min() > -most):
             largest = np.abs(array).reshape(len(array), -1).max(axis=1)
             _refuse(~(largest < most), f"{name}: expected finite numbers below {most:g}", largest)
@@ -127,7 +127,7 @@ def _check_numbers(arrays: dict[str, Any]) -> None:
 
 def _rises(name: str, x: Ints, total: int, least: int) -> None:
     """Check that the starts of ranges rise from 0 to the total, and that no range is shorter than `least`."""
-    # Compared rather than subtracted: the difference of absurd numbers may overflow.
+    # The starts are compared, not subtracted, because the difference of extreme numbers may overflow.
     bad = np.concatenate([[x[0] != 0], (x[1:] < x[:-1]) | (x[1:] > total)])
     _refuse(bad, f"{name}: expected numbers that rise from 0 to {total}", x)
     if x[-1] != total:
@@ -188,7 +188,7 @@ def _check_polytopes(arrays: dict[str, Any]) -> Maps:
     _refuse(arrays["frames"][rows].any(axis=1), "frames: expected zeros for a polytope", rows=rows)
     if len(rows) == 0:
         return {}
-    # Block by block, so that intermediate arrays stay in the processor's caches.
+    # The polytopes are checked in blocks, so that intermediate arrays stay in the processor's caches.
     size = layout[rows, columns.POINTS_TO] + layout[rows, columns.PLANES_TO]
     # The polytopes of a block are adjacent in the arrays: no points of a surface are between them.
     ends = (layout[rows[1:], columns.POINTS_FROM] != layout[rows[:-1], columns.POINTS_TO]) | (
@@ -214,7 +214,7 @@ def _check_ellipsoids(arrays: dict[str, Any], rows: Ints) -> Floats:
     _refuse(~(farthest <= 1 + doubt), "outer ellipsoid: expected the piece inside", farthest, rows)
 
     inverse, doubt = _inverses(arrays["inner_factor"][rows], "inner_factor", rows)
-    # In its own coordinates the inner ellipsoid is the unit ball, and the piece is a few units large.
+    # In the inner ellipsoid's coordinates, the ellipsoid is the unit ball, and the piece is a few units large.
     local = _local(inverse, arrays["inner_center"][rows], points, owner)
     size = np.sqrt(np.maximum.reduceat(_dot(local, local), start))
     _check_surface(arrays, rows, start, local, size, doubt)
@@ -249,10 +249,10 @@ def _cross(a: Floats, b: Floats) -> Floats:
 def _check_surface(arrays: dict[str, Any], rows: Ints, start: Ints, local: Floats, size: Floats, doubt: Floats) -> None:
     """Check that the triangles form a surface of all points around the inner ellipsoid, here the unit ball.
 
-    A closed surface that winds once around the origin encloses every point that can be reached from there without
-    crossing the surface. If no triangle is nearer than the radius of the ball, the ball is therefore enclosed, and lies
-    in the hull of the corners. Triangles are judged by their own distance, and not by the distance of their planes,
-    because the corners of a sliver do not determine a plane.
+    A closed surface that winds once around the origin encloses every point that can be reached from the origin without
+    crossing the surface. If no triangle is nearer than the radius of the ball, the surface therefore encloses the ball,
+    which lies in the hull of the corners. The test uses the distances of triangles, not of their planes, because the
+    corners of a sliver do not determine a plane.
     """
     first, last = arrays["triangle_start"][rows], arrays["triangle_start"][rows + 1]
     triangles = arrays["triangles"][first[0] : last[-1]]
@@ -262,8 +262,8 @@ def _check_surface(arrays: dict[str, Any], rows: Ints, start: Ints, local: Float
     used = np.zeros(local.shape[1], dtype=bool)
     used[corners.ravel()] = True
     _refuse(~used, "triangles: expected every point in one", used)
-    # On a closed surface each edge cancels against the same edge of the neighbour, which runs the other way. The ends
-    # are represented by random numbers, so that nothing else adds up to zero (except once in 2**60).
+    # On a closed surface, each edge cancels against the same edge of the neighbour, which runs the other way. Random
+    # numbers represent the ends of edges, so that other surfaces add up to zero only once in 2**60 cases.
     tails, heads = np.random.default_rng().integers(0, 2**64, size=(2, local.shape[1]), dtype=np.uint64)
     rest = sum(tails[corners[k]] * heads[corners[k - 2]] - heads[corners[k]] * tails[corners[k - 2]] for k in range(3))
     _refuse(
@@ -289,10 +289,10 @@ def _check_surface(arrays: dict[str, Any], rows: Ints, start: Ints, local: Float
 
 
 def _least_height(normal: Floats, a: Floats, b: Floats, c: Floats) -> Floats:
-    """Find the least height of the corners of triangles along vectors of any length; -inf along none.
+    """Find the least height of the corners of triangles along vectors of any length; -inf for a vector of zero length.
 
-    No point of a triangle is nearer to the origin, regardless of the vector. An inaccurate normal of a sliver
-    therefore makes the bound smaller, and never too large.
+    No point of a triangle is nearer to the origin than this height, for any vector. An inaccurate normal of a
+    sliver therefore makes the bound smaller, and never too large.
     """
     length = np.sqrt(_dot(normal, normal))
     least = np.minimum(np.minimum(_dot(normal, a), _dot(normal, b)), _dot(normal, c))
@@ -302,10 +302,10 @@ def _least_height(normal: Floats, a: Floats, b: Floats, c: Floats) -> Floats:
 def _least_distance(a: Floats, b: Floats, c: Floats) -> Floats:
     """Compute lower bounds on the distances of triangles from the origin, without their normals.
 
-    The vectors lead to the nearest points of the edges. If the nearest point of the triangle is on an edge, the bound
-    is the distance. Otherwise the bound is too small by about the square of the triangle's width,
-    which is far below the tolerance if the normal is inaccurate. An error in the corners changes the distance by no
-    more than the error.
+    Heights are taken along the vectors to the nearest points of the edges. If the triangle's nearest point is on an
+    edge, the bound is the distance. Otherwise, the bound is too small by about the square of the triangle's width,
+    which is far below the tolerance for a sliver. An error in the corners changes the distance by no more than that
+    error.
     """
     bound = np.full(a.shape[1], -np.inf)
     for tail, head in ((a, b), (b, c), (c, a)):
@@ -400,8 +400,8 @@ def _check_one_surface(arrays: dict[str, Any], i: int, points: Floats, triangles
 def _core(factor: Floats, radius: float, rows: Ints) -> tuple[Floats, float]:
     """Find an ellipsoid whose sum with a ball lies inside a given ellipsoid, and the tolerance for rounding.
 
-    For any p > 0 the sum lies inside the ellipsoid with the shape matrix (1 + 1/p) Q + (1 + p) r² (see `surfaces`).
-    Here this equation is solved for Q.
+    For any p > 0, the sum lies inside the ellipsoid with the shape matrix (1 + 1/p) Q + (1 + p) r² (see `surfaces`).
+    Setting this matrix equal to the given ellipsoid's shape matrix determines Q.
     """
     _, doubt = _inverses(factor[None], "outer_factor", rows)
     if radius == 0:
@@ -434,8 +434,8 @@ def _check_curved(arrays: dict[str, Any]) -> None:
     _refuse((rounding > 0) != round_kind, "frames: expected a radius of capsules and spheres only", rounding, rows)
     _refuse(rounding < 0, "frames: expected a radius >= 0", rounding, rows)
 
-    # Directions and lengths of the axes; scaled first, so that no square over- or underflows. The columns of `image`
-    # are axes: the first index is the coordinate, the second the axis.
+    # Compute the directions and lengths of the axes, scaled first, so that no square over- or underflows. The first
+    # index of `image` is the coordinate, and the second is the axis.
     image = np.ascontiguousarray(image.transpose(1, 2, 0))
     largest = np.maximum(np.maximum(np.abs(image[0]), np.abs(image[1])), np.abs(image[2]))
     _refuse(~((largest[0] > 0) & (largest[1] > 0) & (largest[2] > 0)), "frames: expected three axes", rows=rows)
@@ -459,8 +459,8 @@ def _check_curved(arrays: dict[str, Any]) -> None:
     for name, semi_axes, lift in zip(("inner", "outer"), fitted.transpose(0, 2, 1), lifts, strict=True):
         away = (arrays[f"{name}_center"][rows] - center).T
         factor = np.ascontiguousarray(arrays[f"{name}_factor"][rows].transpose(1, 2, 0))
-        # Both are in the coordinates in which the closed form is the unit ball and the factor a multiple of the
-        # identity.
+        # Center and factor in the coordinates in which the closed form is the unit ball; there, a correct factor is a
+        # multiple of the identity.
         moved = np.stack([_dot(inverse[j], away) - (lift if j == 2 else 0.0) for j in range(3)]) / semi_axes
         local = np.stack([_dot(inverse[j][:, None], factor) / semi_axes[j] for j in range(3)])
         scale = (local[0, 0] + local[1, 1] + local[2, 2]) / 3

@@ -21,25 +21,26 @@ from loewner.ellipsoids.fits import mvce
 from loewner.errors import GeometryError, InputError
 from loewner.meshes.triangles import halved, longest_edges, unit_normals
 
-# Numbers of surface points, corners and interior points that balls must hold at first.
+# Initial numbers of surface points, corners and interior points that the balls must contain.
 SURFACE, CORNERS, INSIDE = 6000, 1500, 500
 
-# DENSITY is the number of surface points per square whose edge is the protrusion, and LEAST_SHARE the least share of
-# points and candidates.
+# DENSITY is the number of surface points per square whose edge is the protrusion. A small surface uses a share of the
+# usual points and candidates, at least LEAST_SHARE.
 DENSITY, LEAST_SHARE = 8.0, 0.2
 
 # Number of candidates for the centers of balls.
 CANDIDATES = 2500
 
-# STEPS of the local search for the fewest balls, and its ROUNDS, which add the points that the proof misses.
-# MORE_ROUNDS follow until a proof is found, and REPAIRS are the steps per round that add balls for missed points.
+# The local search for the fewest balls takes STEPS steps in each of ROUNDS rounds. A round adds the points that the
+# proof misses, and adds balls for these points at most REPAIRS times. At most MORE_ROUNDS rounds follow if there is no
+# proof yet.
 STEPS, ROUNDS, MORE_ROUNDS, REPAIRS = 1000, 5, 8, 5
 
 # PAIRS of centers are tried as axes of capsules. FALL is the least depth of an axis, relative to the depth of its ends,
 # measured at AXIS_POINTS points.
 PAIRS, FALL, AXIS_POINTS = 16_384, 0.7, 24
 
-# Points and candidates are counted in words of this number of bits.
+# Number of bits in a word; each point, and each candidate, is one bit.
 WORD = 64
 
 # For a given number of balls, the interval of protrusions is halved HALVINGS times, with FEW_STEPS of search each. The
@@ -50,7 +51,7 @@ HALVINGS, FEW_STEPS, GROWTHS = 12, 100, 40
 CELL, MOST_CELLS = 0.04, 20_000
 
 # After JUDGED divisions, an element that sticks out by k times the protrusion is expected to need k elements. The fit
-# ends if that makes more than HOPELESS times as many elements as allowed.
+# ends if the expected number of elements exceeds HOPELESS times MOST.
 JUDGED, HOPELESS = 512, 4
 
 # Half the edge of the cubes that are added where the proof fails, relative to the size of the body.
@@ -62,7 +63,8 @@ WRITTEN = 1e-6
 # Share of the protrusion that is reserved for the gaps between the points.
 RESERVE = 0.04
 
-# Numbers are multiples of GRID times the largest coordinate's power of two, so that float32 represents them exactly.
+# Centers and radii are multiples of GRID times a power of two above all coordinates, so that float32 represents them
+# exactly.
 GRID = 2.0**-22
 
 # The least and the largest protrusion, relative to the size of the body, and the largest number of elements.
@@ -90,7 +92,7 @@ class Candidates:
         ends = np.cumsum(lengths(np.cross(b - a, c - a)))
         share = 1.0
         if protrusion is not None:
-            # A small surface needs fewer points to be dense for balls of this protrusion.
+            # A surface that is small relative to the squared protrusion needs fewer points.
             share = float(np.clip(DENSITY * ends[-1] / 2 / protrusion / protrusion / SURFACE, LEAST_SHARE, 1.0))
         where = even_points(int(SURFACE * share), 3)
         at = np.minimum(np.searchsorted(ends, where[:, 0] * ends[-1]), len(triangles) - 1)
@@ -104,7 +106,8 @@ class Candidates:
         corners = corners[:: -(-len(corners) // CORNERS)]
         inside = target.low + even_points(4 * INSIDE, 3) * (target.high - target.low)
         inside = inside[target.holds(inside)][:INSIDE]
-        # Points and, for surfaces with a radius, radii of the balls about them, which must be held as well.
+        # Points that must be covered; for surfaces with a radius, also the radii of balls about the points that must be
+        # covered.
         self.points = np.empty((0, 4))
         self.add_points(surface, radius[at])
         self.add_points(corners[:, :3], corners[:, 3])
@@ -116,7 +119,7 @@ class Candidates:
         centers = np.concatenate(middles)
         centers = centers[:: -(-len(centers) // int(CANDIDATES * share))]
         self.centers, self.axes, self.depth = np.empty((0, 3)), np.empty((0, 3)), np.empty(0)
-        # Which candidates with these radii hold the first points, as bits.
+        # Bits that state which candidates with the radii `radii` contain the first `known` points.
         self.radii, self.known = np.empty(0), 0
         self.by_point, self.by_candidate = np.empty((0, 0), dtype=np.int64), np.empty((0, 0), dtype=np.int64)
         self.add_candidates(centers, np.zeros((1, 3)))
@@ -155,7 +158,7 @@ class Candidates:
                 found = np.empty(n, dtype=np.int64)
                 count = entries.choose_few(n, steps, start, self.by_point, self.by_candidate, found)
                 return found[:count]
-            # Points that no ball holds get candidates of their own.
+            # Points that are in no ball get candidates of their own.
             self.add_candidates(self.points[missed, :3], np.zeros((1, 3)))
         raise GeometryError(
             f"protrusion: expected more than {np.ptp(self.target.radius):g} m, by which radii of surfaces differ, "
@@ -163,7 +166,7 @@ class Candidates:
         )
 
     def _hold(self, radii: Floats) -> Bools:
-        """Find which candidates of the given radii hold which points, and return the points that none holds."""
+        """Find which candidates of the given radii contain which points, and return the points in no candidate."""
         n, m = -(-len(self.points) // WORD), -(-len(radii) // WORD)
         known = self.known if np.array_equal(radii, self.radii) else 0
         if m > self.by_point.shape[1] or n > self.by_candidate.shape[1]:
@@ -213,7 +216,7 @@ class Candidates:
         """Choose candidates that provably cover the body; return None if no proof is found with at most `most`."""
         chosen, best, packed = None, None, None
         for round_ in range(ROUNDS + MORE_ROUNDS):
-            # If there is no proof, balls have to hold points with more room to spare.
+            # If there is no proof yet, balls must contain the points with more room to spare.
             reserve = min(RESERVE * 1.5 ** max(0, round_ - ROUNDS + 1), 0.9)
             chosen = trial = self.chosen(protrusion, steps, chosen, reserve)
             for _ in range(REPAIRS):
@@ -243,7 +246,8 @@ def _round(target: Target, kind: str, n: int | None, protrusion: float | None, r
             raise GeometryError(f"protrusion: expected one that {kind} reach, found {protrusion:g} m, and no proof")
         return found
     assert n is not None
-    # Balls hold balls about points of surfaces, whose radii may differ.
+    # The protrusion must exceed the differences between the radii of surfaces, since balls contain balls about their
+    # points.
     low, high = max(LEAST_PROTRUSION * target.size, 1.1 * float(np.ptp(target.radius))), target.size
     for step in range(HALVINGS):
         middle = float(np.sqrt(low * high)) if low * 4 < high else (low + high) / 2
@@ -270,7 +274,8 @@ class _Clusters:
             if not long.any() or len(cells) > MOST_CELLS:
                 break
             cells = np.concatenate([cells[~long], halved(cells[long], edge[long])])
-        # Triangles, and cubes of the inside that do not reach the surface, as eight corners.
+        # The cells are triangles, and cubes in the interior that do not reach the surface; both are stored as eight
+        # corners, which repeat for a triangle.
         step = target.size * max(0.025, min(1.5 * CELL, (protrusion or target.size) / target.size))
         self.cell = step
         counts = np.maximum(1, np.ceil((target.high - target.low) / step)).astype(np.int64)
@@ -282,7 +287,7 @@ class _Clusters:
         self.points, cells_of = np.unique(corners.reshape(-1, 3), axis=0, return_inverse=True)
         self.cells = cells_of.reshape(-1, 8)
         self.middles = np.concatenate([cells.mean(axis=1), lattice])
-        # Added for rounding, and for numbers that are written to files.
+        # Elements grow by this length, which allows for their rounding and for the decimals in files.
         self.spare = WRITTEN * (target.reach + target.size) + float(target.radius.max())
         self.clusters = [np.arange(len(self.cells))]
         self.elements = [self.element(self.clusters[0])]

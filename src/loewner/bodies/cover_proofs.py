@@ -26,18 +26,18 @@ from loewner.meshes.triangles import halved
 # Cells of the body are halved down to this share of its diagonal.
 RESOLUTION = 1e-4
 
-# Roundings of the corners of cells, relative to the largest coordinate: 2 for each halving, and halvings are few.
+# Bound on the rounding of a cell's corners, relative to the largest coordinate: each of the few halvings rounds twice.
 CELL_ROUNDINGS = 256 * 2.0**-53
 
-# Limits: WORK on the cells halved at a time, and AT_ONCE on the pairs of cells and elements formed at a time, so that
-# they stay in the processor's cache. LOOKED_INTO cells are searched for a hole smaller than the tolerance, over LOOKS
-# halvings.
+# At most WORK cells are halved at a time, and at most AT_ONCE pairs of a cell and an element are formed at a time, so
+# that the arrays stay in the processor's cache. LOOKED_INTO cells are searched for a hole smaller than the tolerance,
+# over LOOKS halvings.
 WORK, AT_ONCE, LOOKED_INTO, LOOKS = 200_000, 100_000, 128, 60
 
-# The search for the largest distance ends when the bound exceeds a distance that was found by at most this share.
+# The search for the largest distance ends when its upper bound exceeds a known distance by at most this share.
 RELATIVE = 0.01
 
-# Halvings of triangles that are partly inside other pieces.
+# Number of times that triangles partly inside other pieces are halved.
 TRIMS = 8
 
 # Circumscribed polytopes are larger by this factor than their computed corners.
@@ -57,7 +57,7 @@ class _Part:
     """A piece of the body: triangles of its boundary, or of a polytope around it if the piece is curved."""
 
     triangles: Floats
-    solid: bool  # the inside counts
+    solid: bool  # the piece includes its inside
     convex: bool
     radius: float  # of the ball around each point of the triangles
     slack: float  # the piece sticks out of its triangles by at most this
@@ -267,7 +267,7 @@ class _Proof:
     def __init__(self, target: Target, model: Elements, tolerance: float) -> None:
         self.target, self.model, self.tolerance = target, model, tolerance
         ends = np.abs(model.center).max(initial=0.0) if len(model) else 0.0
-        # Corners of cells, which are rounded at each halving.
+        # Bound on the rounding of cells' corners, which are rounded at each halving.
         self.cells = CELL_ROUNDINGS * (target.reach + float(ends))
         self.witness: Floats | None = None
         self.deepest = 0.0
@@ -310,8 +310,8 @@ class _Proof:
         Returns
         -------
         cells : _Cells
-            The cells that are in no single element, with the elements that they may meet. With `inside`, instead with
-            all elements whose height may be the least at a point of the cell.
+            The cells that are in no single element, paired with the elements that they may meet. With `inside`, they
+            are paired with all elements whose height may be the least at a point of the cell.
         height : ndarray
             The least height of each remaining cell's center.
         outside : ndarray of bool
@@ -335,7 +335,7 @@ class _Proof:
         outside[c[meets]] = False
         needed = margin
         if first:
-            # Corners as they are stored, and no rounding of cells.
+            # The first cells have corners as stored, without the rounding of halvings.
             needed = np.where(model.exact[e] & (below == 0)[c], 0.0, model.rounding[e])
         # The center of a convex cell in a convex element is in it, up to rounding.
         blur = margin + 2 * slack[c]
@@ -350,12 +350,12 @@ class _Proof:
         # If a cell lies in the boundary of an element, so does its center.
         flush[c[left[height[left] >= -radius[c[left]] - 4 * blur[left]]]] = True
         rest = ~settled
-        # In a hole, an element may have the least height at a point of a cell that it does not meet.
+        # In a hole, the element with the least height at a point of a cell may not meet the cell.
         kept = height <= (least + 2 * reach)[c] + margin if inside else meets
         return cells.take(rest, kept), least[rest], outside[rest], flush[rest], settled
 
     def note(self, points: Floats, depth: Floats) -> None:
-        """Keep the point of the body that is deepest outside by a measure, if it is deeper than the known point."""
+        """Keep the point with the greatest `depth` outside the model, if it is deeper than the point kept so far."""
         if len(depth) == 0 or not depth.max() > self.deepest:
             return
         point, n = points[depth.argmax()], len(self.model)
@@ -444,7 +444,7 @@ class _Proof:
         while len(cells.shape):
             cells, least, _, flush, _ = self.look(cells, first=False, inside=True)
             centers, reach = cells.middles()
-            # Heights at the center, and by how much they may differ elsewhere in the cell.
+            # Heights at the cell's center, and by how much heights may differ elsewhere in the cell.
             height = model.heights(centers[cells.cell], cells.element)
             active = height <= (least + 2 * reach)[cells.cell] + model.rounding[cells.element] + self.cells
             away = model.face_one_way(centers, reach + self.cells, cells.cell[active], cells.element[active])
@@ -500,8 +500,8 @@ class _Proof:
                 far = least_of(distances, holes.cell, len(middle))
                 bound = max(bound, float((far + reach).max()))
         elif target.solids:
-            # The interior takes more cells of one size; its distance is known to a third of a percent of the body's
-            # size.
+            # The interior takes more cells than the surface, so its distance is bounded only to a third of a percent of
+            # the body's size.
             least = max(self.tolerance, target.size / 300)
             cube = np.array([target.cube()])
             bound = max(bound, self._deepest(cube, np.zeros(1, dtype=np.int64), least, inside=True))
@@ -521,7 +521,7 @@ class _Proof:
                 height, distance = model.heights(middle[c], e), model.distances(middle[c], e)
                 far = least_of(distance, c, len(middle))
                 most = far + reach + radius
-                # An element that is farther than another one everywhere in the cell does not count.
+                # An element is dropped if another element is nearer everywhere in the cell.
                 near = height <= (far + 2 * reach)[c] + self.cells
                 if inside:
                     ask = np.flatnonzero(most > self.deepest + least)
@@ -579,8 +579,8 @@ def excess_of(target: Target, packed: Packed, model: Elements, tolerance: float)
         around = {i: hulls[i] if i in hulls else _around(packed, i)[0] for i in open_}
         faces = np.cumsum([len(around[i].simplices) for i in open_])
         groups = np.split(np.array(open_), np.searchsorted(faces, np.arange(FACES, int(faces[-1]), FACES)))
-        # Each search has a limit on its work. If there are several, elements that stick out less than another do not
-        # matter.
+        # Each search has limited work. If there are several searches, elements that stick out less than another element
+        # do not matter.
         floor = max(0.0, near + float(target.radius.min() - target.gap.max())) if len(groups) > 1 else 0.0
         for group in groups:
             if len(group) == 0:
@@ -640,7 +640,7 @@ def prove(
         proof.dive(rest, inside=False)
     around = target.curved & ~whole
     if proof.witness is None and around.any():
-        # Curved pieces are covered if polytopes around them are.
+        # A curved piece is covered if the polytope around it is covered.
         these = around[target.owner]
         _, _, more = proof.surface(target.triangles[these], target.owner[these], lambda done, total: None, own=False)
         found = [cells for cells in (rest, more) if cells is not None]
@@ -667,7 +667,7 @@ def prove(
 
 
 def first_failures(target: Target, model: Packed, protrusion: float) -> tuple[Floats, Floats]:
-    """Return points at which a model fails to cover a body, or at which no proof was found; none if it covers the body.
+    """Return points at which a model fails to cover a body or no proof was found; none if the body is proven covered.
 
     Each point comes with the radius of a ball around it that is part of the body.
     """

@@ -17,11 +17,11 @@ SMALLEST, LARGEST = 1e-3, 1e9
 # Depths beyond this distance, in metres, are probably in millimetres.
 FARTHEST = 100.0
 
-# If an image is wider or higher than this many focal lengths, 170 degrees, its matrix is probably another one.
+# If an image is wider or higher than this many focal lengths (170 degrees), its intrinsic matrix is probably wrong.
 WIDEST = 23.0
 
-# Distances of principal points from the middle, as shares of the image: cameras are nearer than OFF. The matrix of a
-# turned image is farther than OFF, but nearer than CENTRAL once width and height are exchanged.
+# Distances of the principal point from the middle, as shares of the image. The distance is at most OFF for a camera.
+# For the matrix of a turned image, it exceeds OFF, but is below CENTRAL once width and height are exchanged.
 OFF, CENTRAL = 0.1, 0.05
 
 

@@ -13,13 +13,13 @@ from loewner.ellipsoids.polytopes import Polytope
 from loewner.errors import GeometryError, InputError
 from loewner.meshes.coverage import distances_from
 
-# Roundings in a height, relative to the size of the element (docs/containment.md).
+# Bound on the rounding error of a height, relative to the size of the element (docs/containment.md).
 HEIGHT_ROUNDINGS = 64 * 2.0**-53
 
 # Number of products of points and planes formed at a time.
 AT_ONCE = 1_000_000
 
-# Steps of the search for a direction that leads away from all elements, and the least product that counts.
+# Number of steps in the search for a direction that leads away from all elements, and the cosine that must be exceeded.
 FACING_STEPS, FACING = 8, 1e-6
 
 # Steps of Newton's method for the point of an ellipsoid that is nearest to a point.
@@ -85,14 +85,14 @@ class Elements:
             return
         self.inverse[these] = np.linalg.inv(self.factor[these])
         self.sigma[these] = singular_values(self.factor[these])[:, -1]
-        # The gauge of a point is wrong by the roundings of the inverse and of its product.
+        # The gauge of a point has rounding errors from the inverse and from the product with the inverse.
         spread = product(np.abs(self.inverse[these]), np.abs(self.factor[these]))
         turned = np.sqrt((spread * spread).sum(axis=(1, 2)))
         self.sigma[these] *= 1 - HEIGHT_ROUNDINGS
         self.rounding[these] = HEIGHT_ROUNDINGS * self.sigma[these] * turned
 
     def _take_planes(self, packed: Packed) -> None:
-        """Prepare polytopes: choose, for each simplex of the surface, the plane that its corners are least far below.
+        """Prepare polytopes: for each simplex of the surface, choose the plane that its corners are least far below.
 
         By the lemma of docs/containment.md, the points below all chosen planes lie in the hull of the vertices.
         """
@@ -196,7 +196,7 @@ class Elements:
         return found
 
     def _near(self, arm: Floats, element: Ints) -> Floats:
-        """Compute points of the elements near to points outside, relative to the elements' centers."""
+        """Compute points of elements that are near to given points outside, relative to the elements' centers."""
         unit = dot(self.inverse[element], arm[:, None])
         kinds = self.kind[element]
         squares = (self.factor[element] ** 2).sum(axis=1)

@@ -33,24 +33,24 @@ from loewner.meshes.files.stl import FACETS
 
 ELLIPSOIDS = ("inner", "outer")
 
-# Names of curved pieces that MJCF has as shapes; others become meshes.
+# Kinds of curved pieces for which MJCF has a shape; other pieces become meshes.
 MJCF = ("sphere", "cylinder", "capsule", "ellipsoid")
 
-# Divisions of the icosahedron that replaces an ellipsoid in a format without ellipsoids: 320 triangles, within 4 % of
-# the semi-axes.
+# In a format without ellipsoids, a mesh replaces them: an icosahedron divided this often, with 320 triangles, which
+# deviates by at most 4 % of the semi-axes.
 DIVISIONS = 2
 
-# Relative distance allowed between the corners of a polytope and of the box it is written as: a rounding or two.
+# A polytope is written as a box if their corners differ by at most this relative distance, one or two roundings.
 BOX_ROUNDING = 1e-13
 
-# Areas [m²] and volumes [m³] of meshes that MuJoCo may reject as too small: its limit is 1e-15.
+# Area [m²] and volume [m³] below which MuJoCo may reject a mesh as too small; MuJoCo's limit is 1e-15.
 SMALLEST = 1e-14
 
 # Polytopes around curved shapes are enlarged by this factor, for the rounding of their corners.
 OUTWARD = 1 + 1e-12
 
 
-# Roundings of corners in single precision, relative to the largest coordinate, and in the axes of their inertia.
+# Bound on the rounding of corners in single precision and in the axes of inertia, relative to the largest coordinate.
 SINGLE = 2.0**-20
 
 # A mesh is convex if no corner is above a face by more than this share of the largest coordinate.
@@ -81,9 +81,9 @@ class Shape:
     mesh: Mesh | None = None
 
     def wider(self, by: float) -> Shape:
-        """Return the shape enlarged on each side; a solid or a sphere, unaffected by a rounded pose, stays as it is.
+        """Return the shape enlarged on each side, except a solid or a sphere, which stays as it is.
 
-        The corners of a convex mesh move outward by an additional amount that covers MuJoCo's single precision.
+        The corners of a convex mesh move farther outward, to cover MuJoCo's rounding to single precision.
         """
         if not by or self.kind == "sphere":
             return self
@@ -245,7 +245,7 @@ def save_texts(texts: dict[Path, str]) -> None:
 
 
 def enlarged(packed: Packed) -> str | None:
-    """Return the kind of the first piece that becomes a larger polytope since URDF has no shape for it, or None."""
+    """Return the kind of the first piece that becomes a larger polytope because URDF lacks its shape, or None."""
     for row, frame in zip(packed.layout[:, columns.KIND].tolist(), packed.frames, strict=True):
         if row > columns.POLYTOPE:
             kind, semi_axes = CURVED[row], np.linalg.norm(frame[4:].reshape(3, 3), axis=0)
@@ -274,7 +274,7 @@ def numbers(values: Any) -> str:
 
 
 def text_of(root: ElementTree.Element) -> str:
-    """Write an element with its children, one line for each."""
+    """Write an element and its children as text, one line for each element."""
     ElementTree.indent(root)
     return ElementTree.tostring(root, encoding="unicode") + "\n"
 
@@ -347,7 +347,7 @@ def _box(vertices: Floats) -> Shape | None:
         return None
     from_first = vertices - vertices[0]
     order = np.argsort(np.linalg.norm(from_first, axis=1))
-    # The two nearest corners are at the ends of edges, and the three edges add up to the diagonal.
+    # The two corners nearest to the first one are at the ends of edges, and the three edges add up to the diagonal.
     a, b, opposite = from_first[order[[1, 2, 7]]]
     edges = np.array([a, b, opposite - a - b])
     size = np.linalg.norm(edges, axis=1)

@@ -59,7 +59,7 @@ def _content(packed: Packed, covering: Covering | None) -> dict[str, Any]:
 
 
 def _bodies(told: dict[str, Any]) -> tuple[Packed, Covering | None]:
-    """Make bodies from their arrays, with the covering if the arrays include one."""
+    """Make bodies from their arrays, and read the covering if the arrays include one."""
     covering = _covering(told.pop("covering").tolist()) if "covering" in told else None
     return checked(told), covering
 
@@ -67,7 +67,7 @@ def _bodies(told: dict[str, Any]) -> tuple[Packed, Covering | None]:
 def _covering(values: list[str]) -> Covering:
     """Read the covering of a mesh by its pieces from the six strings that `save` writes.
 
-    Older files have five strings; `max_protrusion` is then NaN.
+    Older files have five strings, without `max_protrusion`, which becomes NaN.
     """
     if np.shape(values) not in ((5,), (6,)):
         raise InputError(f"covering: expected six entries, found {values!r}")

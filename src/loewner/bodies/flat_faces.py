@@ -7,7 +7,7 @@ import numpy as np
 from loewner._base._matrices import normals_of
 from loewner._base._validate import Floats, Ints
 
-# Neighbours at a smaller angle [rad] count as in one plane.
+# Neighbouring triangles at a smaller angle [rad] count as lying in one plane.
 FLAT = 1e-3
 
 

@@ -17,13 +17,14 @@ from loewner._kernels import columns
 from loewner.errors import InputError
 
 Mesh = tuple[Floats, Ints]
-# An ellipsoid for each of k pieces, in the frames of the pieces: the semi-axes, and the height of the center along the
-# third axis. It is computed from the radii of the balls, shape (k,), and the semi-axes of the images, shape (k, 3).
+# A function that fits ellipsoids to k pieces in the frames of the pieces. Its arguments are the radii of the balls,
+# shape (k,), and the semi-axes of the images, shape (k, 3). It returns semi-axes, and the heights of the centers along
+# the third axis.
 Fit = Callable[[Floats, Floats], tuple[Floats, Floats | float]]
 # A function of points or directions, shape (k, 3).
 Function = Callable[[Floats], Floats]
 
-# Corners of the circles of cylinders and cones.
+# Number of corners of the polygons that replace the circles of cylinders and cones.
 SEGMENTS = 48
 
 # A unit icosahedron: the corners of three golden rectangles, and triangles counter-clockwise from outside.
@@ -70,7 +71,7 @@ class Kind(NamedTuple):
     def share(self, points: Floats) -> Floats:
         """Compute, for each point, a share of the segment from the origin to the point that stays in the unit shape.
 
-        Convexity gives this share: `gauge` is below 1 at the origin, and its value at the point is known.
+        The share follows from convexity, since `gauge` is below 1 at the origin and is known at the point.
         """
         center = 1.0 - float(self.gauge(np.zeros((1, 3)))[0])
         return np.asarray(center / (center + np.maximum(self.gauge(points) - 1.0, 0.0)))
@@ -147,12 +148,12 @@ def _in_capsules(radius: Floats, lengths: Floats) -> tuple[Floats, float]:
 
 
 def _around_capsules(radius: Floats, lengths: Floats) -> tuple[Floats, float]:
-    """Compute the smallest ellipsoids, with semi-axes a, a, b, around capsules with half the straight part h.
+    """Compute the smallest ellipsoids, with semi-axes a, a, b, around capsules whose straight part has half length h.
 
     Their support function must be at least h|cos| + r, that is, a² - r² - 2hr c + k c² >= 0 for c in [0, 1] with k = b²
     - a² - h². The volume is least where k² - 2h²k - 3h²r² = 0.
     """
-    # In units of the greater length, so that no square over- or underflows.
+    # Compute in units of the greater length, so that no square over- or underflows.
     half = lengths[:, 2]
     unit = np.maximum(radius, half)
     x, y = radius / unit, half / unit
@@ -164,7 +165,7 @@ def _around_capsules(radius: Floats, lengths: Floats) -> tuple[Floats, float]:
 
 _UNIT = _image((1.0, 1.0, 1.0))
 _AROUND_CYLINDER = _image((math.sqrt(1.5), math.sqrt(1.5), math.sqrt(3.0)))
-# Across, 1 / √2 and 3 / √8 times the radius.
+# The semi-axes across the cone are 1 / √2 and 3 / √8 times the radius.
 _IN_CONE = _image((1.0, 1.0, 0.5), -0.5, (math.sqrt(2.0), math.sqrt(2.0), 1.0))
 _AROUND_CONE = _image((3.0, 3.0, 1.5), -0.5, (math.sqrt(8.0), math.sqrt(8.0), 1.0))
 # Inradius of a polygon inscribed in the unit circle: the cosine of π / 48, by halving π / 3 four times.
@@ -172,7 +173,7 @@ _POLYGON = 0.5
 for _ in range(4):
     _POLYGON = math.sqrt((1.0 + _POLYGON) / 2.0)
 
-# Indexed by the numbers used in kernels and files.
+# Curved kinds, keyed by their numbers in kernels and files.
 CURVED = {
     columns.ELLIPSOID: Kind("ellipsoid", lambda _, axes: axes, ball, _UNIT, _UNIT, lengths, lengths, (), is_ball=True),
     columns.CYLINDER: Kind(
@@ -192,7 +193,7 @@ CURVED = {
         "sphere", lambda radius, _: (radius,), ball, _same, _same, size_names=("radius",), core=0.0, is_ball=True
     ),
 }  # fmt: skip
-# Numbers of kinds that are their own ellipsoids, and of kinds with a ball.
+# The numbers of kinds that are their own ellipsoids, and the numbers of kinds with an added ball.
 BALLS = [number for number, kind in CURVED.items() if kind.is_ball]
 ROUND = [number for number, kind in CURVED.items() if kind.core is not None]
 FLAT = {columns.SOLID: "solid", columns.SURFACE: "surface", columns.POLYTOPE: "polytope"}

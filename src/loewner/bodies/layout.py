@@ -20,8 +20,8 @@ from loewner.errors import GeometryError, InputError
 
 Maps = dict[int, tuple[Ints, Floats]]
 
-# Sizes outside this range under- or overflow in sixth powers of lengths, which the contact function forms; real bodies
-# are far from either end.
+# Outside this range, the sixth powers of lengths in the contact function under- or overflow. Real bodies are far from
+# either end.
 SMALLEST, LARGEST = 1e-30, 1e30
 
 # A pose accepted as rigid may still stretch or shrink lengths.
@@ -30,22 +30,22 @@ BEND = 2 * tolerances.ROTATION_TOLERANCE  # certified.md B22
 # Bounds are rounded up by this factor before they go to single precision.
 UP = 1 + 2.0**-22  # certified.md B23
 
-# Bound on the error of singular values, relative to the largest; assumed, and compared with LAPACK's in the tests.
+# Assumed bound on the error of singular values, relative to the largest one; tests compare it with LAPACK's errors.
 SINGULAR_ROUNDINGS = 32 * 2.0**-53
 
-# Rounding of two products with a nearly orthonormal matrix, there and back, of 3 entries each, and of LAPACK itself.
+# Bound on the rounding of two products with a nearly orthonormal matrix, with 3 terms per entry, and of LAPACK itself.
 TURN_ROUNDINGS = 128 * 2.0**-53
 
 # Number of products of directions and vertices formed at a time.
 AT_ONCE = 1_000_000
 
-# Types of the arrays of `records.Pieces`, in the words of `entries`.
+# Types of the arrays of `records.Pieces`, as words that `entries` defines.
 _WORDS = ["F2", "I2", "F1", "I1", "F2", "S2", "F1", "I1", "I1", "S1", "F2", "I1"]
 
-# For each corner of a box, its end along each axis.
+# For each corner of a box, 0 or 1 for the lower or upper end along each axis.
 _CORNERS = np.indices((2, 2, 2)).reshape(3, 8).T
 
-# Sizes at which the certificate may work in single precision first (docs/certified.md).
+# Range of sizes in which the certificate may first work in single precision (docs/certified.md).
 SINGLE_SIZES = 1e-3, 1e3
 
 
@@ -58,7 +58,8 @@ class PieceArrays(KeepsReadOnly):
     layout : ndarray of int64, shape (P, 5)
         Kind of the piece, first row and end (one past the last row) of its points, and first row and end of its planes.
     points, planes : ndarray, shapes (V, 3) and (F, 4)
-        Vertices, and faces as rows of a unit outward normal n and an offset; inside, n·x <= offset.
+        Vertices, and faces as rows of a unit outward normal n and an offset; points x of the piece satisfy n·x <=
+        offset.
     piece_start : ndarray of int64, shape (n + 1,)
         Start of each body's range of pieces: body i has pieces piece_start[i] : piece_start[i+1].
     frames : ndarray, shape (P, 13)
@@ -177,7 +178,7 @@ def kernel_arrays(p: PieceArrays, maps: Maps, trees: Trees) -> records.Pieces:
 def joined_kernel(packs: Sequence[Any]) -> records.Pieces:
     """Join the kernels' arrays of several packs, in order, as `kernel_arrays` would make them from all pieces.
 
-    Making the arrays again would take a hundred times as long for a cloud.
+    For a cloud, making the arrays anew would take a hundred times as long as joining them.
     """
     counts = [len(pack.piece_start) - 1 for pack in packs]
     numbers = np.concatenate([np.arange(count) for count in counts])
@@ -189,9 +190,9 @@ def joined_kernel(packs: Sequence[Any]) -> records.Pieces:
 
 
 def array_in(memory: NDArray[Any], row: Sequence[int], word: str) -> Any:
-    """Return the array that a row of a table describes, in `memory`; `word` names its type, see `entries`."""
+    """Return the array in `memory` that a row of a table describes; `word` names the array's type, as in `entries`."""
     address, *shape = row
-    within = address - memory.ctypes.data if 0 not in shape else 0  # nothing has any address
+    within = address - memory.ctypes.data if 0 not in shape else 0  # an empty array may have any address
     kind = {"F": np.float64, "S": np.float32, "I": np.int64}[word[0]]
     return np.ndarray(shape[: int(word[1])], kind, memory, within)
 
@@ -207,7 +208,7 @@ def kernel_of_parts(p: PieceArrays, tree: SurfaceTree, around: Sequence[Floats],
     """Make the kernels' arrays for the parts of a surface, as one body.
 
     An exact search on a part uses the tree of the whole surface. The search may therefore find a collision with another
-    part, which is also a collision of the same two bodies.
+    part, which is a collision of the same two bodies.
 
     Parameters
     ----------
@@ -217,7 +218,7 @@ def kernel_of_parts(p: PieceArrays, tree: SurfaceTree, around: Sequence[Floats],
     around : sequence of ndarray, shape (k, 3)
         For each part, points whose convex hull contains its triangles, without the radius.
     reach : float
-        Reach of the whole surface: rounding bounds have to hold for all triangles of the tree.
+        Reach of the whole surface, since rounding bounds must hold for all triangles of the tree.
     """
     table, count = _table(p), len(around)
     table[:, columns.REACH] = reach
@@ -236,7 +237,7 @@ def kernel_of_parts(p: PieceArrays, tree: SurfaceTree, around: Sequence[Floats],
 
 
 def _in_blocks(points: Floats) -> Floats:
-    """Arrange points, shape (k, 3), in blocks of eight; the last one is filled up with repeats of the last point."""
+    """Arrange points, shape (k, 3), in blocks of eight; repeats of the last point fill up the last block."""
     count = -(-len(points) // columns.BLOCK) * columns.BLOCK
     filled = points[np.minimum(np.arange(count), len(points) - 1)]
     return filled.reshape(-1, columns.BLOCK, 3).transpose(0, 2, 1)
@@ -271,7 +272,8 @@ def heights_of(
 ) -> tuple[Floats, int]:
     """Find the largest normal·vertex of a large polytope for each normal, and count the products computed.
 
-    In coordinates in which the inner ellipsoid is a ball, a direction map leaves few candidates for any piece.
+    The direction map uses coordinates in which the inner ellipsoid is a ball, so that few candidates remain for any
+    piece.
 
     Parameters
     ----------
@@ -330,8 +332,8 @@ def starts(lengths: Ints) -> Ints:
 def _kernel_points(p: PieceArrays, maps: Maps, trees: Trees) -> tuple[Ints, Floats]:
     """Make the kernels' layout and points.
 
-    The points of a piece are its vertices in blocks, the direction map of a large polytope, or the corners of the box
-    around a surface.
+    The points of a piece are its vertices in blocks; for a large polytope, its direction map; or for a surface, the
+    corners of a box around it.
     """
     first = p.layout[:, columns.POINTS_FROM].copy()
     lengths = p.layout[:, columns.POINTS_TO] - first
@@ -349,7 +351,7 @@ def _kernel_points(p: PieceArrays, maps: Maps, trees: Trees) -> tuple[Ints, Floa
         width[i] = len(chosen)
         room[i] = len(chosen) + -(-nodes.size // (3 * columns.BLOCK)) * columns.BLOCK
     begin = starts(room)
-    # A block is filled up with repeats of the last point: they change no maximum.
+    # Repeats of the last point, which change no maximum, fill up a block.
     if (lengths == columns.BLOCK).all() and np.array_equal(first, begin[:-1]):  # as for boxes
         filled = vertices[: begin[-1]]
     else:
@@ -376,8 +378,8 @@ def _parts(p: PieceArrays, trees: Trees) -> tuple[Floats, Ints]:
     for i, tree in trees.items():
         center, factor = tree.outer_ellipsoids(p.frames[i, 0])
         outer, inner = len(center), len(tree.inner_center)
-        # Unused columns hold inner ellipsoids without size, which prove nothing, and the outer ellipsoid of the whole
-        # surface.
+        # Unused columns have inner ellipsoids without size, which prove nothing, and the whole surface's outer
+        # ellipsoid.
         inner_center, inner_factor = np.concatenate([center, tree.inner_center]), np.zeros((outer + inner, 3, 3))
         inner_factor[outer:] = tree.inner_factor
         center = np.concatenate([center, np.repeat(p.outer_center[i : i + 1], inner, axis=0)])
@@ -394,7 +396,7 @@ def _box_corners(points: Floats, triangles: Ints) -> Floats:
     single = (triangles == triangles[:, :1]).all()
     turn = least_box_axes(points[triangles[:, :1] if single else triangles].transpose(2, 1, 0))
     turned = image(turn.T, points).T
-    # Bound on the rounding of a rotation there and back, by a matrix that is itself orthonormal up to a few roundings.
+    # Bound on the rounding of a rotation and its inverse, by a matrix that is orthonormal up to a few roundings.
     slack = 0.0 if np.array_equal(turn, np.eye(3)) else TURN_ROUNDINGS * np.abs(points).max()
     ends = np.stack([turned.min(axis=1) - slack, turned.max(axis=1) + slack])
     return np.asarray(image(turn, ends[_CORNERS, np.arange(3)]))
@@ -413,7 +415,7 @@ def _ellipsoid_columns(
 ) -> Floats:
     """Make a table and fill its columns for ellipsoids: shape matrices and one-sided bounds on sizes."""
     table = np.zeros((len(outer_center), columns.COLUMNS))
-    # Checked before anything overflows. A factor's entries are no larger than the longest semi-axis.
+    # Sizes are checked before a product can overflow; a factor's entries are no larger than the longest semi-axis.
     largest = np.abs(outer_factor).max(axis=(1, 2), initial=0.0)
     if not (largest < LARGEST).all():
         raise _wrong_sizes(largest, largest)
@@ -474,7 +476,8 @@ def _trees(table: Floats, piece_start: Ints) -> tuple[Floats, Ints, Ints]:
     if np.diff(piece_start).max(initial=0) < columns.FEW:
         return np.empty(0), np.empty(0, dtype=np.int64), np.full(n, -1)
     center = table[:, columns.OUTER_CENTER : columns.OUTER_CENTER + 3]
-    # The widths along the axes are the roots of the diagonal; everything is rounded outward.
+    # The widths of an ellipsoid along the axes are the square roots of its shape matrix's diagonal; boxes are rounded
+    # outward.
     half = np.sqrt(table[:, [columns.OUTER_SHAPE, columns.OUTER_SHAPE + 3, columns.OUTER_SHAPE + 5]])
     half += tolerances.POSITION_ROUNDINGS * table[:, columns.REACH, None]
     grown: tuple[Floats, Ints, Ints] = entries.piece_trees(piece_start, center - half, center + half)

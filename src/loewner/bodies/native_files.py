@@ -37,10 +37,10 @@ LINE = columns.CACHE_LINE
 
 TYPES = {np.dtype(np.int64): 0, np.dtype(np.float64): 1, np.dtype(np.float32): 2, np.dtype(np.uint8): 3}
 
-# Odd multiples of this number, the golden ratio in 64 bits, are the factors of the words in the checksum.
+# The golden ratio in 64 bits; its odd multiples are the factors of the words in the checksum.
 GOLDEN = 0x9E3779B97F4A7C15
 
-# Arrays before the packs; in a file of bodies alone, all but the names are empty.
+# Arrays that precede the packs; in a file of bodies alone, only the names among these arrays are not empty.
 BEFORE = (
     "names", "parent", "kind", "column", "multiplier", "offset", "constants", "limits", "joints",
     "quaternions", "link", "pairs", "margins", "order", "margin", "poses", "own", "lowered", "rules",
@@ -144,7 +144,7 @@ def _lines(size: int) -> int:
 
 
 def checksum(content: bytes) -> int:
-    """Sum 64-bit words, each times an odd number that depends on its place; any change of one word changes the sum."""
+    """Sum 64-bit words, each times an odd number that depends on its position; changing any word changes the sum."""
     words = np.frombuffer(content, dtype="<u8")
     with np.errstate(over="ignore"):
         factors = np.arange(1, len(words) + 1, dtype=np.uint64) * np.uint64(GOLDEN) | np.uint64(1)

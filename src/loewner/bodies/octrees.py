@@ -22,14 +22,14 @@ from loewner.errors import FileError, GeometryError
 # Largest file in bytes: ten times the file of a building at a resolution of one centimetre.
 MOST_BYTES = 2**30
 
-# The data begins after the first line feed that follows "data"; its bytes may look like white space.
+# The binary data begins after the first line feed that follows "data", even if its first bytes look like white space.
 HEADER = re.compile(
     rb"# Octomap OcTree binary file\s*\n(?:#[^\n]*\n)*id OcTree\s*\nsize (\d+)\s*\nres ([-+.\deE]+)\s*\ndata[ \t\r]*\n"
 )
 
-LEVELS = 16  # of a tree of OctoMap: keys have 16 bits per axis
+LEVELS = 16  # the depth of an OctoMap tree, whose keys have 16 bits per axis
 
-# Meaning of the two bits of a child; 1 is free, and 0 is absent.
+# Values of the two bits of a child; the values 1 and 0 mean free and absent.
 OCCUPIED, INNER = 2, 3
 
 

@@ -105,7 +105,7 @@ class Packed(Prepared):
         )  # fmt: skip
 
     def __reduce__(self) -> Any:
-        """Let copies and pickles be built anew: the handle is an address that is valid only for this object."""
+        """Make copies and pickles rebuild the handle, an address that is valid only for this object."""
         return type(self).of, (PieceArrays(**arrays_of(self)), self.maps, self.trees)
 
     @property
@@ -129,7 +129,7 @@ def _with_inner_of_solids(pieces: PieceArrays, trees: Trees) -> PieceArrays:
         else:
             corner = pieces.points_of(i)[pieces.triangles_of(i)[0, 0]]
             arrays["inner_center"][i], arrays["inner_factor"][i] = corner, around_point(pieces.frames[i, 0])
-        # The largest ellipsoid inside is no larger than the outer ellipsoid.
+        # The largest ellipsoid inside a solid has at most the volume of the outer ellipsoid.
         volumes = np.linalg.slogdet(np.stack([pieces.outer_factor[i], arrays["inner_factor"][i]]))[1]
         arrays["gaps"][i, 0] = volumes[0] - volumes[1] if np.isfinite(volumes).all() else 0.0
     return PieceArrays(**arrays)
@@ -231,15 +231,15 @@ def moved(p: Packed, T: Floats) -> Packed:
     curved = p.layout[:, columns.KIND] > columns.POLYTOPE
     frames[curved, 1:4] = image(R, p.frames[curved, 1:4]) + t
     frames[:, 4:] = product(R, p.frames[:, 4:].reshape(-1, 3, 3)).reshape(-1, 9)
-    # A point, and likewise an ellipsoid's center and factor, moves off its exact image by at most 8 roundings of the
-    # lengths involved, and R stretches by its departure from orthonormality.
+    # A moved point, center or factor differs from its exact image by at most 8 roundings of the lengths involved. In
+    # addition, R stretches lengths by its departure from orthonormality.
     table = p.kernel.table
     shift = 2.0**-53 * 32 * (table[:, columns.REACH] + np.abs(t).sum())
     inside = p.inner_factor.any(axis=(1, 2))  # a surface without an inner ellipsoid has one of its points instead
     shrink = np.where(inside, 1 - shift / table[:, columns.INNER_SIGMA], 1.0)
     grow = 1 + shift / table[:, columns.OUTER_SIGMA]
-    # A radius is kept while ellipsoids stretch with R. If core and ball had both been stretched, scaling by the stretch
-    # about the center would bring them back inside (or around) the core with the unstretched ball.
+    # R stretches ellipsoids, but a radius is kept. The ellipsoids fit the stretched core with a stretched ball; scaled
+    # by the stretch about their centers, they are inside (or around) the core with the kept ball.
     stretched = singular_values(R[None])[0]
     stretch = max(stretched[0], 1 / stretched[-1]) * (1 + 2 * SINGULAR_ROUNDINGS)
     rounded = p.frames[:, 0] > 0

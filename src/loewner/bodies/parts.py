@@ -18,18 +18,18 @@ from loewner.bodies.surface_trees import SurfaceTree, around_point, around_sums
 from loewner.ellipsoids.polytopes import Polytope
 from loewner.errors import GeometryError
 
-# Number of parts of a surface. Where hulls of parts meet, proofs of motions continue with triangles.
+# Number of parts of a surface. If hulls of parts meet, a proof of a motion continues with their triangles.
 PARTS = 6
 
-# Limits on the parts of a surface, and of all surfaces of a problem together, where only the parts count.
+# Limits on the number of small parts of one surface, and of all surfaces of a problem together.
 MOST_PARTS, ALL_PARTS = 128, 1024
 
-# Large parts keep only their farthest corners in these directions, since more corners take longer to search: 74 short
-# integer vectors, which are the same on all processors.
+# Large parts keep only their farthest corners in these 74 directions, since more corners take longer to search. The
+# directions are short integer vectors, which are the same on all processors.
 _SHORT = np.indices((5, 5, 5)).reshape(3, -1).T - 2
 WAYS = _SHORT[np.isin((_SHORT**2).sum(axis=1), (1, 2, 3, 5, 6))].astype(float)
 
-# Step in which the vertices of a hull are moved outward, relative to its size; more than the rounding of their places.
+# Step by which the vertices of a hull are moved outward, relative to its size; it exceeds their rounding.
 ROUNDED = 1e-12
 
 # Number of products formed at a time.
@@ -141,11 +141,11 @@ def _cut(packed: Packed, i: int, most: int) -> Packed | None:
 def _hull_around(points: Floats, box: Floats) -> Floats:
     """Make a few points whose hull certainly contains the given points.
 
-    The new points are vertices of the hull of all points, or only of the farthest points in `WAYS` if there are many,
-    moved away from their middle c by a relative amount. A point p lies in the hull of the moved vertices v if n·(p - c)
-    is at most the least n·(v - c) over the vertices of each face with normal n, by the lemma of docs/containment.md.
-    The corners of the box around the points are taken instead if many points are in a plane, so that their hull has no
-    faces.
+    The new points are the vertices of a hull, moved away from their middle c by a relative amount. The hull is around
+    all points or, if there are many, around the farthest points in the directions `WAYS`. By the lemma of
+    docs/containment.md, a point p lies in the hull of the moved vertices v if, for each face with normal n, n·(p - c)
+    is at most the least n·(v - c) over the face's vertices. If many points lie in one plane, their hull has no faces,
+    and the corners of the box around them are used instead.
     """
     if len(points) <= len(box):
         return points

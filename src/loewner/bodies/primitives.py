@@ -16,7 +16,8 @@ CLOSED_FORM_ROUNDING = 16 * 2.0**-53
 def primitives(kind: int, rounding: Floats, frame: Floats) -> Packed:
     """Make bodies of one curved piece each; `frame` has one row per body, the semi-axes of the unit shape's image."""
     n = len(frame)
-    # An ellipsoid is its own fit exactly; the others' closed forms are rounded, so step to the safe side.
+    # The fits of an ellipsoid are exact. The closed forms of other kinds are rounded, and need a margin to the safe
+    # side.
     slack = 0.0 if CURVED[kind].is_ball else CLOSED_FORM_ROUNDING
     (inner, outer), lifts = ellipsoids_in_frame(np.full(n, kind), rounding, frame)
     inner_center, outer_center = (np.column_stack([np.zeros((n, 2)), lift]) for lift in lifts)

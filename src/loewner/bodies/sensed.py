@@ -13,11 +13,10 @@ from loewner.bodies.surfaces import surface_pieces
 from loewner.ellipsoids.polytopes import box_hull
 from loewner.errors import GeometryError, InputError
 
-# Approximate bytes of a piece in all arrays.
+# Approximate memory of a piece, and of a box, in all arrays [bytes].
 PIECE_BYTES, BOX_BYTES = 1100, 2200
 
-# Limit on the distance of a cloud's cells from the origin, counted in cells along each axis: three counts fit into one
-# integer.
+# Number of bits for a cell's index along each axis, so that three indices fit into one 64-bit integer.
 CELL_BITS = 21
 MOST_CELLS = 2 ** (CELL_BITS - 1)
 
@@ -66,8 +65,8 @@ def box_pieces(lower: Floats, upper: Floats) -> PieceArrays:
             f"boxes: expected edges that are more than rounding, found box {i} with an edge of {2 * thinnest[i]:g} m "
             f"{farthest[i]:g} m from the origin"
         )
-    # Column by column, which takes a third of the time of broadcast choices. A face lies exactly at its corners, since
-    # its normal is an axis.
+    # Filling one column at a time takes a third of the time of a broadcast selection. A face lies exactly at its
+    # corners, since its normal is an axis.
     corners, planes = np.empty((n, 8, 3)), np.empty((n, 6, 4))
     for (vertex, axis), sign in np.ndenumerate(unit.vertices):
         corners[:, vertex, axis] = upper[:, axis] if sign > 0 else lower[:, axis]
@@ -129,14 +128,14 @@ def _rows_along(cells: Ints, axis: int) -> tuple[Ints, Ints]:
     """Find the first and last cells of rows without gaps along an axis."""
     order = (*(k for k in range(3) if k != axis), axis)
     numbers = np.sort(_numbered(cells, order))
-    # The last axis has no cell of number 0, so neighbours in number are neighbours in the grid.
+    # The last axis has no cell with number 0, so that cells with consecutive numbers are neighbours in the grid.
     ends = np.flatnonzero(np.diff(numbers) != 1)
     first, last = np.concatenate([[0], ends + 1]), np.concatenate([ends, [len(numbers) - 1]])
     return _cells(numbers[first], order), _cells(numbers[last], order)
 
 
 def _numbered(cells: Ints, order: tuple[int, ...]) -> Ints:
-    """Write the three numbers of each cell as one, beginning with the first axis in `order`."""
+    """Combine the three numbers of each cell into one integer, with the first axis in `order` most significant."""
     x, y, z = (cells[:, axis] + MOST_CELLS for axis in order)
     return np.asarray((((x << CELL_BITS) | y) << CELL_BITS) | z)
 
@@ -167,7 +166,7 @@ def grid_pieces(occupied: Bools, edge: float, origin: Floats) -> PieceArrays:
     GeometryError
         If no cell is occupied.
     """
-    # Peak memory: the first cells along an axis, and briefly the cells that follow an empty one.
+    # Two arrays of flags determine peak memory: the first cells along an axis, and the cells that follow an empty cell.
     _memory.expect_left(2 * occupied.size, f"grid: {' x '.join(map(str, occupied.shape))} cells")
     count, axis = min((int(np.count_nonzero(_begins(np.moveaxis(occupied, axis, 2)))), axis) for axis in range(3))
     if count == 0:
@@ -207,7 +206,7 @@ def terrain_pieces(heights: Floats, spacing: Floats, base: float, tol: float) ->
     number = np.arange(p * q).reshape(p, q)
     a, b, c, d = (part.ravel() for part in (number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]))
     surface = np.concatenate([np.column_stack([a, b, c]), np.column_stack([a, c, d])])
-    # The rim, counter-clockwise from above, and the base below, a fan around the center.
+    # The rim, counter-clockwise as seen from above; the base is a fan of triangles around its center.
     rim = np.concatenate([number[:-1, 0], number[-1, :-1], number[:0:-1, -1], number[0, :0:-1]])
     low, middle = p * q + np.arange(len(rim)), p * q + len(rim)
     ahead, low_ahead = np.roll(rim, -1), np.roll(low, -1)

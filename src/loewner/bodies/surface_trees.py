@@ -14,13 +14,13 @@ from loewner._kernels import records
 from loewner._native import entries
 from loewner.meshes.inscribed import FEWEST_TRIANGLES, inscribed_ellipsoids
 
-# Number of ellipsoids kept inside a solid; more would prove little more and take as long again to find.
+# Number of ellipsoids kept inside a solid; more ellipsoids would take longer to find and prove little more.
 MOST_INSIDE = 8
 
 # Bound on the error of the root of a shape matrix in single precision, in units of roundoff.
 SINGLE_ROUNDINGS = 8.0
 
-# Bound on the rounding in the containment of a sum, relative to its size.
+# Bound on the rounding errors of an ellipsoid inside or around a sum, relative to its size.
 SUM_ROUNDING = 2.0**-44
 
 
@@ -72,7 +72,7 @@ class SurfaceTree:
         return cls(*arrays, *others, records.table_of(arrays))  # type: ignore[call-arg]  # nine in all
 
     def __reduce__(self) -> Any:
-        """Make copies rebuild their table, since it holds addresses."""
+        """Make copies rebuild their table, because the table contains addresses."""
         return type(self)._at, self._arrays
 
     @property
@@ -87,7 +87,7 @@ class SurfaceTree:
     def outer_ellipsoids(self, radius: float) -> tuple[Floats, Floats]:
         """Compute the centers and factors of ellipsoids around the parts below the root, thickened by a radius.
 
-        The ellipsoids are stored in single precision, and the errors of this rounding are added to the radius.
+        The ellipsoids are stored in single precision; the radius grows by the errors of this rounding.
         """
         top = max(int(self.children[0]), 0)
         wide = self.ellipsoids.size // 9
@@ -112,7 +112,7 @@ def around_sums(shape: Floats, radius: Floats) -> Floats:
     minimizes the trace of that matrix. Kurzhanski and Valyi (1997), Ellipsoidal Calculus for Estimation and Control,
     section 2.2.
     """
-    # p times the radius, which may be much smaller or larger; any value is valid, and for a point it is 0.
+    # The size is p times the radius, and not too small relative to the radius; every p > 0 is valid.
     size = np.maximum(np.sqrt(np.trace(shape, axis1=1, axis2=2) / 3), 1e-9 * radius)
     joint = (1 + radius / size)[:, None, None] * shape + ((radius + size) * radius)[:, None, None] * np.eye(3)
     return cholesky(joint) * (1 + SUM_ROUNDING)

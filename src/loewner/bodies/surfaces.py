@@ -18,13 +18,13 @@ from loewner.errors import GeometryError
 # Limits on the sizes of surfaces, because lengths are squared in single precision for boxes.
 SMALLEST, LARGEST = 1e-12, 1e12
 
-# Limits for a mesh that is nearly closed: the share of open edges, and the share of area that does not cancel.
+# A mesh is nearly closed if its share of open edges and its share of area that does not cancel are below these limits.
 FEW_OPEN, NEARLY_CANCELLED = 0.25, 0.2
 
 # Approximate bytes of a triangle in all arrays and the tree.
 TRIANGLE_BYTES = 350
 
-# Relative thickness of a flat surface's outer ellipsoid: more than rounding, and too little to matter.
+# Relative thickness of a flat surface's outer ellipsoid, above rounding errors but too small to matter.
 THICKNESS = 1e-6
 
 
@@ -117,7 +117,7 @@ def expect_closed(name: str, vertices: Floats, triangles: Ints) -> None:
 
 
 def _told(vertices: Floats, edges: Ints) -> str:
-    """Describe the open edges: how many there are, and where the first one is."""
+    """Describe the number of open edges and the position of the first one."""
     a, b = (_validate.short(np.round(vertices[v], 6).tolist()) for v in edges[0])
     return (
         f"{len(edges)} edges that do not join triangles turned alike (holes, or flipped triangles), the first from "
@@ -140,8 +140,8 @@ def nearly_closed(vertices: Floats, triangles: Ints, open_edges: int) -> bool:
 def _open_edges(count: int, triangles: Ints) -> Ints:
     """Find the edges, as rows of two vertices, that triangles traverse more often in one direction than in the other.
 
-    Without such an edge the winding number is an integer at every point off the surface. Adjacent triangles must share
-    vertices.
+    If a mesh has no open edges, its winding number is an integer at every point off the surface. Adjacent triangles
+    must share vertices.
     """
     start, end = triangles.ravel(), np.roll(triangles, -1, axis=1).ravel()
     low, high = np.minimum(start, end), np.maximum(start, end)
@@ -152,7 +152,7 @@ def _open_edges(count: int, triangles: Ints) -> Ints:
     passed = np.diff(np.append(first, len(keys)))
     odd = edge[first[2 * forth != passed]]
     odd = np.column_stack([odd // count, odd % count])
-    return np.asarray(odd[odd[:, 0] != odd[:, 1]], dtype=np.int64)  # an edge without length does not count
+    return np.asarray(odd[odd[:, 0] != odd[:, 1]], dtype=np.int64)  # without edges of zero length
 
 
 def _outer(vertices: Floats, tol: float) -> tuple[Floats, Floats, float]:

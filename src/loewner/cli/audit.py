@@ -27,7 +27,7 @@ COLUMNS = 60
 # Largest number of lines of one kind that are printed.
 SHOWN = 5
 
-# The second part of each rate's unit, which follows the unit of positions.
+# Suffix that turns the unit of positions into the unit of each rate.
 UNITS = {"velocity": "/s", "acceleration": "/s²", "jerk": "/s³"}
 
 # Exit status for a trajectory that is free but exceeds a limit.
@@ -264,7 +264,7 @@ def _nearest(near: ClosestApproach, k: int) -> dict[str, Any]:
 
 
 def _told_by_a_message(given: trajectories.Part) -> dict[str, Any]:
-    """Return the other contents of a message, and the time of its first point."""
+    """Return the contents of a message other than its points, and the time of its first point."""
     if not isinstance(given, planners.ControllerPoints):
         return {}
     origin = given.origin
@@ -276,7 +276,7 @@ def _told_by_a_message(given: trajectories.Part) -> dict[str, Any]:
 
 
 def _beyond_limits(robot: loewner.Robot, curve: curves.Curve) -> list[dict[str, Any]]:
-    """Return the values that at some time are outside the limits of the robot, or of its file."""
+    """Return the joint values that are outside a soft or hard limit of the robot at some time."""
     ends = [limit_use.extremes(curve.courses[:, :, k], curve.times) for k in range(robot.dof)]
     least, most = np.array([[low[0], high[0]] for low, high in ends]).reshape(-1, 2).T
     hard = (least < robot.hard_lower - ROUNDED) | (most > robot.hard_upper + ROUNDED)
@@ -365,7 +365,7 @@ def _print_answer(answer: dict[str, Any]) -> None:
 
 
 def _print_unproven(answer: dict[str, Any], comma_unit: str) -> None:
-    """Print a row for each piece that is not proven free, and the margins that count."""
+    """Print a row for each piece that is not proven free, and the margins that apply."""
     table = new_table(
         "piece", f"from{comma_unit}", f"to{comma_unit}", "verdict", "pair of the verdict", "nearest pair",
         f"at{comma_unit}", "nearest, mm", title=f"{answer['robot']}, {answer['checked_pairs']} pairs checked",

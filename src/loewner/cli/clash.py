@@ -240,7 +240,7 @@ def _pairs(robot: loewner.Robot, scene: loewner.Scene | None, options: argparse.
 
 
 def _entry(row: ProvenPair, robot: loewner.Robot) -> dict[str, Any]:
-    """A row in the form of JSON."""
+    """Convert a row to the form of JSON."""
 
     def named(q: Floats | None) -> dict[str, float] | None:
         return None if q is None else dict(zip(robot.configuration_names, q.tolist(), strict=True))
@@ -269,7 +269,7 @@ def _print_ranges(ranges: dict[str, tuple[float, float]]) -> None:
 
 
 def _draw(found: ProvenPairs, robot: loewner.Robot, scene: loewner.Scene | None, path: Path) -> None:
-    """Draw the two bodies with the least distance, at this distance."""
+    """Draw the two bodies that come nearest to each other, where they are nearest."""
     row = min(found, key=lambda row: np.nan_to_num(row.distance, nan=np.inf))
     if row.nearest is None:
         print(f"note: {shown(path)} is not written, since no distance is known")

@@ -16,7 +16,7 @@ from loewner._base._threads import processors
 from loewner._native import entries, library
 from loewner.errors import FileError
 
-# The parts, with the modules below `loewner._kernels`, or prefixes of names of modules, that define their entries.
+# The parts, each with the modules below `loewner._kernels`, or prefixes of module names, that define its entries.
 _MODULES = {
     "verdicts": (
         "elementary",

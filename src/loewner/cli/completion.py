@@ -11,8 +11,8 @@ SHELLS = ("bash", "zsh", "fish")
 
 Parsers = list[tuple[str, argparse.ArgumentParser]]
 
-# The words before the cursor determine the command, and the last of them may be an option with a choice of values. If
-# the script offers no words, bash offers files.
+# The words before the cursor determine the command, and the last word may be an option with a choice of values. If the
+# script offers no words, bash offers files.
 BASH = """\
 _loewner() {{
   local word command= cur=${{COMP_WORDS[COMP_CWORD]}} prev=${{COMP_WORDS[$((COMP_CWORD - 1))]}} offers=

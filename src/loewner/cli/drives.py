@@ -28,7 +28,7 @@ MEASURED = 33
 # Width in metres of the occupied space around a map, which is more than any robot's reach.
 BEYOND = 10.0
 
-# Options of other plans, which drives do not use, and options that only drives use.
+# Options of other plans that drives do not use, and options that only drives use.
 OF_OTHERS = (
     "goal_pose", "joints", "leave", "reach", "sampled", "planner", "resolution", "improve_for", "weights", "clearance",
     "start_time", "arrive_by", "velocity",

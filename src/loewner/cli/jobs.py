@@ -136,7 +136,7 @@ def _answer(process: subprocess.Popen[str], task: dict[str, Any], tell: Callable
 
 
 def _serve(entry: str) -> None:
-    """Run the main loop of a process, which does the tasks that arrive; their printed output is not an answer."""
+    """Run the main loop of a process, which answers the tasks that arrive; text that a task prints is not an answer."""
     from importlib import import_module
 
     out = os.fdopen(os.dup(1), "w", encoding="utf-8")

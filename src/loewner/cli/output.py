@@ -31,10 +31,10 @@ FREE, COLLIDING, ERROR, AMBIGUOUS = 0, 1, 2, 3
 # Exit statuses by the name of a verdict.
 STATUS = {"FREE": FREE, "COLLIDING": COLLIDING, "AMBIGUOUS": AMBIGUOUS}
 
-# Metres by which bodies may overlap in contacts that rules allow; well above tolerances and errors of poses.
+# Largest overlap [m] of bodies in a contact that rules allow; it is well above tolerances and errors of poses.
 OVERLAP = 1e-3
 
-# Width of standard output that is not a terminal, in characters: more than any table has.
+# Width [characters] of standard output that is not a terminal, larger than any table.
 UNBROKEN = 1_000_000
 
 # "No path" is an answer, like a collision, and not an error.

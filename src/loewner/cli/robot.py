@@ -24,8 +24,8 @@ from loewner.errors import InputError
 AT_ONCE = 50_000
 LISTED = 20
 
-# Boxes of configurations that are examined for the exempt pairs, which takes several seconds. If links are solids, a
-# box takes twenty times as long.
+# Number of boxes of configurations that are examined for the exempt pairs, which takes several seconds. If links are
+# solids, a box takes twenty times as long, and fewer boxes are examined.
 BOXES, BOXES_OF_SOLIDS = 200_000, 10_000
 
 # Number of random configurations; a pair that collides in all of them is reported.

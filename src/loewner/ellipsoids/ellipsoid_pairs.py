@@ -73,8 +73,8 @@ def overlap(E1: Ellipsoids, E2: Ellipsoids) -> NDArray[np.bool_]:
 
     Notes
     -----
-    The contact function is compared with 1. The paper's method solves an eigenproblem; it is
-    `paper.overlap_by_eigenvalue`, after ``from loewner import paper``.
+    The contact function is compared with 1. The paper's method, `paper.overlap_by_eigenvalue`, solves an eigenproblem
+    instead; it requires ``from loewner import paper``.
 
     References
     ----------

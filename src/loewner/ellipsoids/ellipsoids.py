@@ -362,7 +362,7 @@ class Ellipsoids(KeepsReadOnly):
             c = np.einsum("...ij,...j->...i", A, self.center) + b
             F = A @ self.factor
         there = np.isfinite(c).all() and np.isfinite(F).all()
-        point = ~self.factor.any(axis=(-2, -1))  # which stays one
+        point = ~self.factor.any(axis=(-2, -1))  # a point stays a point
         if not there or (F.size and not (point | (np.linalg.svd(F, compute_uv=False)[..., -1] > 0)).all()):
             raise GeometryError("expected a map to where floats can say the ellipsoid, found one beyond their range")
         return trusted(c, np.broadcast_to(F, (*c.shape, self.dim)))

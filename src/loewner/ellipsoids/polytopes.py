@@ -27,8 +27,8 @@ from loewner.errors import GeometryError, InputError
 # Smallest and largest number of hulls or pieces that a thread takes at a time, for a progress report every 10 to 50 ms.
 LEAST_SHARE, BLOCK = 16, 512
 
-# A set of points is flat if its width in some direction is at most FLATNESS times its length. Float64 coordinates of a
-# flatter body that is rotated do not resolve its shape: four digits remain at this aspect, none at 1e-16.
+# A set of points is flat if its width in some direction is at most FLATNESS times its length. If a flatter body is
+# rotated, float64 coordinates do not resolve its shape: four digits remain at this aspect ratio, and none at 1e-16.
 FLATNESS = 1e-12
 EPS = float(np.finfo(float).eps)
 # With MANY_POINTS or more in 3-D, points inside the hull of a sample are left out. The sample has a fiftieth of the
@@ -190,9 +190,9 @@ def writeable(array: NDArray[Any]) -> NDArray[Any]:
 def flat_error(name: str, points: Floats) -> GeometryError:
     """Describe how flat the points are, and in how many directions they extend.
 
-    The kernels stop at the first direction without a width, although wider directions may follow: a sheet that is
-    perpendicular to the first direction tried has no width in that direction. The directions are therefore found again
-    here, widest first.
+    The kernels stop at the first direction without a width, although wider directions may follow: a sheet has no width
+    in the direction perpendicular to it, which may be tried first. This function therefore finds the directions anew,
+    widest first.
     """
     n = points.shape[1]
     offsets = points - points[0]
@@ -515,7 +515,7 @@ def box_hull(half: Floats, name: str) -> Hulls:
     check_size(float(half.max()), name)
     corners = _CORNERS * half
     edges = 2 * half
-    # The test is the kernel's test of the corners: the axes in turn, each against the longest edge so far.
+    # This is the kernel's test of the corners, which compares the edge along each axis with the longest edge so far.
     if not (edges > np.maximum(FLATNESS * np.maximum.accumulate(edges), 6 * EPS * half.max())).all():
         raise flat_error(name, corners)
     return Hulls._packed([(corners, _BOX_NORMALS, np.abs(_BOX_NORMALS) @ half, _BOX_TRIANGLES)])

@@ -94,7 +94,8 @@ def _target(module: Any, machine: Any) -> None:
 
 
 def _kernel(function: Any, machine: Any) -> Any:
-    """Module of one kernel: Numba's intermediate code for a function, and a caller that passes the thread's number."""
+    """Make one kernel's module: Numba's intermediate code for a function, and a caller that passes the thread's number.
+    """
     import llvmlite.binding as llvm
     from numba import types
 
@@ -117,7 +118,7 @@ def _kernel(function: Any, machine: Any) -> Any:
 
 
 def _caller(name: str, inner: str, count: int, machine: Any) -> str:
-    """Intermediate code of the kernel itself: ``name(total, arguments)``, for threads 0 .. total."""
+    """Write the intermediate code of the kernel itself: ``name(total, arguments)``, for threads 0 .. total."""
     from llvmlite import ir
 
     word, half = ir.IntType(64), ir.IntType(32)

@@ -237,7 +237,7 @@ class DeviceArray:
         return _capsule_of(self)
 
 
-# Arrays of this library that other libraries hold until they give them back, by the address of their tensors.
+# Arrays of this library that other libraries hold and have not yet given back, keyed by the addresses of their tensors.
 _lent: dict[int, tuple[Any, ...]] = {}
 
 
@@ -256,7 +256,7 @@ def _unclaimed(capsule: Any) -> None:
 
 def _capsule_of(array: DeviceArray) -> Any:
     """Make a DLPack capsule."""
-    # Booleans are passed as bytes: PyTorch and JAX now support a kind for them, but older versions of DLPack have none.
+    # Booleans are passed as bytes, because older versions of DLPack have no kind for booleans.
     code = {kind: code for code, kind in KINDS.items()}[array.dtype.kind]
     shape = (ctypes.c_int64 * len(array.shape))(*array.shape)
     managed = _DLManaged(

@@ -33,8 +33,8 @@ from loewner.robots.proofs.proofs import prove_by_rules
 KINDS = columns.FIXED, columns.REVOLUTE, columns.PRISMATIC
 
 
-# A query to a GPU about rows at addresses, which returns verdicts and the indices that are left to the CPU; and the
-# CPU's answers for the rows with these indices.
+# `Ask` queries a GPU about rows at addresses, and returns verdicts and the indices of the rows that are left to the
+# CPU. `Settle` returns the CPU's answers for these rows.
 Ask = Callable[..., tuple[Memory, Ints]]
 Settle = Callable[..., NDArray[np.int8]]
 
@@ -224,7 +224,7 @@ class Checker:
     def _decided_there(
         self, gpu: Device, given: dict[str, Any], ask: Ask, settle: Settle
     ) -> tuple[Memory, tuple[int, ...]]:
-        """Decide in the same way about arrays in GPU memory; return the verdicts on the GPU, and their shape."""
+        """Decide about the rows of one or two arrays in GPU memory; return the verdicts on the GPU, and their shape."""
         robot, views = self._checker.robot, [self._taken(gpu, Q, name) for name, Q in given.items()]
         shapes = [view.shape for view in views]
         if shapes[0] != shapes[-1]:

@@ -28,14 +28,14 @@ LIBRARY = "nvcuda.dll" if sys.platform == "win32" else "libcuda.so.1"
 # Number of threads of a block; every GPU since `_ptx.OLDEST` has registers for at least six blocks of this size.
 BLOCK = 128
 
-# Codes of errors for which we have our own wording.
+# Codes of errors for which this module has its own wording.
 OUT_OF_MEMORY, NO_DEVICE, UNSUPPORTED_PTX, INVALID_PTX, NO_IMAGE = 2, 100, 222, 218, 209
 OLD_DRIVER = (34, 35, 36, 803)
 
 # After these errors, the context, which holds all of this process's work on the GPU, can no longer be used.
 LOST = (201, 700, 702, 709, 710, 714, 715, 716, 717, 718, 719, 721, 999)
 
-# Our wording for the codes whose messages need no numbers.
+# Messages for the error codes that need no numbers.
 CAUSES = {
     **dict.fromkeys(LOST, "the GPU's work was lost, and all that this process keeps there; start the process again"),
     **dict.fromkeys(OLD_DRIVER, "expected a newer driver of the GPU: update it"),
@@ -244,7 +244,7 @@ class Device:
             raise self._error(function, code, size=size)
 
     def _error(self, function: str, code: int, size: int | None = None, said: str = "") -> GpuError:
-        """Make the error for a code, with the driver's explanation and, if that is unclear, with ours."""
+        """Make the error for a code, with the driver's explanation and, if that is unclear, a clearer one."""
         self.lost = self.lost or code in LOST
         cause, text = CAUSES.get(code), f"{function}: {self._words(code)}"
         if code == OUT_OF_MEMORY and size is not None:
@@ -271,7 +271,7 @@ class Device:
 
 
 def _places(address: int, array: NDArray[Any]) -> tuple[Any, Any, Any]:
-    """The arguments of the driver for copying an array: address on the GPU, address on the CPU, and size."""
+    """Return the driver's arguments for copying an array: address on the GPU, address on the CPU, and size."""
     return ctypes.c_uint64(address), ctypes.c_void_p(array.ctypes.data), ctypes.c_size_t(array.nbytes)
 
 

@@ -8,8 +8,8 @@ from loewner.gpu.tables import Tables
 from loewner.gpu.tiles import Tile, check, place, room_for
 from loewner.gpu.work import Left, length_of
 
-# Largest number of motions whose intervals are listed together, and of their bounds on curvature. The second limit
-# reduces the number of motions if there are many chains of joints.
+# MOTIONS limits the number of motions whose intervals are listed together, and BENDS the number of their bounds on
+# curvature. If there are many chains of joints, BENDS reduces the number of motions.
 MOTIONS, BENDS = 1 << 18, 1 << 26
 
 INTERVALS = 64  # entries of a list for each motion; its probes need at least two

@@ -117,7 +117,7 @@ def classify(
         return _classified(gpu, plan, operands, refined, any(there))
 
     def on_cpu() -> Any:
-        ask: Any = queries.classify  # has a signature for each kind of operands
+        ask: Any = queries.classify  # typed Any, because it has one signature per kind of operands
         return ask(a, here[0], b, here[1], pairs=pairs)
 
     return attempted(on_gpu, on_cpu if instead and not any(there) else None)
@@ -193,7 +193,7 @@ def _classified(gpu: Device, plan: Plan, operands: list[_Operand], refine: bool,
     steps = gpu.upload(plan.steps.astype(np.int32))
     rows = gpu.upload(plan.rows.astype(np.int32)) if plan.rows.size else None
     verdicts, left = gpu.memory(plan.total), Left(gpu, plan.total)
-    # For surfaces, the CPU has more than one ellipsoid.
+    # For surfaces, the CPU compares more ellipsoids than the GPU, and may prove pairs that the GPU leaves open.
     of_open = codes.LEFT if any(len(packed.kernel.part_start) > 0 for packed in packs) else codes.AMBIGUOUS
     one_each = all(len(packed.piece_start) == len(packed.layout) + 1 for packed in packs)
     asked = steps.address, plan.steps.shape[1], 0 if rows is None else rows.address, plan.rows.shape[1]

@@ -13,7 +13,7 @@ from loewner.gpu.driver import Device, Memory
 from loewner.gpu.pairs import single_rows
 from loewner.robots.checking.problem import Problem
 
-# Largest deviation of a pose from a rotation at which the ball that is added to a core keeps its shape.
+# Largest deviation of a pose from a rotation at which a ball that is added to a core still counts as a ball.
 ROUND = 1e-9
 
 GROUP = 4  # vertices that a search reads at a time
@@ -69,7 +69,7 @@ def tables_of(gpu: Device, ready: Problem) -> Tables:
     }  # fmt: skip
     chains = _Chains(ready)
     others = tuple(gpu.upload(array) for array in (*_cores(ready), *chains.arrays()))
-    # In the order of `threads.configurations.Cell`.
+    # The fields are in the order of `threads.configurations.Cell`.
     cell = np.array([moving, *(memory.address for memory in (*at.values(), *others))], dtype=np.int64)
     return Tables(
         version=ready.version, moving=moving, pair_count=len(ready.pairs), piece_pairs=ready.piece_pairs,
@@ -139,7 +139,7 @@ class _Chains:
         return np.asarray(self._ready.tables.reach[body, joints])
 
     def arrays(self) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int32], NDArray[np.float32]]:
-        """Roles, chain_start, joints and levers of `threads.configurations.Cell`."""
+        """Return roles, chain_start, joints and levers as in `threads.configurations.Cell`."""
         tree = self._ready.robot.tree
         start = np.cumsum([0, *map(len, self.joints)]).astype(np.int32)
         joints = np.concatenate([*self.joints, np.zeros(0, dtype=np.int64)]).astype(np.int64)
@@ -153,7 +153,7 @@ class _Chains:
 
 
 def _joints_between(ready: Problem, body: int, lower: int) -> Ints:
-    """Joints from a moving body to a link, or to the world (-1), given as the links that they move."""
+    """List the joints from a moving body to a link, or to the world (-1), as the links that the joints move."""
     paths = ready.tables
     up, down = (
         paths.path_link[slice(*paths.path_start[link : link + 2])] if link >= 0 else paths.path_link[:0]

@@ -15,8 +15,8 @@ LOG_TILE, LEAST = 18, 10
 
 BYTES = 1 << 30  # limit on a tile's memory; for robots with very many links, a tile has fewer configurations
 
-# Average number, per configuration of a tile, of pairs of bodies that bounds may leave open, and of pairs of pieces
-# that ellipsoids may leave open; the CPU decides the configurations with further pairs.
+# Average room per configuration of a tile: for pairs of bodies that bounds leave open, and for pairs of pieces that
+# ellipsoids leave open. The CPU decides the configurations whose pairs find no room.
 SURVIVORS = 32
 
 

@@ -17,7 +17,7 @@ from loewner.gpu.driver import Device, Memory
 
 FALLBACKS = ("error", "cpu")
 
-# The number of a thread has 31 bits.
+# Largest number of entries, because the number of a thread has 31 bits.
 MOST = 2**31 - 1
 
 Answer = TypeVar("Answer")

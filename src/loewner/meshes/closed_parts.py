@@ -10,10 +10,11 @@ from loewner._base import _elementary
 from loewner._base._validate import Floats, Ints
 from loewner.meshes.protrusion import Solid
 
-# Triangles at a smaller angle about an edge [rad] count as coincident: somewhat above single precision.
+# Triangles at a smaller angle [rad] about their common edge count as coincident; the angle is somewhat above the errors
+# of single precision.
 SAME_ANGLE = 1e-5
 
-# Number of corners of a part that decide whether it lies in another part.
+# Number of corners that are tested to decide whether a part lies in another part.
 WITNESSES = 64
 
 
@@ -88,7 +89,7 @@ def _neighbours(vertices: Floats, triangles: Ints) -> tuple[Ints, Ints] | None:
     start, end = triangles.T.reshape(-1), np.roll(triangles, -1, axis=1).T.reshape(-1)
     forth = start < end
     key = np.minimum(start, end) * span + np.maximum(start, end)
-    # Sorted by edge, with the triangles that run forward along it before the triangles that run backward.
+    # Sort by edge, with the triangles that run forward along the edge before the triangles that run backward.
     order = np.lexsort((~forth, key))
     first = np.flatnonzero(np.r_[True, np.diff(key[order]) != 0])
     uses = np.diff(np.r_[first, len(order)])
@@ -112,8 +113,8 @@ def _paired(vertices: Floats, triangles: Ints, of: Ints, corner: Ints, forth: np
     side = np.cross(axis, np.eye(3)[np.abs(axis).argmin()])
     arms = vertices[triangles[of, (corner + 2) % 3]] - vertices[low]
     angle = _elementary.arctan2(arms @ np.cross(axis, side), arms @ side)
-    # Counter-clockwise about the edge, the solid begins at a triangle that runs backward along it and ends at one that
-    # runs forward; where two coincide, ends come before beginnings.
+    # Counter-clockwise about the edge, the solid begins at a triangle that runs backward along the edge and ends at a
+    # triangle that runs forward. Where two triangles coincide, ends come before beginnings.
     rank = np.argsort(angle, kind="stable")
     place = np.empty(len(of), dtype=np.int64)
     place[rank] = np.cumsum(np.r_[0, np.diff(angle[rank]) > SAME_ANGLE])
@@ -122,7 +123,7 @@ def _paired(vertices: Floats, triangles: Ints, of: Ints, corner: Ints, forth: np
     rank = np.lexsort((~forth, place))
     depth = np.cumsum(np.where(forth[rank], -1, 1))
     rank = np.roll(rank, -(int(depth.argmin()) + 1))
-    # The part that begins first ends first: with overlapping parts, either way of pairing leaves closed surfaces.
+    # The part that begins first is assumed to end first; if parts overlap, every way of pairing leaves closed surfaces.
     return of[rank[~forth[rank]]], of[rank[forth[rank]]]
 
 

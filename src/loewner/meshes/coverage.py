@@ -22,8 +22,8 @@ from loewner.meshes.triangles import halved, longest_edges, squared_distances
 GROWTH = 0.001
 CELL_SIZE = 0.0025
 
-# A sample that is outside a piece by at most this share of the same diagonal counts as inside. The share is far above
-# Qhull's errors (about 1e-15), and far below the accuracy of any mesh.
+# A sample that is outside a piece by at most this share of the diagonal of the mesh's box counts as inside. The share
+# is far above Qhull's errors (about 1e-15), and far below the accuracy of any mesh.
 COVER_TOLERANCE = 1e-10
 
 
@@ -144,7 +144,7 @@ def _outside(triangles: Floats, hulls: list[Polytope], growth: float, cell_size:
     """Find the cells of the surface that lie in no single piece.
 
     A triangle lies in a convex piece if its corners do. A triangle that lies in no piece is halved across its longest
-    edge until each part lies in a piece, sticks out of one by no more than `growth`, or has no edge longer than
+    edge until each part lies in a piece, sticks out of a piece by at most `growth`, or has no edge longer than
     `cell_size`.
 
     Returns
@@ -193,7 +193,9 @@ def _excess(points: Floats, hull: Polytope) -> Floats:
 
 
 def _largest_gap(cells: Floats, hulls: list[Polytope], slack: float) -> float:
-    """Bound the distance of the cells from the pieces: for each cell, by the farthest corner from the nearest piece."""
+    """Bound the distance of cells from the pieces: for each cell, its farthest corner's distance from the nearest
+    piece.
+    """
     points, index = np.unique(cells.reshape(-1, 3), axis=0, return_inverse=True)
     corner = index.reshape(-1, 3)
     corner = corner[_coverage(points, corner, hulls)[0] > 0]

@@ -67,12 +67,12 @@ Source = str | PathLike[str] | Surface | Surfaces | Loaded | tuple[ArrayLike, Ar
 
 SUFFIXES = mesh_files.SUFFIXES
 
-# A closed mesh this close to its convex hull in volume is replaced by its hull. Collision meshes that are simplified
-# hulls stored in float32 are off by up to 1e-3.
+# A closed mesh is replaced with its convex hull if their volumes differ by at most this share. For collision meshes
+# that are simplified hulls in float32, the volumes differ by up to 1e-3.
 CONVEX_VOLUME_TOLERANCE = 1e-3
 
-# A mesh smaller or larger across than these sizes [m] causes a warning, since it is probably in another unit.
-# Landscapes are an exception, for which the warning can be filtered; a part of 0.5 m read as 500 m is not noticed.
+# A mesh whose size [m] is outside this range causes a warning, since its unit is probably not the metre. For
+# landscapes, the warning can be filtered. A part of 0.5 m that is read as 500 m causes no warning.
 USUAL_SIZES = (1e-4, 1e3)
 
 # Default tolerance for a mesh with holes, as a share of the diagonal of its box.
@@ -408,7 +408,7 @@ def convex_polytopes(
 def _told(
     name: str, pieces: list[Polytope], covering: Covering, tolerance: float | None
 ) -> tuple[list[Polytope], Covering]:
-    """Return pieces and covering, with a warning if the pieces stick out by more than a tolerance."""
+    """Return pieces and covering, and warn if the pieces stick out by more than a tolerance."""
     if covering.kind == "decomposition":
         log.info("%s: %d pieces that stick out by up to %.3g m", name, len(pieces), covering.max_protrusion)
     if tolerance is not None and covering.max_protrusion > tolerance:
@@ -528,7 +528,7 @@ def _interruptible(work: Callable[[], T]) -> T:
     while not done and not errors:
         thread.join(0.05)
     if errors:
-        raise errors.pop()  # the list would refer to the error, and the error's traceback to the list
+        raise errors.pop()  # otherwise the list and the error's traceback would refer to each other
     return done[0]
 
 

@@ -19,11 +19,11 @@ from loewner.errors import GeometryError
 from loewner.meshes.protrusion import Solid, protrusions
 from loewner.meshes.triangles import cut, squared_distances, unit_normals
 
-# How close the bound on a piece's protrusion must be to the true value before the piece is cut.
+# Relative accuracy of the bound on a piece's protrusion before the piece is cut.
 ACCURACY = 0.25
 
-# Numbers of planes tried for a cut: planes of faces near the deepest point, planes around the shortest segment from
-# that point to the mesh, and planes perpendicular to the axes.
+# A cut tries the planes of FACES faces near the deepest point, TURNS planes around the shortest segment from that point
+# to the mesh, and planes perpendicular to the axes.
 FACES, TURNS = 6, 4
 
 # Number of random triangles that represent a larger cell while planes are compared.
@@ -35,11 +35,11 @@ SAMPLES = 48
 # A cut makes no progress if a part has less than this share of the piece's volume.
 LEAST_SHARE = 1e-4
 
-# A flat part of a surface becomes a plate, whose sides are at a distance of this share of the tolerance. A closed
-# surface has such parts where planes cut off everything behind a face.
+# A flat part of a surface becomes a plate, each of whose sides is this share of the tolerance away from the part. A
+# closed surface has flat parts where planes cut off everything behind a face.
 PLATE = 0.25
 
-# Default limit on the number of pieces: a tolerance that needs more is below the mesh's own accuracy.
+# Default limit on the number of pieces; a tolerance that needs more pieces is below the mesh's own accuracy.
 MOST = 2000
 
 
@@ -47,7 +47,7 @@ MOST = 2000
 # triangles. Cells are cut until WORK is used up, about ten seconds on one core.
 OVERHEAD, WORK = 1000, 8_000_000
 
-# Cells that stick out by less than this share of the largest bound wait until the others are cut.
+# Cells that stick out by less than this share of the largest bound wait until the other cells are cut.
 FARTHEST = 0.5
 
 # Largest number of rounds of cutting and joining cells, if a limit on the number of pieces leaves room for more cuts.
@@ -195,7 +195,7 @@ def _cut(cell: Cell, solid: Solid, plate: float, rng: np.random.Generator) -> li
     planes, options, shares = [], [], []
     for plane in _planes(cell, solid, plate):
         if np.ptp(dot(corners, plane[0])) < plate:
-            continue  # both halves would stick out equally far, up to that width, and be cut in this way without end
+            continue  # both halves would stick out about as far as the cell, and would be cut without end
         halves = _halves(some.triangles, plane, solid, plate)
         if halves is None:
             continue

@@ -18,32 +18,34 @@ from loewner._native import entries
 from loewner.ellipsoids.polytopes import Polytope
 from loewner.meshes.triangles import FramedTree, cut, framed, halved, longest_edges, squared_distances, unit_normals
 
-# The search ends when the bound is this close to a value that was found, as a share of the value or of the diagonal of
-# the mesh's box.
+# The search ends when the bound exceeds the largest value found by at most RELATIVE of this value, or ABSOLUTE of the
+# diagonal of the mesh's box.
 RELATIVE, ABSOLUTE = 0.01, 1e-4
 
 # Rounding errors of distances and heights are below these shares of the diagonal and of the largest coordinate.
 ROUNDING = 1e-12  # certified.md B44
 COORDINATES = 1e-14
 
-# Limits on the number of cells: in total, after which the current bound is returned; in one step; and in the search
-# down to rounding errors, if no point was found to stick out.
+# Limits on the number of cells. After WORK cells, the current bound is returned. A step examines at most AT_ONCE cells.
+# WORK_ON_NOTHING limits the search down to rounding errors if no point was found to stick out.
 WORK, AT_ONCE, WORK_ON_NOTHING = 400_000, 8192, 100_000
 
-# A cell is cut along the edges of the triangle in which it lies, unless the cell's edges are this many times as long.
+# A cell is cut along the edges of the triangle in which it lies, unless the cell's edges are COARSE times as long as
+# the triangle's.
 COARSE = 4.0
 
-# `heights_above` takes a multiple of this many planes.
+# The number of planes that `heights_above` takes is a multiple of this number.
 PLANES = 8
 
 # The triangles within reach of a cube are tested if the cube is no larger than this share of the diagonal.
 LARGEST_LOOKED_INTO = 0.1
 
-# Triangles face one half-space if the products of their normals with one direction are at least the first number; the
-# second is the number of steps in the search for this direction.
+# Triangles face one half-space if the products of their normals with one direction are at least FACING. The search for
+# this direction takes FACING_STEPS steps.
 FACING, FACING_STEPS = 1e-6, 6
 
-# Points at which triangles are tested from both sides, and the distance of the tests as a share of the diagonal.
+# Barycentric coordinates of the points at which triangles are tested from both sides, and the distance of the tests
+# from the triangle, as a share of the diagonal.
 SEEN_AT = np.array([[1, 1, 1], [2.4, 0.3, 0.3], [0.3, 2.4, 0.3], [0.3, 0.3, 2.4]]) / 3
 LOOKED_ASIDE = 1e-7
 
@@ -221,8 +223,8 @@ def protrusions(
         accuracy = 2 * rounding if nothing else ABSOLUTE * solid.size
         if floor > 0:
             accuracy = max(2 * rounding, min(accuracy, RELATIVE * floor))
-        # The search must decide whether a piece is below the floor, however close to it, but not by how much it is
-        # above.
+        # The search must decide whether a piece is below the floor, however close the piece is to the floor. By how
+        # much a piece is above the floor does not matter.
         near = np.where(best > floor, best * (1 + relative), best)
         return np.maximum(floor, np.maximum(near, best + accuracy))
 
@@ -295,7 +297,7 @@ class _Search:
         return self.planes[k]
 
     def _note(self, points: Floats, signed: Floats, owner: Ints) -> None:
-        """Keep the farthest point of each piece."""
+        """Keep the farthest known point of each piece."""
         for k in np.unique(owner[signed > self.found[owner]]):
             mine = np.flatnonzero(owner == k)
             at = mine[signed[mine].argmax()]
@@ -364,7 +366,7 @@ def _smaller(cells: Floats, nearest: Ints, target: Floats, solid: Solid) -> tupl
         parts.append(outside)
         origins.append(of[beyond])
         of = of[within]
-    # A cell perpendicular to an edge of the triangle may lie in the plane that cuts along the edge: then no part is
+    # A cell perpendicular to the triangle may lie in the plane that cuts along an edge, in which case no part is
     # inside.
     cut_up = np.zeros(len(cells), dtype=bool)
     cut_up[of] = True
@@ -372,7 +374,7 @@ def _smaller(cells: Floats, nearest: Ints, target: Floats, solid: Solid) -> tupl
     whole = np.flatnonzero(~cut_up)
     parts = [part[k] for part, k in zip(parts, keep, strict=True)] + [halved(cells[whole], edge[whole])]
     origins = [origin[k] for origin, k in zip(origins, keep, strict=True)] + [whole, whole]
-    # The distance to one triangle is convex: it is greatest at a corner of the part inside.
+    # The distance to one triangle is convex, and therefore greatest at a corner of the part inside.
     far = squared_distances(inside.reshape(-1, 3), solid.triangles[np.repeat(nearest[of], 3)])
     bound = np.zeros(len(cells))
     np.maximum.at(bound, of, np.sqrt(far.reshape(-1, 3).max(axis=1)) + solid.rounding)

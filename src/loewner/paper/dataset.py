@@ -87,7 +87,7 @@ def sample(pairs: int = 1000, seed: int = 0, dataset: str = "radius") -> DataSet
     n, seed = _validate.whole_number(pairs, "pairs", 1), _validate.whole_number(seed, "seed", 0, _validate.LARGEST_SEED)
     _validate.choice(dataset, "dataset", DATA_SETS)
     _validate.fits_memory(n * BYTES_PER_PAIR, f"{n} pairs of hulls")
-    # One row of numbers per pair, independent of the number of pairs.
+    # Each pair has its own row of numbers, so that a pair does not depend on the number of pairs.
     uniform = np.random.default_rng(seed).random((n, 2 * POINTS_PER_BODY * 3 + 1))
     balls = _points_in_ball(uniform[:, :-1].reshape(n, 2, POINTS_PER_BODY, 3), dataset)
     shift = LARGEST_SHIFT * uniform[:, -1]

@@ -84,7 +84,8 @@ class Line:
 
 
 def line_of_pair(inner: tuple[Ellipsoids, Ellipsoids], outer: tuple[Ellipsoids, Ellipsoids], method: str) -> Line:
-    """Find a pair's near-point line, its exit from outer ellipsoid 1 (beta) and its entry into outer 2 (alpha)."""
+    """Find a pair's near-point line, and where it leaves outer ellipsoid 1 (beta) and enters outer ellipsoid 2 (alpha).
+    """
     near = near_points(*inner, method=method, angle=PAPER_ANGLE)
     L = float(near.distance)
     away = near.point_2 - near.point_1 if L > 0 else inner[1].center - inner[0].center
@@ -170,7 +171,7 @@ def _section(experiment: Experiment, k: int, kind: str) -> Any:
         marks["$v_1$"] = (_polytope_exit(faces_1.normals, faces_1.offsets, line.v1, line.e), BLUE)
         marks["$v_2$"] = (line.L - _polytope_exit(faces_2.normals, faces_2.offsets, v2, -line.e), RED)
     ax.axhline(0.0, color=GREY, lw=0.7, zorder=0)
-    # In their order along the line, labels are alternately above and below it, so that close labels stay legible.
+    # Successive labels are alternately above and below the line, so that close labels stay legible.
     for place, (name, (t, color)) in enumerate(sorted(marks.items(), key=lambda item: item[1][0])):
         ax.plot([t], [0.0], "o", ms=5, color=color)
         ax.annotate(
@@ -220,7 +221,7 @@ def _polygon(normals: Floats, offsets: Floats, origin: Floats, x: Floats, y: Flo
 
 # -- figure 3: the flow ----------------------------------------------------------------------------
 
-# name: (x, y, half width, half height, text, question?); each box has room for its text.
+# Boxes by name: x, y, half width, half height, text, and whether it is a question; each box has room for its text.
 BOXES = {
     "outer": (0.0, 3.0, 0.62, 0.24, "outer ellipsoids\n(MVCEs) overlap?", True),
     "inner": (0.0, 2.0, 0.62, 0.24, "inner ellipsoids\n(MVIEs) overlap?", True),

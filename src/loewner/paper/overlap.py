@@ -16,8 +16,8 @@ from loewner.ellipsoids.ellipsoid_pairs import PairArrays
 from loewner.ellipsoids.ellipsoids import Ellipsoids
 from loewner.errors import ConvergenceError
 
-# Largest relative distance from E2 to the touching point at which its eigenvalue is accepted. The eigenproblem squares
-# the axis ratio: for ratios of about 100 and more, results for some pairs are wrong.
+# An eigenvalue is accepted if the touching point that it gives is within this relative distance of E2. The eigenproblem
+# squares the axis ratio: for ratios of about 100 and more, results for some pairs are wrong.
 LARGEST_MISS = 1e-6
 
 
@@ -66,8 +66,9 @@ def overlap_by_eigenvalue(E1: Ellipsoids, E2: Ellipsoids) -> NDArray[np.bool_]:
 def _solved_by_eigenvalue(pair: PairArrays) -> NDArray[np.bool_]:
     """Compute the overlap in the notation of appendix A.
 
-    The paper first tests whether the center of either ellipsoid lies in the other one. The eigenproblem cannot decide
-    the case that a lies in E2, in which no scaled E1 touches E2 from outside. It decides correctly if b lies in E1.
+    The paper first tests whether the center of either ellipsoid lies in the other one. If the center a lies in E2, no
+    scaled E1 touches E2 from outside, and the eigenproblem cannot decide. If the center b lies in E1, the eigenproblem
+    decides correctly.
     """
     F1, F2, batch = pair.F1, pair.F2, pair.batch
     if not len(F1):

@@ -235,7 +235,7 @@ def _windings(ray: Vector, surface: tuple[Floats, Floats], place: tuple[Floats, 
             continue
         volume = dot(a, cross(b, c))
         if 0 in signs:
-            # These include a triangle seen edge-on, which the ray may miss, and a triangle that contains the point.
+            # The ray's start may lie in the triangle, or the triangle may be edge-on, so that the ray may miss it.
             if volume == 0 and meet([(0, 0, 0)] * 3, [a, b, c]):
                 return True
             if _may_cross(ray, a, b, c):

@@ -62,7 +62,7 @@ def measure(exact: bool, n: int, operands: Operands) -> Measures:
     lower, upper, estimate = numbers[:3]
     value = numbers[3] if exact else np.empty(0)
     if exact:
-        # The bounds are proven and the value is computed, so clamp the value to the bounds.
+        # The bounds are proven, unlike the computed value, which is therefore clamped to the bounds.
         np.maximum(lower, np.minimum(value, upper, out=value), out=value)
     unsettled = status != 0
     value[unsettled] = vectors[:, unsettled] = np.nan

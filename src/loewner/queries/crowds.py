@@ -22,7 +22,8 @@ from loewner.queries._settle import Operands, settle
 # The smallest number of bodies that is worth a thread of its own.
 CHUNK = 4096
 
-# Candidate pairs that are collected before they are settled, besides the most that one group of boxes can have.
+# Number of candidate pairs that are collected before they are settled, in addition to the largest number for one group
+# of boxes.
 CANDIDATES = 65536
 
 # Bytes for a body: two corners of its box, its sorted keys, its place in the order, and its share of the groups' boxes.

@@ -42,9 +42,9 @@ class FirstContact(_validate.Brief):
         FREE.
     touching_at : float or ndarray
         Time at which the bodies touch or come within the margin. From `free_until` to this time, the distance of the
-        bodies changes by no more than the tolerance. For AMBIGUOUS pairs, a time, not before `free_until`, at which the
-        bodies touch or are within the tolerance of touching; inf if no such time is known. If the verdict is FREE, the
-        time is inf.
+        bodies changes by no more than the tolerance. For an AMBIGUOUS pair, this is a time, not before `free_until`, at
+        which the bodies touch or are within the tolerance of touching; inf if no such time is known. For a FREE pair,
+        the time is inf.
 
     Examples
     --------

@@ -82,11 +82,11 @@ class Distance(_validate.Brief, Generic[Number, Exact, Vector]):
     """Signed distances of bodies in metres, arrays of the batch's shape; negative values are penetration depths.
 
     All values refer to the nearest two pieces or, if the bodies overlap, to the two pieces that overlap most deeply.
-    For bodies with several pieces, a negative distance is therefore the depth of that pair alone: the bodies penetrate
-    each other at least that deeply, but separating them can take a longer translation, since another pair of pieces may
-    then be in the way. For a surface the depth is a strict lower bound; for two convex pieces it is as accurate as an
-    exact distance. If the inner ellipsoids of a solid surface prove a greater depth than its triangles, `distance` is
-    the greater depth, while the witnesses and the normal belong to the triangles.
+    For bodies with several pieces, a negative distance is therefore the depth of one pair of pieces: the bodies
+    penetrate each other at least that deeply, but separating them can take a longer translation, since other pieces may
+    be in the way. For a surface the depth is a strict lower bound; for two convex pieces it is as accurate as an exact
+    distance. If the inner ellipsoids of a solid surface prove a greater depth than its triangles, `distance` is the
+    greater depth, while the witnesses and the normal belong to the triangles.
 
     Attributes
     ----------
@@ -465,8 +465,8 @@ def collide(
     -------
     bool, or ndarray of bool, shape (...)
         Touching counts as colliding. With "exact", False is proven, and True is proven up to rounding: bodies that are
-        apart by less than about 1e-12 of the lengths involved may count as touching, and whether they do may depend on
-        their order (docs/certified.md).
+        apart by less than about 1e-12 of the lengths involved may count as touching in one order of the bodies or in
+        both (docs/certified.md).
 
     Raises
     ------
@@ -508,7 +508,7 @@ def decided(
     """Decide whether bodies collide; unsettled pairs count as colliding, and are marked in a flat array."""
     asked = _prepare(a, T_world_a, b, T_world_b, check=False, each=COLLIDE_BYTES, chosen=chosen)
     out, _ = _settle(codes.EXACT if exact else codes.CERTIFY, margin, asked, estimate=not exact)
-    # Use plain numbers: NumPy would call Python code of `Verdict`, and drop an interrupt that occurs in it.
+    # Compare with a plain number: NumPy would call Python code of `Verdict`, and drop an interrupt that occurs there.
     unsettled = out == codes.AMBIGUOUS
     colliding = (out == codes.COLLIDING) | unsettled
     shape = asked.plan.shape

@@ -32,19 +32,21 @@ MOST_ARC = 0.05
 # The first and last pose of a motion that repeats agree to this fraction of its positions, and to this angle [rad].
 CLOSED, CLOSED_TURN = 1e-9, 1e-6
 
-# Largest speed [m/s], and shortest time between two poses [s]; bounds on rounding overflow only far beyond them.
+# Largest speed [m/s], and shortest time between two poses [s]; bounds on rounding overflow only far beyond these
+# limits.
 FASTEST, SHORTEST = 1e12, 1e-12
 
 # Number of repetitions after which rounding exceeds the times within a motion.
 MOST_REPEATED = 2.0**40
 
-# Largest number of times, over all repetitions and parts of turns, that a query may run through.
+# Largest number of times that a query may use, over all repetitions and parts of turns.
 MOST_KNOTS = 2**22
 
 # Rounding may reduce a bound on deviations by this fraction of the bound's largest value on a piece of a motion.
 OFF_ROUNDINGS = 16.0 * tolerances.UNIT_ROUNDOFF  # certified.md B69
 
-# Largest deviation of a body [m]. Nothing is free of a body that deviates so far: kernels refuse bodies of this size.
+# Largest deviation of a body [m]. Nothing counts as free of a body that deviates so far, because kernels refuse bodies
+# of this size.
 MOST_OFF = 1e100
 
 
@@ -165,7 +167,7 @@ class PosePath(_validate.Brief, KeepsReadOnly):
 
     @kept
     def _fine(self) -> Floats:
-        """The times, with more between them, such that angles between quaternions are at most `MOST_ARC`."""
+        """The times of the motion, and additional times, so that angles between quaternions are at most `MOST_ARC`."""
         parts: Ints = np.maximum(np.ceil(self.arcs / MOST_ARC), 1).astype(np.int64)
         first = np.repeat(np.arange(len(parts)), parts)
         share = (np.arange(len(first)) - np.repeat(np.cumsum(parts) - parts, parts)) / parts[first]
@@ -355,7 +357,7 @@ class PackedPaths(NamedTuple):
         return out
 
     def off(self, begin: Floats, end: Floats, ticks: Floats | float = 0.0) -> Floats:
-        """Bound how far points of bodies may deviate from times `begin` to `end`, shape (N,), rounded by up to `ticks`.
+        """Bound how far points of bodies may deviate between `begin` and `end`, shape (N,), rounded by up to `ticks`.
 
         The bound is linear between the two times.
 

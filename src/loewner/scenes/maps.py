@@ -86,7 +86,7 @@ def read_map(path: str | os.PathLike[str]) -> Map:
             f"{file}: free_thresh {free:g} makes the grey {UNKNOWN_GREY} free, which map servers write for unknown "
             "cells; give a free_thresh of 0.196 if these cells are unknown"
         )
-    # The first row of an image is the farthest along y.
+    # The first row of an image has the largest y.
     filled, empty = ((test[::-1].T).copy() for test in (share >= occupied, share < free))
     if mode == "scale":  # values between the thresholds are costs, not unknown cells
         filled = ~empty

@@ -13,8 +13,8 @@ from loewner._base._xml import Element, XmlError, parse
 from loewner.errors import FileError
 
 # Limits on a model: bytes, elements and their nesting in each file, included files, and copies made by replicas. The
-# time to compile grows with the square of the copies: MOST_COPIES take a few seconds, and have more pairs than a
-# checker accepts.
+# time to compile grows with the square of the number of copies. MOST_COPIES copies take a few seconds, and have more
+# pairs than a checker accepts.
 MOST_BYTES = 2**26
 MOST_ELEMENTS = 2_000_000
 DEEPEST = 1000

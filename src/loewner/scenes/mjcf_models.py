@@ -22,8 +22,8 @@ from loewner.bodies import Body
 from loewner.errors import ConvergenceError, FileError, InputError, MissingExtraError, installing
 from loewner.scenes.mjcf_limits import check_limits
 
-# A plane of MuJoCo is a half-space. It becomes a cube below the plane, about the plane's center, with the longest edge
-# [m] that causes no warning about units.
+# In MuJoCo, a plane is a half-space. A cube below the plane replaces it, around the plane's center, with the longest
+# edge [m] that causes no warning about units.
 PLANE_EDGE = 1000.0
 
 # Limit on the pairs of parts of a model: far more than any model has.
@@ -271,7 +271,8 @@ def _narrower(mujoco: Any, model: Any) -> int:
 
 
 class _Names:
-    """Names of bodies, joints, geoms and keyframes, unique within their kind; kind and index name the unnamed."""
+    """Names of bodies, joints, geoms and keyframes, unique within their kind, and made from kind and index if missing.
+    """
 
     def __init__(self, mujoco: Any, model: Any) -> None:
         self.bodies = _named([model.body(i).name for i in range(model.nbody)], "body")
@@ -281,7 +282,8 @@ class _Names:
         self._parts = set(self.bodies)
 
     def of_part(self, body: int, number: int, geoms: tuple[int, ...]) -> str:
-        """Return a part's name: the body's for its first part; the first geom's for other parts and in the world."""
+        """Return a part's name: the body's name for its first part, otherwise and in the world the first geom's name.
+        """
         if body and not number:
             return self.bodies[body]
         name = self.geoms[geoms[0]] if not body else f"{self.bodies[body]}/{self.geoms[geoms[0]]}"
@@ -455,7 +457,8 @@ def _hull_points(model: Any, mesh: int) -> Floats:
 def _left_out(
     mujoco: Any, model: Any, part_names: dict[tuple[int, ...], str], file: Path
 ) -> tuple[frozenset[Pair], frozenset[Pair]]:
-    """Find the pairs of parts that MuJoCo skips, by kinship or by the file (see "Collision" in its documentation)."""
+    """Find the pairs of parts that MuJoCo skips because of kinship or the file (see "Collision" in its documentation).
+    """
     parts = list(part_names)
     if len(parts) * (len(parts) - 1) // 2 > MOST_PAIRS:
         raise InputError(f"{file}: expected at most {MOST_PAIRS} pairs of parts that collide, found {len(parts)} parts")

@@ -35,8 +35,8 @@ from loewner.scenes import maps as _maps
 # One name or a pair, where None in place of a name means any link.
 MarginKey = tuple[str | None, ...]
 
-# Held for microseconds while a scene changes or is copied. All scenes share one lock, so that copies and pickles need
-# not exclude it, and a process that forks has only one to reset.
+# This lock is held for microseconds while a scene changes or is copied. All scenes share it, so that copies and pickles
+# contain no lock, and a forked process has only one lock to reset.
 _CHANGING = threading.RLock()
 if hasattr(os, "register_at_fork"):
     os.register_at_fork(before=_CHANGING.acquire, after_in_parent=_CHANGING.release, after_in_child=_CHANGING.release)
@@ -172,7 +172,7 @@ class Scene:
         self._attachments: dict[str, Attachment] = {}
         self._following: dict[str, PosePath] = {}
         self._bounds: dict[str, PoseBounds] = {}
-        self._off: dict[str, float] = {}  # of a snapshot: by how many metres points of bodies may be off
+        self._off: dict[str, float] = {}  # in a snapshot: how far points of bodies may be off [m]
         self._allowed: set[Pair] = set()
         self._leaving: set[Pair] = set()
         self._reaching: set[Pair] = set()
@@ -868,15 +868,15 @@ class Scene:
         Notes
         -----
         The rule applies to motions and to whole curves (see `CollisionChecker.certify_edges` and
-        `CollisionChecker.certify_trajectory`). A motion or curve that starts with the two in contact, or within their
-        margin, is FREE if two things are proven. On a first stretch of the motion, the contact does not worsen by more
-        than the tolerance of the proof: no two of their pieces penetrate each other deeper than at the start or, within
-        their margin, come nearer. On the rest of the motion, the two keep their margin. Once the two have parted, that
-        is, once their distance exceeds their margin by a ten-thousandth of the robot's reach, the first stretch ends
-        before they come near again. To find this end, their distance is measured at several places along the motion,
-        chosen according to how far the two move in between. The end of the contact is therefore not proven: contact
-        might end and begin again between two places, but no deeper than at the start. The rule takes precedence over
-        `allow`. At a single configuration, contact is a collision, as for all pairs.
+        `CollisionChecker.certify_trajectory`). A motion or curve that starts with the two bodies in contact, or within
+        their margin, is FREE if two conditions are proven. On a first stretch of the motion, the contact does not
+        worsen by more than the tolerance of the proof: no two pieces of the bodies penetrate each other deeper than at
+        the start or, within the margin, come nearer. On the rest of the motion, the bodies keep their margin. The
+        bodies have parted once their distance exceeds their margin by a ten-thousandth of the robot's reach; the first
+        stretch ends before they come near again. To find this end, the distance of the bodies is measured at several
+        places along the motion, chosen according to how far the bodies move in between. The end of the contact is
+        therefore not proven: contact might end and begin again between two places, but no deeper than at the start. The
+        rule takes precedence over `allow`. At a single configuration, contact is a collision, as for all pairs.
 
         The rule ends when one of the two is attached, detached or removed.
 
@@ -890,10 +890,10 @@ class Scene:
         self._add_rule(self._leaving, _pair(a, b))
 
     def reach(self, a: str, b: str) -> None:
-        """Let two bodies come into contact at the end of a motion, as `leave` lets them separate at the start of one.
+        """Let two bodies come into contact at the end of a motion; `leave` lets them separate at the start.
 
-        At the end of the motion or curve, the two may touch or be within their margin, and may overlap by no more than
-        the tolerance of the proof. Before the end, the two penetrate each other no deeper than at the end, up to the
+        At the end of the motion or curve, the bodies may touch or be within their margin, and may overlap by no more
+        than the tolerance of the proof. Before the end, they penetrate each other no deeper than at the end, up to the
         tolerance.
 
         Parameters
@@ -971,9 +971,9 @@ class Scene:
             the scene's margin.
         against : "links", optional
             Apply the margin only against links. With `a`, the margin applies between `a` and all links; without `a`, it
-            applies between all links, for which the scene's margin does not count.
+            applies to all pairs of links, to which the scene's margin does not apply.
         lower : bool
-            Whether this margin overrides more general ones, so that two bodies may come closer together.
+            Whether this margin overrides more general margins, so that two bodies may come closer together.
 
         Raises
         ------
@@ -1037,7 +1037,7 @@ class Scene:
             for key in [key for key in self._lowered if self._margins[key] < least]:
                 if any(name in self._bodies for name in key):
                     self._margins[key] = least
-                elif len(key) == 1:  # of a link: the margin applies against other links as well
+                elif len(key) == 1:  # a link's margin applies against other links as well
                     for body in self._bodies:
                         pair = _pair(body, key[0])
                         self._margins[pair] = max(least, self._margins.get(pair, 0.0))
@@ -1195,8 +1195,8 @@ class Scene:
     def _meeting(self) -> Ints:
         """Find the colliding pairs of bodies in the world, as indices into `static_names`, shape (m, 2)."""
         bodies, poses, names = self.static_bodies, self.static_poses, self.static_names
-        # The broad phase has one margin for all pairs: with the largest margin, it misses no pair. Surplus pairs are
-        # dropped below.
+        # The broad phase uses the largest margin for all pairs, so that it misses no pair. Surplus pairs are dropped
+        # below.
         off = self._off
         widest = max([self._margin, *self._margins.values()]) + sum(sorted(off.values())[-2:])
         found = crowds.overlapping_pairs(bodies, poses, margin=widest)
@@ -1217,7 +1217,8 @@ class Scene:
     # -- names --------------------------------------------------------------------------------
 
     def _changed(self) -> None:
-        # In this order, so that a thread that reads the new version also finds the new structure.
+        # The structure's version changes first, so that a thread that reads the new version also finds the new
+        # structure.
         self._structure_version += 1
         self._version += 1
 

@@ -29,7 +29,8 @@ Rgb = tuple[int, int, int]
 VERDICT_COLOURS: dict[Verdict, Rgb] = dict(zip(VERDICTS, _pictures.VERDICT_COLOURS, strict=True))
 INNER, OUTER = (68, 119, 170), (119, 119, 119)
 
-# Colours of the two bodies on a page: none of the colours above, and different for all kinds of colour vision.
+# Colours of the two bodies on a page. They differ from the verdicts' colours, and from each other for all kinds of
+# colour vision.
 PAIR: dict[str, Rgb] = {"A": (102, 153, 204), "B": (238, 153, 85)}
 
 LABELS = {"meshes": "meshes", "pieces": "pieces", "inner": "inner ellipsoids", "outer": "outer ellipsoids"}
@@ -43,9 +44,9 @@ MANY_COPIES = 2000
 # Colour of the near points, their line and the normal; visible on white and on black.
 INK = (170, 51, 119)
 
-# Layers whose colour shows contact, and how each layer is drawn. Where triangles face outward, only the half that faces
-# the camera is drawn, or the far half of an outer ellipsoid: its near half, although transparent, would hide objects
-# that are drawn later. The triangles of files and surfaces may face any way.
+# Layers whose colour shows contact, and how each layer is drawn. If triangles face outward, only triangles that face
+# the camera are drawn. For an outer ellipsoid, only the far half is drawn, because the near half, although transparent,
+# would hide objects that are drawn later. The triangles of files and surfaces may face either way.
 COLOURED = ("meshes", "pieces")
 LOOKS: dict[str, dict[str, Any]] = {
     "meshes": {"flat_shading": True, "side": "double"},
@@ -235,7 +236,7 @@ class Drawing:
         return self._layers[layer]
 
     def _listen(self, node: Any) -> None:
-        if self._callback is not None and hasattr(node, "on_click"):  # points cannot be clicked
+        if self._callback is not None and hasattr(node, "on_click"):  # points have no clicks
             node.on_click(self._callback)
 
 
@@ -252,7 +253,8 @@ class NearPoints:
         """Show the marks at two points of the world."""
         for dot, at in zip(self._dots, (a, b), strict=True):
             dot.position, dot.visible = at, True
-        # A new pose moves the line with the dots at once, whereas a slow browser draws new ends later.
+        # The line gets a new pose, not new ends, because a slow browser would draw new ends later than it moves the
+        # dots.
         length = float(np.linalg.norm(b - a))
         x, y, z = (b - a) / length if length > 0 else (1.0, 0.0, 0.0)
         wxyz = np.array([1.0 + x, 0.0, -z, y]) if x > -0.999999 else np.array([0.0, 0.0, 0.0, 1.0])

@@ -11,7 +11,8 @@ import numpy as np
 from loewner._base._validate import Floats
 from loewner.viewer.drawing import spanned
 
-# The side of the grid as a multiple of the view's diagonal, the least number of cells along it, and cells per section.
+# GRID_SIDE is the side of the grid as a multiple of the view's diagonal. A side has at least LEAST_CELLS cells, and a
+# section has SECTION cells.
 GRID_SIDE, LEAST_CELLS, SECTION = 2.5, 20, 5
 
 # A scene rests on z = 0 unless it is below z = 0, or above it by more than this fraction of the view's diagonal.

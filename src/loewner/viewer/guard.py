@@ -118,7 +118,8 @@ class Guard:
 
     def __init__(self, where: Listening, port: int, token: str | None, title: str) -> None:
         self.where, self.port, self.token, self.title = where, port, token, title
-        # All ports of a host share their cookies, and two pages must not overwrite each other's.
+        # The name contains the port: all ports of a host share cookies, and two pages must not overwrite each other's
+        # cookies.
         self.cookie = f"loewner-token-{port}"
         self._names = {"localhost", where.host.lower(), where.address}
         if where.everywhere:

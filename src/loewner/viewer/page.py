@@ -33,7 +33,7 @@ from loewner.viewer.framing import add_ground, aim, diagonal, round_length
 # Seconds between two checks for changes made in Python.
 LOOK_EVERY = 0.1
 
-# Port numbers are below this.
+# Port numbers are below this number.
 PORTS = 65536
 
 # Length of a gizmo's arrows, as a multiple of the longest side of its body.
@@ -230,7 +230,7 @@ class Viewer(ABC):
             self._verdict.content = content
 
     def _show_failure(self, error: Exception) -> None:
-        # No old answers may stay in the attributes: nothing is proven, and unknown counts as colliding.
+        # The attributes must not keep old answers: nothing is proven, and an unknown answer counts as colliding.
         self.verdict, self.colliding = Verdict.AMBIGUOUS, True
         kind = "UNDECIDED" if isinstance(error, LoewnerError) else "ERROR"
         self._show_verdict(kind, BAD, [], [f"{type(error).__name__}: {error}", "Treat it as colliding."])
@@ -389,7 +389,8 @@ def _serve(title: str, where: guard.Listening, port: int) -> tuple[Any, guard.Gu
     except ImportError as error:
         package = (error.name or "viser").partition(".")[0]
         raise MissingExtraError(f"the viewer needs {package}: {installing('viewer')}") from None
-    # viser would silently take another port, and would wait forever at an invalid address.
+    # This check comes first, since viser would silently take another port, and would wait forever at an invalid
+    # address.
     try:
         with socket.create_server((where.address, port), family=where.family):
             pass

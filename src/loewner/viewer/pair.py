@@ -18,7 +18,7 @@ from loewner.viewer.drawing import INK, LABELS, PAIR, VERDICT_COLOURS, Drawing
 from loewner.viewer.framing import diagonal, framed
 from loewner.viewer.page import Mover, PoseInputs, Viewer, certified_words
 
-# The first view shows only the smaller body if a view of both would be more than this many times as wide.
+# The first view shows only the smaller body if a view of both bodies would be more than WIDEST times as wide.
 WIDEST = 12.0
 
 

@@ -37,11 +37,11 @@ COLOURS: dict[int, Rgb] = {
     COLLIDING: VERDICT_COLOURS[Verdict.COLLIDING],
     UNSETTLED: (119, 119, 119),
 }
-# These results, indexed by verdict.
+# The result of a check for each verdict.
 SEEN = np.array([FREE, COLLIDING, UNSETTLED])
 NAMES = {FREE: "FREE", COLLIDING: "COLLIDING", UNSETTLED: "UNDECIDED"}
 
-# Parts into which a path without times is divided for its proof, so that a bar shows where the path is not free.
+# Number of parts into which a path without times is divided for its proof, so that a bar shows where it is not free.
 PARTS = 60
 
 # Radians or metres by which the ends of the parts may deviate from the path.

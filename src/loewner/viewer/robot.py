@@ -149,9 +149,9 @@ class RobotViewer(Viewer):
         The exact answer for this configuration; True if no answer could be computed.
     path_verdict : Verdict or None
         The verdict for the whole path or trajectory, which the page shows instead of the verdict for one configuration.
-        It is FREE only if the path is proven free at every moment, COLLIDING if a sample or the proof found a
-        collision, and AMBIGUOUS otherwise, including while the proof is running. Contact that `Scene.leave` or
-        `Scene.reach` allows is not a collision. It is None without a path, or while the robot is not on the path.
+        FREE only if the path is proven free at every moment; COLLIDING if a sample or the proof found a collision;
+        AMBIGUOUS otherwise, including while the proof is running. Contact that `Scene.leave` or `Scene.reach` allows is
+        not a collision. The verdict is None without a path, or while the robot is not on the path.
     contacts : tuple of Contact
         The pairs that touch or come within their margin.
     bounds : StateDistance
@@ -627,7 +627,8 @@ class RobotViewer(Viewer):
         return self._time + (0.0 if self._way is None else self._way.start_time)
 
     def _now(self) -> float | None:
-        """Return the time on the path after moving the bodies that follow motions to it; None without such bodies."""
+        """Move bodies that follow motions to the current time, and return this time; None if no body follows a motion.
+        """
         following = self.checker.scene.following
         for name, motion in following.items():
             if name in self._shown:
@@ -637,7 +638,7 @@ class RobotViewer(Viewer):
     def _distance(self) -> StateDistance:
         try:
             return self.checker.distance(self._q, self._now(), exact=True)
-        except ConvergenceError:  # the verdict about collisions does not depend on it
+        except ConvergenceError:  # the verdict on collisions does not depend on the distance
             return self.checker.distance(self._q, self._now())
 
     def _look_along(self) -> None:
@@ -682,7 +683,7 @@ class RobotViewer(Viewer):
         if (verdicts == Verdict.FREE).all():
             return Verdict.FREE
         scene = self.checker.scene
-        # The contact of a sample may be allowed at the beginning or the end; the proof decides.
+        # Contact in a sample may be allowed at the beginning or the end of the path, so the proof decides.
         sampled = (along == paths.COLLIDING).any() and not (scene.leaving or scene.reaching)
         return Verdict.COLLIDING if sampled or (verdicts == Verdict.COLLIDING).any() else Verdict.AMBIGUOUS
 

@@ -37,7 +37,7 @@ def visual_meshes(robot: Robot) -> tuple[dict[str, Mesh], list[str]]:
             continue
         try:
             shapes, more = read_visuals(source.path, source.text)
-        except LoewnerError as error:  # moved or overwritten since the robot was read
+        except LoewnerError as error:  # the file was moved or overwritten after the robot was read
             shapes, more = {}, [str(error)]
         faults += more
         for link, looks in shapes.items():

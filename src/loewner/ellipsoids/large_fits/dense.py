@@ -19,7 +19,7 @@ STEP_CAP, CENTRING_FLOOR = 0.9999, 1e-15  # as in `_kernels.fits.mvce`
 
 
 def blocks(rows: Floats) -> Iterator[tuple[int, Floats]]:
-    """Yield many rows block by block, each with the number of its first row."""
+    """Yield rows in blocks, each block with the number of its first row."""
     size = max(1, BLOCK // rows.shape[1])
     for first in range(0, len(rows), size):
         yield first, rows[first : first + size]
@@ -39,7 +39,7 @@ def inverse_of(lower: Any) -> Floats:
 
 
 def root_of_inverse(matrix: Floats) -> Floats | None:
-    """Compute the lower triangular H with Hᵀ H the inverse of `matrix`; None if that is singular to rounding."""
+    """Compute the lower triangular H such that Hᵀ H inverts `matrix`; None if `matrix` is singular to rounding."""
     try:
         return inverse_of(np.linalg.cholesky(matrix))
     except np.linalg.LinAlgError:
@@ -47,7 +47,7 @@ def root_of_inverse(matrix: Floats) -> Floats | None:
 
 
 def solver_of(matrix: Floats, diagonal: Floats | float) -> Callable[[Floats], Floats] | None:
-    """Make a solver of (matrix + diag(diagonal)) X = B in the matrix's memory; None if that is singular to rounding."""
+    """Make a solver of (matrix + diag(diagonal)) X = B that overwrites `matrix`; None if singular to rounding."""
     from scipy.linalg.lapack import dpotrf, dpotrs
 
     matrix.ravel()[:: len(matrix) + 1] += diagonal
@@ -63,7 +63,7 @@ def room(x: Floats, dx: Floats) -> float:
 
 @dataclass
 class Reporter:
-    """Reports the share of the requested digits that have been reached, in percent, never decreasing.
+    """A reporter of the percentage of the requested digits that have been reached, which never decreases.
 
     Within a round, the share does not change, and is reported again so that the callback may interrupt.
     """

@@ -42,15 +42,15 @@ from loewner.ellipsoids.large_fits.dense import (
 )
 from loewner.ellipsoids.polytopes import FLATNESS
 
-# Size of the first working set and largest number of half-spaces added per round, both divided by n. The set may always
-# double: if all half-spaces touch, all are needed.
+# Size of the first working set and largest number of half-spaces added per round, both divided by n. A round may always
+# double the set, because all half-spaces are needed if all touch the ellipsoid.
 FIRST, MORE = 10, 10
-# Largest numbers of rounds, of rounds in which half-spaces may be dropped by a guess, and of steps of the interior
-# point.
+# Largest numbers of rounds, of rounds in which half-spaces may be dropped by a guess, and of interior-point steps.
 MAX_ROUNDS, BOLD_ROUNDS, MAX_STEPS = 100, 20, 60
 # The guess drops half-spaces whose slack exceeds their reach by FAR times the gap divided by n.
 FAR = 4.0
-# Largest share of the multipliers that dropped half-spaces may have, and limit on the gap divided by n.
+# Half-spaces are dropped only if their share of the multipliers is less than LOSS and the gap is less than CLOSE times
+# n.
 LOSS, CLOSE = 0.1, 0.2
 # Multipliers below this share of the largest multiplier prove nothing.
 NOTHING = 1e-30
@@ -77,7 +77,8 @@ class _WorkingSet:
 
 @dataclass(frozen=True)
 class _Inside:
-    """An ellipsoid x + root B, and a bound on log(largest volume / its volume) for the working set."""
+    """An ellipsoid x + root B (B: the unit ball), and a bound on log(largest volume / its volume) for the working set.
+    """
 
     x: Floats
     root: Floats
@@ -122,8 +123,7 @@ def largest_inside(
         reporter.reached(gap)
         if gap <= 0.5 * tol or turn == MAX_ROUNDS - 1:
             break
-        # Fewer half-spaces contain larger ellipsoids: if the ellipsoid grew although half-spaces were added, dropped
-        # ones mattered.
+        # Added half-spaces cannot enlarge the ellipsoid; if it grew, half-spaces that were dropped mattered.
         if found.volume - found.gap > volume or turn > BOLD_ROUNDS:
             active.bold = False
         volume = found.volume
@@ -161,7 +161,7 @@ def _distinct(A: Floats, b: Floats) -> Ints:
 
 
 def _first(R: Floats) -> _WorkingSet:
-    """Select the nearest half-spaces, the nearest in both directions of each axis, and more until all are bounded."""
+    """Select the nearest half-spaces, overall and along each axis, and more until their intersection is bounded."""
     m, n = R.shape
     if m <= 2 * FIRST * n:
         return _WorkingSet(np.arange(m), np.ones(m))
@@ -179,7 +179,7 @@ def _way_out(R: Floats) -> Floats | None:
     """Find a direction in which {x : R x <= 1} is unbounded, or None."""
     n = R.shape[1]
     x, frame, direction = np.zeros(n), np.empty((n, n)), np.empty(n)
-    if entries.center_in(R, np.ones(len(R)), x, frame, direction, FLATNESS) == 0:  # proven; otherwise there may be one
+    if entries.center_in(R, np.ones(len(R)), x, frame, direction, FLATNESS) == 0:  # proven bounded
         return None
     return direction if direction.any() else np.asarray(np.linalg.svd(R)[2][-1])
 
@@ -325,13 +325,15 @@ def proven(
 ) -> tuple[Floats, float]:
     """Scale `factor` until the ellipsoid is certainly inside every half-space; return the factor and its certified gap.
 
-    Scaling is `_kernels.fits.mvie.inscribe`, block by block. For the gap, let T be the computed product of A and the
-    factor L, whose rows are each off by at most `hidden` of their length. Let d be the slacks, t = λᵀd, M = Σ λ T Tᵀ /
-    |T| with trace τ and least eigenvalue μ, and r = Lᵀ Σ λ a, which is not quite zero. A point x with T x <= d has |x|
-    <= 2 t / (μ - |r|), as μ |x| <= Σ λ |T x| <= 2 t + |r| |x|. Any ellipsoid F inside, about c, therefore has tr(F M)
-    <= t + |r| |c|, and its log-volume exceeds the ball's by at most n log((t + |r| |c|) / n) - log det M. Rounding
-    changes M by at most τ times the sum of 2.1 `hidden` and √n (k + n + 10) u in the nuclear norm. For r, which is
-    multiplied by n², that error would be too large, so the sum in r is computed exactly.
+    The factor is scaled block by block, as in `_kernels.fits.mvie.inscribe`.
+
+    For the gap, let T be the computed product of A and the factor L, whose rows are each off by at most `hidden` of
+    their length. Let d be the slacks, t = λᵀd, M = Σ λ T Tᵀ / |T| with trace τ and least eigenvalue μ, and r = Lᵀ Σ λ
+    a, which is not quite zero. A point x with T x <= d has |x| <= 2 t / (μ - |r|), because μ |x| <= Σ λ |T x| <= 2 t +
+    |r| |x|. Any ellipsoid F inside, about c, therefore has tr(F M) <= t + |r| |c|, and its log-volume exceeds the
+    ball's by at most n log((t + |r| |c|) / n) - log det M. Rounding changes M by at most τ times the sum of 2.1
+    `hidden` and √n (k + n + 10) u in the nuclear norm. Because r is multiplied by n², rounding errors of r would be too
+    large, so the sum in r is computed exactly.
 
     If the center is given (not `balanced`), c = 0 and λ is used unchanged.
     """

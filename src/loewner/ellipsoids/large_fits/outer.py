@@ -41,14 +41,16 @@ from loewner.ellipsoids.polytopes import FLATNESS, flat_error
 
 # Size of the first working set and largest number of points added per round, both divided by N.
 FIRST, MORE = 10, 4
-# Once at most this many times as many points as in the working set may touch the ellipsoid, the set takes all of them.
+# Once the number of points that may touch the ellipsoid is at most ENOUGH times the size of the working set, the set
+# takes all these points.
 ENOUGH = 2
-# Largest numbers of rounds, of rounds in which points may be dropped by a guess, and of steps of the interior point.
+# Largest numbers of rounds, of rounds in which points may be dropped by a guess, and of interior-point steps.
 MAX_ROUNDS, BOLD_ROUNDS, MAX_STEPS = 100, 30, 60
 # Largest number of ascents, for sets in which too many points matter.
 MAX_ASCENTS = 400
-# Measured seconds on one core for a step of the ascent and of the interior-point method: constant, and per number or
-# multiplication. These constants, not clocks, decide when to change methods, so that results are reproducible.
+# Time of a step of the ascent, and of a step of the interior-point method, measured on one core [s]: a constant, and
+# the time per number or multiplication. These constants, not clocks, decide when to change methods, so that results are
+# reproducible.
 ASCENT_STEP, ASCENT_NUMBER = 1.5e-5, 4.0e-10
 NEWTON_STEP, NEWTON_FLOP, NEWTON_STEPS = 2.0e-4, 3.0e-11, 10
 # The ascent may cost this share of the work that it saves the interior-point method.
@@ -127,7 +129,7 @@ def smallest_around(
             return origin, frame, np.inf, steps, np.zeros(m)
         center, factor = _ellipsoid(active, origin, frame)
         inverse = inverse_of(factor)
-        # More points need larger ellipsoids: if the volume did not grow, dropped points mattered.
+        # Added points need a larger ellipsoid; if the volume did not grow, points that were dropped mattered.
         volume, before = float(np.log(np.diagonal(factor)).sum()), volume
         if volume + reached < before or turn > BOLD_ROUNDS:
             active.bold = False
@@ -151,11 +153,11 @@ def smallest_around(
             break  # no better within rounding
         if 8 * len(may_touch) <= len(pool):
             pool, names = pool[may_touch], may_touch if names is None else names[may_touch]
-        # Change to the coordinates of this ellipsoid: with heavy tails the initial coordinates are skewed.
+        # Change to the coordinates of this ellipsoid, since heavy tails skew the initial coordinates.
         origin, frame, unframe = center, factor, inverse
         active.add(fresh)
         active.Q = whitened(active.index)
-        # No round is solved much more accurately than the points outside it require.
+        # No round is solved much more accurately than the present gap requires.
         target = 0.25 * tol if finish else max(0.25 * tol, min(target, 0.1 * gap))
     weights = np.zeros(m)
     weights[active.index] = active.u
@@ -234,7 +236,7 @@ def _extremes(points: Floats, noise: float, flatness: float, given: Floats | Non
 
 
 def _orthonormal(v: Floats, basis: Floats) -> Floats:
-    """Make `v` orthogonal to the rows of `basis`, twice since once loses digits, and normalise it."""
+    """Make `v` orthogonal to the rows of `basis`, twice because a single pass loses digits, and normalise it."""
     for _ in range(2):
         v = v - (basis @ v) @ basis
     return np.asarray(v / np.linalg.norm(v))
@@ -274,7 +276,7 @@ def _solve(active: _WorkingSet, target: float, reporter: Reporter) -> tuple[int,
 
 
 def _least_of_support(largest: float, N: int, bold: bool) -> float:
-    """Bound the w below which u is zero at the optimum (Harman and Pronzato 2007), with an allowance, or guess it.
+    """Bound the w below which u is zero at the optimum (Harman and Pronzato 2007), with an allowance, or guess this w.
 
     The theorem assumes the worst case, that the excess of the largest w over N is due to one direction; the bold guess
     assumes an Nth of that excess. In high dimension, the guess keeps far fewer points, and is nearly always right.
@@ -288,7 +290,7 @@ def _ascend(active: _WorkingSet, inverse: Floats, w: Floats, count: int, target:
     """Take at most `count` steps towards the farthest point or away from the nearest point that has weight."""
     Q, u = active.Q, active.u.copy()
     N = Q.shape[1]
-    if N == 1:  # all weight is on the farthest point on a line from the given center
+    if N == 1:  # on a line, the point farthest from the given center has all the weight
         active.u = np.where(np.arange(len(u)) == w.argmax(), 1.0, 0.0)
         return
     enough = active.lifted + active.dim * np.exp(2.0 * target / active.dim)
@@ -385,7 +387,7 @@ def _ellipsoid(active: _WorkingSet, origin: Floats, frame: Floats) -> tuple[Floa
     X, u = active.Q[:, active.lifted :], active.u
     mean = u @ X if active.lifted else np.zeros(active.dim)
     offsets = X - mean
-    # By QR, since the matrix of second moments has the squared condition number.
+    # Use QR, since the matrix of second moments has the square of the condition number.
     return origin + frame @ mean, np.tril(frame @ lower_root(np.sqrt(len(mean) * u)[:, None] * offsets))
 
 

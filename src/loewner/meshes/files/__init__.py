@@ -2,8 +2,8 @@
 
 The readers are loewner's own. General readers are designed to show as much of a file as possible: they drop unknown
 elements, replace undecodable values with zeros and let negative indices wrap around. That is the wrong compromise here,
-since half a mesh is free where the whole mesh collides. Checking the results of such a reader would require reading the
-file again. `stl`, `obj`, `ply`, `off`, `gltf` and `dae` read the formats, and share `parts`.
+since half a mesh may be free where the whole mesh collides. Checking the results of such a reader would require reading
+the file again. `stl`, `obj`, `ply`, `off`, `gltf` and `dae` read the formats, and share `parts`.
 """
 
 from collections.abc import Callable
@@ -29,7 +29,7 @@ def read(path: Path) -> tuple[Floats, Triangles]:
 
     A file that states its unit of length is converted to metres; all other files are assumed to be in metres. Vertices
     may be infinite or NaN if the file contains such values; all indices belong to existing vertices. Each kind of
-    doubtful content causes one warning, which names the first place.
+    doubtful content causes one warning, which names its first place in the file.
 
     Raises
     ------

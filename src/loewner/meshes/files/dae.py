@@ -27,18 +27,18 @@ from loewner.meshes.files.parts import (
     strip,
 )
 
-# Limits on the nesting of elements, the number of elements, the nodes of a scene and their contents counted at each
-# placement, and the inputs of vertices. Exporters stay far below.
+# Limits on the nesting of elements, on their number, on the nodes of a scene and their contents (counted at each
+# placement), and on the inputs of vertices. Exporters stay far below these limits.
 MOST_DEPTH, MOST_ELEMENTS, MOST_PLACED, MOST_INPUTS = 200, 2_000_000, 200_000, 100
 
 _NO_SURFACE = frozenset(["source", "vertices", "extra", "lines", "linestrips", "points", "asset"])
 
-# Children and attributes ("@") in the standard: any other may be a misspelt unit, transform or count.
+# Children and attributes ("@") that the standard defines; any other name may be a misspelt unit, transform or count.
 _PARTS = {
     tag: frozenset(names.split())
     for tag, names in {
         "COLLADA": "asset scene extra @base @version",  # and libraries of any name
-        # The last five belong to a contributor, which old exporters leave out.
+        # The last five children belong inside a <contributor>, an element that old exporters leave out.
         "asset": "contributor coverage created extra keywords modified revision subject title unit up_axis "
         "author authoring_tool comments copyright source_data",
         "unit": "extra @meter @name",
@@ -59,7 +59,7 @@ _PARTS = {
         **dict.fromkeys(("p", "vcount"), ""),
     }.items()
 }
-# The same applies to a source of points; other sources, such as normals, are not read.
+# Children and attributes of a source of points; other sources, such as normals, are not read.
 _PARTS_OF_POINTS = {
     tag: frozenset(names.split())
     for tag, names in {
@@ -190,7 +190,7 @@ class _Scene:
                 expect(right, f"<unit>: expected the file's unit, {metres:g} m, found {found:g} m", element.line)
             if element.tag.startswith("library_") or element.tag == "mesh":
                 _check_attributes(element, _NAMES)
-            if element.tag not in ("extra", "technique"):  # another program's, by the standard
+            if element.tag not in ("extra", "technique"):  # by the standard, these contain data of other programs
                 waiting += element.children
         self.made: dict[str, tuple[Floats, Triangles]] = {}
         self.points: dict[str, Floats] = {}
@@ -218,7 +218,7 @@ class _Scene:
                 if child.tag in _TRANSFORMS:
                     T = product(T, _TRANSFORMS[child.tag](child))
                 elif child.tag in ("lookat", "skew"):
-                    # Usually for cameras; a mesh placed by this transform becomes NaN, and is refused.
+                    # Such a transform usually places a camera. A mesh that it places becomes NaN, and is refused.
                     T = T * np.nan
                 elif child.tag == "node":
                     inside.append(child)
@@ -293,7 +293,7 @@ class _Scene:
         count, stride = accessor.number("count"), accessor.number("stride", 1)
         offset = accessor.number("offset", 0)
         params = accessor.all("param")
-        if len(params) > 3:  # the standard's way to skip a value
+        if len(params) > 3:  # a param without a name skips a value
             expect(
                 not any(param.get("name") for param in params[3:]), "<accessor>: expected three params", accessor.line
             )

@@ -36,8 +36,8 @@ _INDICES = (5121, 5123, 5125)
 _SHAPES = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
 
-# Beginnings of the names of extensions that do not affect the shape. A file that requires any other extension, or uses
-# one between the scene and a buffer, is refused.
+# Beginnings of the names of extensions that do not affect the shape. A file is refused if it requires any other
+# extension, or uses any other extension between the scene and a buffer.
 _HARMLESS = (
     "KHR_materials_",
     "KHR_texture_",
@@ -47,7 +47,7 @@ _HARMLESS = (
     "EXT_lights_",
     "KHR_audio",
     "KHR_animation_",  # a file is read as it is without animations
-    "KHR_mesh_quantization",  # of numbers that are read
+    "KHR_mesh_quantization",  # integers as coordinates, which are read
     "KHR_xmp",  # authors and licences
     "EXT_mesh_features",  # properties of parts
     "EXT_structural_metadata",
@@ -63,7 +63,7 @@ _KEYS = {
         (
             "the file",
             "asset extensionsRequired scene scenes nodes meshes accessors bufferViews buffers",
-            # Skins belong to nodes, which are refused.
+            # A list of skins is harmless, since a node that uses a skin is refused.
             "extensionsUsed animations cameras images materials samplers skins textures",
         ),
         ("asset", "version minVersion", "copyright generator"),
@@ -72,7 +72,7 @@ _KEYS = {
         ("meshes", "primitives weights", ""),
         # Without weights, which are refused, the targets of a morph have no effect.
         ("primitives", "attributes indices mode", "material targets"),
-        # Bounds may be wider than the numbers.
+        # The bounds "max" and "min" may be wider than the numbers.
         ("accessors", "bufferView byteOffset componentType count normalized sparse type", "max min"),
         ("sparse", "count indices values", ""),
         ("sparse indices", "bufferView byteOffset componentType", ""),
@@ -149,7 +149,7 @@ class _Reader:
         self.files: dict[str, bytes] = {}
         self.points: dict[int, Floats] = {}
         self.made: dict[int, tuple[Floats, Triangles]] = {}
-        self.unknown: dict[str, str] = {}  # keys, and the first object that has each
+        self.unknown: dict[str, str] = {}  # unknown keys, and the first object with each key
         self.check(tree, "the file", "the file")
         asset: Any = tree.get("asset")
         expect(isinstance(asset, dict), "expected an asset of version 2")
@@ -176,7 +176,7 @@ class _Reader:
         return found[index], where
 
     def check(self, holder: dict[str, Any], where: str, kind: str) -> None:
-        """Refuse extensions of an object that may change the shape, and note keys that objects of this kind lack.
+        """Refuse extensions of an object that may change the shape, and note keys that are unknown for its kind.
 
         A minor version of glTF may add keys, so unknown keys are not an error.
         """

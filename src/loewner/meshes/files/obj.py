@@ -21,7 +21,7 @@ from loewner.meshes.files.parts import (
     tell_unit,
 )
 
-# Bytes whose words are split at a time; the words take about twenty times as much memory.
+# Number of bytes that are split into words at a time; the words take about twenty times as much memory.
 BLOCK = 1 << 23
 
 # Lines that do not affect the surface. Other unknown lines are refused: a line may be a damaged `v`, and omitting it
@@ -29,12 +29,12 @@ BLOCK = 1 << 23
 _PASSED_OVER = frozenset(
     b"vt vn vp g o s mg l p usemtl mtllib usemap maplib bevel c_interp d_interp lod shadow_obj trace_obj".split()
 )
-# Kinds of lines that may continue on the next line. If others did, a comment or a name that ends in a backslash, as
-# names of folders do, would swallow a face on the next line.
+# Kinds of lines that may continue on the next line. If other lines could continue, a comment or a name that ends in a
+# backslash, such as a folder's name, would swallow a face on the next line.
 _CONTINUED = (b"v", b"f")
 _CORNER = re.compile(rb"[+-]?[0-9]+(?:/[+-]?[0-9]*){0,2}")
 
-# x y z; with a weight; with a colour; with both.
+# Possible numbers of values of a vertex: x y z, x y z with a weight, with a colour, or with both.
 _WIDTHS = (3, 4, 6, 7)
 
 
@@ -127,7 +127,7 @@ def _blocks(data: bytes) -> Iterator[tuple[int, list[bytes]]]:
 
 
 def _coordinates(vertex_lines: list[bytes], numbers: list[int], width: int) -> Floats:
-    """Read the numbers of `v` lines, one row per line, with `width` columns if that is not 0."""
+    """Read the numbers of `v` lines, one row per line, with `width` columns unless `width` is 0."""
     width = width or len(vertex_lines[0].split()) - 1
     flat = b" ".join(vertex_lines).split()
     # Each line begins with "v", which is not a number: if the lines differ in length, a "v" ends up in a column of

@@ -60,7 +60,7 @@ def _faces(faces: list[list[bytes]], numbers: list[int], count: int) -> tuple[In
             check_range(corners, count, "a face")
             return corners, sizes
     except Refusal:
-        pass  # which is reported below, with its line
+        pass  # the refusal is reported below, with its line
     parts = [_face(line, number, count) for line, number in zip(faces, numbers, strict=True)]
     return np.concatenate(parts), np.array(list(map(len, parts)), dtype=np.int64)
 

@@ -15,27 +15,27 @@ from loewner._base._validate import Floats, Ints
 Triangles = Ints
 T = TypeVar("T", np.float64, np.int64)
 
-# Limit on the vertices, and on the triangles, of a mesh: a file of 2 GiB holds about this number. A short file can use
-# the same vertices a million times.
+# Limit on the vertices, and on the triangles, of a mesh; a file of 2 GiB holds about this number. The limit is needed
+# because a short file can use the same vertices a million times.
 MOST = 50_000_000
 
 
-# Limit on the corners of a polygon that has to be cut by ears, since the time grows with the square of their number.
+# Limit on the corners of a polygon that is cut ear by ear, since the time grows with the square of their number.
 MOST_CORNERS = 10_000
 
 # Number of polygon corners examined at a time; a larger number takes more memory and no less time.
 _TOGETHER = 1 << 17
 
-# Number of corners about which fans are tried before ears.
+# Number of corners about which fans are tried before a polygon is cut ear by ear.
 _TRIES = 8
 
 # Twice the area of a triangle that rounding may turn over, in a polygon of extent 1.
 _ROUNDING = 1e-12
 
-# Distance within which a corner may lie on a line, relative to its coordinates: files have at most seven digits.
+# A corner this near to a line, relative to the coordinates, may lie on the line, since files have at most seven digits.
 _NOISE = 1e-6
 
-# Readers report doubtful content by such calls, with a text and the place.
+# A function by which readers report doubtful content; it takes a text and the place in the file.
 Tell = Callable[[str, str], None]
 
 _NO_PLANE = (
@@ -187,7 +187,7 @@ def cut(vertices: Floats, corners: Ints, sizes: Ints, tell: Tell, place: Callabl
 
 
 def _may_leave(x: Floats, y: Floats, z: Floats) -> NDArray[np.bool_]:
-    """Return whether a polygon's fan may face to both sides; the coordinates have the shape (n, polygons)."""
+    """Return whether triangles of a polygon's fan may face opposite sides; coordinates have the shape (n, polygons)."""
     x, y, z = x[1:] - x[0], y[1:] - y[0], z[1:] - z[0]
     a, b, c = y[:-1] * z[1:] - z[:-1] * y[1:], z[:-1] * x[1:] - x[:-1] * z[1:], x[:-1] * y[1:] - y[:-1] * x[1:]
     facing = a * a.sum(axis=0) + b * b.sum(axis=0) + c * c.sum(axis=0)
@@ -208,7 +208,7 @@ def _cut_rings(P: Floats) -> tuple[Ints, list[int]]:
     n = P.shape[1]
     fan = fans(np.arange(n), np.array([n]))
     found, uncut = np.tile(fan, (len(P), 1, 1)), []
-    waiting = np.flatnonzero(np.isfinite(P).all(axis=(1, 2)))  # others are refused later
+    waiting = np.flatnonzero(np.isfinite(P).all(axis=(1, 2)))  # the other polygons are refused later
     size, flat = abs(P[waiting]).max(axis=(1, 2)), _in_plane(P[waiting] - P[waiting, :1])
     extent = abs(flat).max(axis=(1, 2))
     extent[extent == 0] = 1
@@ -247,7 +247,7 @@ def _in_plane(P: Floats) -> Floats:
 
 
 def _ears(x: Floats, y: Floats, noise: float) -> Ints | None:
-    """Cut ears off a polygon that turns left until it is used up; None if it has no ear at some point.
+    """Cut ears off a polygon that turns left until nothing is left of it; None if at some point no ear is found.
 
     A corner that lies on a line with its neighbours, to within the noise, is cut off only if there is no other ear.
     """
@@ -267,7 +267,7 @@ def _ears(x: Floats, y: Floats, noise: float) -> Ints | None:
         return area(a, b, c) / longest if longest else 0.0
 
     def obstacle(a: int, b: int, c: int) -> int | None:
-        """Return a corner in a triangle; one in the place of a, b or c counts if an edge leads inside from it."""
+        """Return a corner in a triangle; a corner at the place of a, b or c counts if an edge leads inside from it."""
         near = inward
         if len(near) > 50:  # testing each corner takes less time if there are fewer
             px, py, xs, ys = x[inward], y[inward], (X[a], X[b], X[c]), (Y[a], Y[b], Y[c])
@@ -321,7 +321,7 @@ def joined(parts: Iterable[tuple[Floats, Triangles]]) -> tuple[Floats, Triangles
     """Join meshes into one; meshes with the same array of vertices share it. A result that is too large is refused."""
     vertices: list[Floats] = []
     triangles: list[Triangles] = []
-    starts: dict[int, int] = {}  # of the arrays in `vertices`
+    starts: dict[int, int] = {}  # first vertex of each array in `vertices`, keyed by the array's id
     v = t = 0
     for points, corners in parts:
         if id(points) not in starts:
@@ -338,7 +338,7 @@ def joined(parts: Iterable[tuple[Floats, Triangles]]) -> tuple[Floats, Triangles
 
 
 def placed(T: Floats, vertices: Floats, triangles: Triangles) -> tuple[Floats, Triangles]:
-    """Move a mesh by an affine map; a mirror also reverses triangles, so that the mesh is not inside out."""
+    """Move a mesh by an affine map; a map that mirrors also reverses triangles, so that the mesh is not inside out."""
     if np.linalg.det(T[:3, :3]) < 0:
         triangles = triangles[:, ::-1]
     return image(T[:3, :3], vertices) + T[:3, 3], triangles

@@ -33,7 +33,8 @@ _FORMATS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 _COMMENTS = (b"comment", b"obj_info")
 _CORNERS = ("vertex_indices", "vertex_index")
 
-# Elements other than vertex and face whose lists are not polygons; lists of other elements, such as tristrips, may be.
+# Elements whose lists are not polygons. Lists of any other element except vertex and face, such as tristrips, may be
+# polygons.
 _HARMLESS = ("multi_texture_face",)  # corners in a texture
 
 # Limits on the length of a header's line [bytes] and on the properties of an element. Scanners write about twenty.
@@ -185,7 +186,7 @@ def _text_element(element: _Element, lines: list[list[bytes]], numbers: list[int
         table = table_of(lines, numbers, len(properties), f"{len(properties)} numbers for a {element.name}")
         return _Content(dict(zip(scalars, table.T, strict=True)), _no_integers(), _no_integers())
     if len(properties) == 1 and lines and len(set(map(len, lines))) == 1 and properties[0].name in _CORNERS:
-        with suppress(Refusal):  # which is reported below, with its line
+        with suppress(Refusal):  # the refusal is reported below, with its line
             lengths = integers([line[0] for line in lines])
             if (lengths == len(lines[0]) - 1).all():
                 return _Content({}, integers([word for line in lines for word in line[1:]]), lengths)
@@ -239,7 +240,7 @@ def _binary(data: bytes, start: int, elements: list[_Element], order: str) -> li
 
 
 def _binary_element(element: _Element, data: bytes, start: int, order: str) -> tuple[_Content, int]:
-    """Read a binary element and its end; lists are assumed to be as long as in the first row until one is not."""
+    """Read a binary element and its end; lists are assumed to be as long as in the first row until a row differs."""
     row = _layout(element, data, start, order) if element.count else []
     if row is None:
         raise Refusal(

@@ -42,7 +42,7 @@ def read(data: bytes, tell: Tell) -> tuple[Floats, Triangles]:
         tell_unit(data[:80], tell)
         corners = np.frombuffer(data, FACETS, offset=HEADER)["corners"].astype(np.float64)
     elif data[:512].lstrip()[:5].lower() == b"solid" and b"\0" not in data:
-        tell_unit(data.lstrip()[:512].splitlines()[0], tell)  # after the name of the first solid
+        tell_unit(data.lstrip()[:512].splitlines()[0], tell)  # a unit may follow the name of the first solid
         corners = _text(data)
     else:  # a binary file's header may also begin with "solid"
         found = f"{len(data)} bytes where its header asks for {HEADER + FACET * count}"

@@ -1,7 +1,7 @@
-"""Read scenes from files: our YAML format, MuJoCo models, and MotionBenchMaker's planning problems in JSON.
+"""Read scenes from files: loewner's YAML format, MuJoCo models, and MotionBenchMaker's planning problems in JSON.
 
-`yaml_scenes` reads our format, `mjcf_scenes` reads MuJoCo models, and `motion_bench_maker` reads the benchmark's
-problems; `sensor_shapes` reads clouds, voxels and terrain, and `schema` contains the keys of our format.
+`yaml_scenes` reads the YAML format, `mjcf_scenes` reads MuJoCo models, and `motion_bench_maker` reads the benchmark's
+problems; `sensor_shapes` reads clouds, voxels and terrain, and `schema` contains the keys of the YAML format.
 """
 
 from loewner.scenes.files.motion_bench_maker import Problem, read_motion_bench_maker

@@ -31,7 +31,7 @@ Maker = Callable[..., Body]
 # Largest size of a file [bytes].
 MOST_BYTES = 2**24
 
-# Number of letters of a body's name in the name of its file.
+# Largest number of letters of a body's name that its file's name contains.
 LONGEST_NAME = 100
 
 POSE_KEYS = ("position", "rpy", "quaternion_wxyz", "pose")
