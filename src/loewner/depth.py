@@ -16,8 +16,8 @@ from loewner.robots import CollisionChecker
 
 __all__ = ["SeenSpace", "points_of"]
 
-# A seen cell is nearer than the depths behind it by at least this share of its depth, far above a projection's
-# rounding.
+# A cell counts as seen only if it is nearer than the measured depths by this relative margin, which is far above the
+# rounding of a projection.
 ROUNDING = 1e-9
 
 # Memory that a call of `see` uses, in bytes per cell corner.
@@ -218,8 +218,7 @@ def _over_cells(x: Floats) -> tuple[Floats, Floats]:
 
 
 def _least_in(depths: Floats, v0: Ints, u0: Ints, v1: Ints, u1: Ints) -> Floats:
-    """Find the least depth in rectangles of pixels, ends included, from minima over windows with sides of 2^k pixels.
-    """
+    """Find the least depth in rectangles of pixels, ends included, from minima over windows with 2^k pixels a side."""
     least = np.empty(len(v0))
     rows, cols = ((np.frexp(ends - starts + 1)[1] - 1).astype(np.int8) for starts, ends in ((v0, v1), (u0, u1)))
     by_rows = depths

@@ -181,12 +181,12 @@ class UnknownNameError(LoewnerError, KeyError):
     """
 
     def __str__(self) -> str:
-        # KeyError prints the repr of its argument; a message for people is a plain sentence.
+        # KeyError would print the repr of the message, with quotes around it.
         return str(self.args[0]) if self.args else ""
 
 
 class BodyIndexError(LoewnerError, IndexError):
-    """There is no body with this index.
+    """A sequence of bodies has no body with the given index.
 
     Examples
     --------

@@ -119,7 +119,7 @@ def pair(
     ellipsoids: bool = True,
     near: bool = True,
 ) -> Any:
-    """Draw two bodies with their ellipsoids; the title is the certified verdict or, if AMBIGUOUS, also the exact one.
+    """Draw two bodies with their ellipsoids; the title is the certified verdict and, if AMBIGUOUS, the exact answer.
 
     Parameters
     ----------

@@ -178,8 +178,7 @@ def _functions() -> tuple[Any, Any]:
         @staticmethod
         def vmap(info: Any, in_dims: Any, Q: Any, measure: Measure, gradient: bool) -> Any:
             Q = Q.movedim(in_dims[0], 0)
-            # Derivatives with respect to Q may be requested outside of vmap even if none are requested for a row inside
-            # it.
+            # Q may need derivatives outside of vmap even if its rows inside vmap need none.
             return Asked.apply(Q, measure, gradient or _is_differentiated(Q)), (0, 0)
 
     def kept(ctx: Any) -> tuple[Any, Any]:

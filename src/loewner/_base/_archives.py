@@ -1,9 +1,9 @@
 """Arrays in ``.npz`` files, written atomically and read as pure data, and single arrays in ``.npy`` files.
 
 A file is read in steps, and each step trusts only facts that earlier steps have checked. The file must be a regular
-file, and an archive with the expected members. The first bytes of each member give type and shape; both must agree with
-each other, with the sizes that the archive states, and with a limit. Last come the numbers and their checksum. The
-caller checks the meaning of the numbers.
+file, and an archive with the expected members. The first bytes of each member give its type and shape, which must agree
+with the sizes that the archive states and with a limit. The numbers and their checksum are read last. The caller checks
+the meaning of the numbers.
 """
 
 from __future__ import annotations
@@ -34,7 +34,8 @@ LARGEST_CONTENT = 2**36
 # Largest size of texts, such as format, digest and names [bytes].
 LARGEST_TEXT = 2**12
 
-# Bytes that are read at a time, and limit on a single read; the directory of a small archive takes a kilobyte.
+# CHUNK is the number of bytes read at a time, and MOST_AT_ONCE limits a single read. The directory of a small archive
+# takes a kilobyte.
 CHUNK, MOST_AT_ONCE = 2**18, 2**20
 
 # Members of every file, besides its arrays.
@@ -104,8 +105,7 @@ def write(path: str | os.PathLike[str], kind: Format, arrays: Mapping[str, Any],
     InputError
         If the path is not valid, or does not end in .npz.
     FileError
-        If the file cannot be written, or would be too large to be read again. In both cases, an older file stays
-        unchanged.
+        If the file cannot be written, or would be too large to be read again; an older file stays unchanged.
     """
     target = Path(_expect_path(path))
     if target.suffix != ".npz":
@@ -267,7 +267,7 @@ def _from_archive(archive: zipfile.ZipFile, name: str, kind: Format, wanted: str
 
 
 def digest(arrays: Mapping[str, Any]) -> str:
-    """Checksum of all arrays, so that a damaged or altered file never leads to a verdict."""
+    """Compute a checksum of all arrays, so that a damaged or altered file never leads to a verdict."""
     found = hashlib.sha256()
     for name in sorted(arrays):
         array = np.ascontiguousarray(arrays[name])

@@ -1,7 +1,7 @@
 """Elementary functions of numbers and arrays, whose results have the same bits on every machine, unlike a C library's.
 
-On an array, they take as long as the C library's functions; on a single number, about a microsecond. The results are
-accurate to three units in the last place (`_kernels.elementary`).
+On an array, these functions take as long as a C library's; on a single number, they take about a microsecond. The
+results are accurate to three units in the last place (`_kernels.elementary`).
 """
 
 from typing import Any
@@ -14,37 +14,37 @@ from loewner._native import entries
 
 
 def sin(angle: Any) -> Any:
-    """Sine of angles [rad]."""
+    """Compute the sines of angles [rad]."""
     return _of_each(codes.SINE_OF, angle)
 
 
 def cos(angle: Any) -> Any:
-    """Cosine of angles [rad]."""
+    """Compute the cosines of angles [rad]."""
     return _of_each(codes.COSINE_OF, angle)
 
 
 def arctan2(y: Any, x: Any) -> Any:
-    """Angles from the x-axis to the vectors (x, y) [rad]."""
+    """Compute the angles from the x-axis to the vectors (x, y) [rad]."""
     return _of_each(codes.ARC_TANGENT, *np.broadcast_arrays(y, x))
 
 
 def arccos(x: Any) -> Any:
-    """Angles whose cosine is x [rad]; NaN beyond ±1."""
+    """Compute the angles whose cosines are x [rad]; NaN beyond ±1."""
     return _of_each(codes.ARC_COSINE, x)
 
 
 def arcsin(x: Any) -> Any:
-    """Angles whose sine is x [rad]; NaN beyond ±1."""
+    """Compute the angles whose sines are x [rad]; NaN beyond ±1."""
     return _of_each(codes.ARC_SINE, x)
 
 
 def log(x: Any) -> Any:
-    """Natural logarithms; minus infinity for zero, NaN for negative numbers."""
+    """Compute natural logarithms; minus infinity for zero, NaN for negative numbers."""
     return _of_each(codes.LOGARITHM, x)
 
 
 def cbrt(x: Any) -> Any:
-    """Cube roots."""
+    """Compute cube roots."""
     return _of_each(codes.CUBE_ROOT, x)
 
 

@@ -127,7 +127,7 @@ def made_folder(folder: Path) -> Path:
 
 
 def _regular_or_new(path: Path, name: str) -> Path:
-    """Path of a file that exists or will be created, with links resolved."""
+    """Return the path of a file that exists or will be created, with links resolved."""
     try:
         with suppress(FileNotFoundError):  # the file is new; errors are reported when it is written
             _expect_regular(os.stat(path), name, "the name of a file to write")

@@ -61,7 +61,7 @@ def guarded(thing: T) -> T:
 
 
 def is_guarded(function: Any) -> bool:
-    """Whether a function or method has been wrapped by `guarded`."""
+    """Return whether a function or method has been wrapped by `guarded`."""
     return hasattr(function, "_guarded")
 
 

@@ -105,7 +105,7 @@ def expect_room_for_blas(needed: int = 0) -> None:
 
 
 def _of_process(root: Path) -> Iterator[tuple[int, str]]:
-    """Address space and private memory left by `setrlimit`."""
+    """Yield the address space and the private memory that `setrlimit` leaves."""
     try:
         import resource
     except ImportError:  # this system has no such limits
@@ -118,7 +118,7 @@ def _of_process(root: Path) -> Iterator[tuple[int, str]]:
 
 
 def _of_groups(root: Path) -> Iterator[tuple[int, str]]:
-    """Memory left by the control groups of this process, from the innermost to the outermost.
+    """Yield the memory that the control groups of this process leave, from the innermost to the outermost group.
 
     A group is a folder, and its parents are the groups around it. Files that the system caches in memory count as used,
     but are dropped when memory runs short.
@@ -160,14 +160,14 @@ def _group_folders(root: Path) -> Iterator[tuple[Path, Path]]:
 
 
 def _of_machine(root: Path) -> Iterator[tuple[int, str]]:
-    """Memory that is free, or can be freed without swapping."""
+    """Yield the memory that is free, or can be freed without swapping."""
     for line in (_text(root / "proc/meminfo") or "").splitlines():
         if line.startswith("MemAvailable:"):
             yield int(line.split()[1]) * 1024, " free on this machine"
 
 
 def physical() -> int:
-    """Memory of the machine in bytes; if the system does not report it, the size of the address space."""
+    """Return the memory of the machine in bytes; if the system does not report it, the size of the address space."""
     try:
         return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
     except (AttributeError, OSError, ValueError):
@@ -182,6 +182,6 @@ def _text(path: Path) -> str | None:
 
 
 def _number(path: Path) -> int | None:
-    """Content of a file with one number; None if it is "max" or not a number."""
+    """Read the number in a file; None if the content is "max" or not a number."""
     text = (_text(path) or "").strip()
     return int(text) if text.isdigit() else None

@@ -28,7 +28,7 @@ class Outcome(NamedTuple):
 
 
 def outcome_of(mesh: Path, fit: Callable[[], Outcome]) -> Outcome:
-    """Return the outcome of `fit` with any warnings; an error becomes an outcome that names the file first."""
+    """Return the outcome of `fit` with any warnings; the message of a failure begins with the file's name."""
     warnings: list[str] = []
     try:
         with told_to(warnings):

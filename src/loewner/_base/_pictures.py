@@ -19,7 +19,7 @@ from loewner._base._log import log
 from loewner._base._validate import Floats, Ints
 
 # Colours of bodies and curves, used in turn, and of the verdicts in the order of their codes. Colour-blind people can
-# distinguish them, on light and dark pages.
+# distinguish the colours, on light and dark pages.
 COLOURS = ("#4477aa", "#ddaa33", "#228833", "#cc6677", "#66ccee", "#aa3377", "#bbbbbb", "#ee7733")
 LINKS = COLOURS[0], "#77a0cc"  # for the links of a robot, used in turn
 VERDICT_COLOURS = ((34, 136, 51), (204, 51, 68), (221, 170, 51))
@@ -100,7 +100,7 @@ def escape(text: str) -> str:
 
 
 def pictured(draw: Callable[[Any], str]) -> Callable[[Any], str]:
-    """Make `_repr_html_` from a function that draws; if drawing fails, it shows only the text."""
+    """Make `_repr_html_` from a function that draws; if drawing fails, only the text is shown."""
 
     @wraps(draw)
     def shown(thing: Any) -> str:

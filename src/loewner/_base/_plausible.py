@@ -14,11 +14,12 @@ import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
-# Files give angles of rotations within one turn; two turns leave a margin for any convention [rad].
+# Largest plausible angle [rad]: two turns, since files give angles within one turn in any convention.
 LARGEST_RPY = 4 * math.pi
 
-# Limits [rad] in this range are probably in degrees: a joint between stops makes few turns, even a freely turning joint
-# has limits of at most two turns, and some files write a thousand or more for no limit.
+# Limits [rad] in this range are probably in degrees. A joint between stops makes few turns, so that its limits in
+# radians are below the range; limits in degrees are at most two turns. Some files write a thousand or more for no
+# limit.
 LIMITS_IN_DEGREES = 4 * math.pi, 720.0
 
 # Velocity limits [rad/s] in this range are probably in degrees, because robot joints make less than eight turns per
@@ -28,13 +29,14 @@ VELOCITY_IN_DEGREES = 50.0, 2000.0
 # A larger limit [rad or m], such as 1e16 or the largest float, means that there is no limit.
 FARTHEST_LIMIT = 1e6
 
-# Sizes and distances [m] beyond which a warning asks about the unit: a hall in millimetres, a screw scaled down twice.
+# Sizes and distances [m] beyond which a warning asks about the unit, as for a hall in millimetres or a screw that was
+# scaled down twice.
 LARGEST_RADIUS, SMALLEST_RADIUS, LARGEST_DISTANCE = 1000.0, 1e-5, 2000.0
 
 # A robot's mesh with a larger radius [m] is probably in millimetres.
 LARGEST_MESH_RADIUS = 25.0
 
-# Modules whose frames belong to a call of the library; `contextlib` wraps functions that are contexts.
+# Modules whose frames belong to a call of the library, including `contextlib`, which wraps functions that are contexts.
 OF_THE_CALL = ("loewner", "contextlib")
 
 # A comment about units other than metres. The word "in" alone means inches only if nothing follows.

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 class KeepsReadOnly:
     """A class whose attributes may be read-only arrays, or tuples of arrays, that are checked once and then trusted.
 
-    NumPy makes arrays writeable when it copies or unpickles them. Here, the state of an object lists its read-only
-    arrays, and an object that `copy` or `pickle` makes from the state protects these arrays again.
+    NumPy makes arrays writeable when it copies or unpickles them. In this class, the state of an object lists its
+    read-only arrays, and an object that `copy` or `pickle` makes from the state protects these arrays again.
     """
 
     def __getstate__(self) -> tuple[dict[str, Any], list[int]]:

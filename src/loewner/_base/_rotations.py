@@ -16,7 +16,7 @@ QUATERNION_TOLERANCE = 1e-2
 
 
 def from_quaternion(wxyz: Sequence[float], name: str) -> Floats:
-    """Rotation of a unit quaternion, real part first, shape (3, 3); a quaternion of length near 1 is normalised.
+    """Compute the rotation, shape (3, 3), of a quaternion, real part first, after normalising it to length 1.
 
     Raises
     ------
@@ -30,7 +30,7 @@ def from_quaternion(wxyz: Sequence[float], name: str) -> Floats:
 
 
 def rotations_of(wxyz: Floats) -> Floats:
-    """Rotation matrices, shape (..., 3, 3), of unit quaternions, real part first, shape (..., 4)."""
+    """Compute the rotation matrices, shape (..., 3, 3), of unit quaternions, real part first, shape (..., 4)."""
     w, x, y, z = np.moveaxis(wxyz, -1, 0)
     rows = (
         (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
@@ -48,7 +48,7 @@ def pose_of(rotation: Floats, translation: Any) -> Floats:
 
 
 def from_rpy(roll: float, pitch: float, yaw: float) -> Floats:
-    """Rz(yaw) Ry(pitch) Rx(roll), shape (3, 3): turns about fixed axes x, then y, then z, as in URDF; radians."""
+    """Compute Rz(yaw) Ry(pitch) Rx(roll), angles in radians: turns about fixed axes x, then y, then z, as in URDF."""
     angles = np.array([roll, pitch, yaw])
     (cr, cp, cy), (sr, sp, sy) = _elementary.cos(angles).tolist(), _elementary.sin(angles).tolist()
     return np.array(
@@ -61,7 +61,7 @@ def from_rpy(roll: float, pitch: float, yaw: float) -> Floats:
 
 
 def to_rpy(R: Floats) -> tuple[float, float, float]:
-    """Roll, pitch and yaw of a rotation matrix, from which `from_rpy` restores the matrix, also at gimbal lock."""
+    """Compute roll, pitch and yaw, from which `from_rpy` restores the rotation matrix, even at gimbal lock."""
     yaw = _elementary.arctan2(R[1, 0], R[0, 0])
     s, c = _elementary.sin(yaw), _elementary.cos(yaw)
     # Roll and pitch follow from the rotation without the yaw, which is arbitrary if the pitch is a right angle.
@@ -70,7 +70,7 @@ def to_rpy(R: Floats) -> tuple[float, float, float]:
 
 
 def quaternions_of(rotations: Floats) -> Floats:
-    """Unit quaternions, real part first, of rotation matrices of shape (..., 3, 3); also at half turns."""
+    """Compute unit quaternions, real part first, of rotation matrices, shape (..., 3, 3), even for half turns."""
     R = rotations.reshape(-1, 3, 3)
     diagonal, trace = R[:, [0, 1, 2], [0, 1, 2]], np.trace(R, axis1=1, axis2=2)
     # Row k is the quaternion multiplied by four times its entry k; the row for the largest entry is well conditioned.

@@ -81,7 +81,7 @@ def get_num_threads() -> int:
     """Return the number of threads that calls of this thread may use.
 
     This is the number that `set_num_threads` has set on this thread. If no number was set, the environment variable
-    ``LOEWNER_NUM_THREADS`` gives the number, or else ``NUMBA_NUM_THREADS`` if it is a valid number, or else the number
+    ``LOEWNER_NUM_THREADS`` gives the number, or else ``NUMBA_NUM_THREADS`` if it is valid. Otherwise, it is the number
     of processors that this process may use. The environment is read once, at the first call that needs the number.
 
     Returns
@@ -117,7 +117,7 @@ def at_most(n: int) -> Iterator[None]:
 
 @cache
 def _of_process() -> int:
-    """Number of threads for calling threads that have set no number."""
+    """Return the number of threads for calling threads that have set no number."""
     ours = os.environ.get("LOEWNER_NUM_THREADS")
     if ours is not None:
         return whole_number(_integer(ours), "LOEWNER_NUM_THREADS", 1, MOST_THREADS)
@@ -127,12 +127,12 @@ def _of_process() -> int:
 
 
 def _integer(text: str) -> int | str:
-    """The integer in a text, or the text itself if it is not an integer."""
+    """Return the integer in a text, or the text itself if it is not an integer."""
     return int(text) if re.fullmatch(r"\s*\d{1,18}\s*", text, re.ASCII) else text
 
 
 def processors() -> int:
-    """Number of processors that this process may use."""
+    """Return the number of processors that this process may use."""
     process_cpu_count: Callable[[], int | None] | None = getattr(os, "process_cpu_count", None)  # from Python 3.13
     if process_cpu_count is not None:
         return process_cpu_count() or 1
@@ -142,8 +142,7 @@ def processors() -> int:
 
 
 def share(total: int, least: int) -> int:
-    """Return the largest number of items in a share, at least `least`; several shares per thread keep the last short.
-    """
+    """Return the most items in a share, at least `least`; several shares per thread keep the last one short."""
     threads = get_num_threads()
     return ALONE * least if threads == 1 else max(least, -(-total // (4 * threads)))
 
@@ -160,7 +159,7 @@ def in_shares(
     """Return the results of run(first, last) over shares of 0..total, in order; up to `least` items run on this thread.
 
     The calling thread also takes shares, since waiting for a thread to wake up costs as much as 1,000 pairs. Shares
-    begin with `least` items, and grow to `most` (see `share`) or shrink until their duration is right.
+    begin with `least` items, and grow to at most `most` (see `share`) or shrink until they take about `LONG`.
     ``progress(done, total)`` receives the count of items. When the call returns or raises, no thread is running.
     """
     if total <= least:
@@ -242,8 +241,8 @@ class _Work(Generic[T]):
     def in_order(self) -> list[T]:
         """Return all results, or raise the interrupt if one occurred, or else the error with the lowest item number."""
         if self._errors:
-            # All shares before the first failed share were begun earlier and are done, so this error does not depend
-            # on the threads.
+            # All shares before the first failed share were begun earlier and are done, so that this error does not
+            # depend on how the threads took shares.
             errors = [self._errors[first] for first in sorted(self._errors)]
             chosen = next((k for k, error in enumerate(errors) if not isinstance(meant(error), Exception)), 0)
             raise errors.pop(chosen)
@@ -259,7 +258,7 @@ class _Work(Generic[T]):
 
 
 class _Helpers:
-    """Threads that wait for work and end with the process; `in_shares` does not return before they are idle."""
+    """Threads that wait for work and end with the process; `in_shares` does not return before all are idle."""
 
     def __init__(self) -> None:
         self.started: list[threading.Thread] = []
@@ -285,7 +284,7 @@ if hasattr(os, "register_at_fork"):
 def _lend_a_hand(task: Callable[[], None], times: int) -> None:
     """Run a task on the given number of other threads, or on fewer if no more can be started."""
     helpers = _helpers
-    # Use no lock: a signal's handler may request threads while this thread starts one, and would wait for itself. Two
+    # Use no lock, since a signal handler that requests threads while this thread holds the lock would wait forever. Two
     # simultaneous callers may start more threads than needed; the surplus threads are idle.
     while len(helpers.started) < times:
         thread = threading.Thread(target=helpers.serve, name="loewner", daemon=True)

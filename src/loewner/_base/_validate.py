@@ -221,7 +221,7 @@ def real(x: Any, name: str, *, least: str = "") -> float:
 
 
 def _maybe_a_number(x: Any) -> bool:
-    """Whether `float` may be tried; false for arrays with axes or a mask, and for NumPy's scalars of other kinds."""
+    """Return whether `float` may be tried; not for arrays with axes or a mask, nor for other kinds of NumPy scalars."""
     if isinstance(x, (np.ndarray, np.generic)):
         return x.ndim == 0 and x.dtype.kind in "fiuO" and not np.ma.is_masked(x)
     return True
@@ -287,8 +287,7 @@ def listed(x: Any, name: str, *, wanted: str = "a list") -> list[Any]:
 
 
 def group_or_names(x: Any, name: str) -> Any:
-    """Return the name of a group or None unchanged, and several names as a list, since an iterator is read only once.
-    """
+    """Return a group's name or None unchanged, and several names as a list, since an iterator is read only once."""
     return x if x is None or isinstance(x, str) else listed(x, name)
 
 
@@ -300,7 +299,7 @@ def callback(x: Any, name: str) -> Any:
 
 
 def broadcast(shapes: dict[str, tuple[int, ...]]) -> tuple[int, ...]:
-    """The shape to which batch shapes broadcast; an error names shapes that do not broadcast."""
+    """Return the shape to which batch shapes broadcast; an error names shapes that do not broadcast."""
     try:
         return np.broadcast_shapes(*shapes.values())
     except ValueError:
@@ -425,7 +424,7 @@ def path(x: Any, name: str, *, wanted: str = "the path of a file") -> Path:
 
 
 def short(x: Any) -> str:
-    """A value as shown in messages: its `repr`, cut if it is long, or its type if its `repr` fails."""
+    """Return the text of a value for messages: its `repr`, cut if it is long, or its type if its `repr` fails."""
     try:
         text = repr(x)
     except Exception:  # from the caller's object, or from an integer with more digits than Python writes
@@ -494,5 +493,5 @@ def fits_memory(needed: int, what: str) -> None:
 
 @cache
 def physical_memory() -> int:
-    """Memory of the machine, in bytes."""
+    """Return the memory of the machine, in bytes."""
     return _memory.physical()

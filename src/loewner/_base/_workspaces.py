@@ -27,7 +27,7 @@ _own = _Own()
 
 
 def workspace(size: int) -> int:
-    """Address of at least `size` bytes, which belong to this thread until it ends; the next query overwrites them."""
+    """Return the address of at least `size` bytes of this thread's memory, which the next query overwrites."""
     memory = _own.made[-1]
     if memory.size < size:
         memory = Memory(max(size, 2 * memory.size))

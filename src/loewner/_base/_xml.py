@@ -13,8 +13,8 @@ from loewner._base._memory import uncollected
 
 E = TypeVar("E", bound="Element")
 
-# Names of Python's codecs for multibyte encodings. Except for Unicode's, expat does not decode these encodings. All
-# other names are left to expat, since some codecs do more than decode.
+# Names of Python's codecs for the multibyte encodings that expat does not decode. All other names are left to expat,
+# since some codecs do more than decode.
 _MULTIBYTE = frozenset(
     ["gb2312", "gbk", "gb18030", "big5", "cp950", "shift_jis", "cp932", "euc_jp", "iso2022_jp", "euc_kr", "cp949"]
 )
@@ -163,7 +163,7 @@ def parse(
         The contents of the file. A string has already been decoded, so that the encoding that its first line declares
         has no effect.
     what : str
-        The expected kind of file with an article, for messages.
+        The expected kind of file, with an article, for messages.
     make : callable
         Makes an element from its tag, attributes, line and namespace.
     deepest, most : int

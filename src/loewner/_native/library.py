@@ -1,8 +1,8 @@
 """Find the native library for this machine, and check that it is intact.
 
-The library contains the kernels as machine code, made from the same sources by the same compiler that Numba uses on a
-user's machine (`native/`). The library is next to this file, with a list of its files and sources. A library made from
-other sources, or altered since it was made, is not loaded.
+The library contains the kernels as machine code. It is made from the kernels' sources by the compiler that Numba uses
+on a user's machine (`native/`). The library is next to this file, with a list of its files and sources. A library made
+from other sources, or altered since it was made, is not loaded.
 
 A build in a clone provides kernels before it ends: the list names a file with the kernels built so far, and a call of
 any other kernel waits.
@@ -58,7 +58,7 @@ def kernel(entry: Entry) -> Any:
 
 
 def is_missing(entry: Entry) -> bool:
-    """Whether the library in use was opened before a kernel was built."""
+    """Return whether the library in use was opened before a kernel was built."""
     return entry.name not in _opened_list.get("entries", [entry.name])
 
 
@@ -190,7 +190,7 @@ def _read_list() -> Any:
 
 
 def _checked(name: str, built: dict[str, Any]) -> Path:
-    """Path of a built file, after checking that it is unchanged."""
+    """Return the path of a built file, after checking that the file is unchanged."""
     import hashlib  # importing it takes as long as the rest of this module
 
     path = HOME / name

@@ -1,7 +1,8 @@
 """Usual queries, each answered by a single call of the extension, without Python in between (`native/pairs.c`).
 
-A query returns an answer, or None if an argument is unusual or the answer takes more work. After None, the caller takes
-the long way in Python, which checks and reports everything. Without a library, every query returns None.
+A query returns an answer, or None if an argument is unusual or the answer takes more work. If the query returns None,
+the caller takes the long way in Python, which checks and reports everything. Without a library, every query returns
+None.
 """
 
 from typing import Any

@@ -289,11 +289,11 @@ class Body(_Bodies):
         cover : bool
             Whether to grow the pieces of a decomposition until they contain the mesh's whole surface.
         tolerance : float, optional
-            The largest distance by which the pieces may stick out of the mesh, in metres. If it is given, the mesh is
-            cut along planes, without CoACD, until no piece sticks out farther or `max_pieces` is reached. If a piece
-            still sticks out farther than the tolerance, a warning gives the distance. A mesh with holes is always cut
-            along planes; the default tolerance is then 2 % of the diagonal of the bounding box, or more if 2 % would
-            take too much work.
+            The largest distance by which the pieces may stick out of the mesh, in metres. If a tolerance is given, the
+            mesh is cut along planes, without CoACD, until no piece sticks out farther than the tolerance or
+            `max_pieces` is reached. If a piece still sticks out farther, a warning gives the distance. A mesh with
+            holes is always cut along planes; the default tolerance is then 2 % of the diagonal of the bounding box, or
+            more if 2 % would take too much work.
         threshold : float
             CoACD's bound on concavity, from 0.01 to 1. A smaller bound gives more pieces and a closer fit. The bound
             applies only to meshes without holes.
@@ -717,7 +717,7 @@ class Body(_Bodies):
             Heights in metres, at least two along each axis; ``heights[i, j]`` is the height at x = i spacing, y = j
             spacing.
         spacing : float, or array_like of shape (2,)
-            Distance between neighbours along x and y, in metres.
+            Distance between neighbouring heights along x and y, in metres.
         base : float, optional
             Height of the flat underside, in metres; it must be below all `heights`. The default is the lowest height
             minus the longer side of the grid, so that no body can pass through the terrain from above undetected.

@@ -39,7 +39,8 @@ SHORTEST = 1e-100
 # Share by which poses may stretch the ellipsoids of capsules and spheres, whereas the stored radius stays the same.
 BEND = 4 * tolerances.ROTATION_TOLERANCE
 
-# Approximate number of points and planes in a block of polytopes, and of products formed at a time.
+# BLOCK is the approximate number of points and planes in a block of polytopes, and AT_ONCE the approximate number of
+# products formed at a time.
 BLOCK, AT_ONCE = 1 << 14, 1 << 16
 
 # Axes of curved pieces are orthogonal to this accuracy even after a hundred poses that are barely accepted as rigid.

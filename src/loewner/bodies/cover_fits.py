@@ -43,8 +43,8 @@ PAIRS, FALL, AXIS_POINTS = 16_384, 0.7, 24
 # Number of bits in a word; each point, and each candidate, is one bit.
 WORD = 64
 
-# For a given number of balls, the interval of protrusions is halved HALVINGS times, with FEW_STEPS of search each. The
-# protrusion then grows by 3 %, at most GROWTHS times, until the number is proven to suffice.
+# For a given number of balls, the interval of protrusions is halved HALVINGS times, with FEW_STEPS search steps each
+# time. The protrusion then grows by 3 %, at most GROWTHS times, until the number is proven to suffice.
 HALVINGS, FEW_STEPS, GROWTHS = 12, 100, 40
 
 # Largest edge of a cluster's cells, relative to the size of the body, and approximate limit on the number of cells.
@@ -92,7 +92,7 @@ class Candidates:
         ends = np.cumsum(lengths(np.cross(b - a, c - a)))
         share = 1.0
         if protrusion is not None:
-            # A surface that is small relative to the squared protrusion needs fewer points.
+            # If the surface is small relative to the squared protrusion, fewer points suffice.
             share = float(np.clip(DENSITY * ends[-1] / 2 / protrusion / protrusion / SURFACE, LEAST_SHARE, 1.0))
         where = even_points(int(SURFACE * share), 3)
         at = np.minimum(np.searchsorted(ends, where[:, 0] * ends[-1]), len(triangles) - 1)
@@ -342,7 +342,7 @@ class _Clusters:
         """Grow elements by at most the size of a cell, until they stick out as far as allowed; this closes gaps."""
         grown = []
         for cluster, element, excess in zip(self.clusters, self.elements, self.excess, strict=True):
-            # The corners of a box move by more than its faces.
+            # If a box grows, its corners move farther than its faces.
             more = min((limit - excess) / (np.sqrt(3.0) if self.kind == "boxes" else 1.0), self.cell)
             larger = self.element(cluster, more) if more > 0 else element
             grown.append(larger if self.sticks(larger) <= limit else element)

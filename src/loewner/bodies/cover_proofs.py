@@ -43,7 +43,7 @@ TRIMS = 8
 # Circumscribed polytopes are larger by this factor than their computed corners.
 OUTWARD = 1 + 1e-12
 
-# Divisions of the triangulated ball whose corners give trial points of curved elements.
+# Number of divisions of the triangulated ball, whose corners give trial points on curved elements.
 DIVISIONS = 2
 
 # Number of triangles of elements in one search for the largest protrusion.
@@ -79,7 +79,7 @@ class Target:
         self.parts = [_part(packed, i) for i in range(len(packed.layout))]
         self.triangles, self.owner = self.surface([part.triangles for part in self.parts])
         self.curved = np.array([part.inner is not None for part in self.parts])
-        # All points of `own` belong to the body, and its areas are measured.
+        # The triangles in `own` consist of points of the body, and their areas are measured.
         self.own = self.surface([part.triangles if part.inner is None else part.inner for part in self.parts])
         self.radius, self.slack, self.gap = (
             np.array([getattr(part, name) for part in self.parts]) for name in ("radius", "slack", "gap")
@@ -223,7 +223,7 @@ class _Cells:
         return _Cells(self.shape[keep], self.owner[keep], self.area[keep], place[self.cell[pairs]], self.element[pairs])
 
     def middles(self) -> tuple[Floats, Floats]:
-        """Return centers, and radii of balls that hold the cells."""
+        """Return the centers and radii of balls that contain the cells."""
         if self.shape.ndim == 2:
             return self.shape[:, :3], np.sqrt(3.0) * (1 + 1e-12) * self.shape[:, 3]
         middle = self.shape.mean(axis=1)
@@ -337,7 +337,7 @@ class _Proof:
         if first:
             # The first cells have corners as stored, without the rounding of halvings.
             needed = np.where(model.exact[e] & (below == 0)[c], 0.0, model.rounding[e])
-        # The center of a convex cell in a convex element is in it, up to rounding.
+        # If a convex cell is in a convex element, so is the cell's center, up to rounding.
         blur = margin + 2 * slack[c]
         left = np.flatnonzero(meets & (height <= blur))
         most = np.full(len(left), -np.inf)

@@ -21,7 +21,7 @@ FARTHEST = 100.0
 WIDEST = 23.0
 
 # Distances of the principal point from the middle, as shares of the image. The distance is at most OFF for a camera.
-# For the matrix of a turned image, it exceeds OFF, but is below CENTRAL once width and height are exchanged.
+# For the matrix of a turned image, the distance exceeds OFF, but is below CENTRAL once width and height are exchanged.
 OFF, CENTRAL = 0.1, 0.05
 
 

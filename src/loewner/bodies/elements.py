@@ -22,7 +22,7 @@ AT_ONCE = 1_000_000
 # Number of steps in the search for a direction that leads away from all elements, and the cosine that must be exceeded.
 FACING_STEPS, FACING = 8, 1e-6
 
-# Steps of Newton's method for the point of an ellipsoid that is nearest to a point.
+# Number of steps of Newton's method for the point of an ellipsoid that is nearest to a given point.
 NEAREST_STEPS = 24
 
 
@@ -181,7 +181,7 @@ class Elements:
             found[these] = np.where(found[these] > 0, np.maximum(found[these], far), found[these])
         these = np.flatnonzero((self.sigma[element] > 0) & (found > 0))
         if len(these):
-            # The plane perpendicular to the direction of a near point touches the element at its support.
+            # The plane perpendicular to the direction from a near point touches the element at its support point.
             e = element[these]
             arm = points[these] - self.center[e]
             way = arm - self._near(arm, e)
@@ -200,7 +200,8 @@ class Elements:
         unit = dot(self.inverse[element], arm[:, None])
         kinds = self.kind[element]
         squares = (self.factor[element] ** 2).sum(axis=1)
-        # The nearest point of an ellipsoid with semi-axes a is where (a y / (a² + t))² sums to 1, with y = a unit.
+        # For an ellipsoid with semi-axes a, the nearest point to y = a · unit has the t for which the squares of a y /
+        # (a² + t) sum to 1.
         t = np.zeros(len(arm))
         for _ in range(NEAREST_STEPS):
             terms = squares * unit / (squares + t[:, None])

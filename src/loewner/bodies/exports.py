@@ -36,8 +36,8 @@ ELLIPSOIDS = ("inner", "outer")
 # Kinds of curved pieces for which MJCF has a shape; other pieces become meshes.
 MJCF = ("sphere", "cylinder", "capsule", "ellipsoid")
 
-# In a format without ellipsoids, a mesh replaces them: an icosahedron divided this often, with 320 triangles, which
-# deviates by at most 4 % of the semi-axes.
+# In a format without ellipsoids, an icosahedron that is divided DIVISIONS times replaces an ellipsoid. The icosahedron
+# has 320 triangles, and deviates by at most 4 % of the semi-axes.
 DIVISIONS = 2
 
 # A polytope is written as a box if their corners differ by at most this relative distance, one or two roundings.

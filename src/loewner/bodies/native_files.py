@@ -5,10 +5,10 @@ unchanged, except for addresses, which the reader fills in. The layout of the ar
 kernels. The header therefore names the version, and no other version can read the file.
 
 The header contains the text ``lwn file``, the format, the size of the file in bytes, a checksum of everything after the
-checksum, the hash of the kernels' sources, and eight numbers. Seven of them are the counts of arrays, values of a
+checksum, the hash of the kernels' sources, and eight numbers. The first seven numbers count the arrays, values of a
 configuration, links, moving bodies, static bodies, additional packs with surfaces in parts (0 or 2), and surfaces; the
-eighth is 0. A row of the directory contains a type (0 int64, 1 float64, 2 float32, 3 bytes), the numbers of rows and
-columns, and an offset in bytes.
+eighth number is 0. A row of the directory contains a type (0 int64, 1 float64, 2 float32, 3 bytes), the numbers of rows
+and columns, and an offset in bytes.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ TYPES = {np.dtype(np.int64): 0, np.dtype(np.float64): 1, np.dtype(np.float32): 2
 # The golden ratio in 64 bits; its odd multiples are the factors of the words in the checksum.
 GOLDEN = 0x9E3779B97F4A7C15
 
-# Arrays that precede the packs; in a file of bodies alone, only the names among these arrays are not empty.
+# Arrays that precede the packs; in a file of bodies alone, all these arrays except the names are empty.
 BEFORE = (
     "names", "parent", "kind", "column", "multiplier", "offset", "constants", "limits", "joints",
     "quaternions", "link", "pairs", "margins", "order", "margin", "poses", "own", "lowered", "rules",

@@ -19,7 +19,7 @@ from loewner._base._files import read_regular, shown
 from loewner._base._validate import Floats, Ints
 from loewner.errors import FileError, GeometryError
 
-# Largest file in bytes: ten times the file of a building at a resolution of one centimetre.
+# Largest size of a file in bytes, ten times the size for a building at a resolution of one centimetre.
 MOST_BYTES = 2**30
 
 # The binary data begins after the first line feed that follows "data", even if its first bytes look like white space.
@@ -29,7 +29,7 @@ HEADER = re.compile(
 
 LEVELS = 16  # the depth of an OctoMap tree, whose keys have 16 bits per axis
 
-# Values of the two bits of a child; the values 1 and 0 mean free and absent.
+# Values of a child's two bits; the other values are 1 for a free child and 0 for an absent child.
 OCCUPIED, INNER = 2, 3
 
 

@@ -54,7 +54,7 @@ class Prepared(PieceArrays):
         return sum(int(array.nbytes) for array in arrays) + sum(tree.nbytes for tree in self.trees.values())
 
     def packed(self) -> Packed:
-        """The pieces with the arrays for kernels."""
+        """Return the pieces with the arrays for kernels."""
         return Packed.of(PieceArrays(**arrays_of(self)), self.maps, self.trees)
 
 

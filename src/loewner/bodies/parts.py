@@ -58,7 +58,7 @@ def in_parts(packs: Sequence[Packed], most: int = PARTS) -> list[Packed]:
 def in_small_parts(packs: Sequence[Packed]) -> list[Packed]:
     """Cut the surfaces of bodies into small parts, whose total number is limited."""
     surfaces, most = sum(len(pack.trees) for pack in packs), MOST_PARTS
-    # A power of two, so that adding a surface does not always cut all others anew.
+    # The limit is halved, not divided exactly, so that adding a surface does not always cut all other surfaces anew.
     while most * surfaces > ALL_PARTS:
         most //= 2
     return in_parts(packs, max(most, PARTS))

@@ -131,7 +131,7 @@ class _Group:
             self.process = subprocess.Popen(command, env=environment, stdout=told, stderr=said)
 
     def done(self) -> int:
-        """Number of parts that are done."""
+        """Return the number of parts that are done."""
         return sum(line in self.names for line in self._told.read_text(encoding="utf-8", errors="replace").splitlines())
 
     def check(self) -> None:
@@ -142,8 +142,8 @@ class _Group:
 
 
 def _code(names: list[str]) -> str:
-    # The child imports this copy of the package. Numba makes millions of small permanent objects, among which the
-    # search for garbage would take a sixth of the time.
+    # The child imports this copy of the package. Numba makes millions of small permanent objects, so that garbage
+    # collection would take a sixth of the time.
     return f"""
 import gc, sys
 sys.path.insert(0, {str(Path(__file__).parents[2])!r})

@@ -60,7 +60,7 @@ def print_reports(
 
 
 def _area(body: loewner.Body) -> float:
-    """The total surface area of all pieces."""
+    """Return the total surface area of all pieces."""
     corners = np.concatenate([vertices[triangles] for vertices, triangles in of_pieces(packed_of(body))])
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     return float(np.linalg.norm(normals, axis=1).sum()) / 2
@@ -88,7 +88,7 @@ def _number(x: float, rounded: Callable[[float], float]) -> str:
 
 
 def entries(model: loewner.Robot, reports: Mapping[str, CoverReport]) -> dict[str, dict[str, Any]]:
-    """All reports in the form of JSON; infinite distances become null."""
+    """Convert all reports to the form of JSON; infinite distances become null."""
 
     def ends(pair: tuple[float, float]) -> list[float | None]:
         return [end if np.isfinite(end) else None for end in pair]
@@ -107,7 +107,7 @@ def entries(model: loewner.Robot, reports: Mapping[str, CoverReport]) -> dict[st
 
 
 def _shapes(model: loewner.Robot, link: str) -> int:
-    """The number of shapes that a model has for a link."""
+    """Return the number of shapes that a model has for a link."""
     return len(model.bodies[link].pieces) if link in model.bodies else 0
 
 

@@ -106,7 +106,7 @@ def _judged(named: Sequence[tuple[str, str]], bodies: Any, poses: Any, answers: 
 
 
 def _reordered(said: Judgement, rows: Sequence[dict[str, Any]], poses: Sequence[Floats]) -> list[Floats] | None:
-    """Read quaternions with the real part last, if many rows are wrong; None if few are, or none has quaternions."""
+    """Return poses with quaternions read real part last; None if few rows are wrong, or no row has a quaternion."""
     if said.wrong.sum() < max(1, judging.TRIED * len(rows)):
         return None
     other, some = [T.copy() for T in poses], False
@@ -190,7 +190,7 @@ def _of_json(text: str, path: Path) -> list[dict[str, Any]]:
 
 
 def _pair(row: dict[str, Any], bodies: dict[str, loewner.Body], where: str) -> tuple[str, str]:
-    """The names of both bodies of a row."""
+    """Return the names of both bodies of a row."""
     found = []
     for column, usual in zip(NAMES, "AB", strict=True):
         name = row.get(column, usual if usual in bodies else None)
@@ -201,7 +201,7 @@ def _pair(row: dict[str, Any], bodies: dict[str, loewner.Body], where: str) -> t
 
 
 def _numbers(value: Any, where: str) -> list[float]:
-    """The numbers in a cell; an empty cell has none."""
+    """Return the numbers in a cell; an empty cell has none."""
     if isinstance(value, str):
         words = value.split()
         try:
@@ -219,7 +219,7 @@ def _numbers(value: Any, where: str) -> list[float]:
 
 
 def _pose(row: dict[str, Any], column: str, where: str) -> Floats:
-    """A pose of a row: a translation, a translation with a quaternion, or a matrix."""
+    """Return a pose of a row: a translation, a translation with a quaternion, or a matrix."""
     numbers = _numbers(row.get(column), f"{where}, {column}")
     if len(numbers) == 16:
         return np.array(numbers).reshape(4, 4)
@@ -229,7 +229,7 @@ def _pose(row: dict[str, Any], column: str, where: str) -> Floats:
 
 
 def _answers(rows: Sequence[dict[str, Any]], path: Path) -> dict[str, Floats]:
-    """The columns with answers, which are NaN in rows without an answer."""
+    """Return the columns with answers, which are NaN in rows without an answer."""
     found = {}
     for name, count in ANSWERS.items():
         if not any(name in row for row in rows):
@@ -282,7 +282,7 @@ def _described(bodies: dict[str, loewner.Body]) -> dict[str, str]:
 
 
 def _is_convex(vertices: Any, triangles: Any) -> bool:
-    """Whether a closed mesh is its own hull; this informs the reader, and no finding depends on it."""
+    """Return whether a closed mesh is its own hull; the result informs the reader, and no finding depends on it."""
     from scipy.spatial import ConvexHull  # not needed by other commands, which start faster without it
 
     corners = (vertices - vertices.mean(axis=0))[triangles]
@@ -335,13 +335,13 @@ def _print(
 
 
 def _wrong_parts(said: Judgement, k: int) -> list[tuple[str, Finding, float]]:
-    """The wrong parts of the answer in a row, each with its finding and error."""
+    """Return the wrong parts of the answer in a row, each with its finding and error."""
     parts = zip(PARTS, map(Finding, said.kinds[k].tolist()), said.excess[k].tolist(), strict=True)
     return [part for part in parts if part[1] > Finding.UNDECIDED]
 
 
 def _interval(said: Judgement, k: int) -> str:
-    """The proven signed distance of the bodies in a row."""
+    """Format the proven signed distance of the bodies in a row."""
     lower, upper = float(said.lower[k]), float(said.upper[k])
     if np.isinf(lower):
         return f"depth at least {max(-upper, 0.0):.9g} m"

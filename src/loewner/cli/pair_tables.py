@@ -29,7 +29,7 @@ def print_pairs(found: ProvenPairs, robot: loewner.Robot) -> None:
 
 
 def _at(row: ProvenPair, robot: loewner.Robot) -> str:
-    """The values of the joints between the bodies at the least distance."""
+    """Format the values of the joints between the bodies at the least distance."""
     if row.nearest is None:
         return ""
     values = dict(zip(robot.configuration_names, row.nearest.tolist(), strict=True))

@@ -23,7 +23,7 @@ from loewner.errors import ConvergenceError, InputError, PlanningError
 # Number of configurations of each motion, including its ends, for which the distance of the nearest pair is measured.
 MEASURED = 33
 
-# Options that make a plan a plan in time.
+# Options that request a plan in time.
 IN_TIME = ("start_time", "arrive_by", "velocity")
 
 EXAMPLES = """examples:

@@ -51,7 +51,8 @@ OPTIONS: dict[str, dict[str, type]] = {
 }
 USUAL: dict[str, Any] = {"margin": 0.0, "scale": 1.0, "hull": False, "decompose": False, "usual_model": "surface"}
 
-# The member with the options, the versions and the answers; names of members have only characters of `PLAIN`.
+# The member with the options, the versions and the answers; the names of members contain only characters that `PLAIN`
+# matches.
 DOCUMENT, FORMAT, VERSION = "report.json", "loewner-report", 1
 PLAIN = re.compile(r"\w[\w.-]*", re.ASCII)
 
@@ -317,12 +318,12 @@ def _tried(answer: Callable[[], Any]) -> Any:
 
 
 def _checksum(body: loewner.Body) -> str:
-    """Checksum of a body's numbers, which shows whether the same mesh became another body."""
+    """Compute the checksum of a body's numbers, which shows whether the same mesh became another body."""
     return _archives.digest(arrays_of(packed_of(body)))[:16]
 
 
 def _versions() -> dict[str, str]:
-    """Versions on which answers may depend; nothing here identifies a machine or a user."""
+    """Return the versions on which answers may depend; nothing here identifies a machine or a user."""
     level = library.level()
     return {
         "loewner": loewner.__version__,

@@ -108,7 +108,7 @@ def _claim(report: verify.Report) -> str:
 
 
 def _entry(report: verify.Report, faults: list[str]) -> dict[str, Any]:
-    """A report in the form of JSON."""
+    """Convert a report to the form of JSON."""
     return {
         "verified": not faults,
         "claim": _claim(report),

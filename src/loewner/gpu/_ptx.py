@@ -1,9 +1,9 @@
 """The threads' functions as PTX, which NVIDIA's drivers compile for the GPU at hand.
 
-llvmlite's wheels include LLVM's back end for PTX. It takes the intermediate code that Numba makes from the library's
-own formulas, so the formulas need no second source, and users need not install anything else. PTX that was built with
-the native library is used as it is. If there is none, PTX is made when it is first requested, and kept in the store of
-compiled kernels.
+llvmlite's wheels include LLVM's back end for PTX. The back end takes the intermediate code that Numba makes from the
+library's own formulas, so the formulas need no second source, and users need not install anything else. PTX that was
+built with the native library is used as it is. If no such PTX exists, it is made when it is first requested, and kept
+in the store of compiled kernels.
 """
 
 from __future__ import annotations
@@ -94,8 +94,7 @@ def _target(module: Any, machine: Any) -> None:
 
 
 def _kernel(function: Any, machine: Any) -> Any:
-    """Make one kernel's module: Numba's intermediate code for a function, and a caller that passes the thread's number.
-    """
+    """Make a kernel's module: Numba's intermediate code of a function, and a caller that passes the thread number."""
     import llvmlite.binding as llvm
     from numba import types
 

@@ -22,7 +22,7 @@ from loewner.queries import pairs as queries
 from loewner.queries._settle import NO_ROWS, settle
 from loewner.queries.pairs import Plan, Verdict
 
-# The plan of a pair that is settled alone, listed by the rows of its bodies.
+# The plan for settling one pair, which is listed by the row numbers of its bodies.
 _ONE_LISTED = np.array([[1], [1], [0], [1], [0]], dtype=np.int64)
 
 

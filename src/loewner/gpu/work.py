@@ -103,7 +103,7 @@ class Left:
 
 
 def length_of(device: Device, listed: Memory) -> int:
-    """Wait until all work is done, and read how many entries a list has, or would have with enough room."""
+    """Wait until all work is done, and read how many entries a list has, or would have if it had enough room."""
     count = np.empty(1, dtype=np.int32)
     device.download(listed.address, count)
     return int(count[0])

@@ -54,10 +54,10 @@ class Covering:
         Number of surface points that were tested, including all vertices of the mesh.
     max_protrusion : float
         Proven upper bound, up to rounding, on the distance from any point of the pieces to the mesh, in metres. For a
-        closed mesh, this is the distance to the enclosed solid (all points with a nonzero winding number); for any
-        other mesh, it is the distance to the surface. The bound is within 1 % of the true value, or within 1e-4 of the
-        diagonal of the mesh's bounding box, unless the mesh is so large that the search was stopped. NaN if the body
-        was loaded from a file written before this value existed, or was made for a link from a mesh without an inside.
+        closed mesh, the distance is measured to the enclosed solid (all points with a nonzero winding number); for any
+        other mesh, to the surface. The bound is within 1 % of the true value, or within 1e-4 of the diagonal of the
+        mesh's bounding box, unless the mesh is so large that the search was stopped. NaN if the body was loaded from a
+        file written before this value existed, or was made for a link from a mesh without an inside.
 
     Examples
     --------
@@ -83,8 +83,8 @@ class CoverReport(_validate.Brief):
     ----------
     outcome : {"covered", "uncovered", "undecided"}
         "covered": each point of the body, including its interior, is proven to be in the model. "uncovered": `witness`
-        is proven to be outside the model. "undecided": neither is proven, because some parts of the body, divided down
-        to the tolerance, are in no single element.
+        is proven to be outside the model. "undecided": neither outcome is proven, because some parts of the body,
+        divided down to the tolerance, are in no single element.
     uncovered_share : tuple of float
         Bounds on the share of the body's surface area that is outside the model. The surfaces of all pieces count, even
         where they are inside other pieces. For a curved piece, the area of an inscribed polytope with corners on the
@@ -193,9 +193,7 @@ def _excess(points: Floats, hull: Polytope) -> Floats:
 
 
 def _largest_gap(cells: Floats, hulls: list[Polytope], slack: float) -> float:
-    """Bound the distance of cells from the pieces: for each cell, its farthest corner's distance from the nearest
-    piece.
-    """
+    """Bound the distance of cells from the pieces: for each cell, of its farthest corner from its nearest piece."""
     points, index = np.unique(cells.reshape(-1, 3), axis=0, return_inverse=True)
     corner = index.reshape(-1, 3)
     corner = corner[_coverage(points, corner, hulls)[0] > 0]

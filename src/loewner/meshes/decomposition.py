@@ -56,7 +56,7 @@ class Surfaces(Protocol):
 
 
 class Loaded(Protocol):
-    """The declared result type of `trimesh.load`; only reading the file shows whether it is a surface."""
+    """The declared result type of `trimesh.load`; only reading the file shows whether the result is a surface."""
 
     @property
     def bounds(self) -> ArrayLike | None:
@@ -224,13 +224,14 @@ def convex_pieces(
     cover : bool
         Whether to grow the pieces of a decomposition until they contain the mesh's whole surface.
     tolerance : float, optional
-        The largest distance by which the pieces may stick out of the mesh, in metres. If it is given, the mesh is cut
-        along planes instead of by CoACD, until no piece sticks out farther or `max_pieces` is reached. If a piece
-        sticks out farther in the end, a warning states how far. A mesh with holes is always cut along planes; the
-        default tolerance is then 2 % of the diagonal of the bounding box, or more if 2 % would take too much work.
+        The largest distance by which the pieces may stick out of the mesh, in metres. If a tolerance is given, the mesh
+        is cut along planes instead of by CoACD, until no piece sticks out farther than the tolerance or `max_pieces` is
+        reached. If a piece still sticks out farther, a warning states how far. A mesh with holes is always cut along
+        planes; the default tolerance is then 2 % of the diagonal of the bounding box, or more if 2 % would take too
+        much work.
     threshold : float
-        CoACD's bound on concavity, from 0.01 to 1. A smaller bound gives more pieces and a closer fit. It applies only
-        to meshes without holes.
+        CoACD's bound on concavity, from 0.01 to 1. A smaller bound gives more pieces and a closer fit. The bound
+        applies only to meshes without holes.
     max_pieces : int, optional
         Limit on the number of pieces of a decomposition.
     seed : int

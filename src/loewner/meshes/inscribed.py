@@ -38,8 +38,8 @@ def inscribed_ellipsoids(
         Vertices in metres.
     triangles : array_like of int, shape (t, 3)
         Vertex indices of at least four triangles. The mesh is assumed to be closed, with triangles consistently
-        oriented at common edges; this is not checked. The mesh may intersect itself, may have several parts, cavities
-        and triangles without area, and may be inside out as a whole.
+        oriented at common edges; this assumption is not checked. The mesh may intersect itself, may have several parts,
+        cavities and triangles without area, and may be inside out as a whole.
     count : int
         The largest number of ellipsoids.
     tree : tuple of ndarray, optional

@@ -23,7 +23,7 @@ from loewner.meshes.triangles import cut, squared_distances, unit_normals
 ACCURACY = 0.25
 
 # A cut tries the planes of FACES faces near the deepest point, TURNS planes around the shortest segment from that point
-# to the mesh, and planes perpendicular to the axes.
+# to the mesh, and planes perpendicular to the coordinate axes and the principal axes.
 FACES, TURNS = 6, 4
 
 # Number of random triangles that represent a larger cell while planes are compared.
@@ -77,7 +77,7 @@ class Cell:
     whole: bool = False
 
     def is_out(self, tolerance: float) -> bool:
-        """Whether the cell sticks out too far and may be cut."""
+        """Return whether the cell sticks out too far and may be cut."""
         return self.bound > tolerance and not self.whole
 
 

@@ -12,8 +12,8 @@ from loewner._base._validate import Floats, Ints
 from loewner._kernels import records
 from loewner._native import entries
 
-# A triangle whose height is less than this share of its longest edge has no reliable normal. It is replaced with its
-# edges, which contain the whole triangle up to that height.
+# A triangle whose height is less than this share of its longest edge has no reliable normal. Such a triangle is
+# replaced with its edges, which contain the whole triangle up to that height.
 SLIVER = 1e-12
 
 

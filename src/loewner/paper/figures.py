@@ -84,8 +84,7 @@ class Line:
 
 
 def line_of_pair(inner: tuple[Ellipsoids, Ellipsoids], outer: tuple[Ellipsoids, Ellipsoids], method: str) -> Line:
-    """Find a pair's near-point line, and where it leaves outer ellipsoid 1 (beta) and enters outer ellipsoid 2 (alpha).
-    """
+    """Find a pair's near-point line, its exit from outer ellipsoid 1 (beta) and its entry into outer 2 (alpha)."""
     near = near_points(*inner, method=method, angle=PAPER_ANGLE)
     L = float(near.distance)
     away = near.point_2 - near.point_1 if L > 0 else inner[1].center - inner[0].center

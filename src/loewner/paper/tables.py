@@ -15,8 +15,8 @@ from loewner.paper.detectors import Confusion
 from loewner.paper.results import Experiment, Result
 
 # The paper's numbers by table; a table has the number of its detector. Part (a) is about all pairs, and part (b) about
-# ambiguous pairs. Milliseconds per check follow, as the caption gives them for (a) and (b) (Pentium 4 at 1.8 GHz,
-# MATLAB 6.5). A matrix is read row by row: tp is cell (1,1), fp (1,2), fn (2,1), tn (2,2).
+# ambiguous pairs. The last two numbers are the milliseconds per check that the caption gives for (a) and (b) (Pentium 4
+# at 1.8 GHz, MATLAB 6.5). A matrix is read row by row: tp is cell (1,1), fp (1,2), fn (2,1), tn (2,2).
 PAPER = {
     1: (Confusion(375, 32, 167, 426), Confusion(50, 32, 5, 150), 100.0, 146.0),
     2: (Confusion(515, 23, 27, 435), Confusion(134, 23, 24, 136), 46.0, 75.0),

@@ -76,15 +76,15 @@ class Part:
         self.kind, self.radius, self.triangles, self.points = entries.exact_parts(pack, piece)
 
     def corners(self, triangle: int) -> Floats:
-        """Corners of a triangle, shape (3, 3)."""
+        """Return the corners of a triangle, shape (3, 3)."""
         return np.asarray(self.triangles[triangle].reshape(3, 3))
 
     def holds_part_of(self, other: Part, T: Floats, S: Floats) -> bool:
-        """Whether the first vertex of a connected part of another piece is in this solid or on its surface."""
+        """Return whether the first vertex of a connected part of another piece is in this solid or on its surface."""
         return self.kind == columns.SOLID and any(self._holds(point, T, S) for point in other.points)
 
     def _holds(self, point: Floats, T: Floats, S: Floats) -> bool:
-        """Whether the solid at pose T contains a point of another body at pose S."""
+        """Return whether the solid at pose T contains a point of another body at pose S."""
         corners = self.triangles[np.isfinite(self.triangles[:, 0])].reshape(-1, 3, 3)
         near = corners @ T[:3, :3].T + (T[:3, 3] - S[:3, 3]) - S[:3, :3] @ point
         middle = near.mean(axis=1)
@@ -102,7 +102,7 @@ class Part:
 
 
 def placed(points: list[tuple[Floats, Floats]]) -> tuple[list[Vector], Fraction]:
-    """Points at poses as integer multiples of a unit, and the unit in metres."""
+    """Return points at poses as integer multiples of a unit, and the unit in metres."""
     turn = _digits([T[:3, :3] for T, _ in points])
     place = _digits([p for _, p in points])
     all_digits = max(turn + place, _digits([T[:3, 3] for T, _ in points]))
@@ -116,14 +116,14 @@ def placed(points: list[tuple[Floats, Floats]]) -> tuple[list[Vector], Fraction]
 
 
 def _digits(arrays: list[Floats]) -> int:
-    """Largest number of binary digits after the point among all floats of the arrays."""
+    """Return the largest number of binary digits after the point among all floats of the arrays."""
     numbers = np.concatenate([np.ravel(a) for a in arrays])
     numbers = numbers[numbers != 0]
     return max(0, 53 - int(np.frexp(numbers)[1].min())) if len(numbers) else 0
 
 
 def _whole(x: float, digits: int) -> int:
-    """The integer x times 2 to the power of `digits`."""
+    """Return the integer x times 2 to the power of `digits`."""
     top, bottom = x.as_integer_ratio()
     return (top << digits) // bottom
 
@@ -144,10 +144,10 @@ def cross(a: Vector, b: Vector) -> Vector:
 
 
 def meet(a: list[Vector], b: list[Vector]) -> bool:
-    """Whether two triangles, segments or points have a point in common.
+    """Return whether two triangles, segments or points have a point in common.
 
-    They have no common point if and only if an axis separates them strictly: a normal of the set of their differences
-    or, if this set is flat, of the plane or line that contains the set.
+    The two have no common point if and only if an axis separates them strictly. The axis is a face normal of the set of
+    their differences or, if this set is flat, a normal of the plane or line that contains the set.
     """
     return not any(
         max(dot(n, p) for p in a) < min(dot(n, p) for p in b) or max(dot(n, p) for p in b) < min(dot(n, p) for p in a)
@@ -171,7 +171,7 @@ def _axes(a: list[Vector], b: list[Vector]) -> Iterator[Vector]:
 
 
 def within(a: list[Vector], b: list[Vector], reach: Fraction) -> bool:
-    """Whether the distance between two triangles is at most `reach`."""
+    """Return whether the distance between two triangles is at most `reach`."""
     if meet(a, b):
         return True
     if reach == 0:
@@ -193,7 +193,7 @@ def within(a: list[Vector], b: list[Vector], reach: Fraction) -> bool:
 
 
 def _to_segment(p: Vector, a: Vector, b: Vector) -> Fraction:
-    """Squared distance from a point to a segment."""
+    """Compute the squared distance from a point to a segment."""
     e, w = minus(b, a), minus(p, a)
     length, along = dot(e, e), dot(w, e)
     if along <= 0 or length == 0:
@@ -204,7 +204,7 @@ def _to_segment(p: Vector, a: Vector, b: Vector) -> Fraction:
 
 
 def _to_face(p: Vector, t: list[Vector]) -> Fraction | None:
-    """Squared distance from a point to the plane of a triangle; None if its foot is outside the triangle."""
+    """Compute the squared distance from a point to a triangle's plane; None if its foot is outside the triangle."""
     n = cross(minus(t[1], t[0]), minus(t[2], t[0]))
     if not any(n) or any(dot(cross(minus(t[(k + 1) % 3], t[k]), minus(p, t[k])), n) < 0 for k in range(3)):
         return None
@@ -212,7 +212,7 @@ def _to_face(p: Vector, t: list[Vector]) -> Fraction | None:
 
 
 def _between_lines(a: Vector, b: Vector, c: Vector, d: Vector) -> Fraction | None:
-    """Squared distance between two lines; None if they are parallel, or a foot is outside the segments."""
+    """Compute the squared distance between two lines; None if they are parallel, or a foot is outside the segments."""
     u, v, r = minus(b, a), minus(d, c), minus(c, a)
     n = cross(u, v)
     squared = dot(n, n)
@@ -224,7 +224,7 @@ def _between_lines(a: Vector, b: Vector, c: Vector, d: Vector) -> Fraction | Non
 
 
 def _windings(ray: Vector, surface: tuple[Floats, Floats], place: tuple[Floats, Floats]) -> bool | None:
-    """Whether a surface winds around a point, by the triangles that a ray crosses; None if the ray meets an edge."""
+    """Return whether a surface winds around a point, judged by a ray; None if the ray meets an edge."""
     T, triangles = surface
     (x, *corners), _ = placed([place, *((T, p) for p in triangles.reshape(-1, 3))])
     count = 0
@@ -249,7 +249,7 @@ def _windings(ray: Vector, surface: tuple[Floats, Floats], place: tuple[Floats, 
 
 
 def _may_cross(ray: Vector, a: Vector, b: Vector, c: Vector) -> bool:
-    """Whether a ray from the origin meets a triangle."""
+    """Return whether a ray from the origin meets a triangle."""
     far = 1 + max(abs(x) for p in (a, b, c) for x in p) * 2
     end = (ray[0] * far, ray[1] * far, ray[2] * far)
     return meet([(0, 0, 0), end, end], [a, b, c])

@@ -1,6 +1,6 @@
 """Verdicts for listed pairs: a fast pass, then a fallback for the remaining pairs, then exact integers.
 
-Queries about pairs and about crowds use this module. So do robots, for configurations that their own kernels
+Queries about pairs and about crowds use this module. Robots also use it, for configurations that their own kernels
 (`_kernels/robots/configurations.py`) leave open.
 """
 
@@ -16,7 +16,7 @@ from loewner._native import entries
 from loewner.queries import _exact
 from loewner.queries._exact import Operands as Operands
 
-# The plan of one pair, and the rows of pairs that are not listed by number.
+# The plan of one pair, and the empty rows for pairs that are not listed by row numbers.
 ONE_PAIR = np.array([[1], [0], [0], [0], [0]], dtype=np.int64)
 NO_ROWS = np.empty((2, 0), dtype=np.int64)
 

@@ -140,8 +140,8 @@ def overlapping_pairs(
     UnknownNameError
         If `method` is not one of the names above.
     ConvergenceError
-        If the exact search could not settle a pair, which is never reported as free. With ``depth=True``, also if a
-        distance could not be computed, as in `distance`; in this case, `indices` are rows of the list of pairs, and
+        If the exact search could not settle a pair; such a pair is never reported as free. With ``depth=True``, also if
+        a distance could not be computed, as in `distance`; in this case, `indices` are rows of the list of pairs, and
         `partial` has all other results.
 
     Examples

@@ -84,8 +84,8 @@ def first_contact(
         rest. None is the identity.
     tolerance : float
         Length in metres by which the bodies may approach each other between `free_until` and `touching_at`. The
-        tolerance can be as small as about 1e-11 of the lengths involved, or 1e-8 of them for ellipsoids, cylinders and
-        cones; with a smaller tolerance, pairs are AMBIGUOUS.
+        tolerance can be as small as about 1e-11 of the lengths involved, or 1e-8 for ellipsoids, cylinders and cones;
+        with a smaller tolerance, pairs are AMBIGUOUS.
     margin : float
         Distance in metres that the bodies have to keep.
 
@@ -110,8 +110,8 @@ def first_contact(
 
     References
     ----------
-    Mirtich (1996), conservative advancement; Zhang, Lee and Kim (2006), doi:10.1145/1128888.1128908. The bound between
-    two planes is our own: docs/certified.md.
+    Mirtich (1996), conservative advancement; Zhang, Lee and Kim (2006), doi:10.1145/1128888.1128908. For the bound
+    between two planes, see docs/certified.md.
 
     Examples
     --------

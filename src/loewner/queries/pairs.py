@@ -475,7 +475,7 @@ def collide(
     UnknownNameError
         If `method` is not one of the names above.
     ConvergenceError
-        If the exact search could not settle a pair, which is never reported as free.
+        If the exact search could not settle a pair; such a pair is never reported as free.
 
     References
     ----------

@@ -29,7 +29,8 @@ MOST_TURN = 3.0
 # Largest angle [rad] between the quaternions at the ends of a piece that is approximated by a cubic curve.
 MOST_ARC = 0.05
 
-# The first and last pose of a motion that repeats agree to this fraction of its positions, and to this angle [rad].
+# The first and last pose of a motion that repeats may differ by CLOSED, relative to its positions, and by the angle
+# CLOSED_TURN [rad].
 CLOSED, CLOSED_TURN = 1e-9, 1e-6
 
 # Largest speed [m/s], and shortest time between two poses [s]; bounds on rounding overflow only far beyond these

@@ -271,8 +271,7 @@ def _narrower(mujoco: Any, model: Any) -> int:
 
 
 class _Names:
-    """Names of bodies, joints, geoms and keyframes, unique within their kind, and made from kind and index if missing.
-    """
+    """Names of bodies, joints, geoms and keyframes, unique within their kind; kind and index replace a missing name."""
 
     def __init__(self, mujoco: Any, model: Any) -> None:
         self.bodies = _named([model.body(i).name for i in range(model.nbody)], "body")
@@ -282,7 +281,10 @@ class _Names:
         self._parts = set(self.bodies)
 
     def of_part(self, body: int, number: int, geoms: tuple[int, ...]) -> str:
-        """Return a part's name: the body's name for its first part, otherwise and in the world the first geom's name.
+        """Return a part's unique name.
+
+        The first part of a body has the body's name, and each further part has the name BODY/GEOM of its first geom. In
+        the world, a part has the name of its geom.
         """
         if body and not number:
             return self.bodies[body]
@@ -457,7 +459,9 @@ def _hull_points(model: Any, mesh: int) -> Floats:
 def _left_out(
     mujoco: Any, model: Any, part_names: dict[tuple[int, ...], str], file: Path
 ) -> tuple[frozenset[Pair], frozenset[Pair]]:
-    """Find the pairs of parts that MuJoCo skips because of kinship or the file (see "Collision" in its documentation).
+    """Find the pairs of parts that MuJoCo skips, by kinship or because of the file.
+
+    The section "Collision" of MuJoCo's documentation gives the rules.
     """
     parts = list(part_names)
     if len(parts) * (len(parts) - 1) // 2 > MOST_PAIRS:

@@ -285,13 +285,13 @@ class Scene:
         Raises
         ------
         InputError
-            If the body is attached to a link, or follows a motion: see `following`.
+            If the body is attached to a link, or follows a motion (see `following`).
         """
         with _CHANGING:
             return self._poses[self._placed(name)].copy()
 
     def copy(self) -> Scene:
-        """Return a copy of the scene; later changes to either do not affect the other.
+        """Return a copy of the scene; later changes to the scene do not affect the copy, or the reverse.
 
         Returns
         -------
@@ -508,8 +508,7 @@ class Scene:
         Raises
         ------
         InputError
-            If a body is attached to a link, with which it moves until it is detached, or an error is negative or not
-            finite.
+            If a body is attached to a link, and must be detached first, or an error is negative or not finite.
 
         Notes
         -----
@@ -566,8 +565,8 @@ class Scene:
         Raises
         ------
         InputError
-            If the numbers of names and poses differ, a name occurs twice, or a body is attached to a link, with which
-            it moves until it is detached.
+            If the numbers of names and poses differ, a name occurs twice, or a body is attached to a link and must be
+            detached first.
         PoseError
             If a pose is not a rigid motion.
         UnknownNameError
@@ -625,8 +624,8 @@ class Scene:
             T_world_body at these times; translation in metres. Between two times, the position changes linearly, and
             the body turns at a constant rate through the smaller angle.
         repeat : bool
-            Whether the motion starts again when it ends; the last pose must then equal the first one. By default the
-            body waits at the first pose before the motion, and at the last pose after it.
+            Whether the motion starts again when it ends; the last pose must then equal the first one. By default, the
+            body waits at the first pose before the motion, and at the last pose after the motion.
         twist : array_like, shape (6,), optional
             Velocity of the body's origin [m/s] and angular velocity [rad/s], both in the world's frame and constant
             between two `times`; `poses` is then the first pose, shape (4, 4). The origin moves along a straight line
@@ -635,7 +634,7 @@ class Scene:
             Bounds on how fast the body departs from this motion [m/s, rad/s], such as 1.6 m/s for a person. At time t,
             the body's origin deviates by at most speed · \\|t - since\\|, and its orientation by at most turn · \\|t -
             since\\|. A point at distance ρ from the origin then deviates by at most (speed + ρ · turn) · \\|t -
-            since\\|. `bounds` contains the largest ρ; a frame in the middle of the body makes it smallest.
+            since\\|. `bounds` contains the largest ρ, which is smallest if the frame is in the middle of the body.
         since : float, optional
             Time in seconds at which the body was seen; the default is the first of `times`.
         error : array_like, shape (2,), optional
@@ -738,7 +737,8 @@ class Scene:
         Warns
         -----
         UserWarning
-            If `allow` still permits contact between this body and another one; proofs of motions then ignore that pair.
+            If `allow` still permits contact between this body and another body or link; proofs of motions then ignore
+            that pair.
 
         Notes
         -----
@@ -878,7 +878,7 @@ class Scene:
         therefore not proven: contact might end and begin again between two places, but no deeper than at the start. The
         rule takes precedence over `allow`. At a single configuration, contact is a collision, as for all pairs.
 
-        The rule ends when one of the two is attached, detached or removed.
+        The rule ends when one of the two bodies is attached, detached or removed.
 
         Examples
         --------
@@ -1048,7 +1048,7 @@ class Scene:
 
         The scene's margin applies to every pair with a body of the scene, and the links' margin (``against="links"``)
         applies to every pair of links. In addition, the margin of each body or link and the margin of the pair apply.
-        Only a margin set with ``lower=True`` overrides more general ones: a body's or link's margin overrides the
+        Only a margin set with ``lower=True`` overrides more general margins: a body's or link's margin overrides the
         scene's and the links' margin, and the pair's margin overrides all others.
 
         Parameters

@@ -98,7 +98,7 @@ class Points:
         )  # fmt: skip
 
     def box(self, T: Floats) -> Floats:
-        """Lowest and highest corner at a pose, shape (2, 3)."""
+        """Return the bounding box at a pose: its lowest and highest corner, shape (2, 3), in metres."""
         return _box(self.points @ T[:3, :3].T + T[:3, 3], self.radius)
 
 
@@ -121,7 +121,7 @@ class Copies:
         )  # fmt: skip
 
     def box(self, T: Floats) -> Floats:
-        """Lowest and highest corner at a pose, shape (2, 3)."""
+        """Return the bounding box at a pose: its lowest and highest corner, shape (2, 3), in metres."""
         return _box(self.centers @ T[:3, :3].T + T[:3, 3], np.linalg.norm(T[:3, :3] @ self.factors, axis=-1))
 
 
@@ -143,9 +143,9 @@ class Drawing:
     shown : dict
         Visibility of each layer, by name.
     mesh : callable, optional
-        Returns the triangles from which the body was made, in its frame, or None if there are none. It is called when
-        the mesh is first shown. A body without a mesh shows its pieces instead, so that it does not vanish from the
-        page.
+        Returns the triangles from which the body was made, in its frame, or None if there are none. The function is
+        called when the mesh is first shown. A body without a mesh shows its pieces instead, so that it does not vanish
+        from the page.
     """
 
     def __init__(

@@ -44,7 +44,7 @@ def diagonal(box: Floats) -> float:
 
 
 def aim(server: Any, box: Floats) -> None:
-    """Let the camera start with a view of a box from the front, the right and above, to the left of the panel."""
+    """Let the camera start with a view of a box from the front, right and above, to the left of the panel."""
     size = diagonal(box)
     middle = box.mean(axis=0) + 0.12 * size * np.array([0.84, 0.54, 0.0])
     server.initial_camera.look_at = middle
@@ -55,7 +55,7 @@ def aim(server: Any, box: Floats) -> None:
 def add_ground(scene: Any, box: Floats) -> tuple[Any, float]:
     """Add a grid below the scene, and return the edge length of its cells [m].
 
-    The grid is at z = 0 if the scene rests there, and at the scene's lowest point if not.
+    The grid is at z = 0 if the scene rests there, and otherwise at the scene's lowest point.
     """
     size = diagonal(box)
     cell = round_length(GRID_SIDE * size / LEAST_CELLS)

@@ -38,7 +38,7 @@ HTTP_PORT = "80"
 # The title of the page as viser serves it.
 VISERS_TITLE = b"<title>Viser</title>"
 
-# No host has this name (RFC 2606). It represents all foreign hosts when the guard is tested.
+# No host has this name (RFC 2606). The name represents all foreign hosts when the guard is tested.
 FOREIGN = "loewner.invalid"
 
 
@@ -77,7 +77,7 @@ class Listening:
         return "::1" if self.family == socket.AF_INET6 else "127.0.0.1"
 
     def url(self, port: int, token: str | None, name: str | None = None) -> str:
-        """Address to type into a browser on this machine, or on a second machine that reaches this one by `name`."""
+        """Return the address to type into a browser, on this machine or on one that reaches this machine by `name`."""
         if name is None:
             name = "localhost" if self.own_address == "127.0.0.1" else self.host if not self.everywhere else "::1"
         host = f"[{name}]" if ":" in name else name

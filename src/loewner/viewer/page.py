@@ -104,7 +104,7 @@ class Viewer(ABC):
 
     @property
     def url(self) -> str:
-        """Address of the page on this machine, with the token if others can reach it."""
+        """Address of the page on this machine, with the token if others can reach the page."""
         self._check_open()
         return self._guard.where.url(self._guard.port, self._guard.token)
 

@@ -37,7 +37,7 @@ COLOURS: dict[int, Rgb] = {
     COLLIDING: VERDICT_COLOURS[Verdict.COLLIDING],
     UNSETTLED: (119, 119, 119),
 }
-# The result of a check for each verdict.
+# The result for each verdict, in the order of the verdicts' numbers.
 SEEN = np.array([FREE, COLLIDING, UNSETTLED])
 NAMES = {FREE: "FREE", COLLIDING: "COLLIDING", UNSETTLED: "UNDECIDED"}
 
@@ -230,7 +230,8 @@ def proven_along(checker: CollisionChecker, way: Way) -> Proof:
 def worst_along(checker: CollisionChecker, way: Way, proof: Proof) -> float:
     """Return the time, in seconds since the start, at which the least distance of any pair is smallest.
 
-    For a path without times of its own, this is the worst among sampled times and the times at which proofs ended.
+    For a path without times of its own, the result is the worst of the sampled times and the times at which proofs
+    ended.
     """
     if isinstance(way, (Trajectory, Executed)):
         near = approaches.worst(checker, way.given if isinstance(way, Executed) else way)

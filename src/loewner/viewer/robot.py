@@ -81,7 +81,7 @@ def show_robot(
         Checker of the robot and the scene to show. Moving a body on the page moves it in this scene.
     q : array_like, shape (dof,), optional
         The first configuration. The default is the start of the path. Without a path, the default is the state of the
-        SRDF that names the most joints, or 0 for all joints if there is no state, with joints kept within their limits.
+        SRDF that names the most joints, or else 0 for all joints. In both cases, joints are kept within their limits.
     path : array_like, shape (n, dof), or planners.Trajectory, optional
         Two or more configurations of this robot. The page gets a time slider, a button to play the path, a bar that
         shows where samples of the path collide, and a bar that shows where the path is proven free. If bodies of the
@@ -627,8 +627,7 @@ class RobotViewer(Viewer):
         return self._time + (0.0 if self._way is None else self._way.start_time)
 
     def _now(self) -> float | None:
-        """Move bodies that follow motions to the current time, and return this time; None if no body follows a motion.
-        """
+        """Move bodies that follow motions to the current time, and return it; None if no body follows a motion."""
         following = self.checker.scene.following
         for name, motion in following.items():
             if name in self._shown:

@@ -62,7 +62,8 @@ def save_screenshot(page: Viewer, path: str | os.PathLike[str], *, width: int = 
         if isinstance(size, bool) or not isinstance(size, int) or not 200 <= size <= 4000:
             raise InputError(f"{name}: expected pixels from 200 to 4000, found {_validate.short(size)}")
     playwright = imported("playwright.sync_api", "screenshots need Playwright", "screenshots")
-    # Use a separate thread: the caller's may run an event loop, as in a notebook, and Playwright refuses such threads.
+    # Use a separate thread, since Playwright refuses a thread that runs an event loop, as the caller's thread does in a
+    # notebook.
     with ThreadPoolExecutor(1) as thread, page._without_gizmos():
         picture = thread.submit(_picture, page.url, sizes, playwright.sync_playwright, playwright.Error).result()
     with replacing(file) as temporary:

@@ -13,7 +13,8 @@ from loewner._base._validate import Floats, Progress
 ROUNDING = 2.0**-53  # unit roundoff of float64
 # Count of numbers in a block of rows: few enough for the cache, and enough to make the overhead of NumPy negligible.
 BLOCK = 2**16
-# Largest number of unknowns in an interior-point method whose matrix has a row for each unknown: 390 MB.
+# Largest number of unknowns in an interior-point method whose matrix has a row for each unknown; the matrix then takes
+# 390 MB.
 LARGEST_SYSTEM = 7000
 STEP_CAP, CENTRING_FLOOR = 0.9999, 1e-15  # as in `_kernels.fits.mvce`
 

@@ -6,8 +6,8 @@ and the slacks z, E² = (Aᵀ Y A)⁻¹ = L Lᵀ, T = A L and h_i = |T_i|, a ste
 
     S = diag(2 h z / y) + (T Tᵀ)∘(T Tᵀ),
 
-which has a row for each half-space and, apart from its diagonal, the low rank n (n + 1) / 2. It is factorised directly,
-or by Woodbury's identity in that rank if this costs less.
+which has a row for each half-space and, apart from its diagonal, the low rank n (n + 1) / 2. The matrix is factorised
+directly, or by Woodbury's identity in that rank if the identity costs less.
 
 Few half-spaces touch the ellipsoid. The interior-point method works on a subset, from which half-spaces far from the
 ellipsoid are dropped by a heuristic. A pass over all half-spaces then finds the half-spaces that cut the ellipsoid, and
@@ -77,8 +77,7 @@ class _WorkingSet:
 
 @dataclass(frozen=True)
 class _Inside:
-    """An ellipsoid x + root B (B: the unit ball), and a bound on log(largest volume / its volume) for the working set.
-    """
+    """An ellipsoid x + root B (B: unit ball), and a bound on log(largest volume / its volume) for the working set."""
 
     x: Floats
     root: Floats
@@ -95,8 +94,8 @@ def largest_inside(
 ) -> tuple[Floats, Floats, Floats, int]:
     """Find the center, lower triangular factor, multipliers and steps of the largest ellipsoid in {x : A x <= b}.
 
-    `center` and `frame` are the analytic center and the whitening at it, from `entries.center_in`. The result holds up
-    to rounding; `proven` computes its quality. If no ellipsoid was found, the factor is zero.
+    `center` is the analytic center and `frame` is the whitening there; both come from `entries.center_in`. The result
+    holds up to rounding; `proven` computes its quality. If no ellipsoid was found, the factor is zero.
     """
     _memory.expect_room_for_blas(4 * A.nbytes)  # for R, and as much again in each step and in its linear system
     n = A.shape[1]

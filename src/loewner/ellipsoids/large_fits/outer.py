@@ -304,7 +304,8 @@ def _ascend(active: _WorkingSet, inverse: Floats, w: Floats, count: int, target:
         k = int(nearest.argmin())
         if N - w[k] > w[j] - N:
             j = k
-        # w is 1 at the center, where rounding could flip the sign; such a point loses all its weight.
+        # For a point at the center, w is 1, and rounding could flip the sign of w - 1; such a point loses all its
+        # weight.
         share = max((w[j] - N) / (N * max(w[j] - 1.0, ROUNDING)), -u[j] / (1.0 - u[j]))
         g = inverse @ Q[j]
         z = Q @ g

@@ -99,7 +99,7 @@ def _plain(data: bytes) -> bytes:
     if b"\r" in data:
         data = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
     if b"\\\n" in data:
-        # The line continues in the next one; blank lines after it preserve the numbers of the following lines.
+        # A continued line is joined with the next line; blank lines follow, so that all later lines keep their numbers.
         data = re.sub(rb"(?:[^\n]*\\\n)+[^\n]*", _continued, data)
     return data
 

@@ -153,9 +153,9 @@ def fans(corners: Ints, sizes: Ints) -> Triangles:
 def cut(vertices: Floats, corners: Ints, sizes: Ints, tell: Tell, place: Callable[[int], str]) -> Triangles:
     """Cut polygons into triangles, in their order: a fan about the first corner, unless the fan leaves the polygon.
 
-    The triangles of a polygon have the polygon's boundary and all face the same side. They therefore form the polygon
-    and cover each point once, however they were found. A polygon for which no such triangles are found keeps its fan,
-    whose triangles contain the polygon.
+    The triangles of a polygon have the polygon's boundary and all face the same side. The triangles therefore form the
+    polygon and cover each of its points once, however they were found. A polygon for which no such triangles are found
+    keeps its fan, whose triangles contain the polygon.
 
     Parameters
     ----------

@@ -23,8 +23,8 @@ from loewner.scenes.scene import Scene
 # Largest size of a file that is read [bytes].
 MOST_BYTES = 2**28
 
-# Largest difference in any entry of the matrix between the rotations of a quaternion and of angles; files have few
-# digits.
+# Largest difference between any entries of two rotation matrices, one from a quaternion and one from angles; files have
+# few digits.
 SAME_ROTATION = 1e-2
 
 TOP_KEYS = ("robot", "joints", "problems")

@@ -18,7 +18,7 @@ from loewner.bodies import Body
 from loewner.errors import FileError
 from loewner.scenes.files.schema import keys_of
 
-# Largest size of a file of numbers in bytes: a cloud of ten million points as text.
+# Largest size of a file of numbers in bytes, enough for a cloud of ten million points as text.
 MOST_BYTES = 2**29
 
 Recipe = tuple[Any, Callable[[], Body]]
