@@ -26,7 +26,7 @@ BYTES = 200
 
 @guarded
 class SeenSpace:
-    """A grid whose cells are either unknown or seen to be empty by a depth camera.
+    """A grid of cells, each either unknown or seen to be empty by a depth camera.
 
     A cell is seen if it lies completely in front of the depths measured at all pixels onto which the cell projects. All
     other cells are unknown: they are behind a surface, in the shadow of the robot, outside the image, or where no depth

@@ -479,7 +479,7 @@ def tiers(counts: Mapping[str, Settled | Mapping[str, int]], *, ax: Any = None) 
         label, colour = TIERS[tier]
         ax.barh(list(groups), share, left=left, color=colour, label=label)
         left += share
-    ax.set(xlim=(0, 100), xlabel="%", ylim=(len(groups) - 0.5, -0.5))  # the first group on top
+    ax.set(xlim=(0, 100), xlabel="%", ylim=(len(groups) - 0.5, -0.5))  # puts the first group on top
     ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.15), ncols=2, fontsize="small", frameon=False)
     return ax
 
@@ -741,7 +741,7 @@ def _draw(ax: Any, body: Body, T: Floats, colour: str, ellipsoids: bool) -> None
         for fitted, line, width in ((body.outer, OUTER, 0.4), (body.inner, INNER, 0.6)):
             moved = fitted.transformed(T)
             for center, factor in zip(moved.center, moved.factor, strict=True):
-                if factor.any():  # otherwise a point: a surface has no inside
+                if factor.any():  # otherwise the ellipsoid is a point, since a surface has no inside
                     _add_wires(ax, center, factor, colors=line, linewidths=width)
 
 

@@ -142,7 +142,7 @@ def _is_differentiated(Q: Any) -> bool:
         return True
     try:
         return torch.autograd.forward_ad.unpack_dual(Q).tangent is not None
-    except RuntimeError:  # within jvp of vmap, where PyTorch cannot determine it
+    except RuntimeError:  # PyTorch cannot determine this within a jvp inside vmap
         return True
 
 

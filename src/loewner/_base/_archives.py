@@ -143,8 +143,8 @@ def read(
     path : path
     kind : Format
     make : callable
-        Called with a dict of the arrays: int64 or float64 in C order, and arrays of texts. `read` returns its result;
-        an InputError that it raises becomes a FileError that names the file.
+        Called with a dict of the arrays: int64 or float64 in C order, and arrays of texts. `read` returns the result of
+        `make`; an InputError that `make` raises becomes a FileError that names the file.
     wanted : str, optional
         The `digest` that the content must have.
 
@@ -198,7 +198,7 @@ def numbers(data: bytes, name: str, what: str) -> NDArray[Any]:
             )
         order: Any = "F" if header.fortran_order else "C"
         return np.ndarray(header.shape, header.dtype, data, stop, order=order).copy(order="K")
-    except (ValueError, TypeError) as error:  # includes InputError; absurd types and shapes raise other errors
+    except (ValueError, TypeError) as error:  # includes InputError; extreme types and shapes raise other errors
         found = str(error).removeprefix(f"{name}: ")
         raise FileError(f"{name}: expected {what}, found something else ({found})") from None
 
@@ -261,7 +261,7 @@ def _from_archive(archive: zipfile.ZipFile, name: str, kind: Format, wanted: str
             f"{name}: expected {kind.what} with the checksum {wanted}, found {found}; the file was written anew or "
             "replaced by another"
         )
-    for member in kind.arrays:  # systems have different integer types
+    for member in kind.arrays:  # the default integer type differs between systems
         told[member] = np.ascontiguousarray(told[member], dtype=np.int64 if member in kind.integers else np.float64)
     return told
 

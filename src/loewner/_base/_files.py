@@ -43,8 +43,8 @@ def read_regular(path: str | os.PathLike[str], what: str, limit: int) -> bytes:
     """
     name = shown(path)
     try:
-        # Opening a device can have effects, so the file is checked before it is opened. It is checked again when it is
-        # open, since another file may have taken its place.
+        # Opening a device can have effects, so the file is checked before it is opened. The open file is checked again,
+        # since another file may have taken its place.
         _expect_regular(os.stat(path), name, what)
         flags = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_NOCTTY", 0) | getattr(os, "O_BINARY", 0)
         with open(os.open(path, flags), "rb", buffering=0) as file:

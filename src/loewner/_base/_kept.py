@@ -35,7 +35,7 @@ class kept(cached_property[T]):
         return value
 
     def hand_on(self, old: Any, new: Any, change: Callable[[T], T] | None = None) -> None:
-        """Give a new object the value of an old object, if computed, or the result of `change` for this value."""
+        """Give a new object the value of an old object, if already computed, after applying `change` if given."""
         if self.func.__name__ in vars(old):
             value = vars(old)[self.func.__name__]
             vars(new)[self.func.__name__] = value if change is None else change(value)

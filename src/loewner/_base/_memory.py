@@ -139,7 +139,7 @@ def _of_groups(root: Path) -> Iterator[tuple[int, str]]:
 
 
 def _group_folders(root: Path) -> Iterator[tuple[Path, Path]]:
-    """Yield the folders of this process's control groups that count memory, and the tops of their trees."""
+    """Yield the folder of each control group of this process that counts memory, and the top of the group's tree."""
     mine = {}
     for line in (_text(root / "proc/self/cgroup") or "").splitlines():
         _, controllers, within = line.split(":", 2)

@@ -59,7 +59,7 @@ class Node(ABC):
 
     @property
     def key(self) -> str:
-        """The keys that lead here, joined by "/"; empty at the top."""
+        """The keys that lead to the place, joined by "/"; empty at the top."""
         names: list[str] = []
         at: Node | None = self
         while at is not None and at._above is not None:  # YAML's aliases may lead deeper than recursion can go

@@ -210,7 +210,7 @@ def _thick(corners: Floats, radii: Floats, colour: Ints) -> tuple[Floats, Ints]:
         square[..., :2] += np.stack([-along - across, across - along, along + across, along - across], axis=1)
         corners = np.concatenate([corners[~thin], square[:, [0, 1, 2]], square[:, [0, 2, 3]]])
         colour = np.concatenate([colour[~thin], colour[thin], colour[thin]])
-        near = (a[:, 2] - a[:, 2].min()) / max(np.ptp(a[:, 2]), 1e-9)  # nearer ones are brighter
+        near = (a[:, 2] - a[:, 2].min()) / max(np.ptp(a[:, 2]), 1e-9)  # nearer shapes are brighter
         light = np.concatenate([light[~thin], near, near])
     return corners, 1 + colour * LEVELS + np.rint(light.clip(0.0, 1.0) * (LEVELS - 1)).astype(np.int64)
 

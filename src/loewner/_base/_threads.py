@@ -30,7 +30,7 @@ ALONE = 16
 LONG = 0.1
 
 
-# Largest number of threads of one call: more are probably a mistake, and each thread takes memory for its stack.
+# Largest number of threads for one call; a larger number is probably a mistake, and each thread's stack takes memory.
 MOST_THREADS = 1024
 
 
@@ -80,7 +80,7 @@ def set_num_threads(n: int) -> None:
 def get_num_threads() -> int:
     """Return the number of threads that calls of this thread may use.
 
-    This is the number that `set_num_threads` has set on this thread. If no number was set, the environment variable
+    The number is the one that `set_num_threads` has set on this thread. If no number was set, the environment variable
     ``LOEWNER_NUM_THREADS`` gives the number, or else ``NUMBA_NUM_THREADS`` if it is valid. Otherwise, it is the number
     of processors that this process may use. The environment is read once, at the first call that needs the number.
 

@@ -1,7 +1,7 @@
 """Find the native library for this machine, and check that it is intact.
 
-The library contains the kernels as machine code. It is made from the kernels' sources by the compiler that Numba uses
-on a user's machine (`native/`). The library is next to this file, with a list of its files and sources. A library made
+The library contains the kernels as machine code. The compiler that Numba uses on a user's machine makes it from the
+kernels' sources (`native/`). The library is next to this file, with a list of its files and sources. A library made
 from other sources, or altered since it was made, is not loaded.
 
 A build in a clone provides kernels before it ends: the list names a file with the kernels built so far, and a call of

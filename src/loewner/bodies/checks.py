@@ -46,8 +46,9 @@ BLOCK, AT_ONCE = 1 << 14, 1 << 16
 # Axes of curved pieces are orthogonal to this accuracy even after a hundred poses that are barely accepted as rigid.
 MOST_SKEW = 1e-4
 
-# Limit on the candidates for the farthest vertices of large polytopes, per plane and vertex on average. The direction
-# map leaves about forty candidates per plane; if the points are not vertices of a hull, it could leave all of them.
+# Limit on the average number of candidates per plane and vertex in the search for farthest vertices of large polytopes.
+# The direction map leaves about forty candidates per plane; if the points are not vertices of a hull, it could leave
+# all of them.
 MOST_CANDIDATES = 512
 
 # Expected shapes; the letters stand for the numbers of pieces, bodies, points, planes and triangles.

@@ -72,7 +72,7 @@ LEAST_PROTRUSION, LARGEST_PROTRUSION, MOST = 1e-4, 1e4, 4096
 
 
 def grid_of(target: Target) -> float:
-    """Return the step of the grid to which the numbers of a fit are rounded [m], a power of two."""
+    """Return the grid step [m], a power of two, to which the numbers of a fit are rounded."""
     return float(2.0 ** np.ceil(np.log2(2.0 * (target.reach + target.size)))) * GRID
 
 
@@ -303,7 +303,7 @@ class _Clusters:
                 ball = mvce(points, tol=1e-2).ellipsoid
                 axes, turn, center = ball.semi_axes, ball.rotation, ball.center
                 least = self.spare + 1e-3 * axes.max()
-            except GeometryError:  # flat
+            except GeometryError:  # the points are flat
                 turn, half, center = _box(points)
                 axes, least = np.sqrt(3.0) * half, 1e-2 * half.max() + self.spare
             semi_axes = np.maximum(axes + self.spare, least)[None] + more

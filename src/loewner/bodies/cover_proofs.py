@@ -59,7 +59,7 @@ class _Part:
     triangles: Floats
     solid: bool  # the piece includes its inside
     convex: bool
-    radius: float  # of the ball around each point of the triangles
+    radius: float  # radius of the ball around each point of the triangles
     slack: float  # the piece sticks out of its triangles by at most this
     gap: float = 0.0  # the triangles stick out of the piece by at most this
     inner: Floats | None = None  # triangles in a curved piece, with corners on its surface
@@ -280,7 +280,7 @@ class _Proof:
         return np.asarray(model.heights(points, element) <= -(margin + radius))
 
     def wholes(self) -> Bools:
-        """Return the parts that equal an element or whose corners are all in one element."""
+        """Return which parts equal an element, or have all corners in one element."""
         target, model = self.target, self.model
         packed, found = target.packed, np.zeros(len(target.parts), dtype=bool)
         kinds, frames = packed.layout[:, columns.KIND], packed.frames
@@ -579,8 +579,8 @@ def excess_of(target: Target, packed: Packed, model: Elements, tolerance: float)
         around = {i: hulls[i] if i in hulls else _around(packed, i)[0] for i in open_}
         faces = np.cumsum([len(around[i].simplices) for i in open_])
         groups = np.split(np.array(open_), np.searchsorted(faces, np.arange(FACES, int(faces[-1]), FACES)))
-        # Each search has limited work. If there are several searches, elements that stick out less than another element
-        # do not matter.
+        # Each search may do a limited amount of work. If there are several searches, elements that stick out less than
+        # another element do not matter.
         floor = max(0.0, near + float(target.radius.min() - target.gap.max())) if len(groups) > 1 else 0.0
         for group in groups:
             if len(group) == 0:

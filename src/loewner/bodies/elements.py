@@ -19,7 +19,7 @@ HEIGHT_ROUNDINGS = 64 * 2.0**-53
 # Number of products of points and planes formed at a time.
 AT_ONCE = 1_000_000
 
-# Number of steps in the search for a direction that leads away from all elements, and the cosine that must be exceeded.
+# Number of steps in the search for a direction that leads away from all elements, and the cosine that it must exceed.
 FACING_STEPS, FACING = 8, 1e-6
 
 # Number of steps of Newton's method for the point of an ellipsoid that is nearest to a given point.

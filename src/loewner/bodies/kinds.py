@@ -17,9 +17,9 @@ from loewner._kernels import columns
 from loewner.errors import InputError
 
 Mesh = tuple[Floats, Ints]
-# A function that fits ellipsoids to k pieces in the frames of the pieces. Its arguments are the radii of the balls,
-# shape (k,), and the semi-axes of the images, shape (k, 3). It returns semi-axes, and the heights of the centers along
-# the third axis.
+# A function that fits ellipsoids to k pieces in the frames of the pieces. The arguments are the radii of the balls,
+# shape (k,), and the semi-axes of the images, shape (k, 3). The results are semi-axes, and the heights of the centers
+# along the third axis.
 Fit = Callable[[Floats, Floats], tuple[Floats, Floats | float]]
 # A function of points or directions, shape (k, 3).
 Function = Callable[[Floats], Floats]
@@ -150,7 +150,8 @@ def _in_capsules(radius: Floats, lengths: Floats) -> tuple[Floats, float]:
 def _around_capsules(radius: Floats, lengths: Floats) -> tuple[Floats, float]:
     """Compute the smallest ellipsoids, with semi-axes a, a, b, around capsules whose straight part has half length h.
 
-    Their support function must be at least h|cos| + r, that is, a² - r² - 2hr c + k c² >= 0 for c in [0, 1] with k = b²
+    The support function of the ellipsoid must be at least h|cos| + r, that is, a² - r² - 2hr c + k c² >= 0 for c in [0,
+    1] with k = b²
     - a² - h². The volume is least where k² - 2h²k - 3h²r² = 0.
     """
     # Compute in units of the greater length, so that no square over- or underflows.

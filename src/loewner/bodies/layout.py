@@ -33,7 +33,7 @@ UP = 1 + 2.0**-22  # certified.md B23
 # Assumed bound on the error of singular values, relative to the largest one; tests compare it with LAPACK's errors.
 SINGULAR_ROUNDINGS = 32 * 2.0**-53
 
-# Bound on the rounding of two products with a nearly orthonormal matrix, with 3 terms per entry, and of LAPACK itself.
+# Bound on the rounding errors of LAPACK and of two products with a nearly orthonormal matrix, with 3 terms per entry.
 TURN_ROUNDINGS = 128 * 2.0**-53
 
 # Number of products of directions and vertices formed at a time.

@@ -17,7 +17,7 @@ from loewner.meshes.inscribed import FEWEST_TRIANGLES, inscribed_ellipsoids
 # Number of ellipsoids kept inside a solid; more ellipsoids would take longer to find and prove little more.
 MOST_INSIDE = 8
 
-# Bound on the error of the root of a shape matrix in single precision, in units of roundoff.
+# Bound on the error of a shape matrix's root in single precision, in units of roundoff.
 SINGLE_ROUNDINGS = 8.0
 
 # Bound on the rounding errors of an ellipsoid inside or around a sum, relative to its size.
@@ -95,7 +95,7 @@ class SurfaceTree:
         rows = self.ellipsoids.reshape(9, wide)[:, filled].T.astype(float)
         root = rows[:, [3, 4, 5, 4, 6, 7, 5, 7, 8]].reshape(-1, 3, 3)
         sizes = np.sqrt((root**2).sum(axis=(1, 2)))
-        least = 1e-12 + 1e-14 * np.abs(rows[:, :3]).max()  # for parts that are a point
+        least = 1e-12 + 1e-14 * np.abs(rows[:, :3]).max()  # least size, for parts that are a point
         reach = np.maximum(radius + SINGLE_ROUNDINGS * 2.0**-24 * sizes, least)
         return rows[:, :3], around_sums(product(root, root), reach)
 
@@ -106,7 +106,7 @@ def around_point(radius: float) -> Floats:
 
 
 def around_sums(shape: Floats, radius: Floats) -> Floats:
-    """Compute factors of ellipsoids around sums of balls and ellipsoids, the latter given by shape matrices.
+    """Compute factors of ellipsoids around sums of a ball and an ellipsoid, which is given by its shape matrix.
 
     For all p > 0, the ellipsoid with the shape matrix (1 + 1/p) Q + (1 + p) r² 1 contains the sum; the p chosen here
     minimizes the trace of that matrix. Kurzhanski and Valyi (1997), Ellipsoidal Calculus for Estimation and Control,

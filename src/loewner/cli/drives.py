@@ -92,7 +92,7 @@ def _add_map(scene: loewner.Scene, options: argparse.Namespace) -> Floats | None
     file, text = options.map
     try:
         height = positive_scalar(_tables.number(text), "--map, height")
-    except ValueError:  # includes our own errors
+    except ValueError:  # includes errors of this library
         raise InputError(f"--map, height: expected metres above 0, found {text!r}") from None
     grid = maps.read_map(file)
     body = maps.body_of(grid, height, unknown=True)

@@ -72,7 +72,7 @@ class _Pool:
         self._lock, self._running, self._ended = threading.Lock(), set[subprocess.Popen[str]](), False
 
     def start(self) -> subprocess.Popen[str] | None:
-        """Start a further process; return None if all have been ended."""
+        """Start another process; return None if all processes have been ended."""
         with self._lock:
             if self._ended:
                 return None

@@ -173,7 +173,7 @@ def _console(**options: Any) -> Console:
 
 
 def print_answer(options: argparse.Namespace, answer: Any, print_text: Callable[[], None]) -> None:
-    """Print an answer, as JSON if --json is given and as text if not."""
+    """Print an answer, as JSON if --json is given, and otherwise as text."""
     if options.json:
         print(json.dumps(answer, indent=2))
     else:

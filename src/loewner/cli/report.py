@@ -243,7 +243,7 @@ def _fault(document: Any) -> str:
 
 
 def _answered(query: str, folder: Path, kept: Mapping[str, Any]) -> dict[str, Any]:
-    """Run a query on the inputs in a folder; messages do not name the folder."""
+    """Run a query on the inputs in a folder; error messages do not name the folder."""
     options = argparse.Namespace(**(dict.fromkeys(OPTIONS["check"]) | USUAL | dict(kept)))
     try:
         return {"check": _of_pair, "robot": _of_robot}[query](options, folder)

@@ -110,7 +110,7 @@ def put_down(scene: loewner.Scene, robot: loewner.Robot, part: Part, carrying: d
 
 
 def controller_of(points: planners.ControllerPoints) -> str:
-    """Return the name of the controller that follows points with their derivatives."""
+    """Return the name of the controller that follows the given points with their derivatives."""
     return CONTROLLERS[_derivatives(points)]
 
 

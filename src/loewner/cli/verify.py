@@ -64,7 +64,7 @@ def _run(options: argparse.Namespace) -> int:
     if options.urdf is None:
         of_robot = ("srdf", "scene", "model", "decompose", "package_dir", "leave", "reach")
         inputs.refuse(options, of_robot, "{}: expected --robot with it; without it there is no model")
-    data = read_regular(options.file, "a proof", 2 * verify.MOST_BYTES)  # too large ones are refused below
+    data = read_regular(options.file, "a proof", 2 * verify.MOST_BYTES)  # larger proofs are refused below
     try:
         report = verify.verify(data)
     except verify.Refused as error:

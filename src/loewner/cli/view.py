@@ -74,7 +74,7 @@ def _run(options: argparse.Namespace) -> int:
     import webbrowser
 
     answer = sys.stdout
-    with redirect_stdout(sys.stderr):  # for viser's messages
+    with redirect_stdout(sys.stderr):  # viser prints messages to standard output
         page = _view_robot(options) if options.urdf is not None else _view_pair(options)
         if options.screenshot is not None:
             from loewner import viewer

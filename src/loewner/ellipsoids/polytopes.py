@@ -271,7 +271,7 @@ def interior_point(A: Floats, b: Floats) -> Floats:
         slack = b - A @ x
         least = float(slack.min())
         noise = float((4 * n * EPS * (np.abs(b) + np.abs(A) @ np.abs(x))).max())
-        if least > noise or least < -1e-3 / magnify or least == noise == 0.0:  # the last: exactly flat
+        if least > noise or least < -1e-3 / magnify or least == noise == 0.0:  # the last case is exactly flat
             break
         magnify = min(magnify * 1e6, 1.0 / max(abs(least), noise))
     distance = (b - A @ x) / np.linalg.norm(A, axis=1)
@@ -292,7 +292,7 @@ def center_error(code: int, A: Floats, direction: Floats) -> GeometryError:
     """Make the error for half-spaces without a center; for an unbounded polytope, it names an unbounded direction."""
     if code != codes.UNBOUNDED:
         return GeometryError("A, b: no center found; the half-spaces are too close to flat or unbounded for float64")
-    if not direction.any():  # the normals do not span the space: any vector that is orthogonal to all of them
+    if not direction.any():  # the normals do not span the space; take any vector orthogonal to them
         direction = np.linalg.svd(A)[2][-1]
     way = np.array2string(direction / np.linalg.norm(direction), precision=3, suppress_small=True)
     return GeometryError(f"A, b: unbounded: no half-space limits the direction {way}")
@@ -345,9 +345,9 @@ def _not_inside(frame: Floats, coordinates: Floats) -> Ints | slice:
     out if a·(y - c) is less than 1 - `shrink` for each face. The smallest a·(v - c) over a face's own vertices v is 1,
     so no vertex is left out, and by the lemma of docs/containment.md the hull of the vertices contains the point in
     these coordinates. The coordinates are off by at most 5 u B |y| (u, B: `_kernels.fits.many`), which moves a·(y - c)
-    by at most 5 u B |y| / s, where s is the least distance of a face from c. Both the point and the vertices move: this
-    takes 10 of the 128 in `shrink`. The first term of `shrink` is far above the rounding of the products, which is less
-    than 20 u |y| / s.
+    by at most 5 u B |y| / s, where s is the least distance of a face from c. The point and the vertices both move,
+    which takes 10 of the 128 in `shrink`. The first term of `shrink` is far above the rounding of the products, which
+    is less than 20 u |y| / s.
     """
     found = _hull_of_sample(coordinates)
     if found is None:
@@ -515,7 +515,7 @@ def box_hull(half: Floats, name: str) -> Hulls:
     check_size(float(half.max()), name)
     corners = _CORNERS * half
     edges = 2 * half
-    # This is the kernel's test of the corners, which compares the edge along each axis with the longest edge so far.
+    # Repeat the kernel's test of the corners, which compares the edge along each axis with the longest edge so far.
     if not (edges > np.maximum(FLATNESS * np.maximum.accumulate(edges), 6 * EPS * half.max())).all():
         raise flat_error(name, corners)
     return Hulls._packed([(corners, _BOX_NORMALS, np.abs(_BOX_NORMALS) @ half, _BOX_TRIANGLES)])

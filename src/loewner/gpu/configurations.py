@@ -81,7 +81,7 @@ class Checker:
         self._checker = checker
         self._tables: dict[Device, Tables] = {}
         self._tiles: dict[Device, Tile] = {}
-        self._lock = threading.Lock()  # for the tiles
+        self._lock = threading.Lock()  # protects the tiles
 
     def __repr__(self) -> str:
         return f"<loewner.gpu.Checker of {self._checker.robot.dof} joints on GPU {self._number}>"

@@ -3,8 +3,8 @@
 The driver is the library that comes with the GPU's software, ``libcuda.so.1`` or ``nvcuda.dll``; no toolkit is needed.
 The driver compiles the PTX of `loewner.gpu._ptx` for its GPU when a `Device` is opened, and keeps the result on disk.
 
-All work goes to one stream, in order. The context is the GPU's primary context, which PyTorch, JAX and CuPy use as
-well, so their memory can be read here.
+All work goes to one stream, in order. The context is the GPU's primary context, which PyTorch, JAX and CuPy also use,
+so that their memory can be read here.
 """
 
 from __future__ import annotations
@@ -156,7 +156,7 @@ class Device:
     # -- work ---------------------------------------------------------------------------------
 
     def launch(self, kernel: str, threads: int, *arguments: int | Memory) -> None:
-        """Run a kernel in `threads` threads; the kernel receives this number before the arguments."""
+        """Run a kernel in `threads` threads; the kernel receives the number of threads before the arguments."""
         if threads == 0:
             return
         numbers = [ctypes.c_int64(x.address if isinstance(x, Memory) else x) for x in (threads, *arguments)]

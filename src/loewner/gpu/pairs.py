@@ -107,7 +107,7 @@ def classify(
     there = [is_on_gpu(T) for T in poses.values()]
     here = [None if is_on_gpu(T) else _validate.poses(T, name, check=False) for name, T in poses.items()]
     if not any(there):
-        queries.plan_of(a, _shape(here[0]), b, _shape(here[1]), each=5, chosen=pairs)  # errors about the arguments
+        queries.plan_of(a, _shape(here[0]), b, _shape(here[1]), each=5, chosen=pairs)  # raises errors about arguments
 
     def on_gpu() -> Any:
         gpu = driver.opened(number)

@@ -99,7 +99,7 @@ def _cores(ready: Problem) -> tuple[NDArray[np.int32], NDArray[np.float32], NDAr
     numbers[:, columns.CORE_RADIUS] = radius * tolerances.UP
     numbers[:, columns.CORE_REACH] = reach * (1.0 + 4.0 * tolerances.ROTATION_TOLERANCE)
     bent = np.linalg.norm(R.transpose(0, 2, 1) @ R - np.eye(3), axis=(1, 2)) > ROUND
-    integers[bent & (radius > 0.0), columns.CORE_KIND] = columns.SURFACE  # left to the CPU
+    integers[bent & (radius > 0.0), columns.CORE_KIND] = columns.SURFACE  # these are left to the CPU
     placed: list[Floats] = [np.zeros((0, 3))]
     count = 0
     for k, (kind, begin, end) in enumerate(packed.layout[:, :3].tolist()):

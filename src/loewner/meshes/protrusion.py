@@ -49,7 +49,7 @@ FACING, FACING_STEPS = 1e-6, 6
 SEEN_AT = np.array([[1, 1, 1], [2.4, 0.3, 0.3], [0.3, 2.4, 0.3], [0.3, 0.3, 2.4]]) / 3
 LOOKED_ASIDE = 1e-7
 
-# Points in one call of a kernel; interrupts are noticed between calls.
+# Number of points in one call of a kernel; interrupts are noticed between calls.
 CHUNK = 16_384
 
 
@@ -199,9 +199,8 @@ def protrusions(
     The distances of two points to the solid differ by at most the distance between the points. One bound for a triangle
     of a piece's boundary is therefore the distance of the triangle's center, negative inside, plus the triangle's
     radius about the center. The distance to a single triangle of the mesh is a convex function, so its largest value at
-    a corner is a second bound. The smaller of the two bounds counts. A triangle whose bound is above the required bound
-    is halved, or cut along the edges of the mesh triangle in which it nearly lies; the part in the mesh triangle is
-    then settled.
+    a corner is a second bound. The smaller bound counts. A triangle whose bound is above the required bound is halved,
+    or cut along the edges of the mesh triangle in which it nearly lies; the part in the mesh triangle is then settled.
 
     If a piece fills a cavity or a groove of the mesh, the distance may have a greater local maximum inside the piece.
     At such a maximum, the directions from the nearest points of the surface surround the point, and each direction is a

@@ -69,7 +69,7 @@ def cut(triangles: Floats, normals: Floats, offsets: Floats, rounding: float) ->
     whole_below = np.flatnonzero((lower > 0) & (upper == 0))
     whole_above = np.flatnonzero((upper > 0) & (lower == 0))
 
-    # The corner `a` that is alone on its side, and the two others, which may lie in the plane.
+    # The corner `a` is alone on its side; the other two corners may lie in the plane.
     single_below = lower[crossed] == 1
     alone = np.where(single_below, (height[crossed] < 0).argmax(axis=1), (height[crossed] > 0).argmax(axis=1))
     (a, b, c), (ha, hb, hc) = (

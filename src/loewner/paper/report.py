@@ -25,7 +25,7 @@ CAPTIONS = {
     "figure-4": "Figure 4. A pair of each cell of Table 2 (b), detector 2: polyhedra and inner ellipsoids.",
 }
 
-# Kinds of blocks that are one paragraph: the beginning of its line in Markdown, and its element in HTML.
+# Kinds of blocks that consist of one paragraph, each with the beginning of its line in Markdown and its HTML element.
 PARAGRAPHS = {"title": ("# ", "h1"), "heading": ("## ", "h2"), "text": ("", "p")}
 
 

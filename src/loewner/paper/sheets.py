@@ -37,7 +37,7 @@ SAID = ("collision", "free")  # rows of a confusion matrix
 ESTIMATE = (
     "Collision where the contact functions F of the inner ellipsoids and of the outer ones have a product of at most 1."
 )
-NUMBER = re.compile(r"-|[\d.,]+(e[+-]\d+)?( [\[(].*[\])])?")  # with the following cell in brackets
+NUMBER = re.compile(r"-|[\d.,]+(e[+-]\d+)?( [\[(].*[\])])?")  # a number, with the next cell in brackets
 
 
 @dataclass(frozen=True)

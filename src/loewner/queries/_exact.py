@@ -28,7 +28,7 @@ Vector: TypeAlias = tuple[int, int, int]
 # unless one of these pairs of triangles meets.
 ROOM = 20_000
 
-# Directions of rays, all well apart, since a ray that meets an edge gives no answer.
+# Directions of rays, which are tried in turn, since a ray that meets an edge gives no answer.
 RAYS = (
     (1, 2, 3),
     (-3, 1, 2),

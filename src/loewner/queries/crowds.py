@@ -35,7 +35,7 @@ PAIR_BYTES = 40
 # Additional bytes for a measured pair: a copy of its rows, and its distance.
 DEPTH_BYTES = 16 + EXACT_BYTES
 
-# The groups of boxes of a tree, the start of each level, and the order of the bodies in the lowest level.
+# A tree: its groups of boxes, the start of each level, and the order of the bodies in the lowest level.
 Tree: TypeAlias = tuple[Floats, Ints, Ints]
 
 MODES = {"exact": codes.EXACT, "certified": codes.CERTIFY}

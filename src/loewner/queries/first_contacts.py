@@ -99,7 +99,7 @@ def first_contact(
     ------
     PoseError
         If a pose does not have the shape (..., 4, 4) or is not a rigid motion; if batches do not broadcast; or if a
-        body turns by half a turn, so that neither way is shorter: divide such a motion into two.
+        body turns by half a turn, for which neither direction is shorter (divide such a motion into two).
     InputError
         If an operand is not a body, the margin is negative or not finite, or the tolerance is not positive.
 

@@ -186,7 +186,7 @@ def compiled_model(model: Any, data: Any, file: Path, tol: float, *, couplings: 
             parent=int(model.body_parentid[body]),
             T_parent_body=_in_parent(model, data, body),
             joints=tuple(
-                _joint(model, names, int(model.body_jntadr[body]) + k, mimics)  # in the order in which they move it
+                _joint(model, names, int(model.body_jntadr[body]) + k, mimics)  # in the order in which joints act
                 for k in range(int(model.body_jntnum[body]))
             ),
             parts=tuple(

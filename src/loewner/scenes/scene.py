@@ -147,7 +147,7 @@ class Scene:
     With a time, `pairs` and `collide` include the bodies that follow motions (`follow`); `distance` accepts only static
     bodies.
 
-    Any thread may change a scene while others query it: each change is atomic, and each query uses one consistent
+    A thread may change a scene while other threads query it: each change is atomic, and each query uses one consistent
     state. Adding a body that is probably not given in metres causes a warning, once per scene.
 
     Examples
@@ -216,7 +216,7 @@ class Scene:
 
     @property
     def static_names(self) -> tuple[str, ...]:
-        """Names of the static bodies, which are neither attached nor follow a motion, in the order of `names`."""
+        """Names of the static bodies, which neither are attached nor follow a motion, in the order of `names`."""
         with _CHANGING:
             return tuple(name for name in self._bodies if name in self._poses)
 
@@ -234,7 +234,7 @@ class Scene:
     def static_poses(self) -> Floats:
         """World poses of the bodies in `static_names`, shape (n, 4, 4), as a new array."""
         with _CHANGING:
-            poses = self._poses  # a body that moves has none
+            poses = self._poses  # without bodies that move
             # The bytes of the poses are joined: NumPy takes twice as long for a list of arrays.
             joined = bytearray().join([poses[name] for name in self._bodies if name in poses])
         return np.frombuffer(joined).reshape(-1, 4, 4)
@@ -246,7 +246,7 @@ class Scene:
 
     @property
     def following(self) -> dict[str, PosePath]:
-        """The motion of each body that follows one, keyed by the name of the body."""
+        """The motions of the bodies that follow motions, keyed by the names of the bodies."""
         return _validate.Named("body that follows a motion", self._in_order(self._following))
 
     @property
@@ -823,7 +823,7 @@ class Scene:
         Parameters
         ----------
         a, b : str
-            The two names, in either order.
+            The names of the pair, in either order.
 
         Raises
         ------

@@ -29,8 +29,8 @@ Rgb = tuple[int, int, int]
 VERDICT_COLOURS: dict[Verdict, Rgb] = dict(zip(VERDICTS, _pictures.VERDICT_COLOURS, strict=True))
 INNER, OUTER = (68, 119, 170), (119, 119, 119)
 
-# Colours of the two bodies on a page. They differ from the verdicts' colours, and from each other for all kinds of
-# colour vision.
+# Colours of the two bodies on a page. The colours differ from the verdicts' colours, and from each other for all kinds
+# of colour vision.
 PAIR: dict[str, Rgb] = {"A": (102, 153, 204), "B": (238, 153, 85)}
 
 LABELS = {"meshes": "meshes", "pieces": "pieces", "inner": "inner ellipsoids", "outer": "outer ellipsoids"}
@@ -199,7 +199,7 @@ class Drawing:
         inside them are shown."""
         self._clear = clear
         for name in self._layers.get("pieces", ()):
-            if hasattr(self._nodes[name], "opacity"):  # points have none
+            if hasattr(self._nodes[name], "opacity"):  # points have no opacity
                 self._nodes[name].opacity = PIECE_OPACITY if clear or self._covering else None
 
     def on_click(self, callback: Any) -> None:

@@ -90,7 +90,7 @@ class Viewer(ABC):
             raise
         self.refresh()
         self._thread.start()
-        # This runs before viser's own function, which prints that it stops the server.
+        # At exit, `close` runs before viser's own function, which prints that it stops the server.
         atexit.register(self.close)
         if self._guard.token is not None:
             print(self._warning(), flush=True)

@@ -70,7 +70,7 @@ class Path:
     duration : float
         Seconds from the first configuration to the last; 0 if all configurations are equal.
     start_time : float
-        Time of the start on the clock of bodies that follow motions: 0 for a path.
+        Start time on the clock of bodies that follow motions, in seconds; 0 for a path.
     """
 
     start_time = 0.0

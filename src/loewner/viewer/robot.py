@@ -420,7 +420,7 @@ class RobotViewer(Viewer):
             node = f"/robot/{link}{node}"
             handle = self.server.scene.add_frame(node, show_axes=False)
             place(handle, _identity_or(T_link_body))
-        is_link = link is not None and T_link_body is None  # only these have visual meshes
+        is_link = link is not None and T_link_body is None  # only links have visual meshes
         mesh = (lambda: self._visuals[0].get(name)) if is_link else (lambda: None)
         drawing = Drawing(self.server.scene, node, body, colour, self._which(), mesh)
         if mover is not None:
@@ -492,7 +492,7 @@ class RobotViewer(Viewer):
 
     def _mover(self, name: str) -> Mover:
         mover = self._shown[name].mover
-        assert mover is not None  # only bodies attached to links have none
+        assert mover is not None  # only bodies attached to links have no mover
         return mover
 
     def _offer(self, names: tuple[str, ...]) -> None:

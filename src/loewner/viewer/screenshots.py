@@ -77,7 +77,7 @@ def _picture(url: str, sizes: dict[str, int], start: Any, error: type[Exception]
             tab = browser.new_page(viewport=sizes)
             tab.goto(url, timeout=PATIENCE)
             tab.locator('[data-loewner="verdict"]').wait_for(timeout=PATIENCE)
-            tab.add_style_tag(content=".mantine-Notification-root { display: none }")  # warnings of slow drawing
+            tab.add_style_tag(content=".mantine-Notification-root { display: none }")  # warnings about slow drawing
             tab.wait_for_timeout(SETTLED)
             return bytes(tab.screenshot(timeout=PATIENCE))
         except error as found:
@@ -91,7 +91,7 @@ def _browser(driver: Any, error: type[Exception]) -> Any:
     path = next(filter(None, map(shutil.which, BROWSERS)), None)
     flags = list(FLAGS)
     if hasattr(os, "geteuid") and os.geteuid() == 0:
-        flags.append("--no-sandbox")  # Chromium does not start for root with one
+        flags.append("--no-sandbox")  # with a sandbox, Chromium does not start for root
     try:
         return driver.chromium.launch(executable_path=path, args=flags)
     except error as found:

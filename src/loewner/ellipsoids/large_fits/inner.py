@@ -110,7 +110,7 @@ def largest_inside(
     for turn in range(MAX_ROUNDS):
         found = _solve(R[active.index], x, active, target, reporter)
         steps += found.steps
-        if not found.gap < np.inf:  # the set is unbounded, or nearly
+        if not found.gap < np.inf:  # the intersection is unbounded, or nearly unbounded
             if len(active.index) == len(R):
                 break
             active = _WorkingSet(np.arange(len(R)), np.ones(len(R)), bold=False)
@@ -129,7 +129,7 @@ def largest_inside(
         cut = np.setdiff1d(np.flatnonzero(ratio < 1.0), active.index)
         if len(cut) == 0 and found.gap > target:
             if not active.bold:
-                break  # no better within rounding
+                break  # rounding allows no further improvement
             active.bold = False
         most = max(MORE * n, len(active.index))
         if finish := len(cut) <= most and gap < 0.05 * n:
@@ -360,7 +360,7 @@ def proven(
     T, rest = A @ factor, 0.0
     if balanced:
         repaired = _balanced(T, weights, T.T @ weights)
-        if repaired is not None:  # once more, since T is rounded
+        if repaired is not None:  # balance again, since T is rounded
             repaired = _balanced(T, repaired, factor.T @ _exact_sum(A, repaired))
         if repaired is None:
             return factor, np.inf

@@ -10,8 +10,8 @@ wherever u > 0.
 - A point with w below N times a bound that depends on max w alone has no weight at the optimum (Harman and Pronzato
   2007, doi:10.1016/j.spl.2006.05.014), and is dropped. A less cautious bound is tried first, and all points are tested
   later.
-- On the remaining points, Newton's method solves u s = 0, s = N - w. Its matrix diag(s/u) + (W Wᵀ)∘(W Wᵀ) has a row for
-  each point, not for each of the N (N + 1) / 2 entries of M as in `_kernels.fits.mvce`.
+- On the remaining points, Newton's method solves u s = 0, s = N - w. The method's matrix diag(s/u) + (W Wᵀ)∘(W Wᵀ) has
+  a row for each point, not for each of the N (N + 1) / 2 entries of M as in `_kernels.fits.mvce`.
 
 All three steps use only a working set. One pass over all points per round finds the points outside the ellipsoid.
 """
@@ -118,7 +118,7 @@ def smallest_around(
     first = np.union1d(sample, chosen)
     u = np.isin(first, chosen) / len(chosen)
     active = _WorkingSet(first, whitened(first), u, lifted)
-    pool, names = points, None  # points that may touch the ellipsoid, and their indices; None: all, in order
+    pool, names = points, None  # points that may touch the ellipsoid, and their indices (None for all points)
     target = 0.25 * tol if len(first) == m else max(0.25 * tol, 0.02 * n)
     steps = 0
     volume = -np.inf
@@ -145,12 +145,12 @@ def smallest_around(
         bound = _least_of_support(radii.max() * n + lifted, n + lifted, active.bold)
         may_touch = np.flatnonzero(lifted + n * radii >= bound)
         if finish := len(may_touch) <= ENOUGH * len(active.u):
-            fresh = may_touch  # they include all points that the optimum needs
+            fresh = may_touch  # these points include all points that the optimum needs
         else:
             fresh = _farthest(pool, radii, center, inverse, np.exp(tol / n))
         fresh = np.setdiff1d(fresh if names is None else names[fresh], active.index)
         if len(fresh) == 0 and names is None and reached > target and frame is not first_frame:
-            break  # no better within rounding
+            break  # rounding allows no further improvement
         if 8 * len(may_touch) <= len(pool):
             pool, names = pool[may_touch], may_touch if names is None else names[may_touch]
         # Change to the coordinates of this ellipsoid, since heavy tails skew the initial coordinates.

@@ -77,7 +77,7 @@ _OF_NUMBERS = ("matrix", "translate", "rotate", "scale", "p", "vcount", "float_a
 # Metres per unit, for the names of units that exporters write.
 _USUAL = {"meter": 1.0, "decimeter": 0.1, "centimeter": 0.01, "millimeter": 0.001, "inch": 0.0254, "foot": 0.3048}
 
-# A function that cuts polygons, given as for `fans`.
+# A function that cuts polygons, with the arguments of `fans`.
 _Cut = Callable[[Ints, Ints], Triangles]
 
 

@@ -20,7 +20,8 @@ from loewner.meshes.files.parts import (
     tell_unit,
 )
 
-# Numbers in the line of a vertex: x y z, a normal, a colour of three or four numbers.
+# Possible counts of numbers in the line of a vertex: x y z, and possibly a normal and a colour of three or four
+# numbers.
 _WIDTHS = {b"OFF": (3,), b"NOFF": (6,), b"COFF": (6, 7), b"CNOFF": (9, 10)}
 
 # Possible numbers of values in a face's colour: none, an index into a table, red green blue, and alpha as well.

@@ -29,7 +29,7 @@ _TOGETHER = 1 << 17
 # Number of corners about which fans are tried before a polygon is cut ear by ear.
 _TRIES = 8
 
-# Twice the area of a triangle that rounding may turn over, in a polygon of extent 1.
+# Twice the area below which rounding may reverse a triangle, in a polygon of extent 1.
 _ROUNDING = 1e-12
 
 # A corner this near to a line, relative to the coordinates, may lie on the line, since files have at most seven digits.

@@ -83,7 +83,7 @@ def read_motion_bench_maker(path: str | PathLike[str]) -> tuple[Problem, ...]:
     Parameters
     ----------
     path : path
-        A file with the keys ``robot``, ``joints`` and ``problems``; the last maps each group to a list of problems.
+        A file with the keys ``robot``, ``joints`` and ``problems``; ``problems`` maps each group to a list of problems.
 
     Returns
     -------
