@@ -74,7 +74,7 @@ def _guarded(function: Any) -> Any:
             cause = meant(error)
             if cause is error:
                 raise
-        # Raise outside the except clause, and delete the name `cause`, so that neither the earlier error nor this frame
+        # Raise outside the except clause, and delete the name `cause`. Neither the earlier error nor this frame then
         # refers to the exception, and all objects in its traceback are freed together with it.
         try:
             raise cause

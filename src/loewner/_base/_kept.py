@@ -12,7 +12,7 @@ T = TypeVar("T")
 class kept(cached_property[T]):
     """A property that is computed when it is first needed and then kept.
 
-    `functools.cached_property` has no lock in Python 3.12 and later: two threads that compute a property at once get
+    `functools.cached_property` has no lock in Python 3.12 and later. Two threads that compute a property at once get
     different values, one of which is soon freed although kernels may have received addresses in it. With this class,
     several threads may compute a value, but all of them get the first value that was kept.
 

@@ -1,6 +1,6 @@
 """How much memory a call may still use, within the limits of the machine, the process and its container.
 
-Requests that are too large are refused before any memory is allocated: on most systems, allocating more than the
+Requests that are too large are refused before any memory is allocated. On most systems, allocating more than the
 available memory succeeds, and this process or another process is killed when the memory is used.
 """
 

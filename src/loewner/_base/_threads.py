@@ -1,8 +1,8 @@
 """Divide work among several threads, for code that runs outside the interpreter lock: kernels and Qhull.
 
-This module has its own threads instead of Numba's: a parallel loop takes several times as long to compile as a plain
-loop, and Numba's default threading layer aborts the process when two of a caller's threads enter it at once. Each
-calling thread also has its own setting for the number of threads.
+This module has its own threads instead of Numba's, for two reasons. A parallel loop takes several times as long to
+compile as a plain loop. Numba's default threading layer aborts the process when two of a caller's threads enter it at
+once. Each calling thread also has its own setting for the number of threads.
 
 Only the main thread is interrupted, possibly at any line, so it keeps no counts on which other threads depend.
 """

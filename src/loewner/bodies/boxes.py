@@ -42,10 +42,10 @@ def least_box_axes(triangles: Floats) -> Floats:
 def _turns(triangles: Floats) -> Floats:
     """List candidate box axes, shape (k, 3, 3): the axes of the frame, the principal axes, and axes along faces.
 
-    For axes along faces, one axis is the normal of the largest triangle. A second axis is along an edge of the hull of
-    all points projected along that normal, because the smallest rectangle around points in a plane has a side along an
-    edge of their hull (Freeman and Shapira: Determining the minimum-area encasing rectangle for an arbitrary closed
-    curve, 1975).
+    For axes along faces, one axis is the normal of the largest triangle. All points are projected along that normal,
+    and a second axis is along an edge of their hull: the smallest rectangle around points in a plane has a side along
+    such an edge (Freeman and Shapira: Determining the minimum-area encasing rectangle for an arbitrary closed curve,
+    1975).
     """
     points = triangles.reshape(3, -1)
     off = points - points.mean(axis=1, keepdims=True)

@@ -29,9 +29,9 @@ RESOLUTION = 1e-4
 # Bound on the rounding of a cell's corners, relative to the largest coordinate: each of the few halvings rounds twice.
 CELL_ROUNDINGS = 256 * 2.0**-53
 
-# At most WORK cells are halved at a time, and at most AT_ONCE pairs of a cell and an element are formed at a time, so
-# that the arrays stay in the processor's cache. LOOKED_INTO cells are searched for a hole smaller than the tolerance,
-# over LOOKS halvings.
+# At most WORK cells are halved at a time. At most AT_ONCE pairs of a cell and an element are formed at a time, so that
+# the arrays stay in the processor's cache. LOOKED_INTO cells are searched for a hole smaller than the tolerance, over
+# LOOKS halvings.
 WORK, AT_ONCE, LOOKED_INTO, LOOKS = 200_000, 100_000, 128, 60
 
 # The search for the largest distance ends when its upper bound exceeds a known distance by at most this share.
@@ -185,8 +185,8 @@ def _part(packed: Packed, i: int) -> _Part:
 def _stray(hull_points: Floats, planes: Floats) -> float:
     """Bound how far the hull of points is outside of its own triangles, which are flat only up to rounding.
 
-    Seen from the middle c, a point y of the hull is beyond the plane of a triangle by at most the width within which
-    `polytopes` accepts the corners of a face, times |y - c| over the plane's height over c.
+    Let w be the width within which `polytopes` accepts the corners of a face, and h the height of a triangle's plane
+    over the middle c. A point y of the hull is beyond the plane, seen from c, by at most w |y - c| / h.
     """
     middle = hull_points.mean(axis=0)
     reach = float(lengths(hull_points - middle).max())
@@ -433,9 +433,9 @@ class _Proof:
     def inside(self) -> _Cells | None:
         """Search the interior for holes, given that the surface is covered; return cells that are not settled.
 
-        In a hole, the least height has a local maximum. A cell cannot contain such a maximum, and is settled, if it is
-        in one element, if it is outside the body, or if one direction leads away from all elements that may be nearest
-        to a point of the cell.
+        In a hole, the least height has a local maximum. A cell cannot contain such a maximum, and is settled, in three
+        cases: it is in one element; it is outside the body; or one direction leads away from all elements that may be
+        nearest to a point of the cell.
         """
         target, model = self.target, self.model
         if not target.solids:

@@ -31,8 +31,8 @@ class Elements:
 
     A height is at most zero inside the piece and positive outside, and the heights of two points differ by no more than
     the distance between the points. Outside, the height is therefore a lower bound on the distance. For a ball or a
-    capsule, the height is the signed distance; for a polytope, the largest signed distance from a face's plane; for any
-    other curved piece, the unit shape's gauge minus 1, times the smallest semi-axis.
+    capsule, the height is the signed distance. For a polytope, it is the largest signed distance from a face's plane.
+    For any other curved piece, it is the unit shape's gauge minus 1, times the smallest semi-axis.
 
     Parameters
     ----------
@@ -200,8 +200,8 @@ class Elements:
         unit = dot(self.inverse[element], arm[:, None])
         kinds = self.kind[element]
         squares = (self.factor[element] ** 2).sum(axis=1)
-        # For an ellipsoid with semi-axes a, the nearest point to y = a · unit has the t for which the squares of a y /
-        # (a² + t) sum to 1.
+        # The nearest point of an ellipsoid with semi-axes a, to the point y = a · unit, has the t for which the squares
+        # of a y / (a² + t) sum to 1.
         t = np.zeros(len(arm))
         for _ in range(NEAREST_STEPS):
             terms = squares * unit / (squares + t[:, None])

@@ -108,8 +108,8 @@ def around_point(radius: float) -> Floats:
 def around_sums(shape: Floats, radius: Floats) -> Floats:
     """Compute factors of ellipsoids around sums of a ball and an ellipsoid, which is given by its shape matrix.
 
-    For all p > 0, the ellipsoid with the shape matrix (1 + 1/p) Q + (1 + p) r² 1 contains the sum; the p chosen here
-    minimizes the trace of that matrix. Kurzhanski and Valyi (1997), Ellipsoidal Calculus for Estimation and Control,
+    For all p > 0, the ellipsoid with the shape matrix (1 + 1/p) Q + (1 + p) r² 1 contains the sum. The p chosen here
+    minimises the trace of that matrix. Kurzhanski and Valyi (1997), Ellipsoidal Calculus for Estimation and Control,
     section 2.2.
     """
     # The size is p times the radius, and not too small relative to the radius; every p > 0 is valid.

@@ -211,9 +211,9 @@ def print_table(table: Table | PlainTable) -> None:
     if isinstance(table, PlainTable):
         print(table)
         return
-    # A program that reads a pipe or a file needs each name, path and number in one piece, so tables that are not for a
-    # terminal are as wide as their cells. Names and messages are not read as markup, since they may contain `pip
-    # install "loewner[meshes]"`.
+    # A program that reads a pipe or a file needs each name, path and number in one piece. Tables that are not for a
+    # terminal are therefore as wide as their cells. Names and messages are not read as markup, since they may contain
+    # `pip install "loewner[meshes]"`.
     _console(width=None if sys.stdout.isatty() else UNBROKEN, markup=False, emoji=False).print(table)
 
 

@@ -341,7 +341,7 @@ def _qhull(coordinates: Floats) -> tuple[Ints, Ints, Floats]:
 def _not_inside(frame: Floats, coordinates: Floats) -> Ints | slice:
     """Select 3-D points that may be vertices of the hull of all; the hull of the selection certainly contains the rest.
 
-    The points that are left out lie inside the hull of a sample, {y : a·(y - c) <= 1 for all faces}: a point is left
+    The points that are left out lie inside the hull of a sample, {y : a·(y - c) <= 1 for all faces}. A point is left
     out if a·(y - c) is less than 1 - `shrink` for each face. The smallest a·(v - c) over a face's own vertices v is 1,
     so no vertex is left out, and by the lemma of docs/containment.md the hull of the vertices contains the point in
     these coordinates. The coordinates are off by at most 5 u B |y| (u, B: `_kernels.fits.many`), which moves a·(y - c)

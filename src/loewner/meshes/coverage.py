@@ -144,8 +144,8 @@ def _outside(triangles: Floats, hulls: list[Polytope], growth: float, cell_size:
     """Find the cells of the surface that lie in no single piece.
 
     A triangle lies in a convex piece if its corners do. A triangle that lies in no piece is halved across its longest
-    edge until each part lies in a piece, sticks out of a piece by at most `growth`, or has no edge longer than
-    `cell_size`.
+    edge. The halving ends if a part lies in a piece, sticks out of a piece by at most `growth`, or has no edge longer
+    than `cell_size`.
 
     Returns
     -------

@@ -264,11 +264,11 @@ def convex_pieces(
     as convex if its volume equals the volume of its hull to within 1e-3; the hull is then the only piece of the part. A
     part of negative volume is a cavity of the part in which it lies.
 
-    Covering is proven, not sampled. A triangle lies in a convex piece if its corners do; a triangle that lies in no
+    Covering is proven, not sampled. A triangle lies in a convex piece if its corners do. A triangle that lies in no
     piece is halved until its parts lie in a piece, nearly lie in one, or are smaller than 0.25 % of the mesh's
     diagonal. With `cover`, the remaining parts are added to the nearest piece. Without `cover`, the distance of the
-    remaining parts from the pieces is measured at the parts' corners, where the distance is greatest, since the
-    distance to a convex piece is a convex function.
+    remaining parts from the pieces is measured at the parts' corners. The distance to a convex piece is greatest at a
+    corner, because it is a convex function.
 
     References
     ----------

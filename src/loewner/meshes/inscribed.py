@@ -20,8 +20,8 @@ from loewner.meshes.triangles import FramedTree
 # The smallest closed surface is a tetrahedron.
 FEWEST_TRIANGLES = 4
 
-# A tree in the mesh's own coordinates is used if the mesh's distance from the origin is at most FAR times its size, and
-# if squares and cubes of lengths stay in range, since the tree's boxes are stored in single precision.
+# A tree in the mesh's own coordinates is used under two conditions, since its boxes are stored in single precision: the
+# mesh's distance from the origin is at most FAR times its size, and squares and cubes of lengths stay in range.
 FAR = 1e3
 SMALL, LARGE = 1e-10, 1e10
 

@@ -200,7 +200,8 @@ def protrusions(
     of a piece's boundary is therefore the distance of the triangle's center, negative inside, plus the triangle's
     radius about the center. The distance to a single triangle of the mesh is a convex function, so its largest value at
     a corner is a second bound. The smaller bound counts. A triangle whose bound is above the required bound is halved,
-    or cut along the edges of the mesh triangle in which it nearly lies; the part in the mesh triangle is then settled.
+    or cut along the edges of the mesh triangle in which it nearly lies. The part in the mesh triangle is settled by the
+    cut.
 
     If a piece fills a cavity or a groove of the mesh, the distance may have a greater local maximum inside the piece.
     At such a maximum, the directions from the nearest points of the surface surround the point, and each direction is a

@@ -82,7 +82,7 @@ class Distance(_validate.Brief, Generic[Number, Exact, Vector]):
     """Signed distances of bodies in metres, arrays of the batch's shape; negative values are penetration depths.
 
     All values refer to the nearest two pieces or, if the bodies overlap, to the two pieces that overlap most deeply.
-    For bodies with several pieces, a negative distance is therefore the depth of one pair of pieces: the bodies
+    For bodies with several pieces, a negative distance is therefore the depth of one pair of pieces. The bodies
     penetrate each other at least that deeply, but separating them can take a longer translation, since other pieces may
     be in the way. For a surface the depth is a strict lower bound; for two convex pieces it is as accurate as an exact
     distance. If the inner ellipsoids of a solid surface prove a greater depth than its triangles, `distance` is the
@@ -464,9 +464,9 @@ def collide(
     Returns
     -------
     bool, or ndarray of bool, shape (...)
-        Touching counts as colliding. With "exact", False is proven, and True is proven up to rounding: bodies that are
-        apart by less than about 1e-12 of the lengths involved may count as touching in one order of the bodies or in
-        both (docs/certified.md).
+        Touching counts as colliding. With "exact", False is proven, and True is proven up to rounding
+        (docs/certified.md): bodies that are apart by less than about 1e-12 of the lengths involved may count as
+        touching, in one order of the bodies or in both.
 
     Raises
     ------

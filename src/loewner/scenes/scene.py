@@ -512,8 +512,8 @@ class Scene:
 
         Notes
         -----
-        An error is added to the margins of the body, so a checker prepares its pairs again when the error changes;
-        moving with an unchanged error is as fast as moving without an error. `collide` is True if the body may collide.
+        An error is added to the margins of the body, so a checker prepares its pairs again when the error changes.
+        Moving with an unchanged error is as fast as moving without an error. `collide` is True if the body may collide.
         COLLIDING means a collision at the given pose; everything else that is not free is AMBIGUOUS. Exact distances
         apply to the given pose; bounds on distances, and clearances, hold for all poses within the error.
 
@@ -720,8 +720,8 @@ class Scene:
         Parameters
         ----------
         name : str
-            A body of the scene. A body that is already attached to a link is handed over to the new link; a body that
-            follows a motion stops following it, and bounds on the body's pose are dropped.
+            A body of the scene. A body that is already attached to a link is handed over to the new link. A body that
+            follows a motion stops following it. Bounds on the body's pose are dropped.
         link : str
             Name of a link, which is checked when the scene is paired with a robot.
         T_link_body : array_like, shape (4, 4), or None
@@ -870,13 +870,13 @@ class Scene:
         The rule applies to motions and to whole curves (see `CollisionChecker.certify_edges` and
         `CollisionChecker.certify_trajectory`). A motion or curve that starts with the two bodies in contact, or within
         their margin, is FREE if two conditions are proven. On a first stretch of the motion, the contact does not
-        worsen by more than the tolerance of the proof: no two pieces of the bodies penetrate each other deeper than at
-        the start or, within the margin, come nearer. On the rest of the motion, the bodies keep their margin. The
-        bodies have parted once their distance exceeds their margin by a ten-thousandth of the robot's reach; the first
-        stretch ends before they come near again. To find this end, the distance of the bodies is measured at several
-        places along the motion, chosen according to how far the bodies move in between. The end of the contact is
-        therefore not proven: contact might end and begin again between two places, but no deeper than at the start. The
-        rule takes precedence over `allow`. At a single configuration, contact is a collision, as for all pairs.
+        worsen by more than the tolerance of the proof. That is, no two pieces penetrate each other deeper than at the
+        start or, within the margin, come nearer. On the rest of the motion, the bodies keep their margin. The bodies
+        have parted once their distance exceeds their margin by a ten-thousandth of the robot's reach; the first stretch
+        ends before they come near again. To find this end, the distance of the bodies is measured at several places
+        along the motion, chosen according to how far the bodies move in between. The end of the contact is therefore
+        not proven: contact might end and begin again between two places, but no deeper than at the start. The rule
+        takes precedence over `allow`. At a single configuration, contact is a collision, as for all pairs.
 
         The rule ends when one of the two bodies is attached, detached or removed.
 

@@ -454,9 +454,9 @@ def _certified(points: Floats, weights: Floats, center: Floats, inverse: Floats,
     About a given center, second moments replace covariances.
 
     y is known up to a linear map 1 - R, |R| <= `error` in the Frobenius norm, and a shift of length `error`. The map
-    changes ½ log det S by at most 1.1 √n errors. The shift changes S by 3 errors in the nuclear norm, and sums and
-    Cholesky's rounding change it by (2 k + 2 n + 16) u √n; these change ½ log det S by half of their quotient by the
-    least eigenvalue of S. The error of that eigenvalue is far below 1e-11, since S has trace 1.
+    changes ½ log det S by at most 1.1 √n errors. In the nuclear norm, the shift changes S by 3 errors, and the rounding
+    of sums and of Cholesky's factors changes S by (2 k + 2 n + 16) u √n. Divided by twice the least eigenvalue of S,
+    these changes bound the change of ½ log det S. The error of that eigenvalue is far below 1e-11, since S has trace 1.
     """
     if not error < 0.1:
         return np.inf
