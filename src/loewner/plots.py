@@ -443,8 +443,8 @@ def tiers(counts: Mapping[str, Settled | Mapping[str, int]], *, ax: Any = None) 
     Raises
     ------
     InputError
-        If there is no group, or a group has no counts, a negative count, or only zeros; UnknownNameError if a tier is
-        not a field of `Settled`.
+        If there is no group, or if a group has no counts, a negative count, or only zeros; UnknownNameError if a tier
+        is not a field of `Settled`.
     MissingExtraError
         If matplotlib is not installed.
 

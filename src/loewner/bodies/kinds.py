@@ -135,7 +135,7 @@ def _upright(_: float, axes: Sequence[float]) -> Sequence[float]:
 
 
 def _image(semi_axes: Sequence[float], height: float = 0.0, divisors: Sequence[float] = (1.0, 1.0, 1.0)) -> Fit:
-    """Map an ellipsoid fitted to the unit shape, whose semi-axes have yet to be divided by `divisors`."""
+    """Make a `Fit`: the image of an ellipsoid fitted to the unit shape, with its semi-axes divided by `divisors`."""
     return lambda _, lengths: (lengths * semi_axes / divisors, lengths[:, 2] * height)
 
 

@@ -326,7 +326,7 @@ def _hull(points: Floats, name: str) -> tuple[Floats, Floats, Floats, Ints, Ints
 
 
 def _qhull(coordinates: Floats) -> tuple[Ints, Ints, Floats]:
-    """Run Qhull for the simplices, their neighbors and their equations."""
+    """Run Qhull for the simplices, their neighbours and their equations."""
     from scipy.spatial import ConvexHull, QhullError
 
     try:
@@ -343,9 +343,9 @@ def _not_inside(frame: Floats, coordinates: Floats) -> Ints | slice:
 
     The points that are left out lie inside the hull of a sample, {y : a·(y - c) <= 1 for all faces}. A point is left
     out if a·(y - c) is less than 1 - `shrink` for each face. The smallest a·(v - c) over a face's own vertices v is 1,
-    so no vertex is left out, and by the lemma of docs/containment.md the hull of the vertices contains the point in
-    these coordinates. The coordinates are off by at most 5 u B |y| (u, B: `_kernels.fits.many`), which moves a·(y - c)
-    by at most 5 u B |y| / s, where s is the least distance of a face from c. The point and the vertices both move,
+    so no vertex is left out. By the lemma of docs/containment.md, the hull of the vertices therefore contains the point
+    in these coordinates. The coordinates are off by at most 5 u B |y| (u, B: `_kernels.fits.many`), which moves a·(y -
+    c) by at most 5 u B |y| / s, where s is the least distance of a face from c. The point and the vertices both move,
     which takes 10 of the 128 in `shrink`. The first term of `shrink` is far above the rounding of the products, which
     is less than 20 u |y| / s.
     """

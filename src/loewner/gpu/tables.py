@@ -132,7 +132,7 @@ class _Chains:
             self.roles[pair, [columns.UPPER, columns.LOWER, columns.CHAIN]] = upper, lower, chain
 
     def _length(self, upper: int, lower: int) -> float:
-        """Sum of the levers of a chain."""
+        """Sum the levers of a chain."""
         return float(self._levers(upper, _joints_between(self._ready, upper, int(self._ready.link[lower]))).sum())
 
     def _levers(self, body: int, joints: Ints) -> Floats:

@@ -193,7 +193,7 @@ def _excess(points: Floats, hull: Polytope) -> Floats:
 
 
 def _largest_gap(cells: Floats, hulls: list[Polytope], slack: float) -> float:
-    """Bound the distance of cells from the pieces: for each cell, of its farthest corner from its nearest piece."""
+    """Bound the distance of cells from the pieces, by the farthest corner of each cell from its nearest piece."""
     points, index = np.unique(cells.reshape(-1, 3), axis=0, return_inverse=True)
     corner = index.reshape(-1, 3)
     corner = corner[_coverage(points, corner, hulls)[0] > 0]
