@@ -48,7 +48,7 @@ def pose_of(rotation: Floats, translation: Any) -> Floats:
 
 
 def from_rpy(roll: float, pitch: float, yaw: float) -> Floats:
-    """Compute Rz(yaw) Ry(pitch) Rx(roll), angles in radians: turns about fixed axes x, then y, then z, as in URDF."""
+    """Compute Rz(yaw) Ry(pitch) Rx(roll), shape (3, 3): turns [rad] about fixed axes x, then y, then z, as in URDF."""
     angles = np.array([roll, pitch, yaw])
     (cr, cp, cy), (sr, sp, sy) = _elementary.cos(angles).tolist(), _elementary.sin(angles).tolist()
     return np.array(

@@ -117,7 +117,7 @@ def classify(
         return _classified(gpu, plan, operands, refined, any(there))
 
     def on_cpu() -> Any:
-        ask: Any = queries.classify  # typed Any, because it has one signature per kind of operands
+        ask: Any = queries.classify  # Any, because there is one signature per kind of operands
         return ask(a, here[0], b, here[1], pairs=pairs)
 
     return attempted(on_gpu, on_cpu if instead and not any(there) else None)
