@@ -1,4 +1,4 @@
-"""Build the native library: the kernels as machine code, for levels of processors, and the extension that calls it.
+"""Build the native library: the kernels as machine code for levels of processors, and the extension that calls them.
 
     python native/build.py                     for this machine's level, if it is not there already
     python native/build.py --gpu               the threads' functions as PTX, too; elsewhere a GPU's first use makes it
@@ -6,8 +6,9 @@
     python native/build.py --to FOLDER         somewhere else than beside `src/loewner/_native/library.py`
     python native/build.py --log FILE          go on in the background, and write messages into a file
 
-It takes Numba, NumPy's headers and a C compiler. For this machine's level, groups of kernels can be used as soon as
-they are compiled, and callers of other kernels wait for them (`library.py`); files for other machines are built whole.
+A build takes Numba, NumPy's headers and a C compiler. For this machine's level, groups of kernels can be used as soon
+as they are compiled, and callers of other kernels wait for them (`library.py`). Files for other machines are built as a
+whole.
 """
 
 import argparse
@@ -45,17 +46,18 @@ from loewner._native.library import CALL, HOME, LIST, LOCK, loaded  # noqa: E402
 from loewner._native.library import levels as built_levels  # noqa: E402
 from loewner.gpu import _ptx  # noqa: E402
 
-# By architecture: the levels, best first, and LLVM's features for each. Without this one, LLVM uses only half of the
-# width of the registers of level 4.
+# For each architecture: the levels, best first, and LLVM's features for each level. Without the feature of level 4,
+# LLVM uses only half of the width of its registers.
 LEVELS = {
     "x86_64": {"x86-64-v4": "-prefer-256-bit", "x86-64-v3": ""},
     "arm64": {"arm64": ""},
 }
 CPU_OF = {"arm64": "generic"}
 
-# Entries by module: each group becomes an object file of its own for this machine's level, so that an edit rebuilds few
-# of them, and programs can begin when theirs is there. Small functions that several groups call are in each of them, so
-# groups that share much are one. For other machines there is one object file for each level, which is smallest.
+# Entries by module. For this machine's level, each group becomes a separate object file, so that an edit rebuilds few
+# files, and a program can begin when the files that it needs are there. Each group that calls a small function has a
+# copy of it, so that groups with many common functions are merged. For other machines, each level has a single object
+# file, which takes the least space.
 GROUPS = {
     "bodies": ("fits.hulls", "fits.pieces", "fits.mv", "pieces.", "trees.piece_tree", "trees.triangle_tree",
                "narrow.mesh_points", "elementary"),
@@ -69,33 +71,35 @@ GROUPS = {
     "others": ("",),
 }  # fmt: skip
 
-# Groups that the demo does not need: a build in the background has a lower priority for them.
+# The demo does not need these groups, so that a build in the background has a lower priority for them.
 LATER = ("distances", "arms", "others")
 
-# By how much the priority is lower: a program on a second core is not slowed, and a busy machine still ends the build.
+# IN_BACKGROUND is the difference in priority: a program on a second core is not slowed, and a busy machine still ends
+# the build.
 IN_BACKGROUND = 5
 
-# For estimates of the time that is left: the number of functions, and the seconds of one core for a function and for
-# all objects of a level.
+# Figures for estimates of the remaining time: the number of functions, the seconds of one core per function, and the
+# seconds for all objects of a level.
 FUNCTIONS, FUNCTION, LEVEL = 1200, 0.07, 36.0
 
-# Options of the C compiler for files that users receive. The linker of macOS has no -s; Windows is untried.
+# Options of the C compiler for files that users receive. The linker of macOS has no -s; Windows is untested.
 MAC, WINDOWS = sys.platform == "darwin", sys.platform == "win32"
 RELEASE = ("-O2",) if MAC or WINDOWS else ("-O2", "-s")
 
 EXTENSION = ("call.c", "single.c", "pairs.c", "configurations.c", "module.c")
 
-# `libloewner`, which programs in C and C++ link with.
+# Programs in C and C++ link with the library `libloewner`.
 LIBRARY, API = "libloewner.so", ("kernels.c", "files.c", "scene.c", "queries.c", "plans.c", "gate.c", "pairs.c")
-FOR_C = () if WINDOWS else (LIBRARY,)  # it maps files and locks as POSIX does
+FOR_C = () if WINDOWS else (LIBRARY,)  # The library uses the functions of POSIX for mapping files and for locks.
 HEADERS = SOURCES / "loewner" / "include"
 
 
-# Seconds between lines about the progress, and the weight of the first estimate beside the share that is done.
+# EVERY is the number of seconds between lines about the progress. FIRST_WEIGHT is the weight of the first estimate,
+# compared with the share of the work that is done.
 EVERY, FIRST_WEIGHT = 10.0, 0.1
 
-KEY = re.compile(r"-[0-9a-f]{32}$")  # how a line ends that names a function
-EARLY = re.compile(r"-\d+\.so$")  # how the name of a file ends that is handed out early
+KEY = re.compile(r"-[0-9a-f]{32}$")  # KEY matches the end of a line that names a function.
+EARLY = re.compile(r"-\d+\.so$")  # EARLY matches the end of the name of a file that is handed out early.
 
 
 class Command(NamedTuple):
@@ -115,7 +119,7 @@ class Command(NamedTuple):
 
 
 class BuildError(Exception):
-    """Something that a build needs is missing, or failed, as described by the text."""
+    """A part that a build needs is missing or has failed, as described by the text."""
 
 
 def architecture() -> str:
@@ -125,7 +129,7 @@ def architecture() -> str:
 
 
 def recipe() -> str:
-    """Hash of everything except the levels on which the files depend."""
+    """Hash of everything on which the files depend, except the levels."""
     digest = hashlib.sha256(source_hash().encode())
     digest.update(repr((version("numba"), version("llvmlite"), version("numpy"), headers.text())).encode())
     package = SOURCES / "loewner"
@@ -136,7 +140,7 @@ def recipe() -> str:
 
 
 def is_built(levels: list[str], home: Path = HOME, gpu: bool = False) -> bool:
-    """Return whether there is a complete library for these levels, and for GPUs."""
+    """Return whether a complete library exists for these levels, and for GPUs if requested."""
     try:
         built = json.loads((home / LIST).read_text(encoding="utf-8"))
         wanted = [f"kernels-{level}.so" for level in levels] + [CALL, *FOR_C, *([_ptx.NAME] if gpu else [])]
@@ -155,7 +159,7 @@ def told(level: str) -> dict[str, str]:
 
 
 def machine_level(folder: Path) -> str:
-    """Level of this machine's processor, from the extension that was built, or from one that is made in a folder."""
+    """Level of this machine's processor, from the extension that was built, or from one made in a folder."""
     if known := built_levels():
         return known[0]
     if not (folder / CALL).exists():
@@ -171,23 +175,24 @@ def build(
 ) -> list[Path]:
     """Build for these levels, and for GPUs if requested; older files are replaced only when everything is done.
 
-    The files are made in the folder `work`, where the extension may be already. With ``in_groups``, for one level,
-    there is an object file for each group, and each is handed out when it is done; for the groups in `LATER`, the
+    The files are made in the folder `work`, which may already contain the extension. With ``in_groups``, for a single
+    level, each group has its own object file, which is handed out when it is done. For the groups in `LATER`, the
     priority is lowered by `nice`.
 
     Returns
     -------
     list of Path
-        The files made, the list of them last.
+        The files made; their list comes last.
 
     Raises
     ------
     BuildError
-        If the compiler is missing, or something does not compile or link.
+        If the compiler is missing, or if compiling or linking fails.
     """
     before = source_hash()
     if not (work / CALL).exists():
-        compile_extension(work / CALL)  # first: it fails at once where there is no compiler
+        # Compile the extension first, because its compilation fails at once if no compiler is installed.
+        compile_extension(work / CALL)
     with ThreadPoolExecutor() as pool:
         what = f"{len(ENTRIES)} kernels for {' and '.join(levels)}, which takes one to five minutes on two cores"
         print(f"native library: {what} ...", file=sys.stderr, flush=True)
@@ -201,7 +206,7 @@ def build(
         for_c = list[Future[None]]()
 
         def hand_out(made: list[Path]) -> None:
-            """Link the objects that are there, for waiting programs; after those, compile the library for C."""
+            """Link the finished objects for waiting programs; after the early groups, compile the library for C."""
             if not for_c and len(made) >= len(objects) - len(LATER):
                 for_c.extend(pool.submit(compile_api, work / name) for name in FOR_C)
             if in_groups and len(made) < len(objects):
@@ -211,7 +216,8 @@ def build(
                 done = [name for path in made for name in groups[path.stem.removeprefix(f"{level}-")]]
                 publish([early, work / CALL], home, entries=done)
 
-        # The check first: while it runs, one process less makes byte code of what all import.
+        # Start the check first: while it runs, one process less compiles to byte code the modules that all processes
+        # import.
         check = Command("check of Numba", [str(HERE / "emit.py")], {}, work / "check")
         commands = [check, *workers, *([ptx(work / _ptx.NAME)] if gpu else [])]
         functions = build_all(commands, objects, hand_out)
@@ -219,7 +225,7 @@ def build(
             library.result()
         for level in levels:
             link([path for path in objects if path.name.startswith(level)], level, work / f"kernels-{level}.so")
-        # Processes read the sources as they need them: code of two versions may not be called code of one.
+        # Processes read the sources when they need them. Code of two versions must not pass for code of one version.
         if source_hash.__wrapped__() != before:
             raise BuildError("the kernels' sources changed while they were compiled; build again")
         made = [*sorted(path for path in work.glob("*.so") if not EARLY.search(path.name)), *work.glob(_ptx.NAME)]
@@ -229,7 +235,7 @@ def build(
 
 
 def publish(made: list[Path], home: Path, **more: Any) -> list[Path]:
-    """Copy files to where they are used, then the list of them; return their paths there."""
+    """Copy files to the folder in which they are used, and then their list; return their paths there."""
     listed = {
         "sources": source_hash(),
         "numba": version("numba"),
@@ -246,7 +252,7 @@ def publish(made: list[Path], home: Path, **more: Any) -> list[Path]:
 
 
 def grouped(names: list[str]) -> dict[str, list[str]]:
-    """Divide the entries into groups; one that is not in `GROUPS` takes all."""
+    """Divide the entries into groups; a group that is not in `GROUPS` takes all remaining entries."""
     groups = dict[str, list[str]]((name, []) for name in names)
     for entry in ENTRIES.values():
         groups[next(name for name in names if entry.module.startswith(GROUPS.get(name, "")))].append(entry.name)
@@ -254,13 +260,13 @@ def grouped(names: list[str]) -> dict[str, list[str]]:
 
 
 def emission(folder: Path, level: str, number: str, *later: str) -> Command:
-    """Emit codes and objects of a level, as one of the processes that share the work in a folder."""
+    """Command for one of the processes that share the work in a folder: emit codes and objects of a level."""
     arguments = [str(HERE / "emit.py"), str(folder), level, number, *later]
     return Command(f"kernels for {level}", arguments, told(level), folder / f"worker-{number}")
 
 
 def ptx(to: Path) -> Command:
-    """Write the threads' functions as PTX, which are the same for all processors."""
+    """Command that writes the threads' functions as PTX, which is the same for all processors."""
     paths = os.pathsep.join([str(SOURCES), *filter(None, [os.environ.get("PYTHONPATH")])])
     environment = {"PYTHONPATH": paths, "LOEWNER_CACHE_DIR": f"{to}.cache"}
     return Command("code for GPUs", ["-m", "loewner.gpu._ptx", str(to)], environment, to)
@@ -269,10 +275,10 @@ def ptx(to: Path) -> Command:
 def build_all(
     commands: list[Command], objects: list[Path], hand_out: Callable[[list[Path]], None] = lambda made: None
 ) -> int:
-    """Run commands, each in a process of its own, as many at a time as there are processors; count the functions.
+    """Run commands in separate processes, as many at a time as the machine has processors; count functions.
 
-    Call `hand_out` with the objects that are there, whenever there are more. Print, every ten seconds, the kernels in
-    work, and how long the rest will take, by the progress so far.
+    Whenever more objects are finished, call `hand_out` with all finished objects. Every ten seconds, print the kernels
+    in work and an estimate of the remaining time, from the progress so far.
     """
     start = time.perf_counter()
     waiting, running = list(commands), list[tuple[subprocess.Popen[bytes], Command]]()
@@ -308,7 +314,7 @@ def build_all(
                 if process.returncode:
                     said = command.said.with_suffix(".log").read_text(encoding="utf-8", errors="replace")
                     raise BuildError(f"{command.what}: this could not be compiled:\n{said.strip()[-4000:]}")
-            made = list(takewhile(Path.exists, objects))  # each may call functions of earlier ones
+            made = list(takewhile(Path.exists, objects))  # Each object may call functions of earlier objects.
             if len(made) > there:
                 there = len(made)
                 hand_out(made)
@@ -323,7 +329,7 @@ def build_all(
 
 
 def compile_extension(to: Path, flags: tuple[str, ...] = RELEASE) -> None:
-    """Compile the extension, which any Python from 3.11 on can load: see `call.h`."""
+    """Compile the extension, which Python 3.11 and all later versions can load: see `call.h`."""
     import numpy
 
     headers = Path(sysconfig.get_path("include"), "Python.h")
@@ -344,7 +350,7 @@ def written_header(folder: Path) -> str:
 def api_flags(folder: Path) -> list[str]:
     """Options of the C compiler for the library for C; `kernels.h` is written into a folder.
 
-    No products are fused with sums, so that lengths and fractions are Python's to the last bit.
+    Products are not fused with sums, so that lengths and fractions equal Python's to the last bit.
     """
     return [written_header(folder), "-Wextra", "-fvisibility=hidden", "-ffp-contract=off", f"-I{HEADERS}"]
 
@@ -357,13 +363,13 @@ def compile_api(to: Path, flags: tuple[str, ...] = RELEASE) -> None:
 
 
 def link(objects: list[Path], level: str, to: Path) -> None:
-    """Link object files and the parts of Numba's run time that they need; no other library than libm may be needed."""
+    """Link object files and the parts of Numba's run time that they need; only libm may be needed besides."""
     strict = [] if MAC or WINDOWS else ["-Wl,-z,defs", "-Wl,--gc-sections", "-lm"]
     compile_c([*objects, HERE / "runtime.c", f'-DLOEWNER_BUILD="{source_hash()} {level}"', *strict], to)
 
 
 def compile_c(what: list[Path | str], to: Path, flags: tuple[str, ...] = RELEASE) -> None:
-    """Call the C compiler: ``CC`` of the environment, or `cc`; on Windows `clang`."""
+    """Call the C compiler: ``CC`` of the environment or `cc`, or `clang` on Windows."""
     compiler = shlex.split(os.environ.get("CC") or ("clang" if WINDOWS else "cc"))
     strict = ["-std=gnu11", "-Wall", "-Werror=implicit-function-declaration", *([] if WINDOWS else ["-fPIC"])]
     command = [*compiler, *flags, *strict, "-shared", "-o", str(to), *map(str, what)]
@@ -377,16 +383,16 @@ def compile_c(what: list[Path | str], to: Path, flags: tuple[str, ...] = RELEASE
 
 
 def folder_for(home: Path) -> Path:
-    """Make a folder for unfinished files, in the file system of the finished ones."""
+    """Make a folder for unfinished files, in the same file system as the finished files."""
     home.mkdir(parents=True, exist_ok=True)
     return Path(tempfile.mkdtemp(dir=home, prefix=".build-"))
 
 
 @contextmanager
 def locked(home: Path, held: int | None) -> Iterator[int | None]:
-    """Build in one process at a time. Others wait, and find everything built.
+    """Let one process at a time build; other processes wait, and find everything built.
 
-    A lock can be handed on to another process, by its number.
+    The lock can be handed on to another process, by its number.
     """
     if WINDOWS or held is not None:
         yield held
@@ -404,7 +410,7 @@ def locked(home: Path, held: int | None) -> Iterator[int | None]:
 
 
 def go_on_in_background(lock: int | None, work: Path, log: Path) -> None:
-    """Run this command again in a process that stays, and hand the lock and the folder on to it."""
+    """Run this command again in a process that stays, and hand the lock and the folder on to that process."""
     log.parent.mkdir(parents=True, exist_ok=True)
     command = [sys.executable, *sys.argv, "--work", str(work), *([] if lock is None else ["--lock", str(lock)])]
     kept = () if lock is None else (lock,)
@@ -421,7 +427,7 @@ def time_of_processes() -> float:
 
 
 def main() -> int:
-    """Build the requested files, unless they are there."""
+    """Build the requested files, unless they exist."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--levels", default="machine", help="'machine' (default), 'all', or names with commas")
     parser.add_argument("--gpu", action="store_true", help="code for NVIDIA's GPUs, too")
@@ -430,7 +436,8 @@ def main() -> int:
     parser.add_argument("--lock", type=int, help=argparse.SUPPRESS)
     parser.add_argument("--work", type=Path, help=argparse.SUPPRESS)
     options = parser.parse_args()
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # ends the processes that it began, and removes its folder
+    # Exiting ends the processes that the build began, and removes its folder.
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))
     try:
         known = LEVELS.get(architecture())
         if known is None:
@@ -449,7 +456,7 @@ def main() -> int:
                 return 0
             if options.log is not None and options.work is None:
                 go_on_in_background(lock, work, options.log)
-                stack.pop_all()  # both are the other process's now
+                stack.pop_all()  # The other process now owns the lock and the folder.
                 return 0
             start = time.perf_counter()
             nice = 0 if options.work is None else IN_BACKGROUND

@@ -1,9 +1,9 @@
 /* Python calls the native library through this extension: `Library` opens a library, and `Kernel` calls one of its
    functions. `pairs.c` and `configurations.c` answer common queries, each in a single call from Python. A function of
    the library has the form int32 loewner_NAME(const int64 *arguments, int64 *results). A number takes one slot; an
-   array takes a slot for its address and one for each length. In a result, each array is preceded by the address of a
-   record that describes its memory; loewner_release frees the memory. Nothing here depends on Numba, and the library
-   does not depend on Python. */
+   array takes one slot for its address and one for each of its lengths. In a result, each array is preceded by the
+   address of a record that describes its memory; loewner_release frees the memory. The extension does not depend on
+   Numba, and the library does not depend on Python. */
 
 #include "call.h"
 #include "system.h"
@@ -11,7 +11,7 @@
 #include <string.h>
 
 #define MOST_SLOTS 96
-#define PREFIX "loewner_" /* prefix of the names of functions */
+#define PREFIX "loewner_" /* The names of all functions of the library begin with PREFIX. */
 
 /* -- types and objects --------------------------------------------------------------------------------------------- */
 
@@ -110,7 +110,7 @@ static int put_number(char kind, PyObject *given, int64_t *slot)
         *slot = truth;
         return truth < 0 ? -1 : 0;
     }
-    if (!PyLong_Check(given)) { /* an integer of NumPy */
+    if (!PyLong_Check(given)) { /* The number is an integer of NumPy. */
         PyObject *number = PyNumber_Index(given);
         if (number == NULL)
             return -1;
@@ -121,7 +121,7 @@ static int put_number(char kind, PyObject *given, int64_t *slot)
     return *slot == -1 && PyErr_Occurred() ? -1 : 0;
 }
 
-/* Make one result from its slots; the memory behind them is released even after an error. */
+/* Make one result from its slots. The memory behind the slots is released even after an error. */
 static PyObject *taken(const Kernel *kernel, const Word *word, const int64_t **slot)
 {
     if (word->kind == 'A') {
@@ -160,7 +160,7 @@ static PyObject *kernel_call(Kernel *kernel, PyObject *const *given, Py_ssize_t 
     Py_BEGIN_ALLOW_THREADS
     code = kernel->function(arguments, results);
     Py_END_ALLOW_THREADS
-    if (code != 0) /* kernels raise no other error */
+    if (code != 0) /* Kernels raise no error except for lack of memory. */
         return PyErr_Format(PyExc_MemoryError, "an allocation failed in %U", kernel->name);
     if (kernel->results == 0)
         Py_RETURN_NONE;
@@ -224,13 +224,13 @@ static PyObject *library_new(PyTypeObject *type, PyObject *arguments, PyObject *
     const char *found = dlsym(handle, "loewner_build");
     if (found == NULL || strcmp(found, build) != 0) {
         PyErr_Format(PyExc_OSError, "expected a library built from %s, found %s", build, found ? found : "another");
-        dlclose(handle); /* closed only now, since the message quotes a text in the library */
+        dlclose(handle); /* The library is closed only now, because the message quotes a text in it. */
         return NULL;
     }
     Library *library = new_object(type);
     if (library == NULL)
         return NULL;
-    library->handle = handle; /* stays open until the process ends, since threads may be running in it */
+    library->handle = handle; /* The library stays open until the process ends, because threads may be running in it. */
     return (PyObject *)library;
 }
 
@@ -256,7 +256,8 @@ static PyObject *library_kernel(PyObject *self, PyObject *arguments)
     else if (kernel->results >= 0 && (slots_of(kernel->argument, kernel->arguments, 0) > MOST_SLOTS ||
                                       slots_of(kernel->result, kernel->results, 1) > MOST_SLOTS))
         PyErr_Format(PyExc_ValueError, "%s: expected fewer arguments", name);
-    /* Make a built-in function that holds the kernel: the interpreter calls it faster than any object of our own. */
+    /* Make a built-in function that holds the kernel, because the interpreter calls built-in functions faster than any
+       other object. */
     PyObject *made = PyErr_Occurred() ? NULL : PyCFunction_NewEx(&kernel->definition, (PyObject *)kernel, NULL);
     Py_DECREF(kernel);
     return made;

@@ -1,4 +1,4 @@
-"""Check a wheel: its files, its size, and the libraries that it needs from a system.
+"""Check a wheel: its files, its size, and the system libraries that it needs.
 
 python native/check_wheel.py dist/*.whl
 python native/check_wheel.py --same-as other.whl dist/*.whl     besides, that both hold the same files
@@ -16,7 +16,7 @@ from build import CALL, FOR_C, LEVELS, architecture  # type: ignore[attr-defined
 from elftools.elf.dynamic import DynamicSection
 from elftools.elf.elffile import ELFFile
 
-LARGEST = 3_000_000  # bytes
+LARGEST = 3_000_000  # A wheel may take up to LARGEST bytes.
 ALLOWED = {"libc.so.6", "libm.so.6", "libdl.so.2", "libpthread.so.0", "ld-linux-x86-64.so.2", "ld-linux-aarch64.so.1"}
 HOME, PTX = "loewner/_native/", "threads.ptx.z"
 
@@ -54,7 +54,7 @@ def files(path: Path) -> set[str]:
 
 
 def _belongs(name: str) -> bool:
-    """Return whether a file may be in a wheel."""
+    """Return whether a wheel may have a file with this name."""
     top, _, rest = name.partition("/")
     if rest.startswith("_native/"):
         return rest.endswith((".py", ".so", "built.json", "threads.ptx.z"))
@@ -65,7 +65,7 @@ def _belongs(name: str) -> bool:
 
 
 def needed(content: bytes) -> set[str]:
-    """Libraries that a library of ELF needs; libraries of other systems are not read."""
+    """Libraries that an ELF library needs; libraries of other systems are not read."""
     if not content.startswith(b"\x7fELF"):
         return set()
     sections = [one for one in ELFFile(BytesIO(content)).iter_sections() if isinstance(one, DynamicSection)]

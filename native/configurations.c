@@ -1,7 +1,6 @@
-/* Queries for one configuration of a robot, and for one motion. Each is a single call from Python; such queries are the
-   most frequent ones.
-
-   `Configurations` holds the data that `robots.problem` prepared, and is replaced whenever these data change. */
+/* Queries for one configuration of a robot, and for one motion. These queries are the most frequent, and each is a
+   single call from Python. `Configurations` holds the data that `robots.problem` prepared, and is replaced whenever
+   these data change. */
 
 #include "single.h"
 
@@ -11,29 +10,30 @@
 
 typedef struct {
     PyObject_HEAD
-    PyObject *held; /* owners of the memory of the other fields */
+    PyObject *held; /* Owners of the memory of the other fields. */
     Function check_configurations, check_motion;
     int64_t pack, problem, memory, width, piece_pairs;
-    const double *least, *most; /* limits within which there is no warning: `Watch` may widen them */
+    const double *least, *most; /* Values within these limits cause no warning; `Watch` may widen the limits. */
     Array1 hits;
 } Configurations;
 
-/* Number of pairs of pieces above which other threads may run during a call. */
+/* With more than MANY pairs of pieces, other threads may run during a call. */
 #define MANY 64
 
-/* The entries of a configuration if it is of the usual kind and causes neither an error nor a warning; else NULL. */
+/* Return the entries of a configuration if it is of the usual kind and causes neither an error nor a warning; otherwise
+   NULL. */
 static const double *take_configuration(const Configurations *self, PyObject *given)
 {
     if (!is_plain(given, 1) || PyArray_DIM((PyArrayObject *)given, 0) != self->width)
         return NULL;
     const double *entries = PyArray_DATA((PyArrayObject *)given);
     for (int64_t k = 0; k < self->width; k++)
-        if (!(self->least[k] <= entries[k] && entries[k] <= self->most[k])) /* false for NaN */
+        if (!(self->least[k] <= entries[k] && entries[k] <= self->most[k])) /* The comparison is false for NaN. */
             return NULL;
     return entries;
 }
 
-/* The verdict for a configuration; -1 if Python has to take the long way. */
+/* Return the verdict for a configuration; -1 if Python has to take the long way. */
 static int verdict_of(const Configurations *self, int mode, PyObject *given)
 {
     const double *entries = take_configuration(self, given);
@@ -71,10 +71,10 @@ static PyObject *configurations_classify(Configurations *self, PyObject *q)
 
 /* -- motions ------------------------------------------------------------------------------------------------------- */
 
-/* Largest number of steps of a motion: memory for more results is not worth keeping for a thread. */
+/* Largest number of steps of a motion, because memory for more results is not worth keeping for a thread. */
 #define MOST_STEPS 4096
 
-static PyObject *dist; /* math.dist */
+static PyObject *dist; /* The function math.dist. */
 
 static PyObject *tuple_of(const double *entries, int64_t count)
 {
@@ -89,7 +89,7 @@ static PyObject *tuple_of(const double *entries, int64_t count)
     return tuple;
 }
 
-/* The distance between two points, exactly as Python computes it; NaN after an error. */
+/* Return the distance between two points, exactly as Python computes it; NaN after an error. */
 static double exact_length(const double *a, const double *b, int64_t count)
 {
     PyObject *first = tuple_of(a, count), *second = tuple_of(b, count);
@@ -101,8 +101,8 @@ static double exact_length(const double *a, const double *b, int64_t count)
     return length;
 }
 
-/* The number of steps of a motion, as in `edges.steps`; 0 if Python has to take the long way. A quotient within
-   NEARLY_WHOLE of an integer may have been rounded to the wrong side of this integer. */
+/* Return the number of steps of a motion, as `edges.steps` does; 0 if Python has to take the long way. A quotient
+   within NEARLY_WHOLE of an integer may have been rounded to the wrong side of this integer. */
 static int64_t steps_of(const double *a, const double *b, int64_t count, double step)
 {
     double squared = 0;
@@ -114,7 +114,7 @@ static int64_t steps_of(const double *a, const double *b, int64_t count, double 
     return steps <= MOST_STEPS ? (int64_t)fmax(ceil(steps), 1) : 0;
 }
 
-/* Get the fractions of a motion with `steps` steps from Python: a new reference to an array, or NULL. */
+/* Get the fractions of a motion with `steps` steps from Python; return a new reference to an array, or NULL. */
 static PyObject *fractions_of(PyObject *order, int64_t steps)
 {
     PyObject *number = steps > 0 ? PyLong_FromLongLong(steps) : NULL;
@@ -125,8 +125,8 @@ static PyObject *fractions_of(PyObject *order, int64_t steps)
     return fractions;
 }
 
-/* The number of configurations of a motion that were checked, negative if the last ones collide; 0 if Python has to
-   take the long way. */
+/* Return the number of configurations of a motion that were checked, negative if the last ones collide; 0 if Python has
+   to take the long way. */
 static int64_t looked_at(const Configurations *self, const double *start, const double *end, PyArrayObject *fractions)
 {
     int64_t count = PyArray_DIM(fractions, 0);
@@ -159,7 +159,7 @@ static PyObject *configurations_motion(Configurations *self, PyObject *const *gi
         Py_RETURN_NONE;
     int64_t steps = steps_of(start, end, self->width, step);
     PyObject *fractions = fractions_of(given[3], steps);
-    /* Read both configurations again, since Python code ran in between and may have changed them. */
+    /* Read both configurations again, because Python code ran in between and may have changed them. */
     start = take_configuration(self, given[0]);
     end = take_configuration(self, given[1]);
     int64_t found =

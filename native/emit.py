@@ -1,6 +1,6 @@
-"""Emit entries of the native library as object files, and check Numba for that.
+"""Emit entries of the native library as object files, and check that Numba can be used for this.
 
-Run by `build.py`, in processes of its own:
+`build.py` runs this file in separate processes:
 
     emit.py                        check Numba itself, for this machine
     emit.py FOLDER LEVEL NUMBER    work for one level, as one of several processes that share the work in a folder
@@ -8,14 +8,15 @@ Run by `build.py`, in processes of its own:
 
 The folder holds `groups.json`, which lists the entries of each group, and `sources`, the hash of the kernels' sources.
 The processes write the code of each entry (`ENTRY.code`), which is the same for all levels, and an object file of each
-group for each level (`LEVEL-GROUP.o`). Each takes files that no other has taken, in an order of its own (`in_order`),
-since entries of one group share most of their code.
+group for each level (`LEVEL-GROUP.o`). Each process takes files that no other process has taken, in its own order
+(`in_order`), because entries of one group share most of their code.
 
-Numba reads the level from the environment when it is imported. Machine code does not run there, since this machine's
+Numba reads the level from the environment when it is imported. The machine code is not run here, because this machine's
 processor may be of a lower level.
 
-All code is kept in the store (`loewner/_kernels/_store.py`): processes share the functions that several entries call,
-and after an edit only the functions that may depend on it are compiled, and only the groups that contain one of them.
+All code is kept in the store (`loewner/_kernels/_store.py`), so that processes share the functions that several entries
+call. After an edit, only the functions that may depend on it are compiled, and only the groups that contain one of
+them.
 """
 
 import ctypes
@@ -59,10 +60,10 @@ PREFIX = "loewner_"
 
 
 def remember_operators() -> None:
-    """Let Numba find the type of an operator's result for given types once; it searches anew for each ``a + b``.
+    """Let Numba find the type of an operator's result for given types once, not anew for each ``a + b``.
 
-    That is a sixth of the time. Other operations, such as slicing, are left alone: their search compiles functions that
-    they call, and notes that these have to be linked.
+    The search takes a sixth of the time. Other operations, such as slicing, are left alone: their search compiles
+    functions that they call, and records that these have to be linked.
     """
     search, known = BaseFunction.get_call_type, {}
     plain = types.Number | types.Boolean | types.IntegerLiteral | vectors.Lanes
@@ -87,12 +88,12 @@ def remember_operators() -> None:
 
 
 def remember_sizes() -> None:
-    """Let Numba get the size of a type from LLVM once, instead of for each variable: a twentieth of the time."""
+    """Let Numba get the size of a type from LLVM once, not for each variable; this saves a twentieth of the time."""
     measure, known = BaseContext.get_abi_sizeof, {}
 
     def get_abi_sizeof(context, kind):
         if id(kind) not in known:
-            known[id(kind)] = kind, measure(context, kind)  # kept alive, a type keeps its identity
+            known[id(kind)] = kind, measure(context, kind)  # A type that is kept alive keeps its identity.
         return known[id(kind)][1]
 
     BaseContext.get_abi_sizeof = get_abi_sizeof
@@ -101,7 +102,8 @@ def remember_sizes() -> None:
 def count_only_arrays() -> None:
     """Let Numba look for counted references only where a type has one: a twentieth of the time.
 
-    It otherwise takes every number out of every tuple and array, wherever one is passed on, and LLVM removes all that.
+    Otherwise, Numba takes every number out of every tuple and array wherever one is passed on, and LLVM removes this
+    code.
     """
     counted = {}
 
@@ -125,7 +127,7 @@ def count_only_arrays() -> None:
 
 
 def list_variables_by_type() -> None:
-    """Let Numba list a statement's variables without a search in its numbers and names: a thirtieth of the time."""
+    """Let Numba list a statement's variables without searching its numbers and names: a thirtieth of the time."""
     search, holders = Inst._rec_list_vars, {}
 
     def holds_variables(kind):
@@ -143,9 +145,10 @@ def list_variables_by_type() -> None:
 
 
 def look_once() -> None:
-    """Let Numba import its own declarations once; it does so for every array, which is a twentieth of the time.
+    """Let Numba import its own declarations once, not for every array; this saves a twentieth of the time.
 
-    Later declarations are added to the first of its lists. Nor does it send events, since nothing here listens to them.
+    Later declarations are added to the first of its lists. Numba also sends no events, because nothing here listens to
+    them.
     """
     code, kinds = cpu_target.target_context, cpu_target.typing_context
     code.refresh()
@@ -171,8 +174,8 @@ def compiled(entry: Entry):
 def shim(module: ir.Module, entry: Entry, result) -> None:
     """Add ``int32 loewner_NAME(int64 *arguments, int64 *results)``, which calls an entry as Numba does.
 
-    A number takes a slot. An array takes its address, then its lengths; as a result also, before these, the address of
-    its memory's description, which the caller has to release.
+    A number takes a slot. An array takes a slot for its address and one for each of its lengths. As a result, an array
+    also takes a slot before these, for the address of its memory's description, which the caller has to release.
     """
     context, signature = result.target_context, result.signature
     pointer = SLOT.as_pointer()
@@ -203,7 +206,7 @@ def shim(module: ir.Module, entry: Entry, result) -> None:
 
 
 def _loaded(context, builder, kind, load):
-    """One argument, from slots."""
+    """Load one argument from slots."""
     if isinstance(kind, types.Array):
         array = context.make_array(kind)(context, builder)
         itemsize = context.get_abi_sizeof(context.get_data_type(kind.dtype))
@@ -227,7 +230,7 @@ def _loaded(context, builder, kind, load):
 
 
 def _stored(context, builder, kind, value, store):
-    """One result, to slots."""
+    """Store one result in slots."""
     if isinstance(kind, types.Array):
         array = context.make_array(kind)(context, builder, value)
         store(builder.ptrtoint(array.meminfo, SLOT))
@@ -249,7 +252,8 @@ def _tuple_of(builder, values):
     return result
 
 
-# Offsets in the description of an array's memory that `runtime.c` relies on: the count of references, and the address.
+# Offsets, in the description of an array's memory, on which `runtime.c` relies: the count of references, and the
+# address.
 REFERENCES, DATA, MEMORY_SIZE = 0, 24, 32
 FIELDS = ("meminfo", "parent", "nitems", "itemsize", "data", "shape", "strides")
 
@@ -271,7 +275,7 @@ def _memory_and_array(size):
 
 
 def check_numba() -> None:
-    """Refuse a Numba whose arrays, or their memory, are laid out otherwise than `runtime.c` and the shims rely on."""
+    """Refuse a Numba whose arrays, or their memory, have a layout on which `runtime.c` and the shims do not rely."""
     fields = tuple(default_manager.lookup(types.float64[::1])._fields)
     if fields != FIELDS:
         raise SystemExit(f"Numba {numba.__version__}: expected arrays of {FIELDS}, found {fields}")
@@ -294,8 +298,8 @@ def write_code(entry: Entry, to: Path) -> None:
 def write_object(codes: list[Path], before: list[Path], to: Path) -> None:
     """Write the object code of entries, from the store if nothing has changed.
 
-    Functions that LLVM may not inline are in the object of the first group that calls them; `before` has the codes of
-    the groups before this one.
+    Functions that LLVM may not inline are in the object of the first group that calls them; `before` holds the codes of
+    the groups before this group.
     """
     codegen = cpu_target.target_context.codegen()
     read, earlier = ([json.loads(path.read_text(encoding="utf-8")) for path in paths] for paths in (codes, before))
@@ -317,27 +321,27 @@ def write_object(codes: list[Path], before: list[Path], to: Path) -> None:
 def apart_functions(part: CPUCodeLibrary) -> list[str]:
     """Names of a part's functions that LLVM may not inline, and that other parts call."""
     if not isinstance(part, _parts.PartLibrary):
-        return []  # Numba's run time, which is in each object
+        return []  # The part is Numba's run time, which is in each object.
     defined = (one for one in part._final_module.functions if not one.is_declaration and one.linkage.name == "external")
     return [one.name for one in defined if any(b"noinline" in some for some in one.attributes)]
 
 
 def put(to: Path, content: bytes) -> None:
-    """Write a file that is whole as soon as it is there."""
+    """Write a file that is complete as soon as it exists."""
     temporary = to.with_suffix(".part")
     temporary.write_bytes(content)
     temporary.replace(to)
 
 
 def machine_code(parts: list[CPUCodeLibrary], shims: list[str]) -> bytes:
-    """Object code of parts and shims, position-independent, for the processor that the environment names."""
+    """Position-independent object code of parts and shims, for the processor that the environment names."""
     codegen = cpu_target.target_context.codegen()
     library = codegen.create_library("loewner")
     apart = [name for part in parts for name in apart_functions(part)]
     linked = _parts.in_one([*(part._final_module.clone() for part in parts), *map(llvm.parse_assembly, shims)])
     library._final_module = module = llvm.parse_assembly(uncounted(str(linked)))
     hide(module, "linkonce_odr", apart)
-    # The same passes that Numba runs over what Python calls, with everything linked in.
+    # Run the same passes as Numba runs for functions that Python calls, with everything linked in.
     CPUCodeLibrary._optimize_final_module(library)
     hide(module, "internal", apart)
     for variable in module.global_variables:
@@ -347,7 +351,7 @@ def machine_code(parts: list[CPUCodeLibrary], shims: list[str]) -> bytes:
     machine = llvm.Target.from_triple(llvm.get_process_triple()).create_target_machine(
         cpu=codegen._get_host_cpu_name(), features=codegen._tm_features, opt=config.OPT, reloc="pic", codemodel="small"
     )
-    # Functions that Numba made for several types are often the same code.
+    # Functions that Numba made for several types often have the same code.
     passes = llvm.create_new_module_pass_manager()
     passes.add_merge_functions_pass()
     passes.run(module, llvm.create_pass_builder(machine, llvm.create_pipeline_tuning_options()))
@@ -360,11 +364,11 @@ HARMLESS = re.compile(r"  (?:%\S+ = )?(?:(?:tail )?call|icmp) ")
 
 
 def uncounted(text: str) -> str:
-    """Remove the counting of references to a function's arguments where the function only passes them on.
+    """Remove the counting of references to a function's arguments where the function only passes the arguments on.
 
-    A caller keeps its references until the call has returned, so counting in between changes nothing unless the
-    function stores a reference, returns it, or mixes it with others. Numba counts all arguments, and removes too few
-    pairs of counts: these are three quarters of all calls in the kernels.
+    A caller keeps its references until the call has returned. Counting in between therefore changes nothing, unless the
+    function stores a reference, returns it, or mixes it with other references. Numba counts all arguments, and removes
+    too few pairs of counts: the remaining pairs are three quarters of all calls in the kernels.
     """
 
     def of_function(found: re.Match[str]) -> str:
@@ -381,9 +385,9 @@ def uncounted(text: str) -> str:
 
 
 def hide(module: llvm.ModuleRef, linkage: str, apart: list[str]) -> None:
-    """Give functions that nothing outside calls a linkage by which they are removed if they have no callers.
+    """Give functions without callers from outside a linkage by which they are removed if they have no callers at all.
 
-    Python calls the entries; objects of other groups call functions that are apart.
+    Python calls the entries from outside, and objects of other groups call the functions that are apart.
     """
     for function in module.functions:
         if function.is_declaration or function.name.startswith(PREFIX):
@@ -392,14 +396,15 @@ def hide(module: llvm.ModuleRef, linkage: str, apart: list[str]) -> None:
             function.visibility = "hidden"
         else:
             function.linkage = linkage
-        function.add_function_attribute("nounwind")  # no exception passes; tables for unwinding are 3 % of the file
+        # No exception passes through a kernel, and tables for unwinding would be 3 % of the file.
+        function.add_function_attribute("nounwind")
 
 
 def expect_sources(folder: Path) -> None:
     """Import all kernels, and stop unless their sources are the ones with which the build began.
 
-    From then on an edit alters neither the code in memory nor its keys. Otherwise, code of an edit that is undone
-    before the build has ended could be kept under the keys of the sources without it.
+    From then on, an edit alters neither the code in memory nor its keys. Otherwise, if an edit is undone before the
+    build ends, its code could be kept under the keys of the sources without it.
     """
     for entry in ENTRIES.values():
         importlib.import_module(f"loewner._kernels.{entry.module}")
@@ -408,14 +413,15 @@ def expect_sources(folder: Path) -> None:
 
 
 def work(folder: Path, level: str, number: int, nice: int = 0, *later: str) -> None:
-    """Write files that no other process has taken, until all are taken: objects with all their codes, or else codes."""
+    """Write files that no other process has taken, until all are taken: objects whose codes exist, or else codes."""
     groups = json.loads((folder / "groups.json").read_text(encoding="utf-8"))
     objects = {folder / f"{level}-{group}.o": [folder / f"{name}.code" for name in groups[group]] for group in groups}
     codes = {folder / f"{name}.code": name for name in in_order(groups, number, later)}
     in_background = {name for group in later for name in groups[group]}
-    before = list[Path]()  # codes of the groups whose objects are taken
+    before = list[Path]()  # Codes of the groups whose objects are taken.
     parent = os.getppid()
-    while (objects or codes) and os.getppid() == parent:  # which ends its processes, unless it is killed
+    # A parent that is killed cannot end its processes, so that each process checks that the parent still runs.
+    while (objects or codes) and os.getppid() == parent:
         to, needed = next(iter(objects.items()), (None, []))
         if to is not None and all(map(Path.exists, needed)):
             del objects[to]
@@ -438,9 +444,9 @@ def work(folder: Path, level: str, number: int, nice: int = 0, *later: str) -> N
 
 
 def in_order(groups: dict[str, list[str]], number: int, later: tuple[str, ...]) -> list[str]:
-    """Entries in the order in which a process takes them: two begin with each group, the second of them at its end.
+    """Order the entries for a process: two processes begin with each group, and the second of them at the group's end.
 
-    The second also takes the other groups from the last on, so that the two meet as late as possible.
+    The second process also takes the other groups in reverse order, so that both processes meet as late as possible.
     """
     early = [group for group in groups if group not in later]
     first = early.pop(number // 2 % len(early))
@@ -449,7 +455,7 @@ def in_order(groups: dict[str, list[str]], number: int, later: tuple[str, ...]) 
 
 
 def is_mine(to: Path) -> bool:
-    """Take a file, and return whether no other process had taken it."""
+    """Claim a file; return True unless another process has claimed it."""
     try:
         to.with_suffix(".taken").touch(exist_ok=False)
     except FileExistsError:
@@ -465,7 +471,9 @@ def main(folder: Path, level: str, number: str, nice: str = "0", *later: str) ->
     remember_sizes()
     count_only_arrays()
     list_variables_by_type()
-    gc.disable()  # a seventh of the time, for half a gigabyte: Numba makes millions of small objects that stay
+    # Numba makes millions of small objects that stay: not collecting them saves a seventh of the time, and costs half a
+    # gigabyte.
+    gc.disable()
     expect_sources(folder)
     work(folder, level, int(number), int(nice), *later)
 

@@ -1,9 +1,9 @@
-"""Write `kernels.h`, which takes over from Python everything that Python and the C files must agree on.
+"""Write `kernels.h`, which takes from Python everything on which Python and the C files must agree.
 
-For each kernel of ``entries.py`` the header declares a struct of its arguments. The types come from its signature, and
-the names of its parameters from its source, since importing it would need Numba. A kernel with several results has a
-struct for these, too. The header also has the kernels' signatures, the tables of arrays that kernels take by their
-address, and constants. The build writes it beside the files that it makes.
+For each kernel of ``entries.py``, the header declares a struct of its arguments. The types come from its signature, and
+the names of its parameters from its source, because importing the source would need Numba. A kernel with several
+results has a struct for its results, too. The header also has the kernels' signatures, the tables of arrays that
+kernels take by their address, and constants. The build writes the header beside the files that it makes.
 """
 
 import ast
@@ -73,7 +73,7 @@ def text() -> str:
 
 
 def constants() -> dict[str, str]:
-    """Constants by their names in C, where all codes begin with ``CODE_``."""
+    """Constants by their names in C; the names of all codes begin with ``CODE_``."""
     mesh = numbers_of("trees/triangle_tree.py", NODE_BITS=columns.NODE_BITS)
     boxes = numbers_of("trees/boxes.py", WIDE=columns.WIDE)
     values = {
@@ -124,7 +124,7 @@ def type_of(word: str, array: str) -> str:
 
 
 def result_names(function: ast.FunctionDef, count: int) -> list[str]:
-    """Names of a kernel's results: of the variables, if any of its returns has a different one for each."""
+    """Names of a kernel's results: names of variables, if any of its returns has a different variable for each."""
     for node in ast.walk(function):
         if isinstance(node, ast.Return) and isinstance(node.value, ast.Tuple):
             names = [ast.unparse(value).partition("[")[0].rpartition(".")[2] for value in node.value.elts]
@@ -140,7 +140,7 @@ def source(path: str) -> ast.Module:
 
 
 def numbers_of(path: str, **known: Any) -> dict[str, Any]:
-    """Return the constants of a file of the kernels that depend only on known ones and on those before them."""
+    """Return the constants of a file of the kernels that depend only on known constants and on earlier ones."""
     for node in source(path).body:
         if isinstance(node, ast.Assign):
             with suppress(NameError):

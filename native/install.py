@@ -3,7 +3,7 @@
     python native/install.py PREFIX              the library that was built for this machine
     python native/install.py PREFIX --levels all    for all processors of this architecture; built if it is not there
 
-It needs neither Python nor anything else of loewner afterwards.
+The installed files need neither Python nor any other part of loewner.
 """
 
 import argparse
@@ -17,7 +17,7 @@ SHARE = HEADERS.parent / "share"
 
 
 def install(prefix: Path, home: Path = HOME) -> list[Path]:
-    """Copy the files, and return where they are."""
+    """Copy the files, and return their new paths."""
     lib = prefix / "lib"
     wanted = {
         **{path: prefix / "include" / path.name for path in sorted(HEADERS.iterdir())},
@@ -36,7 +36,7 @@ def install(prefix: Path, home: Path = HOME) -> list[Path]:
 
 
 def main() -> int:
-    """Build missing files, and install."""
+    """Build missing files, and install all files."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("prefix", type=Path)
     parser.add_argument("--levels", choices=("machine", "all"), default="machine")

@@ -1,11 +1,11 @@
-/* Queries for one pair of bodies. Each is a single call from Python, which is enough in the usual case. */
+/* Queries for one pair of bodies. Each query is a single call from Python, which suffices in the usual case. */
 
 #include "single.h"
 
 #include <math.h>
 #include <string.h>
 
-/* ONE_PAIR and NO_ROWS of `_settle.py`, and the identity as a pose. */
+/* ONE_PAIR and NO_ROWS of `_settle.py`, and the identity pose. */
 static const int64_t one_pair[5] = {1, 0, 0, 0, 0}, no_rows[1];
 static const double identity[16] = {1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1};
 
@@ -14,14 +14,15 @@ static const double identity[16] = {1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0,
 
 /* -- bodies and poses ---------------------------------------------------------------------------------------------- */
 
-/* Number of pairs of pieces above which other threads may run during a call; for fewer, this costs too much. */
+/* With more than MANY pairs of pieces, other threads may run during a call; with fewer pairs, letting them run would
+ * cost too much. */
 #define MANY 64
 
 static PyObject *word_exact, *name_packed, *name_handle;
 
-/* One side of a query: a body and where it is. */
+/* One side of a query: a body and its pose. */
 typedef struct {
-    PyObject *packed; /* a reference of our own, in case the body changes */
+    PyObject *packed; /* The reference keeps the pieces alive in case the body changes. */
     int64_t handle;
     Array3 poses;
 } Side;
@@ -38,7 +39,7 @@ static int take_pose(PyObject *given, Array3 *poses)
     return PyArray_DIM(array, 0) == 4 && PyArray_DIM(array, 1) == 4;
 }
 
-/* Take a body, whose class must be exactly Body, and its pose; false if the body or the pose is unusual. */
+/* Take a body, whose class must be exactly Body, and its pose; return false if the body or the pose is unusual. */
 static int take_side(PyObject *class, PyObject *body, PyObject *pose, Side *side)
 {
     side->packed = NULL;
@@ -74,7 +75,7 @@ static int take_margin(PyObject *given, double *margin)
     return *margin >= 0 && *margin < INFINITY;
 }
 
-/* The number of pieces of a body: the rows of the first array behind its handle, see `records.py`. */
+/* Return the number of pieces of a body: the rows of the first array behind its handle, see `records.py`. */
 static int64_t piece_count(const Side *side)
 {
     return ((const int64_t *)side->handle)[1];
@@ -89,13 +90,13 @@ static int is_long(const Side *a, const Side *b)
 
 typedef struct {
     PyObject_HEAD
-    PyObject *kernels; /* a tuple that keeps the library alive */
+    PyObject *kernels; /* This tuple keeps the library alive. */
     Function settle_range, distance_range, measure_left, first_fault;
     void (*release)(void *);
-    int64_t settle_memory, distance_memory; /* numbers of bytes for `settle_range` and `distance_range` */
+    int64_t settle_memory, distance_memory; /* Numbers of bytes for `settle_range` and `distance_range`. */
 } Pairs;
 
-/* The verdict for two bodies; -1 if Python has to take the long way. */
+/* Return the verdict for two bodies; -1 if Python has to take the long way. */
 static int settled(const Pairs *self, int mode, double margin, const Side *a, const Side *b)
 {
     int8_t verdict = CODE_AMBIGUOUS;
@@ -108,7 +109,7 @@ static int settled(const Pairs *self, int mode, double margin, const Side *a, co
     if (arguments.memory == NULL || call_kernel(self->settle_range, &arguments, &are_rigid, is_long(a, b)) != 0 ||
         !(are_rigid & 1))
         return -1;
-    /* The fallback settles pairs that the fast searches leave open. */
+    /* Pairs that the fast searches leave open are left to the fallback. */
     return mode == CODE_EXACT && (tally[CODE_OPEN] != 0 || verdict == CODE_AMBIGUOUS) ? -1 : verdict;
 }
 
@@ -151,7 +152,7 @@ static const char *const field_texts[NUMBERS + VECTORS] = {
     "lower", "upper", "estimate", "distance", "witness_a", "witness_b", "normal",
 };
 static PyObject *field_names[NUMBERS + VECTORS], *no_arguments;
-static newfunc new_of_object; /* object.__new__ */
+static newfunc new_of_object; /* The function object.__new__. */
 
 typedef struct {
     double number[NUMBERS], vector[VECTORS][3];
@@ -164,7 +165,7 @@ static int is_rigid(const Pairs *self, const Array3 *poses)
            (self->first_fault((const int64_t *)poses, (int64_t *)&fault) == 0 && fault.k == poses->count);
 }
 
-/* Measure the piece pairs that the fast searches left. */
+/* Measure the piece pairs that the fast searches left open. */
 static int finished(const Pairs *self, const struct distance_range *asked, const struct distance_range_results *left)
 {
     struct measure_left arguments = {
@@ -176,7 +177,7 @@ static int finished(const Pairs *self, const struct distance_range *asked, const
     return left->pieces.array.rows == 0 || call_kernel(self->measure_left, &arguments, &nothing, 1) == 0;
 }
 
-/* Measure two bodies at poses that are rigid motions; false if Python has to take the long way. */
+/* Measure two bodies at poses that are rigid motions; return false if Python has to take the long way. */
 static int measured(const Pairs *self, int wanted, const Side *a, const Side *b, Found *found)
 {
     int8_t status = 0;
@@ -199,9 +200,10 @@ static int measured(const Pairs *self, int wanted, const Side *a, const Side *b,
         return 1;
     if (!isfinite(number[VALUE]))
         return 0;
-    /* The bounds are proven, but the value is only computed, so a value outside is moved to the nearest bound. */
+    /* The bounds are proven, but the value is only computed. A value outside the bounds is therefore moved to the
+       nearest bound. */
     number[VALUE] = fmax(number[LOWER], fmin(number[VALUE], number[UPPER]));
-    return number[VALUE] != 0; /* NumPy decides the sign of a zero */
+    return number[VALUE] != 0; /* NumPy decides the sign of a zero. */
 }
 
 static PyObject *vector_of(const double *entries)
@@ -213,7 +215,7 @@ static PyObject *vector_of(const double *entries)
     return array;
 }
 
-/* A field of a Distance, by its place; None if it was not requested. */
+/* Return a field of a Distance, by its place; None if the field was not requested. */
 static PyObject *field_of(const Found *found, int place, int wanted)
 {
     if (place >= VALUE && !wanted)
@@ -248,7 +250,7 @@ static PyObject *pairs_distance(Pairs *self, PyObject *const *given, Py_ssize_t 
     PyObject *made = is_found ? distance_of(given[1], &found, wanted) : NULL;
     if (made != NULL)
         return made;
-    PyErr_Clear(); /* out of memory: the long way tries again */
+    PyErr_Clear(); /* Memory has run out: the long way tries again. */
     Py_RETURN_NONE;
 }
 

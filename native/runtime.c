@@ -1,6 +1,6 @@
 /* The parts of Numba's run time that kernels need: reference-counted memory. The layout of a description is Numba's
-   (numba/core/runtime/nrt.cpp); compiled code updates the count by itself, and calls NRT_MemInfo_call_dtor when the
-   count reaches zero. `tests/test_native.py` compares the layout with the installed Numba's. */
+   (numba/core/runtime/nrt.cpp). Compiled code updates the count by itself, and calls NRT_MemInfo_call_dtor when the
+   count reaches zero. `tests/test_native.py` compares the layout with the layout of the installed Numba. */
 
 #include "system.h"
 
@@ -16,7 +16,7 @@ typedef struct {
 
 EXPORTED const char loewner_build[] = LOEWNER_BUILD;
 
-/* Number of descriptions that were made and not given back. It is zero while no kernel runs, see
+/* Number of descriptions that were made but not given back. The number is zero while no kernel runs, see
    `tests/test_native.py`. */
 EXPORTED size_t loewner_held;
 
@@ -43,7 +43,7 @@ void *NRT_MemInfo_alloc_aligned(size_t size, unsigned alignment)
 
 void NRT_MemInfo_call_dtor(void *memory)
 {
-    give_back(memory); /* kernels create no array with a destructor */
+    give_back(memory); /* Kernels create no array with a destructor. */
 }
 
 /* Free memory that Python has received and copied. */

@@ -1,11 +1,11 @@
-"""Run the tests that drive the C files with the sanitizers of addresses, of undefined behaviour and of threads.
+"""Run the tests of the C files with sanitizers for addresses, undefined behaviour and threads.
 
     python native/sanitize.py
 
 The extension and the library for C are compiled into `build/sanitize`, a copy of the package, beside the kernels that
-were built already; they are not looked into. A report ends the tests, and the exit status is 1. It takes gcc with its
-libasan and libtsan, on Linux. The sanitizer of threads watches a program with eight of them, `tests/capi_threads.c`,
-since it cannot watch Python.
+were built already; the kernels are not examined. A report ends the tests, and the exit status is 1. The run takes gcc
+with its libasan and libtsan, on Linux. The sanitizer for threads watches a program with eight threads,
+`tests/capi_threads.c`, because it cannot watch Python.
 """
 
 import json
@@ -23,12 +23,13 @@ from loewner._native import library
 TO = HERE.parent / "build" / "sanitize"
 FLAGS = ("-O1", "-g", "-fno-omit-frame-pointer", "-fsanitize=address,undefined", "-fno-sanitize-recover=undefined")
 
-# What drives the extension.
+# These tests drive the extension.
 TESTS = ("tests/test_native.py", "tests/test_native_calls.py", "tests/test_threads.py", "tests/test_capi.py",
          "tests/test_capi_gates.py", "tests/test_bounded_work.py::test_limits_in_c_are_those_of_python",
          "tests/fuzz/test_border.py", "tests/fuzz/test_hostile_calls.py")  # fmt: skip
-# The first test measures memory, and the sanitizer keeps freed memory. After a fork while another thread is in its
-# allocator, the child has none. A sample of the bad arguments suffices, since few of them reach the extension.
+# The first test measures memory, but the sanitizer keeps freed memory. The second test forks: if another thread is in
+# the sanitizer's allocator at that moment, the child has no allocator. A sample of the bad arguments suffices, because
+# few of them reach the extension.
 LEFT_OUT = (
     "tests/test_native.py::test_results_leave_no_memory_behind",
     "tests/fuzz/test_hostile_calls.py::test_forks_under_load",
@@ -37,7 +38,7 @@ LEFT_OUT = (
 
 
 def instrumented(to: Path) -> None:
-    """Copy the package with its kernels, and compile the extension anew."""
+    """Copy the package with its kernels, and compile the extension again."""
     if library.level() is None:
         raise BuildError(f"expected a native library that is built, found none ({library.why_not()})")
     shutil.rmtree(to, ignore_errors=True)
@@ -55,7 +56,7 @@ def instrumented(to: Path) -> None:
 
 
 def threads_are_clean(to: Path) -> bool:
-    """Run eight threads with gates under the sanitizer of threads, then under that for addresses, which finds leaks."""
+    """Run eight threads with gates under the sanitizer for threads, then under the one for addresses and leaks."""
     cell, kernels = to / "cell.lwn", library.HOME
     save = [sys.executable, str(HERE.parent / "examples" / "save_cell.py"), cell.name]
     subprocess.run(save, check=True, cwd=to, env=os.environ | {"PYTHONPATH": str(SOURCES)})
@@ -77,9 +78,9 @@ def threads_are_clean(to: Path) -> bool:
 
 
 def runtime() -> str:
-    """The libraries that a program which was compiled without the sanitizer has to load first.
+    """Libraries that a program compiled without the sanitizer has to load first.
 
-    One is the library of C++, since the sanitizer looks for its functions at the start, and Python loads it later.
+    One is the library of C++, because the sanitizer looks for its functions at the start, and Python loads it later.
     """
     compiler = shlex.split(os.environ.get("CC") or "cc")
     asked = [[*compiler, f"-print-file-name={name}"] for name in ("libasan.so", "libstdc++.so.6")]
@@ -92,8 +93,9 @@ def runtime() -> str:
 
 def environment(to: Path) -> dict[str, str]:
     """Variables for an interpreter that uses the copy, and whose objects the sanitizer sees one by one."""
-    # Python and NumPy release some memory only at the end. Tests request more memory than there is.
-    report = f"'{to / 'report'}'"  # quoted, as blanks divide options
+    # Leaks are ignored, because Python and NumPy release some memory only at the end. Allocations may fail, because
+    # tests request more memory than the machine has.
+    report = f"'{to / 'report'}'"  # The path is quoted, because blanks divide options.
     options = f"halt_on_error=1:detect_leaks=0:allocator_may_return_null=1:log_path={report}"
     return os.environ | {
         "LD_PRELOAD": runtime(),
@@ -106,7 +108,7 @@ def environment(to: Path) -> dict[str, str]:
 
 
 def main() -> int:
-    """Compile, run the tests, show the reports."""
+    """Compile, run the tests, and show the reports."""
     try:
         instrumented(TO)
         around = environment(TO)

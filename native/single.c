@@ -5,11 +5,11 @@
 
 #include <string.h>
 
-static pthread_key_t memory_key; /* key of a `Memory`, which is freed when its thread ends; the key outlasts a fork */
+static pthread_key_t memory_key; /* Key of a `Memory`, which is freed when its thread ends; the key outlasts a fork. */
 
 typedef struct {
     size_t size;
-    char head[CACHE_LINE - sizeof(size_t)]; /* padding, so that the bytes begin at a cache line */
+    char head[CACHE_LINE - sizeof(size_t)]; /* This padding lets the bytes begin at a cache line. */
     char bytes[];
 } Memory;
 

@@ -1,8 +1,7 @@
-/* Declarations that the queries for single pairs and single configurations share.
-
-   A query returns None if an argument is not of the usual kind, or if the answer takes more than one call of a kernel.
-   Python then goes the long way, with all checks and errors. The queries themselves raise no errors, so that the text
-   of each error exists only once. */
+/* These declarations are shared by the queries for single pairs and for single configurations. A query returns None if
+   an argument is not of the usual kind, or if the answer takes more than one call of a kernel. After None, Python goes
+   the long way, with all checks and errors. The queries themselves raise no errors, so that the text of each error
+   exists only once. */
 
 #ifndef LOEWNER_SINGLE_H
 #define LOEWNER_SINGLE_H
@@ -12,21 +11,20 @@
 
 #include <stddef.h>
 
-/* At least `size` bytes for kernels to write to, which belong to this thread; NULL if they cannot be allocated.
-
-   The next call overwrites these bytes. No Python code runs between the call of a kernel and the last use of its
-   results: the handler of a signal waits until the interpreter continues, and no Python object is allocated before
+/* Return at least `size` bytes to which kernels may write, and which belong to this thread; NULL if they cannot be
+   allocated. The next call overwrites these bytes. No Python code runs between the call of a kernel and the last use of
+   its results: the handler of a signal waits until the interpreter continues, and no Python object is allocated before
    that. A thread therefore never needs this memory twice at a time. */
 void *thread_memory(size_t size);
 
-/* Call a kernel, and let other threads run meanwhile if the call takes long; return the kernel's code, which is 0
-   unless memory ran out. */
+/* Call a kernel, and let other threads run meanwhile if `is_long`. Return the kernel's code, which is 0 unless memory
+   ran out. */
 int32_t call_kernel(Function function, const void *arguments, void *results, int is_long);
 
-/* Whether an object is a kernel with this signature; false with an exception. */
+/* Return whether an object is a kernel with this signature; if not, set an exception. */
 int is_kernel(PyObject *given, const char *takes, const char *gives);
 
-/* Whether an array is exactly of NumPy's class and holds float64 as kernels take them. */
+/* Return whether an array is exactly of NumPy's class, and holds float64 in the layout that kernels take. */
 int is_plain(PyObject *given, int axes);
 
 int prepare_single(void);

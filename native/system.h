@@ -1,5 +1,5 @@
 /* Libraries, memory that begins at a cache line, and memory of threads, for which Windows and POSIX have different
-   names. The part for Windows has not been tried. */
+   names. The part for Windows is untested. */
 
 #ifndef LOEWNER_SYSTEM_H
 #define LOEWNER_SYSTEM_H

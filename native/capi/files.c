@@ -1,6 +1,6 @@
-/* Maps the files that `loewner/bodies/native_files.py` describes. A file is not trusted: its checksum reveals damage,
-   but anybody can compute a checksum. Every size, index and number is therefore checked before a kernel uses it. A
-   check that fails reports the name of the array. */
+/* This file maps the files that `loewner/bodies/native_files.py` describes. A mapped file is not trusted: its checksum
+   reveals damage, but anyone can compute a checksum. Every size, index and number is therefore checked before a kernel
+   uses it. A failed check reports the name of the array. */
 
 #define _GNU_SOURCE
 #include "internal.h"
@@ -18,7 +18,7 @@
 #define SOURCES_LENGTH 64
 #define GOLDEN 0x9E3779B97F4A7C15u
 
-#define MOST ((int64_t)1 << 40) /* limit on any count; products of a few counts stay far below overflow */
+#define MOST ((int64_t)1 << 40) /* MOST limits all counts, so that products of a few counts stay far below overflow. */
 
 typedef struct {
     uint64_t format, size, checksum;
@@ -33,7 +33,7 @@ typedef struct {
 enum { INTEGERS, DOUBLES, SINGLES, BYTES };
 static const int64_t item_sizes[] = {8, 8, 4, 1};
 
-/* The path of the file that this thread opens. */
+/* Path of the file that this thread opens. */
 static _Thread_local const char *opened_path;
 
 static loewner_status damaged(const char *what)
@@ -149,7 +149,7 @@ static int are_finite(const double *numbers, int64_t count)
 {
     double sum = 0;
     for (int64_t k = 0; k < count; k++)
-        sum += numbers[k] - numbers[k]; /* adds 0 or NaN */
+        sum += numbers[k] - numbers[k]; /* The term is 0, or NaN if the number is not finite. */
     return sum == 0;
 }
 
@@ -169,7 +169,7 @@ static int is_within(const int64_t *numbers, int64_t count, int64_t least, int64
     return is;
 }
 
-/* Whether the starts of ranges rise from 0 to a total. */
+/* Return whether the starts of ranges rise from 0 to a total. */
 static int rises(const int64_t *starts, int64_t count, int64_t total)
 {
     int is = starts[0] == 0 && starts[count - 1] == total;
@@ -180,7 +180,8 @@ static int rises(const int64_t *starts, int64_t count, int64_t total)
 
 /* -- packs --------------------------------------------------------------------------------------------------------- */
 
-/* Check the nodes of a large hull (`directions.py`), which follow its vertices: two numbers per node, `room` in all. */
+/* Check the nodes of a large hull (`directions.py`), which follow its vertices. Each node has two numbers; all nodes
+   together have `room` numbers. */
 static loewner_status check_nodes(const double *nodes, int64_t room, int64_t vertices)
 {
     int64_t count = room / 2;
@@ -193,14 +194,14 @@ static loewner_status check_nodes(const double *nodes, int64_t room, int64_t ver
     int is_sound = 1;
     for (int64_t k = 0; is_sound && k < count; k++) {
         if (depth[k] < 0)
-            continue; /* no node leads to this one */
+            continue; /* No node leads to this node. */
         double first = nodes[2 * k], last = nodes[2 * k + 1];
         if (last >= 0) {
             is_sound = 0 <= first && first < last && last <= (double)vertices && fmod(first, POINT_BLOCK) == 0 &&
                        fmod(last, POINT_BLOCK) == 0;
             continue;
         }
-        /* Children come after their parents, so that no walk goes back. */
+        /* Children must come after their parents, so that no walk goes back. */
         is_sound = (double)k < first && first <= (double)(count - 4) && depth[k] < DEEPEST;
         for (int c = 0; is_sound && c < 4; c++)
             if (depth[(int64_t)first + c] <= depth[k])
@@ -230,7 +231,8 @@ static loewner_status check_pieces(const Pack *pack, int64_t surfaces)
     return LOEWNER_OK;
 }
 
-/* Check the trees over the pieces of bodies: the groups of a body are contiguous, and lead only to its own pieces. */
+/* Check the trees over the pieces of bodies: the groups of a body must be contiguous, and lead only to pieces of the
+   same body. */
 static loewner_status check_trees(const Pack *pack)
 {
     int64_t begin = 0;
@@ -249,11 +251,12 @@ static loewner_status check_trees(const Pack *pack)
                 if (child >= 0) {
                     is_sound &= begin <= child && child < g && !has_parent[child];
                     if (is_sound)
-                        has_parent[child] = 1; /* a group has only one parent: in any graph other than a tree, a walk
-                                                  would follow all paths */
+                        /* Each group must have only one parent, because a walk through a graph that is not a tree would
+                           follow all paths. */
+                        has_parent[child] = 1;
                     if (is_sound && height[g] <= height[child])
                         height[g] = (int8_t)(height[child] + 1);
-                } else /* an unused place contains -1 */
+                } else /* An unused place contains -1. */
                     is_sound &= child == -1 || (first <= ~child && ~child < last);
                 is_sound = is_sound && height[g] < TREE_LEVELS;
             }
@@ -339,13 +342,13 @@ static loewner_status take_surface(const File *file, int64_t at, Array2 arrays[S
             is_sound = ~child >> LEAF_BITS < leaves;
             continue;
         }
-        if (child == 0) { /* an unused place: its box is empty, and no walk opens it */
+        if (child == 0) { /* The place is unused: its box must be empty, so that no walk opens it. */
             const float *half = boxes + 6 * WIDE_SURFACE * node + 3 * WIDE_SURFACE + s % WIDE_SURFACE;
             is_sound = half[0] == -INFINITY && half[WIDE_SURFACE] == -INFINITY && half[2 * WIDE_SURFACE] == -INFINITY;
             continue;
         }
         is_sound = node < child && child < nodes && depth[child] == 0 && depth[node] < SURFACE_LEVELS;
-        if (is_sound) /* this is its only parent */
+        if (is_sound) /* The node is the only parent of the child. */
             depth[child] = (int8_t)(depth[node] + 1);
     }
     free(depth);
@@ -356,7 +359,7 @@ static loewner_status take_surface(const File *file, int64_t at, Array2 arrays[S
     return LOEWNER_OK;
 }
 
-/* In a copy, replace the numbers of surfaces by the addresses of their tables. */
+/* In a copy of the layout, replace the numbers of surfaces with the addresses of their tables. */
 static loewner_status link_surfaces(File *file, Pack *pack, int which)
 {
     if (file->surfaces == NULL || pack->pieces == 0)
@@ -377,7 +380,7 @@ static loewner_status link_surfaces(File *file, Pack *pack, int which)
 
 /* -- robots -------------------------------------------------------------------------------------------------------- */
 
-static const int64_t widths[] = {0, 1, 1, 3, 7, 4}; /* number of values of a joint, by its kind in `columns.py` */
+static const int64_t widths[] = {0, 1, 1, 3, 7, 4}; /* Number of values of a joint, by its kind in `columns.py`. */
 
 static loewner_status take_robot(File *file, const Header *header)
 {
@@ -426,7 +429,7 @@ static loewner_status take_robot(File *file, const Header *header)
     for (int64_t k = 0; k < file->pairs; k++) {
         const int64_t *pair = file->pair_list + 2 * k;
         EXPECT(0 <= pair[0] && pair[0] < moving && pair[0] < pair[1] && pair[1] < bodies, "pairs");
-        /* Pairs must be in ascending order, since searches rely on it. */
+        /* Pairs must be in ascending order, because searches rely on this order. */
         EXPECT(k == 0 || pair[-2] < pair[0] || (pair[-2] == pair[0] && pair[-1] < pair[1]), "pairs");
         EXPECT(file->margins[k] >= 0 && file->margins[k] <= 1e30, "margins");
     }

@@ -1,4 +1,4 @@
-/* Checks of chunks of targets in a control loop, one course after another, as in `loewner/planners/gates.py`. */
+/* This file checks chunks of targets in a control loop, one course after another, like `loewner/planners/gates.py`. */
 
 #include "internal.h"
 
@@ -14,42 +14,44 @@ typedef struct {
     loewner_bounds bounds;
 } Known;
 
-/* A motion or a brake that is not free: the tick at which it begins, and the number of targets that it depends on.
-   `tick` is -1 if there is none. The motion or brake is not tried again as long as the world stays the same. */
+/* A motion or a brake that is not free: the tick at which it begins (-1 for none), and the number of targets on which
+   it depends. The motion or brake is not tried again as long as the world stays the same. */
 typedef struct {
     int64_t tick, needed, pair;
     int32_t reason;
 } Stop;
 
-/* A chunk, and how far it is proven; see `_Chunk` in gates.py. */
+/* A chunk, and how much of it is proven; see `_Chunk` in gates.py. */
 typedef struct {
-    double *rows; /* `count` + 1 rows; in memory, the row before the chunk precedes them */
+    double *rows; /* The array has `count` + 1 rows; the row before the chunk precedes them in memory. */
     double *rates;
-    int64_t *ends; /* how many targets were known when the brake from each tick was proven */
+    int64_t *ends; /* For the brake from each tick, the number of targets that were known when it was proven. */
     double dt, t0;
     int64_t count, motions, first, braked;
     Stop motion_stop, brake_stop;
 } Chunk;
 
-/* The reason why a proof failed, or 0, and the work of all proofs in a check. */
+/* The reason why a proof failed (0 if none did), and the work of all proofs in a check. */
 typedef struct {
     int32_t reason;
     int64_t pair, most, work;
-    int is_attempt; /* an attempt, which counts only if it is free */
+    int is_attempt; /* An attempt counts only if its course is free. */
 } Proof;
 
 struct loewner_gate {
     const loewner_checker *checker;
     loewner_workspace *workspace;
-    int64_t dof, most, steps, pieces; /* `pieces` is the largest number of times in a brake */
+    int64_t dof, most, steps, pieces; /* `pieces` is the largest number of times in a brake. */
     int on_path, has_jerk, has_last, wants_scale;
     double latency, horizon, tolerance, now;
-    double *strongest, *jerk, *fastest, *error, *rate_error, *widened, *looser, *resting, *q, *at; /* nine vectors and `at` */
+    /* The VECTORS vectors, and `at`. */
+    double *strongest, *jerk, *fastest, *error, *rate_error, *widened, *looser, *resting, *q, *at;
     double *times, *states, *courses, *seconds, *out[3];
-    int64_t pieces_made, rows_needed; /* pieces and rows of the brake in the arrays; the row before the first counts */
+    /* Numbers of pieces and rows of the brake in the arrays; the row before the first counts. */
+    int64_t pieces_made, rows_needed;
     Chunk last, made, slower;
-    uint64_t structure; /* the scene's serial number when the last chunk was made */
-    Known *seen, *allowed; /* bodies now, and at the time of the last new chunk */
+    uint64_t structure; /* Serial number of the scene when the last chunk was made. */
+    Known *seen, *allowed; /* Bodies now, and at the time of the last new chunk. */
     size_t known, room;
     void *memory;
 };
@@ -129,7 +131,7 @@ static loewner_status divide(loewner_gate *gate)
     return LOEWNER_OK;
 }
 
-/* Record the poses of the scene's bodies; memory is needed only if there are more bodies than before. */
+/* Record the poses of the scene's bodies; memory is needed only if the number of bodies has grown. */
 static loewner_status look(loewner_gate *gate)
 {
     const loewner_checker *checker = gate->checker;
@@ -201,8 +203,8 @@ void loewner_gate_free(loewner_gate *gate)
 
 /* -- older proofs -------------------------------------------------------------------------------------------------- */
 
-/* Whether all poses that a body may have from now on were allowed, as in `_path_is_within` of gates.py. Points at a
-   distance r move by at most r times the norm of the difference between two rotations. */
+/* Return whether all poses that a body may have from now on were allowed before, as `_path_is_within` in gates.py does.
+   Points at a distance r move by at most r times the norm of the difference between two rotations. */
 static int is_within(const Known *seen, const Known *allowed, double now)
 {
     const loewner_bounds *its = &seen->bounds, *old = &allowed->bounds;
@@ -218,13 +220,13 @@ static int is_within(const Known *seen, const Known *allowed, double now)
     }
     away = sqrt(away) + its->metres + its->speed * (now - its->since);
     away += away > 0 ? WITHIN * (1 + fabs(now) + far) : 0;
-    turned = sqrt(turned / 2) + (turned > 0 ? 16 * ROTATION_TOLERANCE : 0); /* rotations are not exactly orthonormal */
+    turned = sqrt(turned / 2) + (turned > 0 ? 16 * ROTATION_TOLERANCE : 0); /* Rotations are not exactly orthonormal. */
     turned += its->radians + its->turn * (now - its->since) + (turned > 0 ? WITHIN * (1 + fabs(now)) : 0);
     return away <= old->metres + old->speed * (now - old->since) &&
            turned <= old->radians + old->turn * (now - old->since);
 }
 
-/* Whether the poses that bodies may have are the same as in the world of the last chunk. */
+/* Return whether the poses that bodies may have are the same as in the world of the last chunk. */
 static int is_same_world(const loewner_gate *gate)
 {
     for (size_t k = 0; k < gate->known; k++)
@@ -241,7 +243,7 @@ static Stop later(Stop stop, int64_t tick)
     return stop;
 }
 
-/* Remember where a proof failed, unless the proof would succeed with more work. */
+/* Store where a proof failed, unless the proof would succeed with more work. */
 static Stop stop_at(int64_t tick, int64_t needed, const Proof *proof)
 {
     int is_known = proof->reason && proof->reason != LOEWNER_REASON_BUDGET;
@@ -270,9 +272,9 @@ static int find_ticks(const loewner_gate *gate, double now, int64_t *from, int64
     return holds;
 }
 
-/* Return the ticks from..to of the last chunk that agree with a measured state, one per call and the nearest first; -1
-   if there are no more. Several ticks agree if the robot is slow. The tick of the present time comes first, even if the
-   world is at rest. `off` and `tick` have the values of the previous call; for the first call both are -1. */
+/* Return the next of the ticks from..to of the last chunk that agree with a measured state, the nearest first; -1 if no
+   more ticks agree. Several ticks agree if the robot is slow. The tick of the present time comes first, even if the
+   world is at rest. `off` and `tick` have the values of the previous call; for the first call, both are -1. */
 static int64_t next_tick(const loewner_gate *gate, const double *q, const double *dq, int64_t from, int64_t to,
                          double *off, int64_t tick)
 {
@@ -308,7 +310,7 @@ static void write_rates(const loewner_gate *gate, Chunk *chunk)
         chunk->rates[k] = (chunk->rows[k] - chunk->rows[k - gate->dof]) / chunk->dt;
 }
 
-/* Append new targets to the last chunk, as seen from one of its ticks, if they continue it unchanged. */
+/* Append new targets to the last chunk, as seen from one of its ticks, if the targets continue the chunk unchanged. */
 static int goes_on(loewner_gate *gate, int64_t tick, const double *targets, int64_t count, double dt)
 {
     const Chunk *last = &gate->last;
@@ -330,10 +332,11 @@ static int goes_on(loewner_gate *gate, int64_t tick, const double *targets, int6
     for (int64_t k = 0; k <= made->braked; k++)
         made->ends[k] = last->ends[tick + k] - tick;
     int64_t first = made->first > 0 ? made->first : 0;
-    while (gate->on_path && made->braked >= first && made->ends[made->braked] > count) /* its path had more targets */
+    /* The path of this brake had more targets. */
+    while (gate->on_path && made->braked >= first && made->ends[made->braked] > count)
         made->braked--;
     const Stop none = {-1, 0, -1, 0}, stops[] = {later(last->motion_stop, tick), later(last->brake_stop, tick)};
-    int is_same = is_same_world(gate); /* a failure stays known if all targets that it depends on are still there */
+    int is_same = is_same_world(gate); /* A failure stays known if all targets on which it depends are still there. */
     made->motion_stop = is_same && stops[0].needed <= count ? stops[0] : none;
     made->brake_stop = is_same && stops[1].needed <= count ? stops[1] : none;
     return 1;
@@ -373,7 +376,7 @@ static loewner_status prove_course(loewner_gate *gate, double *course, int64_t p
     return LOEWNER_OK;
 }
 
-/* The brake in a gate, as arguments for kernels. */
+/* Arguments for kernels that take the brake in a gate. */
 #define BRAKE(gate)                                                                                                    \
     .times = {gate->times, 1, gate->pieces}, .states = {gate->states, 1, gate->pieces, 3, gate->dof},                  \
     .counts = {&gate->pieces_made, 1}
@@ -386,7 +389,8 @@ static loewner_status stop(loewner_gate *gate, const double *q, const double *dq
                 .strongest = {gate->strongest, dof}, .jerk = {gate->jerk, dof}, BRAKE(gate));
 }
 
-/* Brake from a tick of a chunk; in the mode on the path, along the part that was known when this brake was proven. */
+/* Brake from a tick of a chunk. In the mode on the path, brake along the part that was known when this brake was
+   proven. */
 static loewner_status brake_from(loewner_gate *gate, const Chunk *chunk, int64_t tick)
 {
     int64_t dof = gate->dof, rows = chunk->ends[tick] + 2;
@@ -407,14 +411,14 @@ static double stopping_time(const loewner_gate *gate, int64_t c, double v)
     return v <= strongest * strongest / jerk ? 2 * sqrt(v / jerk) : v / strongest + strongest / jerk;
 }
 
-/* Limit on the steps for proving a brake as a whole: about as many as one interval takes. */
+/* Limit on the steps for proving a brake as a whole: about the steps that one interval takes. */
 static int64_t steps_of_whole(const loewner_gate *gate)
 {
     return gate->checker->state.pairs > LEAST_STEPS ? gate->checker->state.pairs : LEAST_STEPS;
 }
 
-/* Try to prove a whole brake as one course with at most `steps` steps; if nothing is near, this takes one interval. The
-   robot may come to rest as late as `until` seconds after the brake began. */
+/* Try to prove a whole brake as one course with at most `steps` steps; if nothing is near, the proof takes one
+   interval. The robot may come to rest as late as `until` seconds after the brake began. */
 static loewner_status prove_whole(loewner_gate *gate, double begin, double dt, int64_t points, double until,
                                   int64_t steps, Proof *proof, int *is_free)
 {
@@ -456,7 +460,7 @@ static loewner_status prove_brake(loewner_gate *gate, double begin, double dt, c
     TRY(CALL(courses_of_brakes, &made, .courses = {gate->courses, pieces, points, dof},
              .seconds = {gate->seconds, pieces}, BRAKE(gate)));
     if (rate == NULL || pieces > 1) {
-        /* First check the end, where a long brake fails most often: no interval has to be halved there. */
+        /* First check the end, where long brakes fail most often, because no interval has to be halved there. */
         double *still = gate->courses + pieces * points * dof;
         for (int k = 0; k < 2; k++)
             memcpy(still + k * dof, gate->states + 3 * pieces * dof, (size_t)dof * sizeof *still);
@@ -474,7 +478,7 @@ static loewner_status prove_brake(loewner_gate *gate, double begin, double dt, c
                         proof);
 }
 
-/* Prove motions, and then the brakes from their ends, until one of them is not free. */
+/* Prove motions, and then the brakes from their ends, until a motion or a brake is not free. */
 static loewner_status prove_chunk(loewner_gate *gate, Chunk *chunk, Proof *proof)
 {
     int64_t dof = gate->dof, growing = gate->checker->state.growing;
@@ -514,14 +518,15 @@ static loewner_status prove_chunk(loewner_gate *gate, Chunk *chunk, Proof *proof
         chunk->ends[tick] = chunk->count;
         TRY(brake_from(gate, chunk, tick));
         int64_t end = gate->on_path ? gate->rows_needed - 1 : tick;
-        int is_covered = gate->on_path && growing == 0 && end <= chunk->motions; /* by the motions, at all times */
+        /* The proofs of the motions cover the brake at all times. */
+        int is_covered = gate->on_path && growing == 0 && end <= chunk->motions;
         if (!is_covered)
             TRY(prove_brake(gate, chunk->t0 + chunk->dt * (double)tick, chunk->dt,
                             gate->on_path ? NULL : chunk->rates + tick * dof, steps, proof));
         if (proof->reason) {
             if (proof->reason == LOEWNER_REASON_CONTACT)
                 proof->reason = LOEWNER_REASON_BRAKE;
-            /* If there were more targets, a brake that goes beyond the last target would take another path. */
+            /* With more targets, a brake that goes beyond the last target would take another path. */
             chunk->brake_stop.tick = -1;
             if (end <= chunk->count)
                 chunk->brake_stop = stop_at(tick, end, proof);
@@ -536,7 +541,7 @@ static loewner_status prove_chunk(loewner_gate *gate, Chunk *chunk, Proof *proof
     return LOEWNER_OK;
 }
 
-/* Find the largest time scale (half, quarter or eighth) for which the chunk is proven; 0 if there is none. */
+/* Find the largest time scale (half, quarter or eighth) for which the chunk is proven; 0 if no scale is. */
 static loewner_status find_scale(loewner_gate *gate, Proof *proof, double *scale)
 {
     const Chunk *chunk = &gate->made;
@@ -569,7 +574,7 @@ static loewner_status find_scale(loewner_gate *gate, Proof *proof, double *scale
 
 /* -- checks -------------------------------------------------------------------------------------------------------- */
 
-/* How many targets precede the first one outside the limits, and the joint that violates them, or -1. */
+/* Return the number of targets before the first one outside the limits; write the joint that violates them, or -1. */
 static int64_t within_limits(const loewner_gate *gate, const double *q, const double *targets, int64_t count, double dt,
                              int32_t *joint)
 {
@@ -577,7 +582,8 @@ static int64_t within_limits(const loewner_gate *gate, const double *q, const do
     for (int64_t k = 0; k < count; k++)
         for (int64_t c = 0; c < gate->dof; c++) {
             double to = targets[k * gate->dof + c], from = k == 0 ? q[c] : targets[(k - 1) * gate->dof + c];
-            double speed = fabs(to - from) / dt - (k == 0 ? gate->error[c] / dt : 0); /* `q` is not the command */
+            /* The first target counts from the measured `q`, not from the command. */
+            double speed = fabs(to - from) / dt - (k == 0 ? gate->error[c] / dt : 0);
             if (to < lower[c] || to > upper[c] || speed > gate->fastest[c] * (1 + SAME_TICK)) {
                 *joint = (int32_t)c;
                 return k;
@@ -621,7 +627,7 @@ static loewner_status answer_with(loewner_gate *gate, int32_t state, int64_t ste
     return LOEWNER_OK;
 }
 
-/* Begin a new chunk, or prove anew a chunk that continues the last one; both start from the last command. A pair that
+/* Begin a new chunk, or prove again a chunk that continues the last one; both start from the last command. A pair that
    is not free at the robot's position becomes the result of the proof. */
 static loewner_status begin_chunk(loewner_gate *gate, int goes_on, const double *q, const double *dq,
                                   const double *targets, int64_t count, double dt, double now, int64_t late,
@@ -655,12 +661,12 @@ static loewner_status begin_chunk(loewner_gate *gate, int goes_on, const double 
     if (verdict == LOEWNER_FREE)
         return LOEWNER_OK;
     TRY(certify(gate->checker, its, still, 1, 2, its->off, 0, gate->tolerance, 0, gate->steps, work, &verdict,
-                &fraction, &proof->pair)); /* a motion that stays where it begins finds the pair */
+                &fraction, &proof->pair)); /* The proof of a motion that stays where it begins finds the pair. */
     proof->reason = LOEWNER_REASON_CONTACT;
     return LOEWNER_OK;
 }
 
-/* Make this chunk the most recent one that may run. If it continues the previous one, the present poses of bodies are
+/* Make this chunk the most recent one that may run. If it continues the previous chunk, the present poses of bodies are
    within the older bounds, and new motions are proven for the present poses only. */
 static void adopt(loewner_gate *gate)
 {
@@ -699,13 +705,13 @@ static loewner_status judge(loewner_gate *gate, const double *q, const double *d
     TRY(prove_chunk(gate, made, &proof));
     if (!proof.reason && count < wanted)
         proof.reason = LOEWNER_REASON_LIMITS;
-    if (!proof.reason && count <= late) /* a command to brake would take effect after the last target */
+    if (!proof.reason && count <= late) /* A command to brake would take effect after the last target. */
         proof.reason = LOEWNER_REASON_BRAKE;
     int64_t steps = made->braked - late;
     answer->scale = proof.reason ? 0 : 1;
     int may_scale = proof.reason == LOEWNER_REASON_BRAKE ||
                     (proof.reason && proof.reason != LOEWNER_REASON_LIMITS && gate->checker->state.growing > 0);
-    if (gate->wants_scale && may_scale && count > late) /* otherwise slower motions would meet the same obstacle */
+    if (gate->wants_scale && may_scale && count > late) /* Otherwise, slower motions would meet the same obstacle. */
         TRY(find_scale(gate, &proof, &answer->scale));
     if (!proof.reason || steps > 0) {
         adopt(gate);
@@ -713,8 +719,9 @@ static loewner_status judge(loewner_gate *gate, const double *q, const double *d
         return answer_with(gate, proof.reason ? LOEWNER_GATE_PREFIX : LOEWNER_GATE_GO, steps, 1,
                            dt * (double)gate->last.braked, &proof, answer);
     }
-    off = -1; /* the last chunk that may run goes on until the robot brakes; with a latency, this is at a different
-                 place for each tick */
+    /* The last chunk that may run goes on until the robot brakes. With a latency, the robot brakes at a different place
+       for each tick. */
+    off = -1;
     int64_t here = next_tick(gate, q, dq, from, to, &off, -1), other = next_tick(gate, q, dq, from, to, &off, here);
     int is_sure = other < 0 || (here > 0 && (double)here == rint((now - gate->last.t0) / gate->last.dt));
     off = -1;

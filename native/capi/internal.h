@@ -1,4 +1,4 @@
-/* Shared by the files of `libloewner`; programs include `loewner.h` only.
+/* Declarations that the files of `libloewner` share; programs include only `loewner.h`.
 
    kernels.c   finds the machine code beside the library        files.c     maps files and checks them
    scene.c     bodies, pairs and poses of a checker, as kernels take them
@@ -15,7 +15,7 @@
 #include <pthread.h>
 #include <stdatomic.h>
 
-/* Set the text of this thread's last error; returns the status. */
+/* Set the text of this thread's last error; return the status. */
 loewner_status fail(loewner_status status, const char *format, ...) __attribute__((format(printf, 2, 3)));
 loewner_status no_memory(void);
 
@@ -36,23 +36,25 @@ typedef struct {
 #undef DECLARE
     void (*release)(void *);
     const char *level;
-    int64_t settle_memory, distance_memory; /* bytes */
+    int64_t settle_memory, distance_memory; /* Numbers of bytes. */
 } Kernels;
 
-/* The kernels of this machine, loaded at the first call; NULL, with an error, if there are none. */
+/* Return the kernels of this machine, which are loaded at the first call; NULL, with an error, if none exist. */
 const Kernels *kernels(void);
 
-/* Settle pairs; in mode EXACT, also the pairs that the fast searches leave open. Write whether all poses are rigid. */
+/* Settle pairs; in mode EXACT, also settle the pairs that the fast searches leave open. Write whether all poses are
+   rigid. */
 loewner_status settle_all(const struct settle_range *asked, int *are_rigid);
 
-/* Write result k of n kernels' distances: bounds, values (NaN: none), and vectors, shape (3, n, 3). */
+/* Write result k of the distances that kernels computed for n pairs: bounds, values (NaN for no value), and vectors,
+   shape (3, n, 3). */
 void write_distance(loewner_distance *found, const double *lower, const double *upper, const double *values,
                     const double *vectors, int64_t n, int64_t k, int is_settled);
 
-/* Call a kernel with the address of a struct of slots; kernels fail only where memory is short. */
+/* Call a kernel with the address of a struct of slots. Kernels fail only if memory runs out. */
 loewner_status call(Kernel kernel, const void *arguments, void *results);
 
-/* Call a kernel with its arguments by their names; omitted ones are 0. Pass NULL if there are no results. */
+/* Call a kernel with named arguments; omitted arguments are 0. Pass NULL if the kernel has no results. */
 #define CALL(name, results, ...) call(kernels()->name, &(const struct name){__VA_ARGS__}, results)
 
 /* -- packs: bodies as kernels take them, see `loewner/_kernels/pieces/shapes.py` ----------------------------------- */
@@ -60,7 +62,7 @@ loewner_status call(Kernel kernel, const void *arguments, void *results);
 enum { PACK_ARRAYS = sizeof(struct pieces) / sizeof(Array2) };
 
 typedef struct {
-    int64_t bodies, pieces, numbers, groups, parts; /* `numbers` of `points` */
+    int64_t bodies, pieces, numbers, groups, parts; /* `numbers` is the length of `points`. */
     int is_single, has_parts;
     const double *table;
     const int64_t *layout;
@@ -75,7 +77,7 @@ typedef struct {
     const int64_t *part_start;
 } Pack;
 
-/* Number of groups in the tree over the pieces of a body, if it has one. */
+/* Return the number of groups in the tree over the pieces of a body, if the body has a tree. */
 static inline int64_t groups_of(int64_t pieces)
 {
     int64_t total = 0;
@@ -86,7 +88,7 @@ static inline int64_t groups_of(int64_t pieces)
     return total;
 }
 
-/* The table of addresses to which a handle points. */
+/* Return the table of addresses behind a handle. */
 struct pieces table_of(const Pack *pack);
 
 /* -- files --------------------------------------------------------------------------------------------------------- */
@@ -99,31 +101,33 @@ typedef struct {
 
 enum { SURFACE_ARRAYS = 5 };
 
-/* Which surfaces are in parts: none; all; or surfaces of static bodies without solids, in small parts. */
+/* Which surfaces are cut into parts: none (WHOLE), all (CUT), or surfaces of static bodies without solids, into small
+   parts (OPEN_CUT). */
 typedef enum { WHOLE, CUT, OPEN_CUT, CUTTINGS } Cutting;
 
 typedef struct {
     atomic_int users;
     void *map;
     size_t size;
-    void *owned[CUTTINGS]; /* copies of layouts, with addresses of surfaces */
-    Array2 *surfaces;      /* SURFACE_ARRAYS of each */
+    void *owned[CUTTINGS]; /* Copies of layouts, with addresses of surfaces. */
+    Array2 *surfaces;      /* Each surface has SURFACE_ARRAYS arrays. */
     int64_t dof, links, moving, bodies, pairs;
     int has_cut;
-    const char **names; /* of bodies, links and values */
+    const char **names; /* Names of bodies, links and values. */
     Tree tree;
-    const double *limits; /* lower, upper; the same without soft limits; velocity */
-    const int64_t *joints; /* bits: JOINT_... */
+    const double *limits; /* Rows: lower and upper limits, the same without soft limits, and velocity limits. */
+    const int64_t *joints; /* Bits of each entry: JOINT_SINGLE and so on. */
     const int64_t *quaternions;
     int64_t quaternion_count;
     const int64_t *link, *pair_list, *order;
     const double *margins, *poses;
     double margin;
-    const double *own;              /* margins of single bodies */
-    const int64_t *lowered, *rules; /* rules of pairs of static bodies: two bodies, and whether they may touch */
-    const double *rule_margins;     /* -1 for none */
+    const double *own;              /* Margins of single bodies. */
+    /* Each rule is for a pair of static bodies: the two bodies, and whether they may touch. */
+    const int64_t *lowered, *rules;
+    const double *rule_margins;     /* -1 stands for no margin. */
     int64_t rule_count;
-    Pack packs[CUTTINGS]; /* without cuts only the first one */
+    Pack packs[CUTTINGS]; /* Without cuts, only the first pack is used. */
 } File;
 
 enum { JOINT_SINGLE = 1, JOINT_NO_LOWER = 2, JOINT_NO_UPPER = 4, JOINT_TURNING = 8 };
@@ -137,7 +141,7 @@ struct loewner_bodies {
 
 /* -- checkers ------------------------------------------------------------------------------------------------------ */
 
-/* The tables of a problem: kernels for motions take the address of the second one, too. */
+/* The tables of a problem. Kernels for motions also take the address of the second table. */
 typedef struct {
     struct problem problem;
     struct motion_tables motions;
@@ -147,42 +151,43 @@ typedef struct {
     char *name;
     File *file;
     int64_t which;
-    int64_t link; /* of the robot; -1 for a body of the scene */
+    int64_t link; /* Link of the robot; -1 for a body of the scene. */
     int is_attached, is_present;
-    double pose[16]; /* in the world, or in the frame of the link */
+    double pose[16]; /* Pose in the world, or in the frame of the link. */
     int has_bounds;
     loewner_bounds bounds;
     int32_t *touch;
     size_t touch_count;
 } Body;
 
-/* Settings of a user for a pair. */
+/* Settings for a pair that a user made. */
 typedef struct {
-    int64_t a, b;  /* a < b */
-    int64_t touch; /* whether they may; -1 if the file decides */
-    double margin; /* -1 if the file decides */
+    int64_t a, b;  /* The smaller index comes first. */
+    int64_t touch; /* Whether the bodies may touch; -1 if the file decides. */
+    double margin; /* The margin is -1 if the file decides. */
 } Rule;
 
-/* All that kernels are given of one set of bodies. */
+/* Everything that kernels receive about one set of bodies. */
 typedef struct {
-    struct pieces pieces; /* the table of the bodies */
+    struct pieces pieces; /* The table of the bodies. */
     double *block;
     int64_t block_words;
     int64_t handle, motions;
-    int64_t memory; /* bytes that any query writes to */
+    int64_t memory; /* Number of bytes to which any query writes. */
 } Half;
 
 /* The pairs to check, derived from the bodies and the rules. */
 typedef struct {
-    int64_t moving, attached, standing, pairs; /* attached bodies move */
-    int64_t growing; /* bodies with bounds */
-    int has_cut, starts_matter, is_as_saved; /* the last: bodies and pairs are the file's, and its arrays are used */
-    int32_t *body;  /* the body at each place: first the moving ones */
-    int32_t *place; /* of a body, -1 if it is absent */
-    Tree tree;      /* with a link for each attached body */
+    int64_t moving, attached, standing, pairs; /* Attached bodies are among the moving bodies. */
+    int64_t growing; /* Number of bodies with bounds. */
+    /* If `is_as_saved`, the bodies and pairs are the file's, and its arrays are used. */
+    int has_cut, starts_matter, is_as_saved;
+    int32_t *body;  /* The body at each place; moving bodies come first. */
+    int32_t *place; /* The place of each body; -1 if the body is absent. */
+    Tree tree;      /* The tree has a link for each attached body. */
     int64_t *link, *pair_list, *rows, *order;
     double *margins, *poses;
-    Half halves[CUTTINGS]; /* without a block, a half is missing, and `half_of` returns the first one */
+    Half halves[CUTTINGS]; /* If a half is missing, it has no block, and `half_of` returns the first half. */
     void *memory[32];
     int memory_count;
 } State;
@@ -194,20 +199,20 @@ struct loewner_checker {
     Rule *rules;
     size_t rule_count;
     pthread_mutex_t lock;
-    atomic_int is_stale; /* 1: poses; 2: all */
-    uint64_t serial;     /* of the state: different for each state, even of other checkers */
+    atomic_int is_stale; /* 1 if poses are stale, 2 if everything is. */
+    uint64_t serial;     /* The serial number is different for each state, even of other checkers. */
     State state;
 };
 
 struct loewner_workspace {
     atomic_flag is_used;
-    uint64_t serial; /* of the state that it is prepared for */
-    Tables tables; /* with the workspace's own order of the pairs */
+    uint64_t serial; /* Serial number of the state for which the workspace is prepared. */
+    Tables tables; /* These tables have the workspace's own order of the pairs. */
     int64_t pack;
     int64_t *order, *hits, seen, next_look;
-    char *memory; /* for kernels */
-    char *validator;         /* for `free_motions`, which keeps an order of pairs in it from call to call */
-    int64_t is_ready;        /* whether it keeps one */
+    char *memory; /* Memory for kernels. */
+    char *validator;         /* Memory for `free_motions`, which keeps an order of pairs in it from call to call. */
+    int64_t is_ready;        /* Whether `validator` holds an order of pairs. */
     double *link_poses, *poses, *courses, *off, *fractions, *numbers, *vectors, *slopes;
     int64_t *found_pairs, *work, *pieces;
     int8_t *tiers, *pair_verdicts, *found;
@@ -217,7 +222,7 @@ struct loewner_workspace {
     size_t path_room;
 };
 
-/* Reserve a workspace until the calling function returns; in one workspace, two threads would get wrong answers. */
+/* Reserve a workspace until the calling function returns; two threads in one workspace would get wrong answers. */
 loewner_status take_workspace(loewner_workspace *workspace, loewner_workspace **held);
 
 static inline void leave_workspace(loewner_workspace **held)
@@ -230,57 +235,57 @@ static inline void leave_workspace(loewner_workspace **held)
     loewner_workspace *held __attribute__((cleanup(leave_workspace))) = NULL;                                          \
     TRY(take_workspace(workspace, &held))
 
-/* Configurations and motions that are handled together. */
+/* Numbers of configurations and motions that are handled together. */
 enum { CHUNK = 4096, MOTIONS_AT_ONCE = 64 };
-enum { WORK = 3 }; /* numbers of a tally of `certify_motions`; the last one counts the steps */
-#define TOLERANCE 1e-5 /* of proofs of motions, in metres, unless a caller gives another */
+enum { WORK = 3 }; /* A tally of `certify_motions` has WORK numbers; the last one counts the steps. */
+#define TOLERANCE 1e-5 /* Tolerance of proofs of motions in metres, unless the caller gives another tolerance. */
 
-/* Take over changes of the scene, and prepare a workspace. */
+/* Apply changes of the scene, and prepare a workspace. */
 loewner_status prepare(const loewner_checker *checker, loewner_workspace *workspace);
 
 /* Prepare for queries that do not support bounds: refuse bodies with bounds. */
 loewner_status prepare_exact(const loewner_checker *checker, loewner_workspace *workspace);
 
-/* The bodies with some of their surfaces cut, or whole where there is nothing to cut. */
+/* Return the bodies with some of their surfaces cut, or whole bodies if no surface can be cut. */
 const Half *half_of(const loewner_checker *checker, Cutting cutting);
 
 loewner_status check_configurations(const loewner_checker *checker, const double *configurations, size_t n,
                                     const char *name);
 loewner_status check_poses(const double *poses, size_t n, const char *name);
 
-/* Refuse numbers of rows, of some doubles each, whose size in bytes would wrap around and pass for a small one. */
+/* Refuse a number of rows, each of several doubles, whose size in bytes would wrap around and pass for a small one. */
 loewner_status check_count(size_t n, size_t doubles, const char *name);
 
-/* Verdicts of configurations that were checked. In the mode HASTY, which allocates nothing, configurations that the fast
-   searches leave open stay AMBIGUOUS. */
+/* Decide valid configurations. In the mode HASTY, which allocates nothing, configurations that the fast searches leave
+   open stay AMBIGUOUS. */
 enum { HASTY = -1 };
 loewner_status collide(const loewner_checker *checker, loewner_workspace *workspace, int mode,
                        const double *configurations, size_t n, int8_t *verdicts);
 
-/* The verdict on one configuration, which was checked, and the first pair that has it; -1 if all pairs are free. */
+/* Write the verdict for one valid configuration, and the first pair with this verdict; -1 if all pairs are free. */
 loewner_status worst_pair(const loewner_checker *checker, loewner_workspace *workspace, const double *q,
                           int8_t *verdict, int64_t *pair);
 
-/* Prove motions by their control points, shape (n, degree + 1, dof), which were checked; n <= MOTIONS_AT_ONCE.
-   `fractions` and `pairs` have room for n. `t0` and `t1`, shape (n,), may be NULL. Each motion may take `steps`, and
-   row k of `workspace->work` receives its poses, searches and steps. */
+/* Prove at most MOTIONS_AT_ONCE motions, given by valid control points, shape (n, degree + 1, dof). `fractions` and
+   `pairs` have room for n entries. `t0` and `t1`, shape (n,), may be NULL. Each motion may take `steps` steps, and row
+   k of `workspace->work` receives the placed configurations, searches and steps of motion k. */
 loewner_status prove(const loewner_checker *checker, loewner_workspace *workspace, double *courses, size_t n,
                      int32_t degree, double tolerance, const double *joint_error, const double *t0, const double *t1,
                      int64_t steps, int8_t *verdicts, double *fractions, int64_t *pairs);
 
-/* Let the kernel prove courses, and confirm nothing. The rows of `off`, with `width` numbers, are errors of the values
-   and then of bodies; COLLIDING counts these as margins, unless `as_given`. Each course may take `steps`, and `work`,
-   shape (count, WORK), receives its work. */
+/* Let the kernel prove courses, and confirm nothing. The rows of `off`, with `width` numbers each, are errors of the
+   values and then of bodies. COLLIDING counts these errors as margins, unless `as_given` is set. Each course may take
+   `steps` steps, and `work`, shape (count, WORK), receives its work. */
 loewner_status certify(const loewner_checker *checker, loewner_workspace *workspace, double *courses, int64_t count,
                        int64_t points, double *off, int64_t width, double tolerance, int64_t as_given, int64_t steps,
                        int64_t *work, int8_t *verdicts, double *fractions, int64_t *pairs);
 
-/* Write the errors of the values of a course (`joint_error` may be NULL) and of bodies with bounds from t0 to t1, where
-   these times have an error of `late`; the row has dof + 3 growing numbers. */
+/* Write the errors of the values of a course (`joint_error` may be NULL), and the errors of bodies with bounds from t0
+   to t1, where these times may be off by `late`. The row has dof + 3 growing numbers. */
 void write_off(const loewner_checker *checker, const double *course, int64_t points, const double *joint_error,
                double t0, double t1, double late, double *row);
 
-/* The configuration of a course at a fraction. */
+/* Write the configuration at a fraction of a course. */
 void evaluate(const File *file, const double *course, int32_t degree, double t, double *q);
 
 /* Write the course of the straight motion from a to b, shape (2, dof). */

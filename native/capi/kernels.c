@@ -1,4 +1,4 @@
-/* Finds the machine code next to this library, for the highest processor level that this machine supports. */
+/* This file finds the machine code next to this library, for the highest processor level that this machine supports. */
 
 #define _GNU_SOURCE
 #include "internal.h"
@@ -51,7 +51,7 @@ static Kernels found;
 static char why_not[400];
 static pthread_once_t once = PTHREAD_ONCE_INIT;
 
-/* Load one file of kernels; false, with the reason, if it cannot be used. */
+/* Load one file of kernels; return false, with the reason, if the file cannot be used. */
 static int load(const char *path, const char *level)
 {
     char expected[200];

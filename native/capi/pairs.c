@@ -1,4 +1,4 @@
-/* Pairs of bodies without a checker: the counterpart of `loewner/queries/pairs.py`. */
+/* Queries about pairs of bodies without a checker; the counterpart in Python is `loewner/queries/pairs.py`. */
 
 #include "internal.h"
 
@@ -9,7 +9,7 @@
 static const double identity[16] = {1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1};
 static const int64_t no_rows[1];
 
-/* One side of a query for kernels: several bodies of a pack, as a pack of their own. */
+/* One side of a query for kernels: several bodies of a pack, in the form of a separate pack. */
 typedef struct {
     struct pieces pieces;
     int64_t start[2], step, pose_step;
@@ -35,7 +35,7 @@ static loewner_status view(const loewner_side *side, size_t first, size_t n, con
     pack.roots += which;
     pack.bodies = all ? (int64_t)n : 1;
     int64_t from = pack.piece_start[0];
-    if (!all && pack.roots[0] < 0) { /* kernels are faster without the other bodies' pieces */
+    if (!all && pack.roots[0] < 0) { /* Kernels are faster without the pieces of other bodies. */
         made->start[0] = 0;
         made->start[1] = pack.pieces = pack.piece_start[1] - from;
         pack.piece_start = made->start;
@@ -63,7 +63,7 @@ static loewner_status views(const loewner_side *a, const loewner_side *b, size_t
     return LOEWNER_OK;
 }
 
-/* Make room in a workspace for pairs. If the workspace has a checker, that checker is bound anew at its next use. */
+/* Make room in a workspace for pairs. If the workspace has a checker, the checker is bound again at its next use. */
 static loewner_status scratch(loewner_workspace *workspace, int64_t size)
 {
     if (workspace->size >= (size_t)size)
@@ -89,7 +89,7 @@ loewner_status settle_all(const struct settle_range *asked, int *are_rigid)
              .plan = asked->plan, .rows = asked->rows, .pack_a = asked->pack_a, .Ta = asked->Ta,
              .pack_b = asked->pack_b, .Tb = asked->Tb, .out = asked->out));
     for (int64_t k = asked->start; k < asked->stop; k++)
-        if (out[k] == CODE_INEXACT) /* only Python decides these, in exact integers */
+        if (out[k] == CODE_INEXACT) /* Only Python decides such pairs, in exact integers. */
             out[k] = LOEWNER_AMBIGUOUS;
     return LOEWNER_OK;
 }
@@ -109,7 +109,7 @@ static loewner_status settle(loewner_workspace *workspace, int mode, const loewn
         return fail(LOEWNER_BAD_ARGUMENT, "margin, verdicts: expected a number >= 0 and a pointer, found others");
     HOLD(workspace);
     TRY(scratch(workspace, kernels()->settle_memory));
-    workspace->serial = 0; /* the workspace's memory for a checker is overwritten */
+    workspace->serial = 0; /* The workspace's memory for a checker is overwritten. */
     const struct settle_range asked = {
         .mode = mode, .margin = margin, .stop = count, .plan = {plan, 5, 1}, .rows = {no_rows, 2, 0},
         .pack_a = (int64_t)&sides[0].pieces, .Ta = sides[0].poses, .pack_b = (int64_t)&sides[1].pieces,
@@ -140,7 +140,8 @@ void write_distance(loewner_distance *found, const double *lower, const double *
     int is = is_settled && isfinite(values[k]);
     found->lower = lower[k];
     found->upper = upper[k];
-    /* The bounds are proven, but the value is only computed, so a value outside is moved to the nearest bound. */
+    /* The bounds are proven, but the value is only computed. A value outside the bounds is therefore moved to the
+       nearest bound. */
     found->distance = is ? fmax(lower[k], fmin(values[k], upper[k])) : NAN;
     for (int vector = 0; vector < 3; vector++)
         for (int c = 0; c < 3; c++)

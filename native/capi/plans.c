@@ -1,5 +1,5 @@
-/* Plans paths in the same steps as `loewner/planners/compiled.py`, so that equal seeds give equal paths; both call
-   the same kernels for the search. */
+/* This file plans paths in the same steps as `loewner/planners/compiled.py`, so that equal seeds give equal paths. Both
+   languages call the same kernels for the search. */
 
 #include "internal.h"
 
@@ -12,7 +12,7 @@
 typedef struct {
     const loewner_checker *checker;
     loewner_workspace *workspace;
-    const double *joint_error; /* NULL if there is no error */
+    const double *joint_error; /* The address is NULL if joints have no error. */
     int64_t handles[7];
     double lengths[2];
 } Judge;
@@ -20,15 +20,15 @@ typedef struct {
 /* A search in the form that kernels take, and its memory. */
 typedef struct {
     struct search arrays;
-    int64_t dof, joints, state[STATE]; /* number of values of a configuration, and number of values that move */
+    int64_t dof, joints, state[STATE]; /* A configuration has `dof` values, and `joints` values move. */
     int64_t *columns, *turning;
-    double reach[3], *lower, *upper, *start, *goals; /* `goals` holds the free goals */
+    double reach[3], *lower, *upper, *start, *goals; /* `goals` holds the free goals. */
     size_t goal_count;
 } Search;
 
 static void leave_search(Search *search)
 {
-    free(search->columns); /* this block holds everything but the trees */
+    free(search->columns); /* The block at `columns` holds everything except the trees. */
     free((void *)search->arrays.trees.data);
 }
 
@@ -48,8 +48,8 @@ static Judge judge_of(const loewner_checker *checker, loewner_workspace *workspa
     };
 }
 
-/* Whether all motions of a path, whose rows are `step` numbers apart, are proven free; `at` receives the first motion
-   that is not, or -1. */
+/* Try to prove that all motions of a path are free. The rows of the path are `step` numbers apart. `at` receives the
+   first motion that is not proven free, or -1. */
 static loewner_status is_free(const Judge *judge, const double *path, int64_t step, int64_t count, int64_t *at)
 {
     const loewner_checker *checker = judge->checker;
@@ -70,14 +70,14 @@ static loewner_status is_free(const Judge *judge, const double *path, int64_t st
     return LOEWNER_OK;
 }
 
-/* Whether one configuration is proven free, within the joint error. */
+/* Find out whether one configuration is proven free, within the joint error. */
 static loewner_status is_free_at(const Judge *judge, const double *q, int *is)
 {
     int8_t verdict;
     int64_t at = -1;
     TRY(collide(judge->checker, judge->workspace, CODE_EXACT, q, 1, &verdict));
     if (verdict == LOEWNER_FREE && judge->joint_error != NULL)
-        TRY(is_free(judge, q, 0, 2, &at)); /* prove a motion that stays at this configuration */
+        TRY(is_free(judge, q, 0, 2, &at)); /* Prove a motion that stays at this configuration. */
     *is = verdict == LOEWNER_FREE && at < 0;
     return LOEWNER_OK;
 }
@@ -98,7 +98,8 @@ static loewner_status make_search(const Judge *judge, const double *start, const
     search->lower = block + 2 * dof;
     search->upper = block + 3 * dof;
     double *weights = block + 4 * dof;
-    search->start = memcpy(block + 7 * dof, start, sizeof(double) * (size_t)dof); /* `start` may lie in the workspace */
+    /* The start is copied, because it may lie in the workspace. */
+    search->start = memcpy(block + 7 * dof, start, sizeof(double) * (size_t)dof);
     search->goals = block + 8 * dof;
     for (int64_t c = 0; c < dof; c++) {
         if (joints != NULL && !joints[c])
@@ -134,7 +135,7 @@ static loewner_status make_search(const Judge *judge, const double *start, const
                      : fail(LOEWNER_BAD_ARGUMENT, "joints: expected one or more that can move, found none");
 }
 
-/* The first joint whose value is outside its limits, or -1. */
+/* Return the first joint whose value is outside its limits, or -1. */
 static int64_t outside(const Search *search, const double *q)
 {
     for (int64_t k = 0; k < search->joints; k++) {
@@ -233,7 +234,8 @@ static loewner_status connect(const Judge *judge, Search *search, const loewner_
                   : fail(LOEWNER_NO_PATH, "expected a path that is free as a whole; another seed may help");
 }
 
-/* Shorten the path in the workspace, whose motions are all free, unless the number of cuts is negative. */
+/* Shorten the path in the workspace, in which all motions must be free. If the number of cuts is negative, leave the
+   path unchanged. */
 static loewner_status cut_corners(const Judge *judge, int64_t *count, const loewner_plan_options *options)
 {
     loewner_workspace *workspace = judge->workspace;
@@ -266,11 +268,11 @@ static loewner_status check_plan_options(const loewner_checker *checker, const l
     return LOEWNER_OK;
 }
 
-/* Check the start, and keep the goals that are inside the limits and free. */
+/* Check the start, and keep the goals that are free and within the limits. */
 static loewner_status choose_goals(const Judge *judge, Search *search, const double *goals, size_t goal_count)
 {
     size_t dof = (size_t)search->dof;
-    size_t named = goal_count; /* goal that a message names: the first one within the limits, if there is one */
+    size_t named = goal_count; /* Messages name this goal: the first goal within the limits, if any is. */
     int is = outside(search, search->start) < 0;
     if (is)
         TRY(is_free_at(judge, search->start, &is));
@@ -351,7 +353,7 @@ loewner_status loewner_checker_shorten(const loewner_checker *checker, loewner_w
         return fail(LOEWNER_NOT_FREE,
                     "path: expected free motions, found the one from row %lld, which is not proven free",
                     (long long)at);
-    /* The path may lie in the workspace, which may move while it grows. */
+    /* The path may lie in the workspace, whose memory may move while it grows. */
     int is_own = workspace->path != NULL && path >= workspace->path && path < workspace->path + workspace->path_room;
     ptrdiff_t begin = is_own ? path - workspace->path : 0;
     TRY(make_room(workspace, (is_own ? (int64_t)begin / (int64_t)dof + 1 : 0) + rows, (int64_t)dof));

@@ -1,5 +1,5 @@
-/* Configurations and motions of a checker: the counterpart of `loewner/robots/checking/verdicts.py`, `proofs.py` and
-   `distances.py`. */
+/* Queries about configurations and motions of a checker; the counterparts in Python are
+   `loewner/robots/checking/verdicts.py`, `proofs.py` and `distances.py`. */
 
 #include "internal.h"
 
@@ -14,7 +14,8 @@ _Static_assert(CODE_FREE == LOEWNER_FREE && CODE_COLLIDING == LOEWNER_COLLIDING 
 
 loewner_status check_count(size_t n, size_t doubles, const char *name)
 {
-    const size_t most = ((size_t)1 << 56) / sizeof(double) / doubles; /* more numbers than any address space holds */
+    /* The limit `most` is more than any address space holds. */
+    const size_t most = ((size_t)1 << 56) / sizeof(double) / doubles;
     if (n > most)
         return fail(LOEWNER_BAD_ARGUMENT, "%s: expected at most %zu, found %zu", name, most, n);
     return LOEWNER_OK;
@@ -47,7 +48,7 @@ loewner_status check_configurations(const loewner_checker *checker, const double
     if (configurations == NULL && n > 0)
         return fail(LOEWNER_BAD_ARGUMENT, "%s: expected configurations, found NULL", name);
     for (size_t k = 0; k < count; k++)
-        is &= fabs(configurations[k]) <= LARGEST_VALUE; /* false for NaN */
+        is &= fabs(configurations[k]) <= LARGEST_VALUE; /* The comparison is false for NaN. */
     for (size_t k = 0; !is && k < count; k++)
         if (!(fabs(configurations[k]) <= LARGEST_VALUE)) {
             size_t dof = (size_t)file->dof;
@@ -67,7 +68,7 @@ loewner_status check_configurations(const loewner_checker *checker, const double
 
 /* -- verdicts ------------------------------------------------------------------------------------------------------ */
 
-/* Poses of all links, including the links of attached bodies, at configurations that were checked. */
+/* Compute the poses of all links, including the links of attached bodies, at valid configurations. */
 static loewner_status place_links(const Tree *tree, const double *configurations, int64_t n, int64_t dof, double *poses)
 {
     int64_t links = tree->links;
@@ -77,7 +78,7 @@ static loewner_status place_links(const Tree *tree, const double *configurations
                 .Q = {configurations, n, dof}, .stop = n, .out = {poses, n, links, 4, 4});
 }
 
-/* Exact verdicts for all pairs, with all bodies at the given poses. */
+/* Compute exact verdicts for all pairs, with all bodies at the given poses. */
 static loewner_status settle_pairs(const State *state, loewner_workspace *workspace, const double *poses,
                                    int8_t *verdicts)
 {
@@ -96,7 +97,7 @@ static loewner_status settle_pairs(const State *state, loewner_workspace *worksp
             .memory = workspace->memory,
         };
         TRY(settle_all(&asked, &are_rigid));
-        if (!are_rigid) /* overflow distorted a pose */
+        if (!are_rigid) /* An overflow has distorted a pose. */
             memset(verdicts + first, LOEWNER_AMBIGUOUS, (size_t)(last - first));
     }
     return LOEWNER_OK;
@@ -114,7 +115,7 @@ static int8_t worst(const int8_t *verdicts, int64_t count)
     return found;
 }
 
-/* Poses of all bodies, for given poses of the links. */
+/* Compute the poses of all bodies from the poses of the links. */
 static void place_bodies(const State *state, const double *links, double *poses)
 {
     for (int64_t k = 0; k < state->moving; k++)
@@ -150,7 +151,7 @@ static void learn(const State *state, loewner_workspace *workspace, size_t n)
     if (workspace->seen < workspace->next_look)
         return;
     workspace->next_look = 2 * workspace->seen;
-    /* A stable insertion sort: few pairs ever collide, and these are soon in front. */
+    /* A stable insertion sort suffices, because few pairs ever collide, and these are soon in front. */
     for (int64_t k = 0; k < state->pairs; k++)
         workspace->order[k] = k;
     for (int64_t k = 1; k < state->pairs; k++) {
@@ -220,7 +221,7 @@ loewner_status loewner_checker_collide_by_pair(const loewner_checker *checker, l
     return settle_one(checker, workspace, configuration, verdicts);
 }
 
-/* The product of two poses. */
+/* Write the product of two poses. */
 static void multiply(const double *a, const double *b, double *made)
 {
     for (int r = 0; r < 4; r++)
@@ -242,7 +243,8 @@ loewner_status loewner_checker_collide_placed(const loewner_checker *checker, lo
     if (verdict == NULL)
         return fail(LOEWNER_BAD_ARGUMENT, "verdict: expected a pointer, found NULL");
     memcpy(workspace->link_poses, link_poses, (size_t)links * 16 * sizeof(double));
-    for (int64_t k = 0; k < state->moving; k++) { /* attached bodies have links of their own, after the robot's */
+    /* Attached bodies have links of their own, which follow the links of the robot. */
+    for (int64_t k = 0; k < state->moving; k++) {
         const Body *body = checker->bodies + state->body[k];
         if (body->is_attached)
             multiply(link_poses + 16 * body->link, body->pose, workspace->link_poses + 16 * state->link[k]);
@@ -265,7 +267,7 @@ loewner_status loewner_checker_link_poses(const loewner_checker *checker, const 
 
 /* -- distances ----------------------------------------------------------------------------------------------------- */
 
-/* The body of a piece. */
+/* Return the body of a piece. */
 static int64_t owner(const struct pieces *pieces, int64_t piece)
 {
     const int64_t *start = pieces->piece_start.data;
@@ -362,7 +364,7 @@ void straight(const loewner_checker *checker, const double *a, const double *b, 
     size_t size = sizeof(double) * (size_t)file->dof;
     memcpy(course, a, size);
     memcpy(course + file->dof, b, size);
-    for (int64_t c = 0; c < file->quaternion_count; c++) { /* the nearer one of q and -q */
+    for (int64_t c = 0; c < file->quaternion_count; c++) { /* Take q or -q: the nearer one. */
         const double *p = a + file->quaternions[c];
         double *q = course + file->dof + file->quaternions[c];
         if (p[0] * q[0] + p[1] * q[1] + p[2] * q[2] + p[3] * q[3] < 0)
@@ -371,7 +373,7 @@ void straight(const loewner_checker *checker, const double *a, const double *b, 
     }
 }
 
-/* An elementary function of a number, with the same bits as in Python. */
+/* Return an elementary function of a number, with the same bits as in Python. */
 static double elementary(int64_t function, double x)
 {
     double result = NAN;
@@ -379,7 +381,7 @@ static double elementary(int64_t function, double x)
     return result;
 }
 
-/* An orientation on the shorter arc from p to q, as in `Robot.between`. */
+/* Write an orientation on the shorter arc from p to q, as `Robot.between` does. */
 static void slerp(const double *p, const double *q, double t, double *made)
 {
     double cosine = fmin(p[0] * q[0] + p[1] * q[1] + p[2] * q[2] + p[3] * q[3], 1.0);
@@ -397,7 +399,7 @@ static void slerp(const double *p, const double *q, double t, double *made)
         made[k] /= sqrt(norm);
 }
 
-/* Use only products, in the order of `_matrices.power`: the last bit of `pow` depends on the C library. */
+/* Use only products, in the order of `_matrices.power`, because the last bit of `pow` depends on the C library. */
 static double power(double x, int32_t exponent)
 {
     double raised = 1;
@@ -442,7 +444,7 @@ loewner_status certify(const loewner_checker *checker, loewner_workspace *worksp
         work[WORK * k + WORK - 1] = steps;
         verdicts[k] = (int8_t)as_given;
     }
-    /* `clear` is ignored, since bodies may be as near as their margins. */
+    /* `clear` is omitted, because bodies may be as near as their margins. */
     return CALL(certify_motions, NULL, .stop = count, .courses = {courses, count, points, checker->file->dof},
                 .off = {off, width > 0 ? count : 0, width}, .tolerance = tolerance, .pack = (int64_t)&half->pieces,
                 .problem_handle = half->handle, .tables_handle = half->motions, .out = {verdicts, count},
@@ -450,8 +452,8 @@ loewner_status certify(const loewner_checker *checker, loewner_workspace *worksp
                 .memory = workspace->memory);
 }
 
-/* Bound the deviation of a body's points at a time that is itself off by `late` [s], with more than enough room for
-   rounding (B69). */
+/* Bound the deviation of a body's points at a time that may be off by `late` [s]. The bound leaves more than enough
+   room for rounding (B69). */
 static double off_at(const loewner_checker *checker, int64_t place, double t, double late)
 {
     const struct pieces *pieces = &checker->state.halves[WHOLE].pieces;
@@ -464,10 +466,10 @@ static double off_at(const loewner_checker *checker, int64_t place, double t, do
     off = bounds->metres + reach * bounds->radians;
     if (bounds->speed > 0 || bounds->turn > 0)
         off += (bounds->speed + reach * bounds->turn) * (fabs(t - bounds->since) + late);
-    return fmin(off * (1 + 0x1p-44), 1e100); /* 1e100 for NaN, too */
+    return fmin(off * (1 + 0x1p-44), 1e100); /* The result is 1e100 for NaN, too. */
 }
 
-/* After the values of a motion, write the deviations of bodies in the kernel's form. */
+/* Write the deviations of bodies, in the form that the kernel takes, after the values of a motion. */
 static void write_growth(const loewner_checker *checker, double t0, double t1, double late, double *row)
 {
     const State *state = &checker->state;

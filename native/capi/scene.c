@@ -1,5 +1,5 @@
-/* The bodies of a checker, their poses, and the pairs to check, as kernels take them. The kernels of
-   `loewner/_kernels/robots/pair_lists.py` and `joining.py` do the same for Python. */
+/* The bodies of a checker, their poses, and the pairs to check, in the form that kernels take. For Python, the kernels
+   of `loewner/_kernels/robots/pair_lists.py` and `joining.py` do the same work. */
 
 #include "internal.h"
 
@@ -14,7 +14,8 @@ static _Atomic uint64_t serials = 1;
 /* Allocate memory that lives as long as the state, and write its address to `field`. */
 static loewner_status room(State *state, void *field, int64_t count, size_t size)
 {
-    size_t bytes = ((size_t)count * size + CACHE_LINE) / CACHE_LINE * CACHE_LINE; /* at least one line */
+    /* Allocate at least one cache line. */
+    size_t bytes = ((size_t)count * size + CACHE_LINE) / CACHE_LINE * CACHE_LINE;
     void *made = aligned_alloc(CACHE_LINE, bytes);
     if (made == NULL || state->memory_count == (int)(sizeof state->memory / sizeof *state->memory)) {
         free(made);
@@ -34,19 +35,20 @@ static void leave_state(State *state)
 
 /* -- packs of chosen bodies ---------------------------------------------------------------------------------------- */
 
-/* The link that a link is rigidly joined to: its parent if its joint is fixed, or else itself; -1 is the world. */
+/* Return the link to which a link is rigidly joined: its parent if its joint is fixed, otherwise the link itself; -1 is
+   the world. */
 static int64_t rigid_link(const Tree *tree, int64_t link)
 {
     return tree->kind[link] == FIXED ? tree->parent[link] : link;
 }
 
-/* Whether the body at a place never moves. */
+/* Return whether the body at a place never moves. */
 static int stands(const State *state, int64_t k)
 {
     return k >= state->moving || rigid_link(&state->tree, state->link[k]) == rigid_link(&state->tree, 0);
 }
 
-/* The pack of the body at a place. */
+/* Return the pack of the body at a place. */
 static const Pack *pack_of(const State *state, const Body *body, int64_t k, Cutting cutting)
 {
     int is_whole = !body->file->has_cut || (cutting == OPEN_CUT && !stands(state, k));
@@ -77,7 +79,7 @@ static loewner_status join(const loewner_checker *checker, State *state, Cutting
 
 /* -- links --------------------------------------------------------------------------------------------------------- */
 
-/* Write the product of a link's constant pose and a pose, as constants. */
+/* Write the product of a link's constant pose and another pose as the constants of a link. */
 static void place_link(const double *constants, const double *pose, double *made)
 {
     for (int r = 0; r < 3; r++) {
@@ -127,7 +129,7 @@ static loewner_status grow_tree(const loewner_checker *checker, State *state)
 
 /* -- pairs --------------------------------------------------------------------------------------------------------- */
 
-/* The row of a table that begins with two bodies, a < b; -1 if there is none. */
+/* Return the row of a table that begins with two bodies, a < b; -1 if no row does. */
 static int64_t row_of(const int64_t *rows, int64_t count, int64_t width, int64_t a, int64_t b)
 {
     for (int64_t k = 0; k < count; k++)
@@ -136,7 +138,7 @@ static int64_t row_of(const int64_t *rows, int64_t count, int64_t width, int64_t
     return -1;
 }
 
-/* Whether the bodies are exactly the bodies of the file, with the file's pairs, and all of them are present. */
+/* Return whether the bodies are exactly the bodies of the file, with the file's pairs, and all of them are present. */
 static int is_as_saved(const loewner_checker *checker)
 {
     int is = checker->body_count == checker->file->bodies && checker->rule_count == 0;
@@ -147,13 +149,13 @@ static int is_as_saved(const loewner_checker *checker)
 
 enum { RULE = 4 };
 
-/* Rules for pairs, as `list_pairs` takes them. */
+/* Rules for pairs, in the form that `list_pairs` takes. */
 typedef struct {
     int64_t *rows, count;
     double *margins;
 } Rules;
 
-/* Append a rule for two bodies. `touch` is -1 if the rule only sets a margin; `margin` is -1 if it sets none. */
+/* Append a rule for two bodies. `touch` is -1 if the rule sets only a margin; `margin` is -1 if the rule sets none. */
 static void add_rule(const State *state, Rules *rules, int64_t a, int64_t b, int64_t touch, double margin)
 {
     const int64_t row[RULE] = {state->place[a], state->place[b], touch, 1};
@@ -161,13 +163,14 @@ static void add_rule(const State *state, Rules *rules, int64_t a, int64_t b, int
     rules->margins[rules->count++] = margin;
 }
 
-/* List the rules of the file and of the user, and rules for attached bodies: they may touch the robot's own bodies on
+/* List the rules of the file and of the user, and rules for attached bodies, which may touch the robot's own bodies on
    their touch links. */
 static void list_rules(const loewner_checker *checker, const State *state, Rules *rules)
 {
     const File *file = checker->file;
     int64_t at = 0;
-    for (int64_t a = 0; a < file->moving; a++) /* for each body that moves in the file, the file lists all its pairs */
+    /* The file lists all pairs to check for each body that moves in the file. */
+    for (int64_t a = 0; a < file->moving; a++)
         for (int64_t b = a + 1; b < file->bodies; b++) {
             const int64_t *pair = file->pair_list + 2 * at;
             int is_listed = at < file->pairs && pair[0] == a && pair[1] == b;
@@ -189,7 +192,7 @@ static void list_rules(const loewner_checker *checker, const State *state, Rules
         }
 }
 
-/* Choose pairs among all pairs that contain a moving body; there is room for all of them. */
+/* Choose pairs among all pairs with a moving body; there is room for all such pairs. */
 static loewner_status choose_pairs(const loewner_checker *checker, State *state, int64_t most)
 {
     const File *file = checker->file;
@@ -241,7 +244,8 @@ static loewner_status list_pairs(const loewner_checker *checker, State *state)
 
 /* -- halves -------------------------------------------------------------------------------------------------------- */
 
-/* Place the static bodies that have moved, in the same memory; no other thread may query this checker meanwhile. */
+/* Place the static bodies that have moved, in the same memory. No other thread may query this checker at the same time.
+   */
 static loewner_status place(const State *state, Half *half)
 {
     return CALL(place_static, &half->handle, .pack = (int64_t)&half->pieces, .handle = half->handle,
@@ -279,7 +283,7 @@ static loewner_status make_half(const loewner_checker *checker, State *state, Cu
     half->handle = made.made;
     half->motions = half->handle + (int64_t)offsetof(Tables, motions);
     TRY(place(state, half));
-    /* Sizes of the memory that queries write to. Motions are proven with surfaces cut into parts. */
+    /* Compute the sizes of the memory to which queries write. Motions are proven with surfaces cut into parts. */
     const Kernels *known = kernels();
     const struct memory_size sized = {(int64_t)&half->pieces, half->handle, checker->file->dof};
     const Kernel sizes[] = {known->memory_size, known->memory_of_nearest, known->memory_of_clearances,
@@ -295,7 +299,7 @@ static loewner_status make_half(const loewner_checker *checker, State *state, Cu
 
 /* -- states -------------------------------------------------------------------------------------------------------- */
 
-/* Order the bodies: the robot's own, then attached ones, then static ones. */
+/* Order the bodies: first the robot's own bodies, then attached bodies, then static bodies. */
 static loewner_status arrange(const loewner_checker *checker, State *state)
 {
     int32_t count = checker->body_count, at = 0;
@@ -354,7 +358,7 @@ static loewner_status renew(loewner_checker *checker)
         leave_state(state);
         *state = made;
         checker->serial = atomic_fetch_add(&serials, 1);
-    } else { /* workspaces remain valid, since all arrays stay where they are */
+    } else { /* Workspaces remain valid, because all arrays stay where they are. */
         copy_poses(checker, state);
         for (Half *half = state->halves; half < state->halves + CUTTINGS; half++)
             if (half->block != NULL)
@@ -435,7 +439,7 @@ static loewner_status bind(const loewner_checker *checker, loewner_workspace *wo
         *parts[k].field = at;
         at += (parts[k].size + 2 * CACHE_LINE - 1) / CACHE_LINE * CACHE_LINE;
     }
-    /* Each workspace has its own order of pairs, since it learns which pairs collide most often. */
+    /* Each workspace has its own order of pairs, because it learns which pairs collide most often. */
     memcpy(&workspace->tables, (const void *)state->halves[WHOLE].handle, sizeof workspace->tables);
     memcpy(workspace->order, state->order, 8 * pairs);
     memset(workspace->hits, 0, 8 * pairs);
@@ -750,7 +754,7 @@ loewner_status loewner_checker_detach(loewner_checker *checker, int32_t body, co
     return LOEWNER_OK;
 }
 
-/* The rule for a pair, which is made if there is none. */
+/* Find the rule for a pair; make one if the pair has none. */
 static loewner_status its_rule(loewner_checker *checker, int32_t a, int32_t b, Rule **rule)
 {
     TRY(expect_body(checker, a));
@@ -782,7 +786,7 @@ loewner_status loewner_checker_allow(loewner_checker *checker, int32_t a, int32_
         return fail(LOEWNER_BAD_ARGUMENT,
                     "expected a pair that was checked when the file was saved, found %.100s and %.100s",
                     checker->bodies[rule->a].name, checker->bodies[rule->b].name);
-    /* Pairs are checked unless the file excludes them, which a rule of the file may do for two static bodies. */
+    /* Pairs are checked unless the file excludes them; a rule of the file may exclude two static bodies. */
     int is_ruled = row_of(file->rules, file->rule_count, 3, rule->a, rule->b) >= 0;
     rule->touch = allowed ? 1 : is_ruled ? 0 : -1;
     return LOEWNER_OK;

@@ -1,12 +1,12 @@
-"""Products fused with sums, in each function by itself, so that nothing else decides the last bits of a result.
+"""Products fused with sums, in each function separately, so that nothing else decides the last bits of a result.
 
-LLVM may fuse a product with a sum where both carry the flag ``contract``. Left to itself, it does so at the very end,
-when functions have been copied into their callers; the choice then depends on the callers, on the order of linking and
-on the processor. Here, each function is rewritten as soon as its own passes have run, before it is linked with any
-other: a product that is used once, by a sum of the same block, becomes a call of ``llvm.fma``, and the flag is dropped
+LLVM may fuse a product with a sum if both carry the flag ``contract``. By default, it does so at the very end, when
+functions have been copied into their callers; the choice then depends on the callers, on the order of linking and on
+the processor. Here, each function is rewritten as soon as its own passes have run, before it is linked with any other.
+A product that is used once, by a sum of the same block, becomes a call of ``llvm.fma``, and the flag is dropped
 everywhere. A fused product has one rounding less, so that every error bound holds either way.
 
-A processor without such an instruction rounds every product; its answers have other last bits.
+A processor without a fused instruction rounds every product, so that the last bits of its answers differ.
 """
 
 import re
@@ -24,7 +24,7 @@ _MARK = "contract"
 
 @cache
 def can_fuse(cpu: str, features: str) -> bool:
-    """Find out whether a processor multiplies and adds in one instruction; for others LLVM would call a function."""
+    """Return whether a processor multiplies and adds in one instruction; otherwise, LLVM would call a function."""
     probe = llvm.parse_assembly(
         "declare double @llvm.fma.f64(double, double, double)\n"
         "define double @probe(double %x) {\n"
@@ -37,7 +37,7 @@ def can_fuse(cpu: str, features: str) -> bool:
 
 
 def fused(module: Any, can_fuse: bool) -> Any:
-    """Return a module of LLVM whose products are fused with sums, function by function, and which has no more flags."""
+    """Return a module of LLVM whose products are fused with sums, function by function, and which has no flags left."""
     text = str(module)
     if f" {_MARK} " not in text:
         return module
@@ -55,7 +55,7 @@ def fused(module: Any, can_fuse: bool) -> Any:
 
 
 def _name(kind: str) -> str:
-    """Name of the intrinsic for numbers of a kind: ``double``, ``float``, or a vector of them."""
+    """Name of the intrinsic for a kind of numbers: ``double``, ``float``, or a vector of either."""
     count, _, element = kind.strip("<>").rpartition(" x ")
     return f"@llvm.fma.{f'v{count}' if count else ''}f{64 if element == 'double' else 32}"
 
@@ -63,11 +63,11 @@ def _name(kind: str) -> str:
 def _of_function(text: str, used: set[str]) -> str:
     """Rewrite the text of a function; `used` gains the kinds of numbers in fused products."""
     lines = text.split("\n")
-    uses = Counter(_VALUE.findall(text))  # the definition of a name counts as a use
-    products = dict[str, tuple[int, str, str]]()  # line and factors of each product in the current block
+    uses = Counter(_VALUE.findall(text))  # The definition of a name counts as a use.
+    products = dict[str, tuple[int, str, str]]()  # Line and factors of each product in the current block.
     for at, line in enumerate(lines):
         if not line.startswith(" "):
-            products.clear()  # a new block begins
+            products.clear()  # A new block begins here.
         found = _OPERATION.match(line)
         if found is None or _MARK not in found[3]:
             continue

@@ -27,13 +27,13 @@ from loewner._kernels._numba import (
     normalize_signature,
 )
 
-_config: Any = numba.config  # Numba's settings are created at run time and have no types
+_config: Any = numba.config  # Numba's settings are created at run time and have no types.
 
 if _config.DISABLE_JIT:
     raise ImportError("NUMBA_DISABLE_JIT: expected Numba to compile, for loewner's kernels are nothing without it")
 
-# `_fused` recognises products and sums by this flag. Fusing drops a rounding and adds none, so every error bound stays
-# valid. Options that reorder operations, or assume that there is no NaN, are not allowed here.
+# `_fused` recognises products and sums by this flag. Fusing drops a rounding and adds none, so that every error bound
+# stays valid. Options that reorder operations, or assume that no number is NaN, are not allowed here.
 FASTMATH = {"contract"}
 
 
@@ -54,7 +54,7 @@ def _say(text: str) -> None:
 
 
 class _Announcer(event.Listener):
-    """Announces once per process that kernels are being compiled."""
+    """Announces, once per process, that kernels are being compiled."""
 
     def on_start(self, event: Any) -> None:
         dispatcher = event.data.get("dispatcher")
@@ -69,10 +69,10 @@ event.register("numba:compile", _Announcer())
 
 
 def _identity(value: Any) -> Any:
-    """Identity of a function among those made by the same factory: its code and its closure.
+    """Identity of a function among the functions made by the same factory: its code and its closure.
 
-    All its other dependencies are in the sources. Neither contains paths, so a copy of the package elsewhere finds the
-    same files.
+    All other dependencies of the function are in the sources. Neither the code nor the closure contains paths, so that
+    a copy of the package elsewhere finds the same files.
     """
     function = getattr(value, "py_func", value)
     if not callable(function) or isinstance(function, type) or not hasattr(function, "__code__"):
@@ -96,7 +96,7 @@ def _modules(value: Any) -> set[str]:
 
 
 def _modules_of_type(kind: Any) -> set[str]:
-    """Modules that define a type, where they are not Numba's."""
+    """Modules that define a type, except Numba's modules."""
     if isinstance(kind, types.NamedTuple | types.NamedUniTuple):
         named = {kind.instance_class.__module__}
     else:
@@ -108,13 +108,14 @@ def _modules_of_type(kind: Any) -> set[str]:
 class _Cache(NullCache):
     """Compiled code of one kernel in the store: one file for each signature, as a part or as an entry.
 
-    Faults of the disk are not errors here: code that cannot be read is compiled, and code that cannot be written stays
+    Faults of the disk raise no errors here: code that cannot be read is compiled, and code that cannot be written stays
     in memory.
     """
 
-    failure: OSError | None = None  # why the last attempt to write failed
+    failure: OSError | None = None  # The reason why the last attempt to write failed.
 
-    # Parts compiled in this process. Equal functions share a part, whose name would otherwise be defined twice.
+    # The parts compiled in this process. Equal functions share a part, because its name would otherwise be defined
+    # twice.
     _made: ClassVar[dict[str, tuple[Any, ...]]] = {}
 
     def __init__(self, kernel: Callable[..., Any], form: str) -> None:
@@ -161,7 +162,7 @@ class _Cache(NullCache):
             why = f"cannot be read ({error.strerror or error})"
         except _sealed.DamagedFileError as error:
             key, why = error.args[0].stem, "is damaged"
-        except Exception as error:  # the file is intact, but cannot be used
+        except Exception as error:  # The file is intact, but cannot be used.
             why = f"is not understood ({type(error).__name__})"
         _say(f"{_store.path_of(key)} {why}; compiling it anew")
         with suppress(OSError):
@@ -173,11 +174,11 @@ class _Cache(NullCache):
         if self._form == "part":
             _Cache._made[key] = data.library, data.fndesc, data.environment, data.signature
         if data.lifted or data.library.has_dynamic_globals or not _store.is_usable():
-            return  # the code contains addresses of this process, or its sources are unknown
+            return  # The code contains addresses of this process, or its sources are unknown.
         if self._form == "part":
             self._expect_imported(data.library, self._behind(sig))
             if any(part.key == "" for part in data.library.called if isinstance(part, _parts.PartLibrary)):
-                return  # the code calls parts that could not be written
+                return  # The code calls parts that could not be written.
         try:
             _store.write(key, dumps((key, *data._reduce())))
         except OSError as error:
@@ -188,7 +189,7 @@ class _Cache(NullCache):
                 _parts.keep(key, data.library)
 
     def _expect_imported(self, library: Any, behind: frozenset[str]) -> None:
-        """Refuse a call of a kernel whose sources are not in the key: its edits would go unnoticed."""
+        """Refuse a call of a kernel whose sources are not in the key, because its edits would go unnoticed."""
         for part in library.called:
             home = getattr(part, "home", "").removeprefix("loewner._kernels.").replace(".", "/")
             if home in _store.modules_behind("") and home not in behind:
@@ -196,7 +197,7 @@ class _Cache(NullCache):
 
 
 def unwritten() -> str | None:
-    """The reason why compiled code could not be written to disk, if that happened in this process."""
+    """The reason why compiled code could not be written to disk in this process; None if none is known."""
     error = _Cache.failure
     return None if error is None else f"{_store.FOLDER} cannot be written ({error.strerror or error})"
 
@@ -207,19 +208,19 @@ def _any_integer(kind: Any) -> Any:
 
 
 class _Stored(CPUDispatcher):
-    """A function whose code is in the store; no two processes compile it at the same time."""
+    """A function whose code is in the store; two processes never compile it at the same time."""
 
     _cache: _Cache
     targetctx: Any
     overloads: Any
 
     def compile(self, sig: Any) -> Any:
-        """Compile the function for a signature, or find the code."""
+        """Compile the function for a signature, or find its code in the store."""
         arguments, _ = normalize_signature(sig)
         if tuple(arguments) in self.overloads:
             return self.overloads[tuple(arguments)].entry_point
-        # Take the lock before the claim: otherwise, a thread could wait for the lock while it holds a claim for which
-        # the thread with the lock waits.
+        # Take the lock before the claim. Otherwise, a thread with a claim could wait for the lock, while the thread
+        # with the lock waits for the claim.
         with global_compiler_lock, self._cache.claimed(arguments, self.targetctx.codegen()):
             return super().compile(sig)
 
@@ -227,8 +228,8 @@ class _Stored(CPUDispatcher):
 class _Kernel(_Stored):
     """A compiled function in up to two forms: a part of the kernels that call it, and a function that Python calls.
 
-    Numba compiles every function in both forms, although most are only called by other kernels: their wrappers, full
-    optimisation and machine code took two fifths of the time.
+    Numba compiles every function in both forms, although only other kernels call most functions. The unused wrappers,
+    full optimisation and machine code took two fifths of the time.
     """
 
     def __init__(self, function: Callable[..., Any], options: dict[str, Any], apart: bool) -> None:
@@ -241,16 +242,16 @@ class _Kernel(_Stored):
     def get_call_template(self, args: Any, kws: Any) -> Any:
         """Type a call from another kernel.
 
-        Numba would otherwise compile the function once for each integer literal of a caller.
+        Otherwise, Numba would compile the function once for each integer literal of a caller.
         """
         return super().get_call_template([_any_integer(kind) for kind in args], kws)
 
     def add_overload(self, cres: Any) -> None:
-        """Keep a part where kernels look it up; Python could not call it."""
+        """Keep a part where kernels look it up; Python cannot call a part."""
         self.overloads[tuple(cres.signature.args)] = cres
 
     def compile_ahead(self, signature: tuple[Any, ...]) -> None:
-        """Compile the form that Python calls, for these types."""
+        """Compile the form that Python calls, for given types."""
         self._for_python.compile(signature)
 
     def _compile_for_args(self, *args: Any, **kws: Any) -> Any:
@@ -259,7 +260,7 @@ class _Kernel(_Stored):
 
 
 class _Callable(_Stored):
-    """The form of a kernel that Python calls, by way of the kernel."""
+    """The form of a kernel that Python calls, through the kernel."""
 
     def __init__(self, kernel: _Kernel, function: Callable[..., Any], options: dict[str, Any]) -> None:
         super().__init__(function, targetoptions=options, pipeline_class=_parts.CallableCompiler)
@@ -269,7 +270,7 @@ class _Callable(_Stored):
     def add_overload(self, cres: Any) -> None:
         """Register the code with the kernel; Numba calls this under a lock, once for each signature.
 
-        The kernel could not choose between two equal signatures, and would request compilation at every call.
+        The kernel could not choose between two equal signatures, and would compile at every call.
         """
         kernel: Any = self._kernel
         kernel._insert([kind._code for kind in cres.signature.args], cres.entry_point, False)
@@ -288,9 +289,10 @@ def _compiled(function: Callable[..., Any], apart: bool = False, **options: Any)
 
 
 def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
-    """Compile a kernel: NumPy's error model, products fused, kept in the store.
+    """Compile a kernel with NumPy's error model and fused products, and keep it in the store.
 
-    LLVM inlines it at its own discretion. Numba would request it if the first caller happened to be an `inline` one.
+    LLVM inlines the kernel at its own discretion. Numba would request inlining if the first caller happened to be an
+    `inline` function.
     """
     return lambda function: _compiled(function, **{"forceinline": False, **options})
 
@@ -309,9 +311,9 @@ def inline(function: Callable[..., Any]) -> Any:
 def borrowed(typingctx: Any, array: Any) -> Any:
     """borrowed(array): the array without its reference count.
 
-    Numba counts references atomically wherever an array passes through a function, inlined or not; in the kernels this
-    takes most of the time of a short search. A borrowed array costs nothing to pass on. Borrow only arrays that the
-    caller keeps alive: arguments, and entries of argument tuples, never arrays that the function makes itself.
+    Numba counts references atomically wherever an array passes through a function, inlined or not. In the kernels,
+    counting takes most of the time of a short search; passing on a borrowed array costs nothing. Borrow only arrays
+    that the caller keeps alive: arguments, and entries of argument tuples, never arrays that the function makes itself.
     """
     if not isinstance(array, types.Array):
         return None

@@ -1,7 +1,7 @@
-"""What kernels and their build use of Numba beyond its documented interface: imported here, and nowhere else.
+"""The names that kernels and their build use of Numba beyond its documented interface: imported only here.
 
-A new Numba may rename them, or change their parameters. `tests/test_numba.py` lists each with its purpose, and fails
-with the name that has changed.
+A new Numba may rename the objects imported here, or change their parameters. `tests/test_numba.py` lists each object
+with its purpose, and fails with the name that has changed.
 """
 
 from numba.core import cgutils, errors, event, typed_passes, untyped_passes

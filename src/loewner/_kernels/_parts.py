@@ -1,7 +1,7 @@
 """Parts: functions that only kernels call, compiled only as far as their callers need.
 
 Numba compiles every function to independent machine code, and also copies its intermediate code into each caller, where
-it is optimised again. A part only has the intermediate code. The classes here are subclasses of Numba's own classes,
+it is optimised again. A part has only the intermediate code. The classes here are subclasses of Numba's own classes,
 which have no public interface (`_numba`); `tests/test_kernel_cache.py` tests the behaviour on which they rely.
 """
 
@@ -26,11 +26,11 @@ from loewner._kernels._numba import (
     untyped_passes,
 )
 
-_config: Any = numba.config  # Numba's settings are created at run time and have no types
+_config: Any = numba.config  # Numba's settings are created at run time and have no types.
 
 # Numba's passes for features that kernels do not use: `with` blocks, closures, functions inlined before typing,
-# literals as types, and operations on whole arrays in one loop. A kernel that used such a feature would not compile, or
-# would be slower.
+# literals as types, and operations on whole arrays in one loop. Without these passes, a kernel that used such a feature
+# would not compile, or would be slower.
 NOT_NEEDED = {
     untyped_passes.WithLifting,
     untyped_passes.InlineClosureLikes,
@@ -65,10 +65,10 @@ class _FusedLibrary(JITCodeLibrary):
 
 @cache
 def _usual_machine(triple: str) -> Any:
-    """Return the processor for whose costs functions are simplified before products are fused.
+    """Return the processor whose costs simplify functions before their products are fused.
 
-    Costs decide which branches become selections, and so which products and sums share a block. They must not depend on
-    the processor that is there: parts are the same for all.
+    Costs decide which branches become selections, and therefore which products and sums share a block. The costs must
+    not depend on the actual processor, because parts are the same for all processors.
     """
     name = "x86-64-v3" if triple.startswith("x86_64") else ""
     return Target.from_triple(triple).create_target_machine(cpu=name, opt=int(_config.OPT))
@@ -77,17 +77,18 @@ def _usual_machine(triple: str) -> Any:
 class PartLibrary(_FusedLibrary):
     """Intermediate code of one part alone; the parts that it calls are linked once, with everything that calls them.
 
-    Numba links copies of all functions into each that calls them, directly or not. Only Numba's own functions are
-    copied here, and hidden, because their names differ between processes.
+    Numba links a copy of every function into each of its direct and indirect callers. Here, only Numba's own functions
+    are copied, and hidden, because their names differ between processes.
     """
 
-    listener: Callable[[str], None] | None = None  # called with the key of each part that is in the store
+    # The listener is called with the key of each part that is in the store.
+    listener: Callable[[str], None] | None = None
 
     def __init__(self, codegen: Any, name: str) -> None:
         super().__init__(codegen, name)
         self.called: list[JITCodeLibrary] = []
-        self.key = ""  # key in the store; empty for a part that is only in memory
-        self.home = ""  # the kernel module that the part comes from
+        self.key = ""  # Key of the part in the store; empty for a part that is only in memory.
+        self.home = ""  # The kernel module from which the part comes.
 
     def _optimize_functions(self, ll_module: Any) -> None:
         """Run Numba's passes over the functions of a module; Numba also prepares them for each declaration."""
@@ -98,7 +99,7 @@ class PartLibrary(_FusedLibrary):
                 passes.run(function, builder)
 
     def finalize(self) -> None:
-        """End the part: link Numba's own functions into it, and list the parts that it calls."""
+        """Finish the part: link Numba's own functions into it, and list the parts that it calls."""
         self._raise_if_finalized()
         own = {function.name for function in self._final_module.functions if not function.is_declaration}
         for library in dict.fromkeys(self._linking_libraries):
@@ -120,7 +121,7 @@ class PartLibrary(_FusedLibrary):
         self._finalized = True
 
     def _get_module_for_linking(self) -> Any:
-        """Return the part with all that it calls, for a caller that Numba compiles as usual."""
+        """Return the part with everything that it calls, for a caller that Numba compiles in the usual way."""
         module = linked([self])
         for function in module.functions:
             if not function.is_declaration:
@@ -147,16 +148,16 @@ class PartLibrary(_FusedLibrary):
 
 RUNTIME = "Numba's run time"
 
-_read: dict[str, PartLibrary] = {}  # parts by key, since two libraries that define the same functions cannot be linked
+_read: dict[str, PartLibrary] = {}  # Parts by key: two libraries that define the same functions cannot be linked.
 
 
 def library_of(codegen: Any, key: str) -> PartLibrary:
-    """Return the part with a key, always the same object.
+    """Return the part with a key; it is always the same object.
 
     Raises
     ------
     OSError, DamagedFileError
-        If it is not in the store, or damaged; likewise for a part that it calls.
+        If the part, or a part that it calls, is not in the store, or is damaged.
     """
     if key not in _read:
         found, (name, _, kept), *_ = pickle.loads(_store.read(key))
@@ -176,7 +177,7 @@ def keep(key: str, part: PartLibrary) -> None:
 def everything_called(
     libraries: Iterable[JITCodeLibrary], without: Collection[JITCodeLibrary] = ()
 ) -> list[JITCodeLibrary]:
-    """Return libraries, and all that the parts among them call, each once; omit some, and what only they call."""
+    """Return libraries and everything that they call, each once; omit some, and parts that only these call."""
     found = dict.fromkeys(library for library in libraries if library not in without)
     waiting = list(found)
     while waiting:
@@ -187,7 +188,7 @@ def everything_called(
     return list(found)
 
 
-CHUNK = 32  # modules linked at a time, because linking takes longer the larger the receiving module is
+CHUNK = 32  # Modules are linked CHUNK at a time, because linking takes longer the larger the receiving module is.
 
 
 def in_one(modules: list[Any]) -> Any:
@@ -202,12 +203,12 @@ def in_one(modules: list[Any]) -> Any:
 
 
 def linked(libraries: Iterable[JITCodeLibrary]) -> Any:
-    """Return a module with libraries and all that they call, each once."""
+    """Return a module with libraries and everything that they call, each once."""
     return in_one([library._final_module.clone() for library in everything_called(libraries)])
 
 
 class _CallableLibrary(_FusedLibrary):
-    """Code that Python calls: with all parts that it needs."""
+    """Code that Python calls, with all parts that it needs."""
 
     def finalize(self) -> None:
         """Link all parts, then optimise and compile everything as Numba does."""
@@ -221,15 +222,15 @@ class _CallableLibrary(_FusedLibrary):
 
 
 def _key(library: Any, fndesc: Any, environment: Any) -> object:
-    """A unique replacement for the function that Python would call, against which callers are compiled."""
+    """A unique replacement for the function that Python would call; callers are compiled against it."""
     library._ensure_finalized()
     return object()
 
 
 def _address(context: Any, builder: Any, address: int, info: str) -> Any:
-    """Address of an object of this process, with which code cannot be kept on disk.
+    """Address of an object of this process; code that contains such an address cannot be kept on disk.
 
-    A kernel that is passed to another one is known by its type, and nothing reads its address.
+    If a kernel is passed to another kernel, its type identifies it, and no code reads its address.
     """
     if info == "_Kernel":
         return context.get_constant_null(types.voidptr)
@@ -251,11 +252,11 @@ class PartCompiler(Compiler):
 
     def compile_extra(self, func: Any) -> Any:
         """Compile a function with the library and key of a part."""
-        context = self.state.targetctx  # a copy made for this function
+        context = self.state.targetctx  # The context is a copy made for this function.
         context.get_executable, context.add_dynamic_addr = _key, partial(_address, context)
         self.state.library = PartLibrary(context.codegen(), func.__qualname__)
         self.state.library.home = func.__module__
-        # Do as Numba does, except for the name: Numba numbers functions anew in each process.
+        # Do the same as Numba, except for the name: Numba numbers functions anew in each process.
         identity = FunctionIdentity.from_function(func)
         identity.unique_id, identity.unique_name = 0, f"{func.__module__}.{func.__qualname__}"
         self.state.func_id = identity
@@ -268,7 +269,7 @@ class CallableCompiler(Compiler):
     """Numba's compiler, for functions that Python calls."""
 
     def compile_extra(self, func: Any) -> Any:
-        """Compile a function with products that are fused as in parts."""
+        """Compile a function whose products are fused in the same way as in parts."""
         self.state.library = _CallableLibrary(self.state.targetctx.codegen(), func.__qualname__)
         self.state.library.enable_object_caching()
         return super().compile_extra(func)

@@ -1,7 +1,7 @@
 """Files that reveal damage: a header, the checksum of the content, and the content, written atomically.
 
-Machine code from a damaged file can crash the process or, worse, return wrong answers. A file that was truncated or
-altered, or was never sealed, gives no content at all.
+Machine code from a damaged file can crash the process or, worse, return wrong answers. From a file that was truncated,
+altered or never sealed, no content is returned.
 """
 
 import hashlib
@@ -19,7 +19,7 @@ class DamagedFileError(Exception):
 
 
 def write(path: Path, content: bytes) -> None:
-    """Seal `content` and put it at `path`, under a temporary name first; an OSError leaves nothing behind."""
+    """Seal `content` and write it to `path`, under a temporary name first; an OSError leaves no file behind."""
     temporary = path.with_name(f".{path.name}.{secrets.token_hex(8)}")
     try:
         temporary.write_bytes(HEADER + hashlib.sha256(content).digest() + content)
@@ -35,9 +35,9 @@ def read(path: Path) -> bytes:
     Raises
     ------
     OSError
-        If the file cannot be read; FileNotFoundError if there is none.
+        If the file cannot be read; FileNotFoundError if it does not exist.
     DamagedFileError
-        If it differs from the file that `write` wrote.
+        If the file differs from the one that `write` wrote.
     """
     data = path.read_bytes()
     start = len(HEADER) + _DIGEST

@@ -1,4 +1,4 @@
-"""The sources of the compiled code, and the folder where the code may be kept."""
+"""The sources of the compiled code, and the folder in which the code may be kept."""
 
 import os
 import sys
@@ -7,13 +7,14 @@ import zlib
 from functools import cache
 from pathlib import Path
 
-# The archive of kernels in a wheel, and the modules outside it, which Python imports even with a native library.
+# The archive holds the kernels in a wheel. The modules in LOOSE are outside it, and Python imports them even with a
+# native library.
 ARCHIVE = "sources.zip"
 LOOSE = ("__init__.py", "_sealed.py", "_sources.py", "codes.py", "columns.py", "records.py", "tolerances.py")
 
 
 def sources() -> dict[str, bytes]:
-    """Content of all kernel sources, by their path in this package."""
+    """Content of all kernel sources, by their paths in this package."""
     home = Path(__file__).parent
     found = {path.relative_to(home).as_posix(): path.read_bytes() for path in home.rglob("*.py")}
     if (home / ARCHIVE).exists():
@@ -24,11 +25,11 @@ def sources() -> dict[str, bytes]:
 
 @cache
 def source_hash() -> str:
-    """Hash of all kernel sources; empty where they cannot be read.
+    """Hash of all kernel sources; empty if they cannot be read.
 
-    Code made from other sources is never used; if the sources are unknown, nothing is kept.
+    Code made from other sources is never used. If the sources are unknown, no code is kept.
     """
-    import hashlib  # loads OpenSSL, which would slow down importing the package
+    import hashlib  # Importing hashlib loads OpenSSL, which would slow down importing the package.
 
     try:
         found = sources()
@@ -53,7 +54,7 @@ def cache_folder() -> Path:
 
 
 def _home() -> Path:
-    """Return the user's folder; if there is none, a path that cannot be written."""
+    """Return the user's folder; if the user has none, return a path to which nothing can be written."""
     try:
         return Path.home()
     except RuntimeError:

@@ -1,12 +1,12 @@
-"""Compiled code on disk: one sealed file for each function, under a key of everything that it is made of.
+"""Compiled code on disk: one sealed file for each function, under a key of everything that determines the code.
 
 Numba's own cache notices a change only in the file of the function itself, not in functions called from other files,
 and it trusts any file. Stale or damaged collision code is dangerous. Here, a key contains the sources of the function's
-module and of all modules that it imports: code survives edits of other files, and an edit of any file on which it may
+module and of all modules that it imports. Code survives edits of other files, and an edit of any file on which it may
 depend gives it another key. A damaged file is replaced.
 
-The folder is in ``$LOEWNER_CACHE_DIR`` if set, otherwise in the platform's cache folder of the user. It is shared by
-the native library's build, and by Numba on machines without the library.
+The folder is ``$LOEWNER_CACHE_DIR`` if set, otherwise it is in the platform's cache folder of the user. The native
+library's build shares the folder with Numba on machines without the library.
 """
 
 import hashlib
@@ -24,21 +24,21 @@ from loewner._kernels import _sealed, _sources
 
 FOLDER = _sources.cache_folder() / "kernels"
 
-# Seconds without use after which a file is removed, and seconds after which a file in use is marked as used again.
+# A file that was not used for KEPT seconds is removed. A file in use is marked as used at most once in DAY seconds.
 KEPT, DAY = 30 * 86_400.0, 86_400.0
 
-# Modules on which any kernel may depend without importing them, because argument types select vector operations.
+# Any kernel may depend on these modules without importing them, because argument types select vector operations.
 ALWAYS = ("_numba", "_jit", "_parts", "_fused", "simd/memory", "simd/scalars", "simd/vectors")
 
 _IMPORT = re.compile(r"^ *(?:from|import) +loewner\._kernels([\w.]*)(?: +import +(\([^)]*\)|[^\n]*))?", re.MULTILINE)
 _PREFIX = "loewner._kernels"
 
-_edited: list[str] = []  # modules whose files were edited before they were imported
+_edited: list[str] = []  # Modules whose files were edited before they were imported.
 
 
 @cache
 def _texts() -> dict[str, bytes]:
-    """Content of all kernel sources, by path without suffix; empty where they cannot be read."""
+    """Content of all kernel sources, by path without suffix; empty if they cannot be read."""
     return (
         {name.removesuffix(".py"): text for name, text in _sources.sources().items()} if _sources.source_hash() else {}
     )
@@ -46,7 +46,7 @@ def _texts() -> dict[str, bytes]:
 
 @cache
 def _imported(name: str) -> frozenset[str]:
-    """Kernel modules that a kernel module imports itself."""
+    """Kernel modules that a kernel module imports directly."""
     found = set[str]()
     for module, names in _IMPORT.findall(_texts()[name].decode()):
         folder = module.lstrip(".").replace(".", "/")
@@ -57,9 +57,9 @@ def _imported(name: str) -> frozenset[str]:
 
 @cache
 def modules_behind(module: str) -> frozenset[str]:
-    """Return a kernel module, given with dots, and all kernel modules that it may depend on, as paths without suffix.
+    """Return a kernel module (given with dots) and the kernel modules it may depend on, as paths without suffix.
 
-    A module elsewhere may depend on all of them.
+    A module outside the kernels may depend on all kernel modules.
     """
     start = module.removeprefix(f"{_PREFIX}.").replace(".", "/")
     if not module.startswith(f"{_PREFIX}.") or start not in _texts():
@@ -84,23 +84,23 @@ def hash_of(modules: frozenset[str]) -> str:
 
 @cache
 def expect_as_read(module: str) -> None:
-    """Keep nothing in this process from now on if a kernel module that is being imported was edited after `_texts`.
+    """Keep nothing in this process from now on if a kernel module being imported was edited after `_texts` ran.
 
-    Its code would get the key of the sources before the edit.
+    The code of the module would get the key of the sources before the edit.
     """
     name = module.removeprefix(f"{_PREFIX}.").replace(".", "/")
-    path = Path(_sources.__file__).parent / f"{name}.py"  # an archive is never edited
+    path = Path(_sources.__file__).parent / f"{name}.py"  # An archive is never edited.
     if name in _texts() and path.exists() and path.read_bytes() != _texts()[name]:
         _edited.append(module)
 
 
 def is_usable() -> bool:
-    """Whether sources can be read and are those imported; otherwise nothing is kept, since its origin is unknown."""
+    """Return whether sources can be read and are the imported ones; otherwise, nothing may be kept."""
     return bool(_texts()) and not _edited
 
 
 def key_of(name: str, made_of: Any, modules: frozenset[str]) -> str:
-    """Key of a part: a name for people, and a hash of its sources and of everything else that determines it."""
+    """Key of a part: a readable name, and a hash of its sources and of everything else that determines it."""
     digest = hashlib.sha256(repr((made_of, hash_of(modules))).encode()).hexdigest()
     return f"{re.sub(r'[^A-Za-z0-9_.]', '', name)[:80]}-{digest[:32]}"
 
@@ -120,13 +120,13 @@ def read(key: str) -> bytes:
 
 
 def write(key: str, content: bytes) -> None:
-    """Keep the content for a key, or raise an OSError."""
+    """Store the content for a key, or raise an OSError."""
     FOLDER.mkdir(parents=True, exist_ok=True)
     _sealed.write(path_of(key), content)
 
 
 def remove_unused() -> None:
-    """Remove files that nothing has read for a month: every edit of a source leaves some behind."""
+    """Remove files that have not been read for a month, because every edit of a source leaves some files behind."""
     with suppress(OSError):
         for path in FOLDER.iterdir():
             with suppress(OSError):
@@ -136,10 +136,10 @@ def remove_unused() -> None:
 
 @contextmanager
 def claimed(key: str) -> Iterator[None]:
-    """Compile the code with a key in one process at a time: others wait, and then find it.
+    """Let one process at a time compile the code with a key; other processes wait, and then find it.
 
-    A claim is a lock on a file, which ends with the process that holds it. Kernels call each other without circles, so
-    that no two processes wait for each other. Where files cannot be locked, both compile.
+    A claim is a lock on a file, which ends with the process that holds it. Kernels never call each other in circles, so
+    that no two processes wait for each other. If files cannot be locked, several processes compile the same code.
     """
     if sys.platform == "win32" or path_of(key).exists():
         yield
@@ -150,7 +150,7 @@ def claimed(key: str) -> Iterator[None]:
     try:
         FOLDER.mkdir(parents=True, exist_ok=True)
         file = claim.open("wb")
-    except OSError:  # if the file cannot be written, the code is compiled in memory
+    except OSError:  # If the file cannot be written, the code is compiled in memory.
         yield
         return
     with file:

@@ -1,33 +1,34 @@
-"""Codes shared by kernels and Python: modes of queries, and outcomes."""
+"""Codes that kernels and Python share: modes of queries, and outcomes."""
 
 FREE, COLLIDING, AMBIGUOUS = 0, 1, 2
 
 # Codes in place of a verdict. INEXACT means that exact integers must decide (`fallback`). LEFT means that a GPU thread
-# leaves the pair to the CPU; LEFT outranks AMBIGUOUS, see `threads.pairs`. For a motion, TOO_LONG means that it takes
-# too many intervals; BY_CARE, that it collides if `collide` confirms this; UNFINISHED, that no steps are left; and
+# leaves the pair to the CPU; LEFT outranks AMBIGUOUS, see `threads.pairs`. A motion is TOO_LONG if it takes too many
+# intervals. BY_CARE means that the motion collides if `collide` confirms this; UNFINISHED, that no steps are left; and
 # MAY_BE_HIT, that a body may be hit, but not at its given pose.
 INEXACT, LEFT, TOO_LONG, BY_CARE, UNFINISHED, MAY_BE_HIT = 3, 4, 5, 6, 7, 8
 
-# A limit on steps that is never reached, for proofs without a limit.
+# This limit on steps is never reached; it serves proofs without a limit.
 NO_LIMIT = 2**62
 
-# Largest number of intervals into which a motion is cut before any is halved.
+# Largest number of intervals into which a motion is cut before any interval is halved.
 MOST_INTERVALS = 7 * 2**16
 
-# Largest number of rows of a course. It allows polynomials of degree 7, more than controllers and planners use.
+# Largest number of rows of a course. MOST_POINTS allows polynomials of degree 7, which is more than controllers and
+# planners use.
 MOST_POINTS = 8
 
-# Outcomes of a search on two pieces: no result; proven apart; proven touching; the distance is final; the cores
-# overlap; the depth is final.
+# Outcomes of a search on two pieces: no result (UNSETTLED), proven apart, proven touching, the distance is final, the
+# cores overlap, the depth is final.
 UNSETTLED, APART, TOUCHING, NEAREST, OVERLAPPING, DEPTH_FOUND = 0, 1, 2, 3, 4, 5
 
 CERTIFY, EXACT = 0, 1
 
-# The test that settled a pair of pieces. BY_PLANE compares the pieces' support planes perpendicular to the contact
-# normal of their ellipsoids.
+# The test that settled a pair of pieces. BY_PLANE compares the support planes of the pieces perpendicular to the
+# contact normal of their ellipsoids.
 BY_SPHERE, BY_OUTER, BY_INNER, BY_PLANE, BY_SEARCH, OPEN = 0, 1, 2, 3, 4, 5
 TIERS = 6
-UNSURE = TIERS  # not a tier: `certificate.certify` returns UNSURE if a better parameter s may settle the pair
+UNSURE = TIERS  # UNSURE is not a tier: `certificate.certify` returns it if a better parameter s may settle the pair.
 
 # Faults of a pose.
 RIGID, NOT_FINITE, LAST_ROW, NOT_ORTHONORMAL, REFLECTION = 0, 1, 2, 3, 4
@@ -49,8 +50,8 @@ NOT_CLOSED, FACE_OFF, INSIDE_OUT = 11, 12, 13
 # Outcomes of a search for a path: the trees met, all iterations were used, or the memory for the trees is full.
 MET, SPENT, FULL = 0, 1, 2
 
-# Outcomes of following a line: it was followed to its end; it turns by half a turn; it is too long; it cannot be
-# continued because of the tolerances; or it cannot be continued because of a kept axis.
+# Outcomes of following a line: it was followed to its end; it turns by half a turn; it is too long; or it cannot be
+# continued, because of the tolerances or because of a kept axis.
 FOLLOWED, HALF_TURN, TOO_FAR, STOPPED, TILTED = 0, 1, 2, 3, 4
 
 # Elementary functions, for Python and C.

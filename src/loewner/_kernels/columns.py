@@ -1,51 +1,55 @@
-"""Columns of the tables that Python fills and kernels read, for pieces and joints, and sizes that both use."""
+"""Columns of the tables for pieces and joints that Python fills and kernels read, and sizes that both use."""
 
 # -- pieces, described in `pieces.shapes` ----------------------------------------------------------
 
-# Kinds above POLYTOPE are curved. Kinds below MAPPED are surfaces; for kernels, the points of a surface are the corners
-# of a box around it.
+# Kinds above POLYTOPE are curved, and kinds below MAPPED are surfaces. For kernels, the points of a surface are the
+# corners of a box around it.
 SOLID, SURFACE, MAPPED = -3, -2, -1
 POLYTOPE, ELLIPSOID, CYLINDER, CONE, SEGMENT, POINT = 0, 1, 2, 3, 4, 5
 
-# Eight columns (one cache line) each for the spheres, the outer ellipsoids and the inner ellipsoids.
+# The spheres, the outer ellipsoids and the inner ellipsoids take eight columns (one cache line) each.
 OUTER_CENTER = 0
-OUTER_RADIUS = 3  # upper bound on the largest semi-axis of the outer ellipsoid
+OUTER_RADIUS = 3  # Upper bound on the largest semi-axis of the outer ellipsoid.
 INNER_CENTER = 4
-REACH = 7  # upper bound on the distance from the body's origin to any point of the piece or its ellipsoids
+REACH = 7  # Upper bound on the distance from the body's origin to any point of the piece or its ellipsoids.
 OUTER_SHAPE = 8
-INNER_SIGMA = 14  # lower bound on the smallest semi-axis of the inner ellipsoid
-OUTER_SIGMA = 15  # lower bound on the smallest semi-axis of the outer ellipsoid
+INNER_SIGMA = 14  # Lower bound on the smallest semi-axis of the inner ellipsoid.
+OUTER_SIGMA = 15  # Lower bound on the smallest semi-axis of the outer ellipsoid.
 INNER_SHAPE = 16
-INVERSE_INNER_SIGMA = 22  # upper bound on 1 / INNER_SIGMA
-HOT = 24  # the vectorised stages read only the columns before this one
-ROUNDING = 24  # radius of the ball added to the core
-FRAME_CENTER, FRAME_FACTOR = 25, 28  # c and F (row by row): F x + c maps a unit shape to the core
+INVERSE_INNER_SIGMA = 22  # Upper bound on 1 / INNER_SIGMA.
+HOT = 24  # The vectorised stages read only the columns before HOT.
+ROUNDING = 24  # Radius of the ball that is added to the core.
+# The columns of c and, row by row, of F: the map F x + c takes a unit shape to the core.
+FRAME_CENTER, FRAME_FACTOR = 25, 28
 COLUMNS = 37
 
 KIND, POINTS_FROM, POINTS_TO, SURFACE_AT, LAYOUT = 0, 1, 2, 3, 4
-PLANES_FROM, PLANES_TO = 3, 4  # columns of the stored layout only, since no kernel needs the planes
+PLANES_FROM, PLANES_TO = 3, 4  # These columns are only in the stored layout, because no kernel needs the planes.
 
-# Columns of a piece's row in `part_start`, if there are surfaces; each column contains the index of a row of `parts`.
+# Columns of a piece's row in `part_start`, if any piece is a surface. Each column contains the index of a row of
+# `parts`.
 PART_OUTER, PART_INNER, PART_STOP, PARTS = 0, 1, 2, 3
 
-BLOCK = 8  # points in a block, see `pieces.support`
-CACHE_LINE = 64  # bytes
+BLOCK = 8  # A block has BLOCK points, see `pieces.support`.
+CACHE_LINE = 64  # A cache line has CACHE_LINE bytes.
 
 # A polytope with more than LARGE vertices is MAPPED. With fewer, searching all vertices is as fast as using a map.
 LARGE = 128
-DEEPEST = 14  # limit on divisions of a cell, since the vertices of a flat face share the cells around the face's normal
+# Limit on the divisions of a cell, which is needed because the vertices of a flat face share the cells around the
+# face's normal.
+DEEPEST = 14
 GRID = 1 << DEEPEST
 
-WIDE = 8  # boxes in a group of a tree
-NODE_BITS = 4  # binary logarithm of the number of boxes in a node of a tree over triangles
-FEW = 8  # a body with fewer pieces has no tree: each piece is tried
+WIDE = 8  # A group of a tree has WIDE boxes.
+NODE_BITS = 4  # A node of a tree over triangles has 2 ** NODE_BITS boxes.
+FEW = 8  # A body with fewer than FEW pieces has no tree: each piece is tried.
 
 # -- robots, described in `robots.kinematics` and `robots.placement` -------------------------------
 
 FIXED, REVOLUTE, PRISMATIC, PLANAR, FLOATING, BALL = 0, 1, 2, 3, 4, 5
 ROTATION, TRANSLATION, SINE, COSINE, ACROSS, ALONG, CONSTANTS = 0, 9, 12, 21, 30, 33, 36
 
-BOUNDS = 8  # columns of a row of bounds
+BOUNDS = 8  # A row of bounds has BOUNDS columns.
 
 # -- robots on a GPU, described in `threads.configurations` ----------------------------------------
 
@@ -61,8 +65,8 @@ BALL_RADIUS, BALL_REACH, BALL_NUMBERS = 3, 4, 8
 # Columns of a placed link: its rotation by rows, its translation, and bounds on the errors of both, in roundoffs.
 LINK_AT, TURN_OFF, SHIFT_OFF, LINK_NUMBERS = 9, 12, 13, 14
 
-# For searches, a piece's int32 row holds its kind, its first vertex, and the index after its last vertex. Its float32
-# row holds the center and factor of a curved core, the radius of the added ball, and the reach.
+# For searches, a piece's int32 row holds its kind, its first vertex, and the index after its last vertex. The piece's
+# float32 row holds the center and factor of a curved core, the radius of the added ball, and the reach.
 CORE_KIND, CORE_START, CORE_STOP, CORE_INTEGERS = 0, 1, 2, 4
 CORE_CENTER, CORE_FACTOR, CORE_RADIUS, CORE_REACH, CORE_NUMBERS = 0, 3, 12, 13, 16
 
@@ -75,22 +79,22 @@ LEVER, CHAIN_NUMBERS = 2, 4
 # -- planners: state of the search for a path ------------------------------------------------------
 
 ITERATION = 0
-STARTS, GOALS = 1, 2  # numbers of configurations in the trees from the start and from the goals
-OF_START, OF_GOAL = 3, 4  # nodes at which the trees met
-MOTIONS = 5  # number of motions that were tried
-RANDOM = 6  # state of the random numbers
-POSES, SEARCHES, STEPS_LEFT = 7, 8, 9  # tally of the proofs: poses, searches and remaining steps, see `robots.motions`
-ROWS = 10  # number of rows of the path, once the trees have met
+STARTS, GOALS = 1, 2  # Numbers of configurations in the trees from the start and from the goals.
+OF_START, OF_GOAL = 3, 4  # Nodes at which the trees met.
+MOTIONS = 5  # Number of motions that were tried.
+RANDOM = 6  # State of the random numbers.
+POSES, SEARCHES, STEPS_LEFT = 7, 8, 9  # Tally of the proofs: poses, searches and remaining steps, see `robots.motions`.
+ROWS = 10  # Number of rows of the path, once the trees have met.
 STATE = 11
-STEP, BOUND, GAP = 0, 1, 2  # entries of `records.Search.reach`
-TREE_ROWS = 5  # rows in the memory of both trees, besides the values of their nodes
+STEP, BOUND, GAP = 0, 1, 2  # Entries of `records.Search.reach`.
+TREE_ROWS = 5  # The memory of both trees has TREE_ROWS rows in addition to the values of their nodes.
 
 # -- inverse kinematics, described in `robots.reach` ------------------------------------------------
 
-# Columns of a joint's int64 row, which also has KIND_OF_LINK and COLUMN_OF_LINK from above, and columns of its row of
-# constants.
+# Columns of a joint's int64 row, which also has KIND_OF_LINK and COLUMN_OF_LINK from above, and columns of the joint's
+# row of constants.
 MOVES_OF_LINK, LINK_OF_CHAIN = 0, 3
 AXIS, CHAIN_CONSTANTS = LINK_CONSTANTS, LINK_CONSTANTS + 3
 
-LEAST, MOST, HOW, RANGE = 0, 1, 2, 3  # rows of the ranges of values
-PLAIN, HELD, WRAPS, FAR, TURNS, REST = 0, 1, 2, 3, 4, 5  # entries of the row HOW: how a value moves
+LEAST, MOST, HOW, RANGE = 0, 1, 2, 3  # Rows of the ranges of values.
+PLAIN, HELD, WRAPS, FAR, TURNS, REST = 0, 1, 2, 3, 4, 5  # Entries of the row HOW: the way in which a value moves.

@@ -1,8 +1,8 @@
 """Elementary functions of numbers, within three units in the last place, with the same bits on every machine.
 
-The C libraries of two systems differ in the last bits of a sine or a logarithm, so what two machines compare must not
-come from them. Whole numbers, signs and exponents are exact; everything else is a polynomial of a small argument, which
-the compiler rounds like all others. NaN gives NaN.
+The C libraries of two systems differ in the last bits of a sine or a logarithm, so that results that two machines
+compare must not come from them. Integers, signs and exponents are exact; everything else is a polynomial of a small
+argument, whose operations are rounded as usual. NaN gives NaN.
 """
 
 import numpy as np
@@ -25,10 +25,10 @@ from loewner._kernels.codes import (
 from loewner._kernels.simd.trig import sine_cosine
 from loewner._kernels.simd.vectors import absolute, power_of_two, round_to_even, select, signed_one, sqrt
 
-# log 2 as a sum of two doubles. The first has 32 bits, so its products with an exponent are exact.
+# LOG_2 is log 2 as a sum of two doubles. The first double has 32 bits, so that its products with an exponent are exact.
 LOG_2 = float.fromhex("0x1.62e42feep-1"), float.fromhex("0x1.a39ef35793c76p-33")
 
-# π as a sum of two doubles.
+# PI is π as a sum of two doubles.
 PI = float.fromhex("0x1.921fb54442d18p+1"), float.fromhex("0x1.1a62633145c07p-53")
 
 # Arc tangents of 0, 1/8, ..., 1 as sums of two doubles.
@@ -54,16 +54,16 @@ RESTS = np.array(
 
 PER_LOG_2 = 1.4426950408889634
 
-MANTISSA = 52  # bits
-BIAS = 1023  # added to exponents
-SMALLEST = 2.0**-1022  # the smallest normal number
+MANTISSA = 52  # Number of bits of the mantissa.
+BIAS = 1023  # BIAS is added to exponents.
+SMALLEST = 2.0**-1022  # The smallest normal number.
 SQRT_2 = float(np.sqrt(2.0))
-OVERFLOW, UNDERFLOW = 709.782712893384, -745.2  # the exponential is infinite above the first, and zero below the second
+OVERFLOW, UNDERFLOW = 709.782712893384, -745.2  # The exponential is infinite above OVERFLOW, and zero below UNDERFLOW.
 
 
 @intrinsic
 def bits_of(typingctx, x):
-    """Bits of a float64 as an integer."""
+    """Return the bits of a float64 as an integer."""
 
     def generate(context, builder, sig, args):
         return builder.bitcast(args[0], ir.IntType(64))
@@ -85,7 +85,7 @@ def number_of(typingctx, bits):
 def _reduced_exponential(x, k):
     """e^x / 2^k, for a number or for eight, where k is the integer nearest to x / log 2."""
     r = (x - k * LOG_2[0]) - k * LOG_2[1]
-    p = 1.0 / 6227020800.0 * r + 1.0 / 479001600.0  # 1/13!, 1/12!, ...
+    p = 1.0 / 6227020800.0 * r + 1.0 / 479001600.0  # The coefficients are 1/13!, 1/12!, and so on.
     p = p * r + 1.0 / 39916800.0
     p = p * r + 1.0 / 3628800.0
     p = p * r + 1.0 / 362880.0
@@ -106,20 +106,20 @@ def exponential(x):
         return 0.0 if x <= UNDERFLOW else x if x != x else np.inf
     k = round_to_even(x * PER_LOG_2)
     half = round_to_even(0.5 * k)
-    # Multiply by 2^k in two steps, since 2^k itself may overflow or underflow.
+    # Multiply by 2^k in two steps, because 2^k itself may overflow or underflow.
     return _reduced_exponential(x, k) * power_of_two(half) * power_of_two(k - half)
 
 
 @inline
 def decays(x):
-    """e to the powers of eight numbers that are not positive; zero below -700, where it is less than 1e-304."""
+    """e to the powers of eight numbers that are not positive; 0 below -700, where the power is less than 1e-304."""
     k = round_to_even(x * PER_LOG_2)
     return select(x < -700.0, 0.0, _reduced_exponential(x, k) * power_of_two(k))
 
 
 @njit()
 def logarithm(x):
-    """Natural logarithm; minus infinity for zero, NaN for negative numbers."""
+    """Natural logarithm; minus infinity for zero, and NaN for negative numbers."""
     if not 0.0 < x < np.inf:
         return -np.inf if x == 0.0 else x if x > 0.0 else np.nan
     exponent = 0
@@ -151,7 +151,7 @@ def logarithm(x):
 
 @inline
 def _arc_of(ratio):
-    """Arc tangent of a number from 0 to 1: one of the table, for the nearest eighth, and a series for the rest."""
+    """Arc tangent of a number from 0 to 1: a table entry for the nearest eighth, plus a series for the rest."""
     nearest = int(8.0 * ratio + 0.5)
     c = 0.125 * nearest
     t = (ratio - c) / (1.0 + ratio * c)
@@ -215,7 +215,7 @@ def elementary(function, x, y, result):
     function : int
     x : ndarray, shape (n,)
     y : ndarray, shape (n,)
-        Second arguments of `ARC_TANGENT`, which takes the ordinate first; others ignore it.
+        Second arguments of `ARC_TANGENT`, which takes the ordinate first; other functions ignore `y`.
     result : ndarray, shape (n,)
     """
     for n in range(len(x)):

@@ -1,8 +1,8 @@
 """Linear algebra in three dimensions, on tuples.
 
-Vectors are tuples of three numbers, matrices tuples of nine in row order, symmetric matrices tuples of six in the order
-xx, xy, xz, yy, yz, zz. A number may be a float or a vector of the `simd` package, one entry for each of several pairs.
-Everything is inlined: a tuple costs nothing.
+Vectors are tuples of three numbers, matrices are tuples of nine in row order, and symmetric matrices are tuples of six
+in the order xx, xy, xz, yy, yz, zz. A number may be a float, or a vector of the `simd` package with one entry for each
+of several pairs. Everything is inlined, so that tuples cost nothing.
 """
 
 from loewner._kernels._jit import inline
@@ -59,7 +59,7 @@ def one_norm(a):
 
 @inline
 def turned(rest, s, with_sine, c, with_cosine):
-    """The matrix rest + s with_sine + c with_cosine: the rotation of a joint, s and c being sine and cosine."""
+    """The matrix rest + s with_sine + c with_cosine: the rotation of a joint, where s is the sine and c the cosine."""
     return (
         rest[0] + s * with_sine[0] + c * with_cosine[0],
         rest[1] + s * with_sine[1] + c * with_cosine[1],
@@ -101,13 +101,13 @@ def product(M, N):
 
 @inline
 def matrix(F):
-    """Nine floats of an array of shape (3, 3)."""
+    """The nine floats of an array of shape (3, 3)."""
     return F[0, 0], F[0, 1], F[0, 2], F[1, 0], F[1, 1], F[1, 2], F[2, 0], F[2, 1], F[2, 2]
 
 
 @inline
 def apply(M, v):
-    """The product M v; more entries may follow the nine of M."""
+    """The product M v; M may have further entries after its nine."""
     return (
         M[0] * v[0] + M[1] * v[1] + M[2] * v[2],
         M[3] * v[0] + M[4] * v[1] + M[5] * v[2],
@@ -117,7 +117,7 @@ def apply(M, v):
 
 @inline
 def apply_transposed(M, v):
-    """The product Mᵀ v; more entries may follow the nine of M."""
+    """The product Mᵀ v; M may have further entries after its nine."""
     return (
         M[0] * v[0] + M[3] * v[1] + M[6] * v[2],
         M[1] * v[0] + M[4] * v[1] + M[7] * v[2],
@@ -169,7 +169,7 @@ def adjugate(Q):
 
 @inline
 def mixed_adjugate(P, Q):
-    """adj(P + Q) - adj(P) - adj(Q) of symmetric matrices."""
+    """adj(P + Q) - adj(P) - adj(Q) for symmetric matrices."""
     return (
         P[3] * Q[5] + P[5] * Q[3] - 2.0 * P[4] * Q[4],
         P[2] * Q[4] + P[4] * Q[2] - P[1] * Q[5] - P[5] * Q[1],
@@ -182,7 +182,7 @@ def mixed_adjugate(P, Q):
 
 @inline
 def shape_matrix(F):
-    """F Fᵀ of a factor."""
+    """The shape matrix F Fᵀ of a factor."""
     return (
         F[0] * F[0] + F[1] * F[1] + F[2] * F[2],
         F[0] * F[3] + F[1] * F[4] + F[2] * F[5],
@@ -195,7 +195,7 @@ def shape_matrix(F):
 
 @inline
 def rotated_shape(R, Q):
-    """R Q Rᵀ of a symmetric matrix."""
+    """The product R Q Rᵀ for a symmetric matrix Q."""
     a = apply_symmetric(Q, (R[0], R[1], R[2]))
     b = apply_symmetric(Q, (R[3], R[4], R[5]))
     c = apply_symmetric(Q, (R[6], R[7], R[8]))
@@ -211,5 +211,5 @@ def rotated_shape(R, Q):
 
 @inline
 def selected(condition, a, b):
-    """The vector a where the condition holds, otherwise b."""
+    """The vector a where the condition holds, otherwise the vector b."""
     return select(condition, a[0], b[0]), select(condition, a[1], b[1]), select(condition, a[2], b[2])

@@ -1,4 +1,4 @@
-"""Numbers that fill a unit cube more evenly than random ones.
+"""Numbers that fill a unit cube more evenly than random numbers do.
 
 Roberts: The unreasonable effectiveness of quasirandom sequences, 2018.
 """
@@ -13,14 +13,14 @@ from loewner._kernels.simd.vectors import rounded_product
 def irrationals(strides, shifts):
     """Compute powers of the root of x^(d + 1) = x + 1 (the golden ratio for d = 1), and numbers independent of them.
 
-    Multiples of the first, modulo 1, fill the unit cube evenly. The root is found by halving the interval from 1 to 2
-    until its ends are neighbours. Products are rounded one by one: the points do not depend on a library's power
-    function, whose last bit depends on the processor.
+    Multiples of the powers, modulo 1, fill the unit cube evenly. The root is found by halving the interval from 1 to 2
+    until its ends are neighbours. Products are rounded one by one, so that the points do not depend on a library's
+    power function, whose last bit depends on the processor.
 
     Parameters
     ----------
     strides, shifts : ndarray, shape (d,)
-        Receive the numbers.
+        Receive the powers and the independent numbers.
     """
     low, high = 1.0, 2.0
     for _ in range(52):

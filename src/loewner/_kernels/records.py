@@ -1,6 +1,6 @@
-"""Records of arrays that kernels take by one number, and the tables behind those numbers.
+"""Records of arrays that kernels take as one number, and the tables behind these numbers.
 
-A call from Python costs 150 ns for every array that it passes, and 20 ns for a number. A handle is the address of a
+A call from Python takes 150 ns for every array that it passes, and 20 ns for a number. A handle is the address of a
 small table that holds the address and the shape of each array of a record.
 """
 
@@ -10,11 +10,11 @@ import numpy as np
 
 from loewner._kernels.columns import CACHE_LINE
 
-ENTRIES = 3  # address, rows and columns of an array (1 column for a flat array)
+ENTRIES = 3  # Each array has ENTRIES entries: address, rows and columns (1 column for a flat array).
 
 
 def table_of(arrays: Any) -> Any:
-    """The table to which a handle points; arrays and table must outlive the handle."""
+    """Return the table to which a handle points; arrays and table must outlive the handle."""
     rows = [(array.ctypes.data, array.shape[0], array.shape[1] if array.ndim == 2 else 1) for array in arrays]
     return np.array(rows, dtype=np.int64)
 
@@ -73,12 +73,13 @@ class Problem(NamedTuple):
     tree : Tree
     link : ndarray of int64, shape (moving bodies,)
     ball : ndarray, shape (moving bodies, 5)
-        Center and radius of a ball about each body, in its frame, and its reach: the largest distance from the origin.
+        Center and radius of a ball about each body, in the body's frame, and the reach of the body: its largest
+        distance from the origin.
     pairs : ndarray of int64, shape (pairs, 2)
-        Indices of two bodies; the first one moves.
+        Indices of two bodies; the first body moves.
     margins : ndarray, shape (pairs,)
     order : ndarray of int64, shape (pairs,)
-        In which pairs are taken.
+        The order in which pairs are taken.
     standing : ndarray of float32, shape (static bodies, BOUNDS)
     standing_rows : ndarray of float32, shape (their pieces, HOT)
         Ellipsoids in world coordinates.
@@ -102,12 +103,13 @@ class KeptAxis(NamedTuple):
     Attributes
     ----------
     chain, constants, ranges : ndarray
-        See `robots.reach`.
+        Documented in `robots.reach`.
     columns : ndarray of int64, shape (K,)
         Columns of the values in a configuration of the robot.
     numbers : ndarray, shape (3, 9)
-        The least cosine, the axis and the direction, then the tolerance of `bring_back`; a rotation whose third column
-        is the axis, by rows; and one whose third row is the direction.
+        The first row holds the least cosine, the axis and the direction, then the tolerance of `bring_back`. The second
+        row is a rotation whose third column is the axis, and the third row a rotation whose third row is the direction;
+        both by rows.
     """
 
     chain: Any
@@ -123,26 +125,26 @@ class Search(NamedTuple):
     Attributes
     ----------
     handles, lengths : ndarray
-        See `free_motions.judge_of`.
+        Documented in `free_motions.judge_of`.
     columns : ndarray of int64, shape (joints,)
         Columns of the values in a configuration of the robot.
     turning : ndarray of int64, shape (joints,)
-        1 where whole turns change nothing, and there are no limits.
+        1 for a value without limits that whole turns do not change, otherwise 0.
     lower, upper : ndarray, shape (joints,)
-        Range to draw from; where values turn, the kernels write half a turn to both sides of the start.
+        Range from which values are drawn. For turning values, the kernels write half a turn to both sides of the start.
     stride, shift : ndarray, shape (joints,)
-        The k-th draw has the fractional parts of shift + k stride. The kernels write both.
+        The k-th draw is the fractional parts of shift + k stride. The kernels write both arrays.
     weights : ndarray, shape (joints,)
-        Factors of differences in distances.
+        Factors by which differences count in distances.
     reach : ndarray, shape (3,)
-        How long a motion of a tree may be; an upper bound on the cost of a path, infinite for any path; and how near to
-        each other the trees came. The kernels write them, and a caller may change the first two.
+        The longest motion of a tree; an upper bound on the cost of a path, infinite for any path; and how near to each
+        other the trees came. The kernels write these entries, and a caller may change the first two.
     state : ndarray of int64, shape (columns.STATE,)
         Counts and results of the search, see `columns`.
     start : ndarray, shape (dof,)
-        The root of the first tree, with the values that do not move.
+        The root of the first tree, including the values that do not move.
     trees : ndarray, shape (2 joints + columns.TREE_ROWS, capacity)
-        Memory, see `robots.planning.Trees`. With more columns, the old ones keep their rows.
+        Memory, see `robots.planning.Trees`. When columns are added, the old columns keep their rows.
     """
 
     handles: Any
@@ -161,32 +163,32 @@ class Search(NamedTuple):
 
 
 class MotionTables(NamedTuple):
-    """The input of `robots.motions` besides a `Problem`.
+    """The input of `robots.motions` in addition to a `Problem`.
 
     Attributes
     ----------
     path_start : ndarray of int64, shape (L + 1,)
     path_link : ndarray of int64
-        Joints between the world and link l, beginning next to the world: entries path_start[l] .. path_start[l + 1]. A
-        joint is identified by the link that it moves.
+        Joints between the world and link l, beginning next to the world: entries path_start[l] .. path_start[l + 1].
+        The number of a joint is the number of the link that it moves.
     reach : ndarray, shape (bodies, L)
         Largest distance of a body from the axis of a turning joint, for any angles of the joints between them, with
-        sliding joints at 0; in the frame on the other side of the joint.
+        sliding joints at 0. The distance is measured in the frame on the other side of the joint.
     standing_rows : ndarray, shape (pieces of static bodies, HOT)
         Ellipsoids in world coordinates, in double precision.
     sizes : ndarray, shape (static bodies,)
-        Sums of the lengths from which positions of their points are computed.
+        Sum of the lengths from which positions of each body's points are computed.
     order : ndarray of int64, shape (pairs,)
-        In which pairs are taken.
+        The order in which pairs are taken.
     group_start : ndarray of int64, shape (moving bodies + 1,)
     group_pairs : ndarray of int64, shape (8 groups,)
     groups : ndarray, shape (64 groups,)
-        Static bodies that moving body b is checked against, in groups of eight: groups group_start[b] ..
-        group_start[b + 1], filled up with repeats. The numbers of the pairs; and for each group eight vectors: the
-        centers and half widths of boxes, margins and sizes.
+        Static bodies against which moving body b is checked, in groups of eight: groups group_start[b] .. group_start[b
+        + 1]; repeats fill the last group. `group_pairs` holds the numbers of the pairs. `groups` holds eight vectors
+        for each group: the centers and half widths of boxes, margins and sizes.
     chain : ndarray, shape (3,)
-        For the longest chain of joints, their number plus one, and the sum of its lengths with sliding joints at 0;
-        then a bound on the departure of all links' rotations together from orthonormality.
+        For the longest chain of joints: the number of joints plus one, and the sum of its lengths with sliding joints
+        at 0. The last entry bounds the deviation of all links' rotations together from orthonormality.
     """
 
     path_start: Any
@@ -204,8 +206,9 @@ class MotionTables(NamedTuple):
 # Types of the arrays of `MotionTables`, in the notation of `entries`.
 MOTION_WORDS = "I1 I1 F2 F2 F1 I1 I1 I1 F1 F1"
 
-# The table of `MotionTables` follows the table of a `Problem`. Below are the rows of the arrays in both tables, the
-# byte at which `MotionTables` begins, and the number of words of both tables, in whole cache lines.
+# The table of `MotionTables` follows the table of a `Problem`. PROBLEM_ROWS and MOTION_ROWS are the rows of the arrays
+# in both tables, and MOTIONS is the byte at which `MotionTables` begins. TABLE is the number of words of both tables,
+# which fill whole cache lines.
 PROBLEM_ROWS = {name: row for row, name in enumerate((*Tree._fields, *Problem._fields[1:]))}
 MOTION_ROWS = {name: row for row, name in enumerate(MotionTables._fields, len(PROBLEM_ROWS))}
 MOTIONS = 8 * ENTRIES * len(PROBLEM_ROWS)
@@ -218,29 +221,31 @@ class PlaneModel(NamedTuple):
     Attributes
     ----------
     points : ndarray
-        Corners of hulls in the frame of the link, and the radius about each, in blocks of eight columns with four rows.
+        Corners of hulls in the frame of the link, and the radius about each corner, in blocks of eight columns with
+        four rows.
     pieces : ndarray, shape (P, 14)
-        Kind, radius, center and factor of each piece in the frame of its link; the last two for curved ones.
+        Kind, radius, center and factor of each piece in the frame of its link; only curved pieces have a center and a
+        factor.
     clusters : ndarray of int64, shape (C, 7)
-        Consecutive pieces of a body: the first one and the one after the last; the two halves, or -1 for a single
-        piece; the columns of `points` where corners begin and end; and how many pieces are curved. The clusters of
-        a body follow each other.
+        Consecutive pieces of a body: the first piece, and the number after the last one; the two halves, or -1 for a
+        single piece; the columns of `points` where corners begin and end; and the number of curved pieces. The clusters
+        of a body are consecutive.
     boxes : ndarray, shape (C, 9)
-        About each cluster, along the axes of the body: the center in the frame of the link, and half of the edges; then
-        a point inside. The kernel writes them.
+        A box about each cluster along the axes of the body: its center in the frame of the link, and half its edges;
+        then a point inside the pieces. The kernel writes this array.
     bodies : ndarray of int64, shape (B, 3)
-        Link, -1 for the world; the robot's link with the same pose; and the cluster of all pieces.
+        Link, -1 for the world; the robot's link with the same pose; and the cluster of all pieces of the body.
     turns : ndarray, shape (B, 9)
-        From the frame of the body to the frame of its link.
+        Rotation from the frame of the body to the frame of its link.
     balls : ndarray, shape (B, 4)
-        Center and radius of a ball about each body. The kernel writes them.
+        Center and radius of a ball about each body. The kernel writes this array.
     pairs : ndarray of int64, shape (N, 2)
     margins : ndarray, shape (N,)
     ways : ndarray of int64, shape (L, 2)
-        The link above each link, -1 for the world, and how many links are above.
+        The link above each link, -1 for the world, and the number of links above it.
     joints : ndarray, shape (L, 17)
-        How each link moves; the length of the axis along which it slides; the rotation and translation of the joint;
-        and its unit axis.
+        How each link moves; the norm of the axis vector along which it slides; the rotation and translation of the
+        joint; and its unit axis.
     """
 
     points: Any

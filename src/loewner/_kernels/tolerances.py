@@ -1,21 +1,21 @@
-"""Bounds on rounding, and tolerances, shared by kernels and Python; numbers refer to docs/certified.md."""
+"""Bounds on rounding, and tolerances, that kernels and Python share; numbers refer to docs/certified.md."""
 
 UNIT_ROUNDOFF = 2.0**-53
 SINGLE_ROUNDOFF = 2.0**-24
 
-# Bounds on the rounding errors of products with a shape matrix Q that was formed from its factor and rotated: of
-# squared widths nᵀQn, in units of trace(Q) |n|², and of Qn, in units of trace(Q) |n|.
+# Bounds on the rounding errors of products with a shape matrix Q that was formed from its factor and rotated: errors of
+# squared widths nᵀQn in units of trace(Q) |n|², and errors of Qn in units of trace(Q) |n|.
 SHAPE_ROUNDINGS = 128.0 * UNIT_ROUNDOFF  # certified.md B1, B2
 
-# Bounds on the errors of positions (translation, rotated center, dot product), in units of the lengths that were added.
+# Bound on the errors of positions (translation, rotated center, dot product), in units of the lengths that were added.
 POSITION_ROUNDINGS = 64.0 * UNIT_ROUNDOFF  # certified.md B3, B14, B19, B30, B33, B34, B49, B53
 POSITION_ERROR = POSITION_ROUNDINGS / UNIT_ROUNDOFF  # certified.md B6
 
-# Allowed deviation of RᵀR from the identity (largest entry). It admits poses that passed through float32 (about 1e-7
-# for each product), but no intended scale or shear.
+# Allowed deviation of RᵀR from the identity (largest entry). ROTATION_TOLERANCE admits poses that passed through
+# float32 (about 1e-7 for each product), but no intended scale or shear.
 ROTATION_TOLERANCE = 1e-6
 
-# Factor by which lengths, bounds and their sums are rounded up in single precision.
+# Lengths, bounds and their sums are rounded up in single precision by the factor UP.
 UP = 1.0 + 2.0**-22  # certified.md B8
 
 # Bound on the error of centers after they are rounded to single precision, relative to the lengths from which they are
@@ -27,15 +27,17 @@ OFF = POSITION_ERROR * SINGLE_ROUNDOFF  # certified.md B7, B48
 FACE_WIDTH = 1e-11
 FACE_ROUNDING = 64.0
 
-# An allowance for rounding, and for stretching by the poses of a base or a body that are accepted as rigid.
+# The factor CHAIN_STRETCH allows for rounding, and for stretching by the poses of a base or a body that are accepted as
+# rigid.
 CHAIN_STRETCH = 1.0 + 8.0 * ROTATION_TOLERANCE
 
-# Allowance for paths stretched by poses accepted as rigid, and for a few dozen roundings of rates and bounds.
+# The fraction STRETCH allows for paths stretched by poses accepted as rigid, and for a few dozen roundings of rates and
+# bounds.
 STRETCH = 1e-5  # certified.md B29
 
-# Squares of lengths below LEAST_SQUARE have lost digits, so dividing by their roots does not give a unit vector.
+# Squares of lengths below LEAST_SQUARE have lost digits, so that dividing by their roots does not give a unit vector.
 LEAST_SQUARE = 1e-290
 
-LEAST = 1e-15  # a length far below all others that keeps squares from underflowing
+LEAST = 1e-15  # LEAST is a length far below all others, which keeps squares from underflowing.
 
-PAPER_ANGLE = 0.01  # rad; the paper's tolerance for Lin-Han
+PAPER_ANGLE = 0.01  # The paper's tolerance for Lin-Han [rad].

@@ -4,13 +4,13 @@ With shape matrices P and Q, r = b - a and K(s) = (1-s) P + s Q, the function
 
     F(s) = s (1-s) rᵀ K(s)⁻¹ r
 
-is concave on [0, 1] and the ellipsoids overlap exactly if max F <= 1. In 3-D F = s(1-s) q(s)/d(s)
-with a quadratic q and a cubic d whose coefficients are formed once, so a Newton step is a few
-scalar operations. Neither F nor s is trusted afterwards: n = K⁻¹ r and the points
-a + (1-s) P n = b - s Q n are checked by themselves (see docs/certified.md).
+is concave on [0, 1], and the ellipsoids overlap exactly if max F <= 1. In 3-D, F = s(1-s) q(s)/d(s), where the
+coefficients of the quadratic q and the cubic d are computed once, so that a Newton step takes a few scalar operations.
+The proofs trust neither F nor s: n = K⁻¹ r and the points a + (1-s) P n = b - s Q n are checked separately (see
+docs/certified.md).
 
-P and Q are symmetric matrices, r and n vectors, as in `linalg3`. All functions are pure and branch-free, and serve
-floats and vectors of the `simd` package alike.
+P and Q are symmetric matrices, and r and n are vectors, as in `linalg3`. All functions are pure and branch-free, and
+accept both floats and vectors of the `simd` package.
 
 References
 ----------
@@ -25,17 +25,17 @@ from loewner._kernels.tolerances import POSITION_ERROR, SHAPE_ROUNDINGS, UNIT_RO
 
 @inline
 def position_error(size, unit):
-    """Bound on the rounding of a position, or of its product with a unit vector, with roundoff `unit`.
+    """Bound on the rounding error of a position, or of its product with a unit vector, with roundoff `unit`.
 
-    `size` is the sum of the lengths from which it is computed. All proofs about positions take their slack from here,
-    so a term added here is added everywhere.
+    `size` is the sum of the lengths from which the position is computed. All proofs about positions take their slack
+    from here, so that a term added here is added everywhere.
     """
     return POSITION_ERROR * unit * size
 
 
 @inline
 def polynomials(P, Q, r):
-    """Coefficients of F, and a start for the search of its maximum.
+    """Coefficients of F, and a start for the search for its maximum.
 
     Returns
     -------
@@ -66,21 +66,21 @@ def polynomials(P, Q, r):
 
 @inline
 def newton_step(d, q, s):
-    """One guarded step towards the maximum of F; d and q are as returned by `polynomials`."""
+    """Take one guarded step towards the maximum of F; `polynomials` returns d and q."""
     value_d = d[0] + s * (d[1] + s * (d[2] + s * d[3]))
     slope_d = d[1] + s * (2.0 * d[2] + 3.0 * s * d[3])
     bend_d = 2.0 * d[2] + 6.0 * s * d[3]
     value_q = q[0] + s * (q[1] + s * q[2])
     slope_q = q[1] + 2.0 * s * q[2]
     w = s - s * s
-    # F = f/d; Newton's method for F' = g/d² = 0
+    # With F = f/d, apply Newton's method to F' = g/d² = 0.
     f = w * value_q
     slope_f = (1.0 - 2.0 * s) * value_q + w * slope_q
     bend_f = 2.0 * ((1.0 - 2.0 * s) * slope_q - value_q + w * q[2])
     g = slope_f * value_d - f * slope_d
     slope_g = bend_f * value_d - f * bend_d
     t = s - g * value_d / (slope_g * value_d - 2.0 * g * slope_d)
-    # F is concave, so a step past the end is simply clamped; a NaN (from r = 0) becomes `low`.
+    # F is concave, so that a step past the end is simply clamped; a NaN (from r = 0) becomes `low`.
     low = 0.125 * s
     high = 0.875 + 0.125 * s
     return minimum(maximum(t, low), high)
@@ -111,7 +111,8 @@ def maximize(P, Q, r, steps):
 
     Returns
     -------
-    F, s : the maximum and its place n : K(s)⁻¹ r
+    F, s : the maximum of F, and the s at which it lies
+    n : K(s)⁻¹ r
     """
     d, q, s = polynomials(P, Q, r)
     for _ in range(steps):
@@ -132,7 +133,7 @@ def outward_width(P, n, squared_length):
 def separation(P, Q, r, n, size):
     """Certified lower bound on the signed distance of two ellipsoids along the direction n.
 
-    `size` is the sum of the lengths from which r is computed. Any n gives a valid bound, of either sign; NaN or a
+    `size` is the sum of the lengths from which r is computed. Any n gives a valid bound, of either sign. NaN or a
     vanishing n give NaN, which compares false with everything.
     """
     squared = dot(n, n)
@@ -143,19 +144,19 @@ def separation(P, Q, r, n, size):
 
 @inline
 def gap_bound(offset, width_p, width_q, length, size):
-    """The bound of `separation` from n·r, the two outward widths and |n|."""
+    """Compute the bound of `separation` from n·r, the two outward widths and |n|."""
     bound = (offset - width_p - width_q) / length - position_error(size, UNIT_ROUNDOFF)
-    # The division rounds as well, so the bound is lowered by more than this rounding.
+    # The division rounds as well, so that the bound is lowered by more than this rounding.
     return bound - 8.0 * UNIT_ROUNDOFF * absolute(bound)
 
 
 @inline
 def farther_normal(P, Q, y, Pn, Qn, width_p, width_q, length, gap):
-    """A direction along which ellipsoids are farther apart than along n: a step of Newton's method on the sphere.
+    """A direction along which ellipsoids are farther apart than along n, by a step of Newton's method on the sphere.
 
-    The gap along n is (n·r - √(nᵀPn) - √(nᵀQn)) / |n|, and its gradient y - gap n/|n|, over |n|, with y the vector
-    between the near points of n. The second derivative H of both widths takes n to 0, so a step leads to
-    (|n| H + gap)⁻¹ y, whose length does not matter. It converges where the gap is positive.
+    The gap along n is (n·r - √(nᵀPn) - √(nᵀQn)) / |n|. The gradient of the gap is y - gap n/|n|, over |n|, where y is
+    the vector between the near points of n. The second derivative H of both widths takes n to 0, so that a step leads
+    to (|n| H + gap)⁻¹ y, whose length does not matter. The method converges where the gap is positive.
     """
     p, q = length / width_p, length / width_q
     pp, qq = p / (width_p * width_p), q / (width_q * width_q)
@@ -177,29 +178,29 @@ def nearness(P, Q, r, n, s, sigma_a, sigma_b, size):
     Returns
     -------
     level : float
-        The point a + (1-s) P n lies in both ellipsoids if this is at most 1.
+        The point a + (1-s) P n lies in both ellipsoids if the level is at most 1.
     distance : float
-        Certified upper bound on the distance of the two points (one in each ellipsoid).
+        Certified upper bound on the distance between the two points.
     depth : float
-        If level <= 1, the ellipsoids penetrate each other by at least this much.
+        If level <= 1, the ellipsoids penetrate each other by at least this depth.
     """
     squared = dot(n, n)
     length = sqrt(squared)
     width_p, Pn = outward_width(P, n, squared)
     width_q, Qn = outward_width(Q, n, squared)
     u = 1.0 - s
-    # Level of each point in its own ellipsoid: the width, plus the effect of rounding P n.
+    # The level of each point in its own ellipsoid is the width, plus the effect of rounding P n.
     level_a = u * (width_p + SHAPE_ROUNDINGS * trace(P) * length / sigma_a)
     level_b = s * (width_q + SHAPE_ROUNDINGS * trace(Q) * length / sigma_b)
     # The difference between the two points, computed as r - K n, is zero in exact arithmetic.
     gap = r[0] - u * Pn[0] - s * Qn[0], r[1] - u * Pn[1] - s * Qn[1], r[2] - u * Pn[2] - s * Qn[2]
     slack = sqrt(dot(gap, gap)) + position_error(size, UNIT_ROUNDOFF)
     common = level_b + slack / sigma_b
-    # A NaN in either value must be kept, and `maximum` only passes on a NaN in its second argument.
+    # A NaN in either value must be kept, but `maximum` passes on a NaN only in its second argument.
     level = (maximum(level_a, common) + 0.0 * level_a) * (1.0 + 8.0 * UNIT_ROUNDOFF)
     # A ball of radius (1 - level) σ around the common point lies inside each ellipsoid.
     depth = ((1.0 - level_a) * sigma_a + (1.0 - common) * sigma_b) * (1.0 - 16.0 * UNIT_ROUNDOFF)
-    # Pull each point back into its own ellipsoid where it sticks out.
+    # Pull each point back into its own ellipsoid if it lies outside.
     fa = u / maximum(1.0, level_a * (1.0 + 8.0 * UNIT_ROUNDOFF))
     fb = s / maximum(1.0, level_b * (1.0 + 8.0 * UNIT_ROUNDOFF))
     between = (
@@ -213,7 +214,7 @@ def nearness(P, Q, r, n, s, sigma_a, sigma_b, size):
 
 @njit()
 def contact(P, Q, r):
-    """Maximum of the contact function and its place, iterated to convergence.
+    """Maximum of the contact function and the s at which it lies, iterated to convergence.
 
     Returns
     -------

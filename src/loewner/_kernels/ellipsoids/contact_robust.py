@@ -1,4 +1,4 @@
-"""The contact function of many ellipsoid pairs, with a careful path for thin or grazing ones."""
+"""The contact function of many ellipsoid pairs, with a careful path for thin or grazing ellipsoids."""
 
 import math
 
@@ -15,7 +15,7 @@ GRAZING = 1e-8
 
 @inline
 def _loss(Q):
-    """Relative error of the determinant of a shape matrix from rounding."""
+    """Relative error of the determinant of a shape matrix due to rounding."""
     trace = Q[0] + Q[3] + Q[5]
     a, b, c, d, e, f = Q[0] / trace, Q[1] / trace, Q[2] / trace, Q[3] / trace, Q[4] / trace, Q[5] / trace
     det = a * (d * f - e * e) - b * (b * f - c * e) + c * (b * e - c * d)
@@ -26,14 +26,14 @@ def _loss(Q):
 def contact_of_pair(F1, F2, r):
     """Maximum of the contact function, and the s at which it is attained.
 
-    F does not change under affine maps. The careful path maps E1 to the unit ball and E2 to its axes, where
-    F(s) = s(1-s) Σ d_i² / ((1-s) + s q_i) is a sum of positive terms that loses no digits.
+    F does not change under affine maps. The careful path maps E1 to the unit ball, and then turns the axes of E2 to the
+    coordinate axes. There, F(s) = s(1-s) Σ d_i² / ((1-s) + s q_i) is a sum of positive terms that loses no digits.
 
     Parameters
     ----------
     F1, F2 : tuple of 9 float
     r : tuple of 3 float
-        c2 - c1.
+        The vector c2 - c1.
     """
     P, Q = shape_matrix(F1), shape_matrix(F2)
     loss = max(_loss(P), _loss(Q))
@@ -63,8 +63,8 @@ def contact_of_pair(F1, F2, r):
 def _aligned(q0, q1, q2, a0, a1, a2):
     """Maximum of s(1-s) Σ a_i / ((1-s) + s q_i) on [0, 1].
 
-    With s = t/(1+t), F' = 0 reads Σ a_i (1 - t² q_i) / (1 + t q_i)² = 0: strictly decreasing terms in t, so the only
-    root lies between the smallest and the largest 1/sqrt(q_i). Bisection in log t takes 60 halvings.
+    With s = t/(1+t), F' = 0 becomes Σ a_i (1 - t² q_i) / (1 + t q_i)² = 0. The terms strictly decrease in t, so that
+    the only root lies between the smallest and the largest 1/sqrt(q_i). Bisection in log t takes 60 halvings.
     """
     if a0 + a1 + a2 == 0.0:
         return 0.0, 0.5
@@ -89,7 +89,7 @@ def _aligned(q0, q1, q2, a0, a1, a2):
 
 @njit()
 def contact_of_pairs(offset, F1, F2, value):
-    """Fill the contact function of n pairs: c2 - c1 (n, 3), factors (n, 3, 3), value (n,)."""
+    """Compute the contact function of n pairs: c2 - c1 (n, 3), factors (n, 3, 3), value (n,)."""
     for k in range(len(offset)):
         r = (offset[k, 0], offset[k, 1], offset[k, 2])
         value[k] = contact_of_pair(matrix(F1[k]), matrix(F2[k]), r)[0]

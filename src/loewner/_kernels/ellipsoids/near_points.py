@@ -1,11 +1,11 @@
-"""Near points of two 3-D ellipsoids, as pure pair functions.
+"""Near points of two 3-D ellipsoids, by pure functions of a pair.
 
-An ellipsoid is {c + F u : |u| <= 1}. All computations are in a frame with its origin at the first center, so only r =
-c2 - c1 is used and an offset of the world costs no digits. Vectors are tuples of three floats, and matrices are tuples
-of nine in row order: nothing is allocated.
+An ellipsoid is {c + F u : |u| <= 1}. All computations are in a frame with its origin at the first center, so that only
+r = c2 - c1 is used, and an offset of the world costs no digits. Vectors are tuples of three floats, and matrices are
+tuples of nine in row order: nothing is allocated.
 
-Three methods, by number: 0 Rimon-Boyd, 1 Lin-Han, 2 center line. Statuses:
-`SEPARATE`, `OVERLAP` (both points are then one common point, distance 0), `UNCONVERGED`.
+The methods are 0 Rimon-Boyd, 1 Lin-Han and 2 center line. The statuses are `SEPARATE`, `OVERLAP` (both points are one
+common point, and the distance is 0) and `UNCONVERGED`.
 
 Sources: the paper (section 4, appendix A); Lin and Han (2002), doi:10.1137/S1052623401396510;
 Rimon and Boyd (1997), doi:10.1023/A:1007960531949; Moré and Sorensen (1983), doi:10.1137/0904038,
@@ -32,7 +32,7 @@ EPS = 2.0**-52
 
 @inline
 def squared_norm(M):
-    """Sum of the squared entries."""
+    """Sum of the squared entries of a matrix."""
     return (
         M[0] * M[0]
         + M[1] * M[1]
@@ -48,7 +48,7 @@ def squared_norm(M):
 
 @inline
 def inverse(F):
-    """F⁻¹ by cofactors, which do not depend on the scale of F's columns, as factors of thin ellipsoids require."""
+    """F⁻¹ by cofactors, which do not depend on the scale of F's columns, as the factors of thin ellipsoids require."""
     s0 = max(abs(F[0]), abs(F[3]), abs(F[6]))
     s1 = max(abs(F[1]), abs(F[4]), abs(F[7]))
     s2 = max(abs(F[2]), abs(F[5]), abs(F[8]))
@@ -73,7 +73,7 @@ def inverse(F):
 
 @inline
 def largest_eigenvalue(G):
-    """Largest eigenvalue of GᵀG, by the trigonometric formula (error a few eps of the value itself)."""
+    """Largest eigenvalue of GᵀG, by the trigonometric formula, with an error of a few eps of the value."""
     a = G[0] * G[0] + G[3] * G[3] + G[6] * G[6]
     b = G[1] * G[1] + G[4] * G[4] + G[7] * G[7]
     c = G[2] * G[2] + G[5] * G[5] + G[8] * G[8]
@@ -92,7 +92,7 @@ def largest_eigenvalue(G):
 
 @inline
 def between(a, b):
-    """Angle between two vectors in radians, accurate near zero too."""
+    """Angle between two vectors in radians, accurate near zero, too."""
     x = a[1] * b[2] - a[2] * b[1]
     y = a[2] * b[0] - a[0] * b[2]
     z = a[0] * b[1] - a[1] * b[0]
@@ -106,14 +106,14 @@ def between(a, b):
 def exit_of_ray(G, p, e):
     """Largest t with p + t e in {x : |G x| <= 1}, for p inside; t is in units of |e|.
 
-    A p that rounding has put outside counts as on the surface, so a hit always exists.
+    A point p that rounding has put outside counts as on the surface, so that a hit always exists.
     """
     v = apply(G, e)
     w = apply(G, p)
     a, b, c = dot(v, v), dot(v, w), min(dot(w, w) - 1.0, 0.0)
     root = math.sqrt(b * b - a * c)
     if b > 0.0:
-        return -c / (b + root)  # equals the result below, but without cancellation
+        return -c / (b + root)  # The quotient equals the result below, but is free of cancellation.
     return (root - b) / a
 
 
@@ -122,7 +122,7 @@ def exit_of_ray(G, p, e):
 
 @inline
 def _turn(m, n, f, g):
-    """One Jacobi rotation that makes columns m and n orthogonal, applied to columns f and g as well."""
+    """Apply one Jacobi rotation, which makes columns m and n orthogonal, to columns f and g as well."""
     a, b, c = dot(m, m), dot(n, n), dot(m, n)
     if c * c <= 1e-30 * a * b:
         return m, n, f, g, False
@@ -143,7 +143,7 @@ def _turn(m, n, f, g):
 
 @njit()
 def orthogonal_columns(m0, m1, m2):
-    """Columns of M V with V the rotation that makes them orthogonal (one-sided Jacobi)."""
+    """Columns of M V, where V is the rotation that makes them orthogonal (one-sided Jacobi)."""
     for _ in range(30):
         m0, m1, _, _, turned01 = _turn(m0, m1, m0, m1)
         m0, m2, _, _, turned02 = _turn(m0, m2, m0, m2)
@@ -157,23 +157,23 @@ def orthogonal_columns(m0, m1, m2):
 def touch(F1, G2, r):
     """Point of E1 that the growing level surfaces of E2 touch first, and the level there.
 
-    The paper's appendix A takes it from an eigenvector of a 6x6 matrix. It also minimises |M u + d| over |u| <= 1 with
-    M = F2⁻¹F1 and d = -F2⁻¹r: one 3x3 symmetric eigenproblem (of MᵀM, by one-sided Jacobi, which never forms the
-    product) and one scalar secular equation.
+    The paper's appendix A computes this point from an eigenvector of a 6x6 matrix. The point also minimises |M u + d|
+    over |u| <= 1 with M = F2⁻¹F1 and d = -F2⁻¹r. The minimisation takes one 3x3 symmetric eigenproblem (of MᵀM, by
+    one-sided Jacobi, which never forms the product) and one scalar secular equation.
 
     Parameters
     ----------
     F1, G2 : tuple of 9 float
         Factor of E1 and inverse factor of E2.
     r : tuple of 3 float
-        c2 - c1.
+        The vector c2 - c1.
 
     Returns
     -------
     x : tuple of 3 float
-        Relative to c1; r itself if c2 lies in E1.
+        The point relative to c1; r itself if c2 lies in E1.
     level : float
-        |F2⁻¹(x - r)|: at most 1 exactly when the ellipsoids overlap.
+        The level |F2⁻¹(x - r)|, which is at most 1 exactly when the ellipsoids overlap.
     """
     f0, f1, f2 = (F1[0], F1[3], F1[6]), (F1[1], F1[4], F1[7]), (F1[2], F1[5], F1[8])
     m0, m1, m2 = apply(G2, f0), apply(G2, f1), apply(G2, f2)
@@ -187,8 +187,8 @@ def touch(F1, G2, r):
     s0, s1, s2 = dot(m0, m0), dot(m1, m1), dot(m2, m2)
     g0, g1, g2 = dot(m0, d), dot(m1, d), dot(m2, d)
 
-    # Secular equation |v(lam)| = 1, v_i = g_i / (s_i + lam). From any lower bound, Newton's method for 1/|v| increases
-    # monotonically to the root. Each bound in the next two lines uses only a part of the sum.
+    # The secular equation is |v(lam)| = 1 with v_i = g_i / (s_i + lam). From any lower bound, Newton's method for 1/|v|
+    # increases monotonically to the root. Each bound in the next two lines uses only a part of the sum.
     lam = max(0.0, abs(g0) - s0, abs(g1) - s1, abs(g2) - s2)
     lam = max(lam, math.sqrt(g0 * g0 + g1 * g1 + g2 * g2) - max(s0, s1, s2))
     for _ in range(100):
@@ -197,7 +197,7 @@ def touch(F1, G2, r):
         length = math.sqrt(v0 * v0 + v1 * v1 + v2 * v2)
         if length <= 1.0:
             if lam == 0.0:
-                return r, 0.0  # c2 is in E1
+                return r, 0.0  # The center c2 is in E1.
             break
         step = (length - 1.0) * length * length / (v0 * v0 * h0 + v1 * v1 * h1 + v2 * v2 * h2)
         lam += step
@@ -221,14 +221,14 @@ def touch(F1, G2, r):
 
 @njit()
 def rimon_boyd(F1, G1, F2, G2, r):
-    """Near points by level surfaces: on each ellipsoid the point that the other's level surfaces touch first.
+    """Near points by level surfaces: on each ellipsoid, the point that the other's level surfaces touch first.
 
     Returns
     -------
     x1, x2 : tuple of 3 float
-        Relative to c1; the same common point if the ellipsoids overlap.
+        Points relative to c1; they are one common point if the ellipsoids overlap.
     distance : float
-        |x2 - x1|, an upper bound of the distance; 0 when they overlap.
+        |x2 - x1|, an upper bound on the distance; 0 if the ellipsoids overlap.
     status : int
     """
     x1, level = touch(F1, G2, r)
@@ -245,15 +245,15 @@ def rimon_boyd(F1, G1, F2, G2, r):
 
 @njit()
 def center_line(G1, G2, r):
-    """Near points where the segment between the centers leaves E1 and enters E2.
+    """Points at which the segment between the centers leaves E1 and enters E2.
 
     Returns
     -------
     x1, x2 : tuple of 3 float
-        Relative to c1; the same common point if the two meet on that segment.
+        Points relative to c1; they are one common point if the ellipsoids meet on that segment.
     distance : float
     status : int
-        `OVERLAP` is proven by the common point; `SEPARATE` only means that no overlap was found on the line.
+        A common point proves `OVERLAP`; `SEPARATE` only means that no overlap was found on the line.
     """
     zero = (0.0, 0.0, 0.0)
     square = dot(r, r)
@@ -272,31 +272,31 @@ def center_line(G1, G2, r):
 
 @njit()
 def lin_han(F1, G1, F2, G2, r, angle):
-    """Near points by Lin and Han's moving balls, to any angle.
+    """Near points by Lin and Han's moving balls, up to a given angle.
 
-    A ball inside each ellipsoid touches its surface at the current point; the segment between the balls' centers gives
+    A ball inside each ellipsoid touches its surface at the current point. The segment between the balls' centers gives
     the next two points. The iteration stops when, at both points, the outward normal and the direction to the other
-    point differ by no more than `angle`. A pair still running after `PLAIN_STEPS` is finished by `_newton`.
+    point differ by at most `angle`. A pair that has not converged after `PLAIN_STEPS` is finished by `_newton`.
 
     Parameters
     ----------
     F1, G1, F2, G2 : tuple of 9 float
         Factors and their inverses.
     r : tuple of 3 float
-        c2 - c1.
+        The vector c2 - c1.
     angle : float
-        In radians.
+        Angle in radians.
 
     Returns
     -------
     x1, x2 : tuple of 3 float
-        Relative to c1; the same common point if the ellipsoids were found to overlap.
+        Points relative to c1; they are one common point if the ellipsoids were found to overlap.
     distance : float
-        |x2 - x1|; 0 on overlap.
+        |x2 - x1|; 0 if the ellipsoids overlap.
     iterations : int
     status : int
     """
-    # The radius of curvature at x is at least smin²|A x|, with A = GᵀG, so a ball of this radius fits inside at x.
+    # The radius of curvature at x is at least smin²|A x|, with A = GᵀG, so that a ball of this radius fits inside at x.
     k1 = 1.0 / largest_eigenvalue(G1)
     k2 = 1.0 / largest_eigenvalue(G2)
     p1, p2 = (0.0, 0.0, 0.0), r
@@ -320,15 +320,15 @@ def lin_han(F1, G1, F2, G2, r, angle):
 
 @njit()
 def _newton(F1, G1, F2, G2, r, last, angle):
-    """Finish a slow Lin-Han pair: overlap by level surfaces, else Newton for the best separating direction.
+    """Finish a slow Lin-Han pair: find an overlap by level surfaces, or else the best separating direction by Newton.
 
-    Over unit n, g(n) = n·r - |F1ᵀn| - |F2ᵀn| is the gap between the supporting planes. Where it is positive it proves
-    separation and is quasi-concave; its maximum is the distance, at the direction of x2 - x1. The points of n are the
-    two supports, whose normals are n and -n to rounding. Derivatives are in the plane perpendicular to n, so a gap of
-    1e-12 is as well conditioned as one of 1.
+    Over unit n, g(n) = n·r - |F1ᵀn| - |F2ᵀn| is the gap between the supporting planes. Where g is positive, it proves
+    separation and is quasi-concave; its maximum is the distance, at the direction of x2 - x1. The near points for n are
+    the two support points, whose normals are n and -n to rounding. Derivatives are in the plane perpendicular to n, so
+    that a gap of 1e-12 is as well conditioned as a gap of 1.
 
-    It starts from the best of three directions: the normals of the tangent planes at the two level-surface points,
-    which both separate, and Lin-Han's last one.
+    The method starts from the best of three directions: the normals of the tangent planes at the two level-surface
+    points, which both separate, and the last direction of Lin-Han.
     """
     x, level = touch(F1, G2, r)
     if level <= 1.0:
@@ -356,14 +356,14 @@ def _newton(F1, G1, F2, G2, r, last, angle):
         a1, a2 = dot(e1, w), dot(e2, w)
         steepness = math.sqrt(a1 * a1 + a2 * a2)
         distance = math.sqrt(dot(w, w))
-        # The rounding errors of x2 - x1 are proportional to r and, through the direction of Fᵀn, to |F|²/h. They limit
-        # how finely angles can be resolved.
+        # The rounding errors of x2 - x1 are proportional to r and, through the direction of Fᵀn, to |F|²/h. These
+        # errors limit how finely angles can be resolved.
         rounding = 8.0 * EPS * (size + square1 / h1 + square2 / h2)
         if steepness <= rounding or between(w, n) <= angle:
             if gap > 0.0:
                 return x1, x2, distance, iteration, SEPARATE
             if gap >= -rounding:
-                return x1, x1, 0.0, iteration, OVERLAP  # within a rounding error of touching: counts as touching
+                return x1, x1, 0.0, iteration, OVERLAP  # A pair within a rounding error of touching counts as touching.
             break
         if iteration >= PLAIN_STEPS + NEWTON_STEPS:
             break
@@ -389,7 +389,7 @@ def _newton(F1, G1, F2, G2, r, last, angle):
             if gain >= 1e-4 * t * slope:
                 moved = True
             elif gain >= -noise:
-                # Near the maximum, rounding hides the changes in g itself, so the slope of g decides.
+                # Near the maximum, rounding hides the changes in g itself, so that the slope of g decides.
                 w = minus(x2, x1)
                 d1, d2 = across(m)
                 moved = math.sqrt(dot(d1, w) ** 2 + dot(d2, w) ** 2) <= 0.7 * steepness
@@ -404,7 +404,7 @@ def _newton(F1, G1, F2, G2, r, last, angle):
 
 @inline
 def _unit(v):
-    """Normalise v; it is scaled first, since normals of thin ellipsoids can have any size."""
+    """Normalise v, which is scaled first, because normals of thin ellipsoids can have any size."""
     k = 1.0 / max(abs(v[0]), abs(v[1]), abs(v[2]))
     v = (k * v[0], k * v[1], k * v[2])
     k = 1.0 / math.sqrt(dot(v, v))
@@ -440,12 +440,12 @@ def _curvature(F, u, h, e1, e2):
 
 @njit()
 def near_points(method, F1, G1, F2, G2, r, angle):
-    """Near points by the method's number.
+    """Near points, by the number of the method.
 
     Returns
     -------
     x1, x2 : tuple of 3 float
-        Relative to c1.
+        Points relative to c1.
     distance : float
     iterations : int
     status : int
@@ -463,7 +463,7 @@ def near_points(method, F1, G1, F2, G2, r, angle):
 def near_points_of_pairs(method, offset, F1, F2, angle, x1, x2, distance, iterations, status):
     """Fill x1, x2 (n, 3), distance, iterations and status (n,) for n pairs.
 
-    `offset` (n, 3) is c2 - c1, factors are (n, 3, 3), the points relative to c1.
+    `offset` (n, 3) is c2 - c1, the factors are (n, 3, 3), and the points are relative to c1.
     """
     for k in range(len(offset)):
         r = (offset[k, 0], offset[k, 1], offset[k, 2])

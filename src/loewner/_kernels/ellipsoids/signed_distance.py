@@ -1,27 +1,27 @@
-"""Signed distance of two ellipsoids, or of an ellipsoid and a ball, with the global minimum proven for depths.
+"""Signed distance of two ellipsoids, or of an ellipsoid and a ball; for depths, the global minimum is proven.
 
-With F_A, F_B the factors and c the vector between the centers, h(n) = |F_Aᵀn| + |F_Bᵀn| - n·c is the support
-function of A - B. Its least value over unit n is the penetration depth if positive and minus the distance if
-negative. Newton's method on the sphere finds a local minimum to rounding, in the factors themselves and never
-in their squares, so that thin ellipsoids keep their digits.
+With the factors F_A and F_B and the vector c between the centers, h(n) = |F_Aᵀn| + |F_Bᵀn| - n·c is the support
+function of A - B. The least value of h over unit n is the penetration depth if positive, and minus the distance if
+negative. Newton's method on the sphere finds a local minimum to rounding. The method uses the factors themselves, never
+their squares, so that thin ellipsoids keep their digits.
 
-A negative minimum is the only one, because A - B is convex. Most others are proven to be the least by an ellipsoid
-within A - B. For every orthogonal O, G = F_A + F_B O has |Gᵀm| <= |F_Aᵀm| + |F_Bᵀm| for all m, with equality at n if
-F_Aᵀn and OᵀF_Bᵀn have the same direction. Let h be the minimum, at n, and let M = G Gᵀ, s = |Gᵀn|: then c is
-(M - h s) n / s. If M - h s is positive definite, no direction is lower: let m be of such a length that mᵀMm = s², then
+A negative minimum is the only one, because A - B is convex. Most other minima are proven to be the least by an
+ellipsoid within A - B. For every orthogonal O, G = F_A + F_B O has |Gᵀm| <= |F_Aᵀm| + |F_Bᵀm| for all m, with equality
+at n if F_Aᵀn and OᵀF_Bᵀn have the same direction. Let h be the minimum, at n, M = G Gᵀ and s = |Gᵀn|; then c is (M - h
+s) n / s. If M - h s is positive definite, no direction is lower: with m of a length such that mᵀMm = s²,
 
     0 <= (m - n)ᵀ (M - h s) (m - n) = 2 s² - 2 s m·c - h s (|m|² + 1),   so   |Gᵀm| - m·c >= h (|m|² + 1) / 2 >= h |m|.
 
-If this proves nothing, the other minima must be ruled out. By the inequality of Cauchy and Schwarz (√x + √y)² is the
-minimum of (1 + 1/r) x + (1 + r) y over r > 0, so
+If this proves nothing, the other minima must be ruled out. By the inequality of Cauchy and Schwarz, (√x + √y)² is the
+minimum of (1 + 1/r) x + (1 + r) y over r > 0, so that
 
     min h = min over r of D(1 + 1/r, 1 + r),   D(p, q) = min over n of √(nᵀ(p P + q Q) n) - n·c,
 
 where D(p, q) is the signed distance of the point c from the boundary of one ellipsoid: a secular equation with one
-root. One dimension is left, and D is concave in (p, q) as a minimum of concave functions. The arc of the
-hyperbola (p - 1)(q - 1) = 1 between r1 and r2 lies in the triangle of its ends and the point where the
-tangents there meet, hence D on the arc is at least its linear interpolation in the triangle. The gap shrinks
-with the square of the interval, and branch and bound over r settles the rest.
+root. One dimension is left, and D is concave in (p, q) as a minimum of concave functions. The arc of the hyperbola (p -
+1)(q - 1) = 1 between r1 and r2 lies in the triangle of its ends and the point at which the tangents there meet. Hence D
+on the arc is at least its linear interpolation in the triangle. The gap shrinks with the square of the interval, and
+branch and bound over r settles the rest.
 
 References
 ----------
@@ -42,16 +42,17 @@ from loewner._kernels.tolerances import UNIT_ROUNDOFF
 
 # Descents usually end after 5 steps; if the second derivative vanishes at the minimum, they take 25.
 MAX_STEPS = 80
-DAMPING_LIMIT = 1e3  # damping, relative to the size, above which a step no longer moves the normal
+DAMPING_LIMIT = 1e3  # With a damping above DAMPING_LIMIT times the size, a step no longer moves the normal.
 
-MAX_SWEEPS = 12  # Jacobi's method needs 3 or 4 sweeps
-MAX_SECULAR = 60  # the secular equation usually takes 4 or 5 steps
+MAX_SWEEPS = 12  # Jacobi's method needs 3 or 4 sweeps.
+MAX_SECULAR = 60  # The secular equation usually takes 4 or 5 steps.
 
-# Largest relative gap that the proof of a global minimum may leave, and largest number of intervals it may examine. The
-# rounding error of D itself is about 1e-15. Both constants are choices, not bounds: they affect the reported gap.
+# PROOF_GAP is the largest relative gap that the proof of a global minimum may leave, and MAX_INTERVALS the largest
+# number of intervals that it may examine. The rounding error of D itself is about 1e-15. Both constants are choices,
+# not bounds: they affect the reported gap.
 PROOF_GAP = 1e-11
 MAX_INTERVALS = 600
-GROWTH = 16.0  # ratio between the distances of successive intervals from the minimum, in log r
+GROWTH = 16.0  # Ratio between the distances of successive intervals from the minimum, in log r.
 _STACK = 160
 
 # The proof by an inner ellipsoid requires that M - h s is positive definite by a margin: SPARE times h s, plus
@@ -60,9 +61,9 @@ _STACK = 160
 SPARE = 1e-3
 PIVOT_ROUNDINGS = 64.0
 
-MAX_PLAIN = 12  # Newton steps for eight pairs at a time: the slowest pair usually needs 6 or 7
+MAX_PLAIN = 12  # Number of Newton steps for eight pairs at a time; the slowest pair usually needs 6 or 7.
 
-STEEP = 1e-12  # slope, relative to the size, above which a descent counts as stalled
+STEEP = 1e-12  # A descent counts as stalled if its slope, relative to the size, is above STEEP.
 MAX_RESTARTS = 20
 
 
@@ -81,13 +82,13 @@ def _image(P):
 
 @inline
 def _pulled(F, x, y, z):
-    """Fᵀ times a vector."""
+    """The product Fᵀ (x, y, z)."""
     return F[0] * x + F[3] * y + F[6] * z, F[1] * x + F[4] * y + F[7] * z, F[2] * x + F[5] * y + F[8] * z
 
 
 @inline
 def support(F, n):
-    """Support point of F·ball."""
+    """Support point of F·ball along n."""
     u, v, w = _pulled(F, n[0], n[1], n[2])
     h = sqrt(u * u + v * v + w * w)
     scale = select(h > 0.0, 1.0 / h, 0.0)
@@ -131,7 +132,7 @@ def _model(FA, FB, c, n):
 
 @njit(forceinline=False)
 def descend(FA, FB, c, n, size):
-    """Local minimum of h from the unit vector n on, by damped Newton steps.
+    """Find a local minimum of h by damped Newton steps, starting at the unit vector n.
 
     Returns
     -------
@@ -189,7 +190,7 @@ def _inner_shape(FA, FB, n):
     a0, a1, a2 = apply(FA, u), apply(FA, e), apply(FA, g)
     e, g = across(v)
     b0, b1, b2 = apply(FB, v), apply(FB, e), apply(FB, g)
-    # Choose the rotation or reflection that remains free in O so that it maximises the sum of a1 · b1 and a2 · b2.
+    # Choose the rotation or reflection that is still free in O so that it maximises the sum of a1 · b1 and a2 · b2.
     one, two = dot(a1, b1) + dot(a2, b2), dot(a1, b2) - dot(a2, b1)
     three, four = dot(a1, b1) - dot(a2, b2), dot(a1, b2) + dot(a2, b1)
     mirrored = three * three + four * four > one * one + two * two
@@ -204,7 +205,7 @@ def _inner_shape(FA, FB, n):
 
 @inline
 def is_least(FA, FB, n, h):
-    """Whether the local minimum h, which is at n, is proven to be the least by an ellipsoid within A - B."""
+    """Return whether an ellipsoid within A - B proves that the local minimum h, which is at n, is the least."""
     M, s = _inner_shape(FA, FB, n)
     cut = (1.0 + SPARE) * h * s + PIVOT_ROUNDINGS * UNIT_ROUNDOFF * trace(M)
     one = M[0] - cut
@@ -216,14 +217,14 @@ def is_least(FA, FB, n, h):
 
 @njit()
 def descend_eight(FA, FB, c, n, size, wanted):
-    """Newton's steps of `descend` without damping, for eight pairs of ellipsoids at a time.
+    """Take Newton's steps of `descend` without damping, for eight pairs of ellipsoids at a time.
 
     Parameters
     ----------
     FA, FB, c, n, size : tuple of Vector8, or Vector8
-        As for `global_minimum`.
+        Documented in `global_minimum`.
     wanted : Mask8
-        Pairs that matter; the iteration does not wait for others.
+        Pairs that matter; the iteration does not wait for other pairs.
 
     Returns
     -------
@@ -231,7 +232,7 @@ def descend_eight(FA, FB, c, n, size, wanted):
     h, slope : Vector8
         As returned by `descend`.
     proven : Mask8
-        Pairs for which h is the least value, to rounding; for others it need not even be a minimum.
+        Pairs for which h is the least value, to rounding; for other pairs, h need not even be a minimum.
     """
     rounding = 8.0 * UNIT_ROUNDOFF * size
     h, s1, s2, h11, h12, h22, e, g = _model(FA, FB, c, n)
@@ -286,7 +287,7 @@ def _form(M, V, j, k):
 def eigen(M, V):
     """Eigenvalues of a symmetric matrix, unordered, by Jacobi's method.
 
-    V must be orthogonal: the eigenvectors of a similar matrix save work. Its columns become the eigenvectors.
+    V must be orthogonal; the eigenvectors of a similar matrix save work. The columns of V become the eigenvectors.
     """
     m00, m01, m02 = _form(M, V, 0, 0), _form(M, V, 0, 1), _form(M, V, 0, 2)
     m11, m12, m22 = _form(M, V, 1, 1), _form(M, V, 1, 2), _form(M, V, 2, 2)
@@ -322,20 +323,20 @@ def eigen(M, V):
 def boundary_depth(m0, m1, m2, x, y, z):
     """Minimum of √(nᵀMn) - n·c over unit n, for M = diag(m) and c = (x, y, z): the depth of c in the ellipsoid M.
 
-    With the nearest boundary point M w and its normal w, c = (M + t) w for the t > -min m that makes wᵀMw = 1.
-    The unknown is t + min m, so that t close to its bound keeps its digits.
+    With the nearest boundary point M w and its normal w, c = (M + t) w for the t > -min m for which wᵀMw = 1. The
+    unknown is t + min m, so that t keeps its digits close to its bound.
 
     Returns
     -------
     depth : float
-        Negative outside.
+        Depth of c; negative outside.
     n : tuple of float
     """
     least = max(min(m0, min(m1, m2)), 0.0)
     m0, m1, m2 = max(m0, least), max(m1, least), max(m2, least)
     g0, g1, g2 = m0 - least, m1 - least, m2 - least
     a0, a1, a2 = np.sqrt(m0) * abs(x), np.sqrt(m1) * abs(y), np.sqrt(m2) * abs(z)
-    t = max(0.0, max(a0 - g0, max(a1 - g1, a2 - g2)))  # start where the largest term is 1, left of the root
+    t = max(0.0, max(a0 - g0, max(a1 - g1, a2 - g2)))  # Start where the largest term is 1, to the left of the root.
     for _ in range(MAX_SECULAR):
         q0 = a0 / (g0 + t) if a0 > 0.0 else 0.0
         q1 = a1 / (g1 + t) if a1 > 0.0 else 0.0
@@ -358,7 +359,8 @@ def boundary_depth(m0, m1, m2, x, y, z):
     w2 = z / (g2 + t) if a2 > 0.0 else 0.0
     level = m0 * w0 * w0 + m1 * w1 * w1 + m2 * w2 * w2
     if t == 0.0 and level < 1.0:
-        # The hard case: c has no component along the shortest axis, so the normal may lean to either side of this axis.
+        # In the hard case, c has no component along the shortest axis, so that the normal may lean to either side of
+        # this axis.
         lean = np.sqrt((1.0 - level) / least) if least > 0.0 else 1.0
         if g0 == 0.0:
             w0 = lean
@@ -402,10 +404,10 @@ def _ratio(FA, FB, n):
 
 @njit(forceinline=False)
 def _refined(FA, FB, P, Q, c, n, h, slope, size, V):
-    """Continue where a descent has ended with a remaining slope.
+    """Continue from a direction at which a descent ended with a remaining slope.
 
-    Where Newton's steps stall, as they may on the sharp ends of thin ellipsoids, the enclosing ellipsoid that touches
-    at n makes progress: its own nearest point is never worse.
+    Newton's steps may stall on the sharp ends of thin ellipsoids. There, the enclosing ellipsoid that touches at n
+    makes progress: its own nearest point is never worse.
     """
     for _ in range(MAX_RESTARTS):
         if slope <= STEEP * size:
@@ -446,7 +448,7 @@ def global_minimum(FA, FB, c, n, size):
     n : tuple of float
         Direction of the least value found.
     h, lower, slope : float
-        That value, a lower bound on all values, and the distance by which the witnesses at n disagree.
+        The least value found, a lower bound on all values, and the distance by which the witnesses at n disagree.
     """
     n, h, slope = descend(FA, FB, c, n, size)
     if h <= 0.0 and slope <= STEEP * size:
@@ -457,7 +459,7 @@ def global_minimum(FA, FB, c, n, size):
     if is_least(FA, FB, n, h):
         return n, h, h, slope
 
-    # Branch and bound over r. The bound is tightest near the known minimum, so intervals farther from it are larger.
+    # Branch and bound over r. The bound is tightest near the known minimum, so that intervals farther away are larger.
     small_a, large_a = _axes(P, V)
     small_b, large_b = _axes(Q, V)
     first, last = 0.5 * small_a / large_b, 2.0 * large_a / small_b
@@ -510,8 +512,8 @@ def global_minimum(FA, FB, c, n, size):
 def _rounding(one, two, P, Q, h):
     """Bound on the effect of rounding in the entries of p P + q Q on a depth around h, for r between `one` and `two`.
 
-    The entries are off by at most 7u of `most` (3u of P and Q, 2u of p and q, product and sum), and √(nᵀKn), which is
-    at least h, by half of that divided by h. No verdict depends on it.
+    The entries are off by at most 7u of `most` (3u from P and Q, 2u from p and q, product and sum). Half of this error,
+    divided by h, bounds the error of √(nᵀKn), which is at least h. No verdict depends on this bound.
     """
     most = (1.0 + 1.0 / min(one, two)) * (P[0] + P[3] + P[5]) + (1.0 + max(one, two)) * (Q[0] + Q[3] + Q[5])
     return 4.0 * UNIT_ROUNDOFF * most / h
@@ -519,7 +521,7 @@ def _rounding(one, two, P, Q, h):
 
 @njit(forceinline=False)
 def _better(FA, FB, P, Q, c, other, size, V, n, h, slope):
-    """The lower of the known minimum and the one reached from another vector."""
+    """Return the lower of the known minimum and the minimum reached from another vector."""
     other, value, left = descend(FA, FB, c, other, size)
     other, value, left = _refined(FA, FB, P, Q, c, other, value, left, size, V)
     if value < h:
@@ -529,7 +531,7 @@ def _better(FA, FB, P, Q, c, other, size, V, n, h, slope):
 
 @njit(forceinline=False)
 def least_height(wide_a, FA, wide_b, FB, c, n, size):
-    """`global_minimum` for ellipsoids, and for the cores of balls, which are points: not `wide`, with zero factors."""
+    """Apply `global_minimum` to ellipsoids, or to the cores of balls: points, not `wide`, with zero factors."""
     if wide_a and wide_b:
         return global_minimum(FA, FB, c, n, size)
     if wide_a or wide_b:
@@ -546,7 +548,7 @@ def least_height(wide_a, FA, wide_b, FB, c, n, size):
 
 @inline
 def is_round(P):
-    """Whether the piece is an ellipsoid or a ball."""
+    """Return whether the piece is an ellipsoid or a ball."""
     kind = P.layout[P.piece, KIND]
     return kind in (ELLIPSOID, POINT)
 
@@ -569,7 +571,7 @@ def round_distance(A, B, n, size, result):
     -------
     distance, gap : float
         `gap` is the remaining gap of the proof of the global minimum, or the distance by which the witnesses disagree
-        across the normal if that is larger.
+        across the normal if this distance is larger.
     """
     FA, a = _image(A)
     FB, b = _image(B)

@@ -1,8 +1,8 @@
 """Choose few balls or capsules that hold many points: greedily, and then by exchanges with weights of the points.
 
-Which candidate holds which point is a matrix of bits, in words of 64. It is stored twice: by point, where the bit c of
-the word w stands for the candidate 64 w + c, and by candidate, where it stands for the point 64 w + c. So a step reads
-the points of one candidate and the candidates of one point, a word at a time.
+A matrix of bits, in words of 64, records which candidate holds which point. The matrix is stored twice: by point, where
+bit c of word w is for candidate 64 w + c, and by candidate, where bit c of word w is for point 64 w + c. A step can
+therefore read the points of one candidate, or the candidates of one point, a word at a time.
 """
 
 import numpy as np
@@ -12,23 +12,23 @@ from loewner._kernels.simd.vectors import LANES, bits_set, broadcast, load, maxi
 
 WORD = 64
 
-# Numbers stored for a candidate: its center, its axis, the inverse squared length of the axis, and its radius.
+# A candidate takes ROWS numbers: its center, its axis, the inverse squared length of the axis, and its radius.
 ROWS = 8
 
 # An exchange compares the candidates of one point on a sample of about SEEN missed points.
 SEEN = 128
 
-# Largest number of exchanges for each initially chosen candidate, and number of exchanges after which a candidate may
-# be dropped again.
+# STEPS_EACH is the largest number of exchanges for each initially chosen candidate. A candidate may be dropped again
+# WAITS exchanges after its last change.
 STEPS_EACH, WAITS = 50, 3
 
-# Stride through the missed points: a prime number.
+# Stride through the missed points; it is a prime number.
 STRIDE = 7919
 
 
 @njit()
 def find_held(first, points, candidates, by_point, by_candidate):
-    """Find which candidates hold the balls about points, for all points from a multiple of 64 on.
+    """Find which candidates hold the balls about points, for all points from `first`, a multiple of 64.
 
     Parameters
     ----------
@@ -36,8 +36,9 @@ def find_held(first, points, candidates, by_point, by_candidate):
     points : ndarray, shape (n, 4)
         Centers and radii.
     candidates : ndarray, shape (8 m,)
-        All x of the centers, then all y and z; the same of half the axes, 0 for a ball; inverse squared lengths of half
-        the axes, 0 for a ball; and radii. The number m is a multiple of 64; radii of -1 hold nothing.
+        All x of the centers, then all y and z; the x, y and z of half the axes (0 for a ball); the inverse squared
+        lengths of half the axes (0 for a ball); and the radii. The number m is a multiple of 64; a candidate with
+        radius -1 holds nothing.
     by_point, by_candidate : ndarray of int64, shapes (at least n, m / 64) and (m, at least n / 64)
         Receive the bits.
     """
@@ -62,7 +63,7 @@ def find_held(first, points, candidates, by_point, by_candidate):
 
 @inline
 def _held(points, p, candidates, m, at, round_):
-    """Bits of eight candidates, from one on: whether they hold a ball."""
+    """Bits of eight candidates, starting at one of them: whether each holds a ball."""
     x = points[p, 0] - load(candidates, at)
     y = points[p, 1] - load(candidates, m + at)
     z = points[p, 2] - load(candidates, 2 * m + at)
@@ -93,8 +94,8 @@ def _transpose(tile):
 def choose_few(count, steps, start, by_point, by_candidate, chosen):
     """Choose few candidates that hold all points.
 
-    Points that are missed again and again get weight, which leads the search out of local minima (Gao, Weise and Li:
-    An efficient local search heuristic with row weighting for the unicost set covering problem, 2015).
+    Points that are missed repeatedly get weight, which leads the search out of local minima (Gao, Weise and Li: An
+    efficient local search heuristic with row weighting for the unicost set covering problem, 2015).
 
     Parameters
     ----------
@@ -103,7 +104,7 @@ def choose_few(count, steps, start, by_point, by_candidate, chosen):
     steps : int
         Largest number of exchanges.
     start : ndarray of int64, shape (k,)
-        Candidates that are chosen first, if they hold points that the ones before them do not.
+        Candidates that are chosen first, if they hold points that the previous candidates do not hold.
     by_point, by_candidate : ndarray of int64
         Bits, as `find_held` writes them.
     chosen : ndarray of int64, shape (count,)
@@ -112,7 +113,7 @@ def choose_few(count, steps, start, by_point, by_candidate, chosen):
     Returns
     -------
     int
-        Number of candidates; -1 if some point is held by none of them.
+        Number of candidates; -1 if no candidate holds one of the points.
     """
     missed = np.zeros(by_candidate.shape[1], np.int64)
     for p in range(count):
@@ -126,7 +127,7 @@ def choose_few(count, steps, start, by_point, by_candidate, chosen):
 
 @njit()
 def _greedy(start, by_candidate, missed, chosen):
-    """Take the candidate that holds most of the missed points, until none holds any; return how many were taken."""
+    """Take the candidate that holds most missed points, until none holds any; return how many candidates were taken."""
     m, words = by_candidate.shape
     gains, found = np.zeros(m, np.int64), 0
     for k in start:
@@ -160,7 +161,7 @@ def _greedy(start, by_candidate, missed, chosen):
 
 @inline
 def _drop_held(by_candidate, k, missed):
-    """Remove a candidate's points from the missed ones, and return whether it holds any of them."""
+    """Remove a candidate's points from the missed points; return whether the candidate holds any missed point."""
     any_ = False
     for w in range(len(missed)):
         both = by_candidate[k, w] & missed[w]
@@ -171,16 +172,17 @@ def _drop_held(by_candidate, k, missed):
 
 @njit()
 def _exchange(count, steps, by_point, by_candidate, missed, chosen, found):
-    """Replace candidates, so that fewer hold all points; return their number.
+    """Replace candidates, so that fewer hold all points; return the number of candidates.
 
-    Each step drops a candidate and adds another one that holds some missed point. If no point is missed, candidates are
-    dropped first, until some are.
+    Each step drops a candidate and adds another one that holds a missed point. If no point is missed, candidates are
+    dropped first, until points are missed.
     """
     m = len(by_candidate)
-    # How many chosen candidates hold each point, and the sum of their indices (for a single candidate, its index).
+    # For each point: the number of chosen candidates that hold it, and the sum of their indices (for a single
+    # candidate, its index).
     held, holder = np.zeros(count, np.int64), np.zeros(count, np.int64)
-    # The weights of the points, which are integers; and for each chosen candidate, the total weight of the points that
-    # no other chosen candidate holds.
+    # The weights of the points are integers. The loss of a chosen candidate is the total weight of the points that no
+    # other chosen candidate holds.
     weight, loss = np.ones(count), np.zeros(m)
     last, now, used = np.full(m, -10), np.empty(found, np.int64), found
     seen, gain = np.empty(count, np.int64), np.zeros(m)
@@ -212,7 +214,7 @@ def _exchange(count, steps, by_point, by_candidate, missed, chosen, found):
 
 @njit()
 def _add(by_candidate, k, held, holder, weight, loss, missed):
-    """Choose a candidate, which then holds its points."""
+    """Choose a candidate, and update what depends on the points that it holds."""
     loss[k] = 0.0
     for w in range(len(missed)):
         bits = by_candidate[k, w]
@@ -257,7 +259,7 @@ def _drop(by_candidate, now, used, last, step, waits, held, holder, weight, loss
 
 @inline
 def _bits_of(words, places):
-    """Write the numbers of the bits that are set, and return how many they are."""
+    """Write the numbers of the bits that are set; return their count."""
     n = 0
     for w in range(len(words)):
         bits = words[w]
@@ -270,7 +272,7 @@ def _bits_of(words, places):
 
 @njit()
 def _best_for(point, step, by_point, missed, left, weight, last, gain):
-    """The candidate that holds a point and the most weight of missed points, and was not dropped in this step."""
+    """Among candidates that hold a point and were not dropped in this step, find the one with most missed weight."""
     words, every = by_point.shape[1], (left + SEEN - 1) // SEEN
     for j in range(0, left, every):
         p = missed[j]

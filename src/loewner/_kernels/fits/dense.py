@@ -1,7 +1,7 @@
 """Small dense linear algebra: Cholesky, triangular solves, Householder QR, squares of vectors.
 
-Calling LAPACK costs more than solving problems of these sizes, so the loops are written here. Every function takes the
-dimension `n`, so that a caller with a compile-time `n` gets unrolled loops.
+Calling LAPACK takes longer than solving problems of these sizes, so that the loops are written here. Every function
+takes the dimension `n`, so that a caller with a compile-time `n` gets unrolled loops.
 """
 
 from typing import Any, NamedTuple
@@ -14,7 +14,7 @@ SQRT2 = np.sqrt(2.0)
 
 
 class Counts(NamedTuple):
-    """Sizes of the problems of interior points: m vectors in n dimensions, p entries of a symmetric matrix."""
+    """Sizes of the problems of interior points: m vectors in n dimensions, and p entries of a symmetric matrix."""
 
     m: Any
     n: Any
@@ -29,7 +29,7 @@ def counts_of(m, n):
 
 @inline
 def svec(v, rows, i, n):
-    """Write the p entries of v vᵀ to row i. The inner product of two such rows is the square of v · w.
+    """Write the p entries of v vᵀ to row i; the inner product of two such rows is the square of v · w.
 
     Returns |v|².
     """
@@ -57,12 +57,12 @@ def fill_upper(a, diagonal, n):
 
 @njit()
 def cholesky(a, n):
-    """Overwrite the lower triangle of `a` by its Cholesky factor; False if `a` is not positive definite."""
+    """Overwrite the lower triangle of `a` with its Cholesky factor; False if `a` is not positive definite."""
     for j in range(n):
         pivot = a[j, j]
         for k in range(j):
             pivot -= a[j, k] * a[j, k]
-        if not pivot > 0.0:  # also catches NaN
+        if not pivot > 0.0:  # The comparison also catches NaN.
             return False
         root = np.sqrt(pivot)
         a[j, j] = root
@@ -77,9 +77,10 @@ def cholesky(a, n):
 
 @njit()
 def normal_cholesky(a, n):
-    """Overwrite the upper triangle of `a` by R with a = Rᵀ R; False if not positive definite.
+    """Overwrite the upper triangle of `a` with R such that a = Rᵀ R; False if `a` is not positive definite.
 
-    It is meant for the larger normal matrices: its inner loop runs along rows without a sum, so it vectorises.
+    This function is for the larger normal matrices: its inner loop runs along rows without a sum, so that it
+    vectorises.
     """
     for j in range(n):
         if not a[j, j] > 0.0:
@@ -98,7 +99,7 @@ def normal_cholesky(a, n):
 
 @njit()
 def normal_solve(r, x, n):
-    """Overwrite `x` by (Rᵀ R)⁻¹ x, with R from `normal_cholesky`."""
+    """Overwrite `x` with (Rᵀ R)⁻¹ x, where R is from `normal_cholesky`."""
     for i in range(n):
         t = x[i] / r[i, i]
         x[i] = t
@@ -113,10 +114,10 @@ def normal_solve(r, x, n):
 
 @njit()
 def reversed_cholesky(a, n):
-    """Overwrite the upper triangle of symmetric `a` by U with a = U Uᵀ; False if not positive definite.
+    """Overwrite the upper triangle of symmetric `a` with U such that a = U Uᵀ; False if `a` is not positive definite.
 
-    Its inverse transpose L = U⁻ᵀ is lower triangular with a⁻¹ = L Lᵀ: the factor of an ellipsoid, triangular
-    from the start. Only the upper triangle of `a` is read.
+    The inverse transpose L = U⁻ᵀ is lower triangular with a⁻¹ = L Lᵀ: it is the factor of an ellipsoid, triangular from
+    the start. Only the upper triangle of `a` is read.
     """
     for j in range(n - 1, -1, -1):
         pivot = a[j, j]
@@ -137,7 +138,7 @@ def reversed_cholesky(a, n):
 
 @njit()
 def solve_lower(low, x, n):
-    """Overwrite `x` by low⁻¹ x."""
+    """Overwrite `x` with low⁻¹ x."""
     for i in range(n):
         value = x[i]
         for k in range(i):
@@ -147,7 +148,7 @@ def solve_lower(low, x, n):
 
 @njit()
 def solve_lower_transposed(low, x, n):
-    """Overwrite `x` by low⁻ᵀ x."""
+    """Overwrite `x` with low⁻ᵀ x."""
     for i in range(n - 1, -1, -1):
         value = x[i]
         for k in range(i + 1, n):
@@ -157,7 +158,7 @@ def solve_lower_transposed(low, x, n):
 
 @njit()
 def invert_lower(low, out, n):
-    """Write the inverse of a lower triangular matrix to `out`, zeros above the diagonal."""
+    """Write the inverse of a lower triangular matrix to `out`, with zeros above the diagonal."""
     for j in range(n):
         for i in range(j):
             out[i, j] = 0.0
@@ -171,7 +172,7 @@ def invert_lower(low, out, n):
 
 @njit()
 def inverse_transposed_upper(up, out, n):
-    """Write up⁻ᵀ, lower triangular, to `out`, zeros above the diagonal."""
+    """Write up⁻ᵀ, which is lower triangular, to `out`, with zeros above the diagonal."""
     for j in range(n):
         for i in range(j):
             out[i, j] = 0.0
@@ -185,7 +186,7 @@ def inverse_transposed_upper(up, out, n):
 
 @njit()
 def multiply_lower(a, b, out, n):
-    """Write the product of two lower triangular matrices, lower triangular, to `out`."""
+    """Write the product of two lower triangular matrices, which is lower triangular, to `out`."""
     for i in range(n):
         for j in range(i + 1):
             value = 0.0
@@ -198,7 +199,7 @@ def multiply_lower(a, b, out, n):
 
 @njit()
 def solve_general(a, x, n):
-    """Overwrite `x` by a⁻¹ x, by Gaussian elimination with partial pivoting; `a` is destroyed. False if singular."""
+    """Overwrite `x` with a⁻¹ x, by Gaussian elimination with partial pivoting; `a` is destroyed. False if singular."""
     for j in range(n):
         best = j
         for i in range(j + 1, n):
@@ -226,10 +227,10 @@ def solve_general(a, x, n):
 
 @njit()
 def householder_triangle(a, m, n):
-    """Overwrite the upper triangle of `a` (m, n) by R of its QR factorisation, diagonal made positive.
+    """Overwrite the upper triangle of `a` (m, n) with R of its QR factorisation, whose diagonal is made positive.
 
-    It is backward stable row by row after scaling, whereas the Gram matrix would square the condition number. Returns
-    False if the columns are dependent. The entries below the triangle are meaningless.
+    The method is backward stable row by row after scaling, whereas the Gram matrix would square the condition number.
+    Returns False if the columns are dependent. The entries below the triangle are meaningless.
     """
     for j in range(n):
         norm2 = 0.0
@@ -240,7 +241,7 @@ def householder_triangle(a, m, n):
             return False
         alpha = -norm if a[j, j] > 0.0 else norm
         head = a[j, j] - alpha
-        scale = -1.0 / (alpha * head)  # 2 / vᵀv with v = column - alpha e_j
+        scale = -1.0 / (alpha * head)  # The scale is 2 / vᵀv with v = column - alpha e_j.
         a[j, j] = head
         for k in range(j + 1, n):
             dot = 0.0

@@ -1,4 +1,4 @@
-"""Largest ellipsoid inside {x : A x <= b} from any interior point: center first, then `mvie`."""
+"""Largest ellipsoid inside {x : A x <= b} from any interior point: find the center first, then apply `mvie`."""
 
 import numpy as np
 
@@ -15,8 +15,8 @@ MAX_CENTERING = 500
 def whiten(A, slack, work, frame):
     """Lower triangular `frame` with Σ (frameᵀ a/s)(frameᵀ a/s)ᵀ = 1 over the rows; False if the rows lack rank.
 
-    It uses QR, since the Gram matrix would square the aspect, with the columns in reverse, which makes it lower
-    triangular.
+    The method is QR, because the Gram matrix would square the aspect ratio. The columns are taken in reverse order,
+    which makes the frame lower triangular.
     """
     m, n = A.shape
     for i in range(m):
@@ -36,11 +36,11 @@ def whiten(A, slack, work, frame):
 
 @njit()
 def center_in(A, b, x, frame, shift, negligible):
-    """Move `x` to near the analytic center of {A x <= b} by Newton's method, whitening every step.
+    """Move `x` to near the analytic center of {A x <= b} by Newton's method, with whitening in every step.
 
     A Newton decrement below 1 proves that the log barrier has a minimum, so that the polytope is bounded (Nesterov and
-    Nemirovskii 1994). A step along which no slack shrinks proves that it is unbounded; its direction is written to
-    `shift`, which is zero if the rows lack rank.
+    Nemirovskii 1994). A step along which no slack shrinks proves that the polytope is unbounded; its direction is
+    written to `shift`, which is zero if the rows lack rank.
 
     Returns a code; `frame` is the whitening of the last point.
     """
@@ -60,7 +60,7 @@ def center_in(A, b, x, frame, shift, negligible):
         if not whiten(A, slack, work, frame):
             shift[:] = 0.0
             return UNBOUNDED
-        # In this frame, the Hessian is the identity, so the Newton step is minus the sum of the rows.
+        # In this frame, the Hessian is the identity, so that the Newton step is minus the sum of the rows.
         for j in range(n):
             z[j] = 0.0
         for i in range(m):
@@ -111,7 +111,7 @@ def center_in(A, b, x, frame, shift, negligible):
 
 @njit()
 def fit_halfspaces(A, b, x, tol, negligible, center, factor, shift):
-    """Largest ellipsoid in {z : A z <= b} with unit rows, from the interior point `x` (overwritten).
+    """Largest ellipsoid in {z : A z <= b} with unit rows, from the interior point `x`, which is overwritten.
 
     Returns (code, gap, iterations).
     """
@@ -155,13 +155,13 @@ def fit_halfspaces(A, b, x, tol, negligible, center, factor, shift):
                 value -= A[i, j] * center[j]
                 error += abs(A[i, j] * center[j])
             error *= (n + 2) * ROUNDING
-            lam[i] /= slack[i]  # convert the multiplier from the scaled row to the unit row
+            lam[i] /= slack[i]  # Convert the multiplier from the scaled row to the unit row.
             slack_low[i] = value - error
             slack[i] = value + error
         gap = inscribe(A, slack_low, slack, factor, lam)
         if gap <= tol:
             return 0, gap, iterations
-        # A poor start can cost digits, so solve again in the coordinates of the result.
+        # A poor start can cost digits, so that the problem is solved again in the coordinates of the result.
         for j in range(n):
             x[j] = center[j]
             for k in range(n):

@@ -1,4 +1,4 @@
-"""Pre- and postprocessing of Qhull: coordinates of unit size in, merged faces and oriented simplices out."""
+"""Preparation and postprocessing for Qhull: coordinates of unit size in, merged faces and oriented simplices out."""
 
 import numpy as np
 
@@ -11,9 +11,9 @@ from loewner._kernels.tolerances import FACE_ROUNDING, FACE_WIDTH
 
 @njit()
 def to_unit_size(points, flatness):
-    """Coordinates in which the points have unit size, regardless of their aspect, scale and offset.
+    """Compute coordinates in which the points have unit size, regardless of their aspect ratio, scale and offset.
 
-    Returns (code, axis, width, size, origin, frame, coordinates), as from `spread_points`.
+    Returns (code, axis, width, size, origin, frame, coordinates), as `spread_points` computes them.
     """
     m, n = points.shape
     chosen = np.empty(2 * n, np.int64)
@@ -29,14 +29,14 @@ def to_unit_size(points, flatness):
 
 @njit()
 def finish_hull(points, frame, coordinates, simplices, neighbors, equations):
-    """Turn Qhull's facets, found in unit-size coordinates, into the faces of a polytope.
+    """Turn Qhull's facets, which were found in unit-size coordinates, into the faces of a polytope.
 
-    Qhull gives every simplex of one flat face the same equation, so neighbours with equal equations are merged. The
-    simplices are oriented outward together (n = 3): the largest by its own normal, and the others across shared edges,
-    so that slivers cannot point the wrong way.
+    Qhull gives every simplex of one flat face the same equation, so that neighbours with equal equations are merged.
+    The simplices are oriented outward together (n = 3): the largest simplex by its own normal, and the remaining ones
+    across shared edges, so that slivers cannot point the wrong way.
 
-    Returns (code, worst, used, face_of, normals, offsets): used (m,) marks the points that are vertices; `simplices` is
-    oriented in place.
+    Returns (code, worst, used, face_of, normals, offsets), where used (m,) marks the points that are vertices;
+    `simplices` is oriented in place.
     """
     m, n = points.shape
     count = len(simplices)
@@ -102,8 +102,8 @@ def finish_hull(points, frame, coordinates, simplices, neighbors, equations):
 def face_limits(points, frame, coordinates, used, normals, reference, offsets, bottoms):
     """Fill `offsets` with the largest n·v of each face, `bottoms` with the least n·(v - reference) of its own vertices.
 
-    `bottoms` is half and a quarter of the tolerance of the faces' users, who measure from the center, which halves the
-    noise.
+    For a face's own vertices, the tolerance is half of FACE_WIDTH plus a quarter of FACE_ROUNDING, because users of the
+    faces measure from the center, which halves the noise.
     """
     n = points.shape[1]
     count = 0
@@ -146,7 +146,7 @@ def face_limits(points, frame, coordinates, used, normals, reference, offsets, b
 
 @njit()
 def _limits_by_map(vertices, y, frame, normals, reference, offsets, bottoms):
-    """`face_limits` for many vertices, with a bound on the noise from their largest offsets along the axes."""
+    """Do the work of `face_limits` for many vertices; their largest offsets along the axes bound the noise."""
     columns, nodes = face_map(y, frame)
     origin = np.zeros(3)
     reach = np.empty(3)
@@ -197,7 +197,7 @@ def turn_outward(simplices, neighbors, equations, coordinates, stack):
                 return NOT_CLOSED
             tail = simplices[here, (k + 1) % 3]
             head = simplices[here, (k + 2) % 3]
-            # The neighbour must traverse the shared edge in the other direction.
+            # The neighbour must traverse the shared edge in the opposite direction.
             forward = False
             backward = False
             for r in range(3):

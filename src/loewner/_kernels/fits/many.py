@@ -1,12 +1,12 @@
 """Algorithms for hulls of many vertices whose time does not grow with vertices times faces.
 
 The farthest vertices along the normal are needed for every face. A map of directions (`pieces.directions`) leaves a few
-dozen candidates. It is made in coordinates of unit size, y = F⁻¹ (v - o), where no hull is thin: n·(v - w) = e·(y_v -
-y_w) with e = Fᵀ n.
+dozen candidates. The map is made in coordinates of unit size, y = F⁻¹ (v - o), where no hull is thin: n·(v - w) =
+e·(y_v - y_w) with e = Fᵀ n.
 
-The vertices that the map omits must not matter to any face, so its slack covers the difference of the computed heights
-n·(v - c) and e·y, and the window of heights that count as lying in the face. With the unit roundoff u, the largest |y|
-R and B = ‖|F⁻¹||F|‖ >= √3:
+The vertices that the map omits must not matter to any face. The slack of the map therefore covers the difference of the
+computed heights n·(v - c) and e·y, and the window of heights that count as lying in the face. Let u be the unit
+roundoff, R the largest |y|, and B = ‖|F⁻¹||F|‖ >= √3:
 
 - |n|ᵀ|v - c| = |F⁻ᵀ e|ᵀ|F (y_v - y_c)| <= 2 B R |e|, so two computed heights err by 2 · 5 u · 2 B R |e| together;
 - e is computed with an error of 3 u |F|ᵀ|n|, a y with one of 4 u |F⁻¹||F||y|: 14 u B R |e| for two vertices;
@@ -27,7 +27,7 @@ from loewner._kernels.fits.mvie import solve_primal_dual
 from loewner._kernels.pieces.directions import candidates, map_within, place
 from loewner._kernels.tolerances import FACE_WIDTH
 
-# For MANY or more vertices, a map is faster than trying every vertex for each face (measured in
+# With MANY or more vertices, a map is faster than trying every vertex for each face (measured in
 # docs/design/many_points.md).
 MANY = 256
 
@@ -41,7 +41,7 @@ MAX_ROUNDS = 40
 
 @njit()
 def frame_map(vertices, origin, frame):
-    """Map of the vertices in the coordinates of a frame: `face_map`."""
+    """Make the map of the vertices in the coordinates of a frame, see `face_map`."""
     m, n = vertices.shape
     y = np.empty((m, n))
     for i in range(m):
@@ -51,7 +51,7 @@ def frame_map(vertices, origin, frame):
 
 @njit()
 def face_map(y, frame):
-    """Map of vertices with the coordinates y (m, 3): the leaves' vertices, and the nodes as a flat array."""
+    """Make a map of vertices with the coordinates y (m, 3): the leaves' vertices, and the nodes as a flat array."""
     inverse = np.empty((3, 3))
     invert_lower(frame, inverse, 3)
     largest = 0.0
@@ -106,7 +106,7 @@ def lowest(vertices, frame, columns, nodes, normal, reference):
 
 @inline
 def lowest_above(vertices, frame, columns, nodes, normal, reference, edge):
-    """Smallest n·(v - reference) at `edge` or above, where `edge` is not below the window under the largest."""
+    """Smallest n·(v - reference) at `edge` or above; `edge` must not be below the window under the largest value."""
     low = np.inf
     first, last = leaf(frame, nodes, normal, 1.0)
     for a in range(first, last):
@@ -128,11 +128,11 @@ def reaches(vertices, reference, out):
 
 @njit()
 def solve_with_few(A, tol, x, low, lam):
-    """As `mvie.solve_primal_dual`, for many faces in 3-D, with a working set.
+    """Solve as `mvie.solve_primal_dual` does, for many faces in 3-D, with a working set.
 
     The set begins with the nearest face of each sector. A round solves for the set, and adds the face of each sector
-    that cuts farthest into the ellipsoid. Faces that cost less than a quarter of the tolerance stay out; the caller
-    scales the ellipsoid until it is inside all of them. Their multipliers are zero.
+    that cuts farthest into the ellipsoid. Faces that cost less than a quarter of the tolerance stay out, with
+    multipliers of zero; the caller scales the ellipsoid until it is inside all faces.
 
     Returns (gap, iterations), with the gap for the faces of the set.
     """
@@ -177,13 +177,13 @@ def solve_with_few(A, tol, x, low, lam):
 @inline
 def _sector(x, y, z):
     face, s, t = place(x, y, z)
-    shift = DEEPEST - 2  # SIDE is 2²
+    shift = DEEPEST - 2  # SIDE is 2².
     return SIDE * (SIDE * face + (s >> shift)) + (t >> shift)
 
 
 @njit()
 def _nearest(A, best, best_at):
-    """The face {a·x <= 1} of each sector that is nearest to the origin."""
+    """Find, in each sector, the face {a·x <= 1} that is nearest to the origin."""
     for s in range(SECTORS):
         best[s] = 0.0
         best_at[s] = -1
@@ -197,7 +197,7 @@ def _nearest(A, best, best_at):
 
 @njit()
 def _sticking_in(A, x, low, limit, best, best_at):
-    """The worst face of each sector that the ellipsoid (x, low) exceeds by more than a factor `limit`; their number."""
+    """Find each sector's worst face that the ellipsoid (x, low) exceeds by more than `limit`; return their number."""
     for s in range(SECTORS):
         best[s] = limit
         best_at[s] = -1

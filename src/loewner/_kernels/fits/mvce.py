@@ -1,24 +1,24 @@
 """Smallest ellipsoid around points (MVCE): dual interior point, active set, containment after rounding.
 
-The dual of the problem (Titterington 1975) is to maximise log det Σ u_i q_i q_iᵀ over u >= 0, Σ u = 1, with
-q = (1, x). Writing w_i = q_iᵀ M⁻¹ q_i, its optimality conditions are w + s = N, u s = 0 with N = n + 1. The
-Newton matrix is diag(s/u) plus V Vᵀ, V_i = svec(W_i W_iᵀ), W_i = L⁻¹ q_i, M = L Lᵀ. Each step is Mehrotra's (1992): a
-predictor that asks for no complementarity at all, then a corrector with the centring that the predictor earned.
+The dual of the problem (Titterington 1975) is to maximise log det Σ u_i q_i q_iᵀ over u >= 0, Σ u = 1, with q = (1, x).
+With w_i = q_iᵀ M⁻¹ q_i, its optimality conditions are w + s = N and u s = 0, where N = n + 1. The Newton matrix is
+diag(s/u) plus V Vᵀ, where V_i = svec(W_i W_iᵀ), W_i = L⁻¹ q_i and M = L Lᵀ. Each step is Mehrotra's (1992): a predictor
+without any centring, then a corrector with the centring that the predictor allows.
 
-It differs from the plain method in the following:
+The method differs from the plain one in these points:
 
-1. The rank of V Vᵀ is N(N+1)/2 for any number of points. Woodbury's identity reduces the m x m system to this
-   size, so a step costs O(m); predictor and corrector share the factorisation.
-2. Σ u = 1 is no constraint of the steps. The sum follows from the optimality conditions, and weights are divided by it
-   at the end.
-3. It stops at the gap below, which needs no small residuals.
+1. The rank of V Vᵀ is N(N+1)/2 for any number of points. Woodbury's identity reduces the m x m system to this size, so
+   that a step takes O(m) operations; predictor and corrector share the factorisation.
+2. Σ u = 1 is no constraint of the steps. The sum follows from the optimality conditions, and the weights are divided by
+   the sum at the end.
+3. The iteration stops at the gap below, which needs no small residuals.
 4. The extreme points of Kumar and Yıldırım (2005) give the coordinates in which the problem is solved.
-5. Many points are solved for by an active set. Each round adds the farthest point of each of 2n sectors and drops
-   light points inside; the first rounds are solved loosely.
+5. For many points, an active set is used. Each round adds the farthest point of each of 2n sectors, and drops light
+   points inside. The first rounds are solved loosely.
 
-For any u: {(x-c)ᵀ S⁻¹ (x-c) <= κ} with c, S the weighted mean and covariance and κ the largest value over the
-points holds every point and log(volume / smallest volume) <= n/2 log(κ/n): Todd, Minimum-Volume Ellipsoids
-(2016), chapter 2.
+For any u, let c and S be the weighted mean and covariance, and κ the largest value of (x-c)ᵀ S⁻¹ (x-c) over the points.
+Then {(x-c)ᵀ S⁻¹ (x-c) <= κ} holds every point, and log(volume / smallest volume) <= n/2 log(κ/n): Todd, Minimum-Volume
+Ellipsoids (2016), chapter 2.
 """
 
 from typing import Any, NamedTuple
@@ -43,7 +43,7 @@ from loewner._kernels.fits.dense import (
 )
 from loewner._kernels.simd.memory import Arena, Place, floats, held, sizes_of
 
-ROUNDING = 2.0**-53  # unit roundoff of float64
+ROUNDING = 2.0**-53  # The unit roundoff of float64.
 
 # Largest fraction of the way to the boundary that a step takes; going closer would make s/u too large to be useful.
 STEP_CAP = 0.9999
@@ -51,7 +51,8 @@ STEP_CAP = 0.9999
 CENTRING_FLOOR = 1e-15
 MAX_ITERATIONS = 100
 MAX_ROUNDS = 200
-# The solver takes all points if there are at most DIRECT_LIMIT; for more, an active set is faster (from about 60).
+# Up to DIRECT_LIMIT points are all given to the solver at once. An active set is faster for more points (from about
+# 60).
 DIRECT_LIMIT = 64
 # A point leaves the active set when its weight is below LIGHT and its squared radius below NEAR.
 LIGHT = 1e-6
@@ -66,15 +67,15 @@ class _Memory(NamedTuple):
     L : ndarray, shape (N, N)
         Lower factor of M.
     W : ndarray, shape (N,)
-        L⁻¹ q of one point.
+        The vector L⁻¹ q of one point.
     V : ndarray, shape (m, p)
         A row svec(W Wᵀ) for each point.
     K : ndarray, shape (p, p)
         Upper factor of I + Vᵀ diag(u/s) V.
     w, s : ndarray, shape (m,)
-        qᵀ M⁻¹ q, and the slack that the method gives it below N.
+        The values qᵀ M⁻¹ q, and the slacks below N that the method assigns to them.
     du, ds : ndarray, shape (m,)
-        Steps; `ds` holds the term of the products u s until it is known.
+        Steps; until the step is known, `ds` holds the term of the products u s.
     rhs, z : ndarray, shape (m,) and (p,)
         Right sides.
     """
@@ -119,9 +120,9 @@ def centring(mean, x, dx, to_x, y, dy, to_y, m):
 
 @njit()
 def solve_dual(X, m, n, tol, u, center, low):
-    """Solve for the m points X (m, n), near unit size; fill weights, center, factor.
+    """Solve for the m points X (m, n), near unit size; fill weights, center and factor.
 
-    Returns (gap, iterations); a gap above `tol` means it stopped there.
+    Returns (gap, iterations); a gap above `tol` means that the iteration stopped early.
     """
     counts = counts_of(m, n + 1)
     memory = np.empty(_size(counts), np.uint8)
@@ -132,7 +133,7 @@ def solve_dual(X, m, n, tol, u, center, low):
 
 @njit()
 def _iterate(place, X, n, tol, u, center, low):
-    """Solve as `solve_dual` does, in memory at a place."""
+    """Do the work of `solve_dual`, in memory at a place."""
     m, work = place.counts.m, _memory_of(place)
     for i in range(m):
         u[i] = 1.0 / m
@@ -174,11 +175,11 @@ def _iterate(place, X, n, tol, u, center, low):
 def _assemble(place, X, n, u):
     """Compute and factor M; fill w and V.
 
-    Returns whether M is positive definite, Σ u and the largest w.
+    Returns whether M is positive definite, Σ u, and the largest w.
     """
     m, N, work = place.counts.m, place.counts.n, _memory_of(place)
     L, W, V, w = work.L, work.W, work.V, work.w
-    # M = Σ u q qᵀ = L Lᵀ with q = (1, x): the first column holds the mean, the others the covariance.
+    # M = Σ u q qᵀ = L Lᵀ with q = (1, x): the first column holds the mean, the other columns the covariance.
     for j in range(N):
         for k in range(j + 1):
             L[j, k] = 0.0
@@ -207,7 +208,7 @@ def _assemble(place, X, n, u):
 
 @njit()
 def _factor(place, u):
-    """Factor K = I + Vᵀ diag(u/s) V, once for predictor and corrector (Woodbury); False if it is not definite."""
+    """Factor K = I + Vᵀ diag(u/s) V, once for predictor and corrector (Woodbury); False if K is not definite."""
     m, p, work = place.counts.m, place.counts.p, _memory_of(place)
     K, V, s = work.K, work.V, work.s
     fill_upper(K, 1.0, p)
@@ -246,9 +247,10 @@ def _step(place, u):
 
 @njit()
 def _direction(place, u):
-    """Solve for the steps `du` and `ds`; how far u and s may go along them.
+    """Solve for the steps `du` and `ds`; return how far u and s may go along them.
 
-    (V Vᵀ + diag(s/u)) du = w - N + (mu - du ds)/u;  ds = (mu - du ds)/u - s - (s/u) du. `ds` holds the term with mu.
+    The equations are (V Vᵀ + diag(s/u)) du = w - N + (mu - du ds)/u and ds = (mu - du ds)/u - s - (s/u) du. On entry,
+    `ds` holds the term with mu.
     """
     m, N, p, work = place.counts.m, place.counts.n, place.counts.p, _memory_of(place)
     V, w, s, du, ds, rhs, z = work.V, work.w, work.s, work.du, work.ds, work.rhs, work.z
@@ -277,22 +279,22 @@ def _direction(place, u):
 def spread_points(points, flatness, chosen, origin, frame):
     """Choose 2n points far apart and a frame from them: Kumar and Yıldırım (2005), section 4.1.
 
-    For one direction after another, each orthogonal to the differences found so far, take the two extreme
-    points. `origin` becomes their mean, `frame` a lower triangular matrix whose parallelepiped is about as
-    large as the hull in every direction, whatever its aspect: in these coordinates the points are of unit size.
+    For one direction after another, each orthogonal to the differences found so far, the two extreme points are chosen.
+    `origin` becomes their mean, and `frame` a lower triangular matrix whose parallelepiped is about as large as the
+    hull in every direction, whatever its aspect ratio: in these coordinates, the points are of unit size.
 
-    Returns (code, axis, width, size): code FLAT if the width along direction `axis` is at most
-    `flatness` times the first width or below the rounding of the coordinates.
+    Returns (code, axis, width, size). The code is FLAT if the width along direction `axis` is at most `flatness` times
+    the first width, or below the rounding of the coordinates.
     """
     m, n = points.shape
     basis = np.zeros((n, n))
     differences = np.empty((n, n))
     direction = np.empty(n)
-    size = 0.0  # largest coordinate, whose rounding error affects every width
+    size = 0.0  # Largest coordinate; its rounding error affects every width.
     widest = 0.0
     for j in range(n):
-        # The coordinate axis that the basis covers least so far, made orthogonal to the basis (twice, since one pass
-        # loses digits).
+        # Take the coordinate axis that the basis covers least so far, and make it orthogonal to the basis, twice,
+        # because one pass loses digits.
         longest = -1.0
         axis = 0
         for k in range(n):
@@ -332,7 +334,7 @@ def spread_points(points, flatness, chosen, origin, frame):
         for k in range(n):
             norm += basis[j, k] * basis[j, k]
         widest = max(widest, np.sqrt(norm))
-        # Rounding alone can give a width of up to 2 n roundings of the largest coordinate.
+        # Rounding alone can cause a width of up to 2 n roundings of the largest coordinate.
         if not width > max(flatness * widest, 4.0 * n * ROUNDING * size):
             return FLAT, j, width, widest
         orthonormalise(basis[j], basis, j, n)
@@ -353,7 +355,7 @@ def spread_points(points, flatness, chosen, origin, frame):
 
 @inline
 def orthonormalise(v, basis, j, n):
-    """Make `v` orthogonal to the first j rows of `basis`, of unit length."""
+    """Make `v` orthogonal to the first j rows of `basis`, and of unit length."""
     for _ in range(2):
         for r in range(j):
             dot = 0.0
@@ -379,9 +381,9 @@ def to_frame(point, origin, frame, out, n):
 
 @njit()
 def farthest_by_sector(points, center, factor, threshold, best, best_at):
-    """One pass over all points: the largest |factor⁻¹ (x - center)|² and, per sector, its farthest point.
+    """In one pass over all points, find the largest |factor⁻¹ (x - center)|² and the farthest point of each sector.
 
-    A sector is the signed coordinate axis nearest to the point, so the 2n candidates point different ways.
+    A sector is the signed coordinate axis nearest to the point, so that the 2n candidates lie in different directions.
     Only points above `threshold` are candidates.
     """
     m, n = points.shape
@@ -419,7 +421,7 @@ def farthest_by_sector(points, center, factor, threshold, best, best_at):
 
 @inline
 def condition(factor, inverse, n):
-    """‖ |L⁻¹| |L| ‖ in the Frobenius norm: how much a triangular solve can magnify rounding."""
+    """‖ |L⁻¹| |L| ‖ in the Frobenius norm: the factor by which a triangular solve can magnify rounding."""
     total = 0.0
     for i in range(n):
         for j in range(i + 1):
@@ -432,12 +434,12 @@ def condition(factor, inverse, n):
 
 @njit()
 def enclose(points, center, factor):
-    """Scale `factor` until every point is inside for certain, `center` and the doubles as they stand.
+    """Scale `factor` until every point is certainly inside, with `center` and `factor` as they are stored.
 
-    A computed y = L⁻¹ (x - c) is the exact solution for L (1 + δ), |δ| <= n u, and x - c carries one rounding:
-    the true length is at most |y| (1 + (1.5 n + 3) u B), B = ‖ |L⁻¹| |L| ‖. The check uses (2n + 4) u B.
+    A computed y = L⁻¹ (x - c) is the exact solution for L (1 + δ), |δ| <= n u, and x - c has one rounding: the true
+    length is at most |y| (1 + (1.5 n + 3) u B), where B = ‖ |L⁻¹| |L| ‖. The check uses (2n + 4) u B.
 
-    Returns that relative error bound, or -1 if three rounds did not do.
+    Returns this relative error bound, or -1 if three rounds did not suffice.
     """
     m, n = points.shape
     inverse = np.empty((n, n))
@@ -461,8 +463,8 @@ def enclose(points, center, factor):
 def outer_gap(points, index, u, count, center, factor, error):
     """Certified log(volume / smallest volume) of {c + L ball}, from dual weights on some of the points.
 
-    With y = L⁻¹ (x - c) and S their weighted covariance, the optimum has at least the volume of
-    √n S^½ ball: gap = -½ log det S - n/2 log n, plus what rounding (`error`, relative, on y) can hide.
+    With y = L⁻¹ (x - c) and S their weighted covariance, the optimum has at least the volume of √n S^½ ball. The gap is
+    therefore -½ log det S - n/2 log n, plus the amount that rounding (`error`, relative, on y) can hide.
     """
     n = points.shape[1]
     mean = np.zeros(n)
@@ -530,7 +532,7 @@ def fit_outer(points, tol, flatness, center, factor):
     far = np.empty(2 * n)
     far_at = np.empty(2 * n, np.int64)
     iterations = 0
-    # The first rounds only look for the points that matter, so inaccurate solutions suffice.
+    # The first rounds only look for the points that matter, so that inaccurate solutions suffice.
     inner_tol = 0.25 * tol if direct else max(0.25 * tol, 0.01)
     gap = np.inf
     for _ in range(MAX_ROUNDS):

@@ -1,21 +1,22 @@
 """Largest ellipsoid inside a polytope (MVIE): Zhang and Gao's primal-dual method, in O(m) per step.
 
-Zhang and Gao, On numerical solution of the maximum volume ellipsoid problem, SIAM J. Optim. 14 (2003): the unknowns
-are the center x, one multiplier y and one slack z per face; the shape follows as E² = (Aᵀ Y A)⁻¹.
+Zhang and Gao, On numerical solution of the maximum volume ellipsoid problem, SIAM J. Optim. 14 (2003): the unknowns are
+the center x, and one multiplier y and one slack z per face; the shape follows as E² = (Aᵀ Y A)⁻¹.
 
-It differs from their method in the following:
+The method differs from theirs in these points:
 
-1. Their Newton system is m x m, diagonal plus a matrix of rank n(n+1)/2. Woodbury's identity turns it into one Cholesky
-   factorisation of that size.
-2. Predictor and corrector (Mehrotra 1992) share this factorisation, and multipliers have a step length of their own.
-   Their plain rule, with one step length, is used only where this fails (`solve_primal_dual`).
+1. The Newton system is m x m: a diagonal plus a matrix of rank n(n+1)/2. Woodbury's identity turns it into one Cholesky
+   factorisation of size n(n+1)/2.
+2. Predictor and corrector (Mehrotra 1992) share this factorisation, and multipliers have a separate step length. The
+   plain rule with one step length is used only where these steps fail (`solve_primal_dual`).
 3. The first ellipsoid is scaled until it is inside the polytope.
-4. It stops at the certified gap of the ellipsoid, shrunk until it is inside, which needs no small residuals.
+4. The iteration stops at the certified gap of the ellipsoid, shrunk until it is inside. This gap needs no small
+   residuals.
 
-Certificate. In coordinates where the ellipsoid is the unit ball, with rows a_i and slacks d_i >= 0 at its center,
-take any λ >= 0 with Σ λ_i a_i = 0. For a feasible ellipsoid F (symmetric positive definite) around any point,
-Σ λ_i |F a_i| <= λᵀd, and |F a_i| >= u_iᵀ F a_i with u_i = a_i/|a_i|, so tr(F M) <= λᵀd with M = Σ λ_i a_i u_iᵀ, and
-log det F <= n log(λᵀd / n) - log det M: that is the gap.
+Certificate. In coordinates in which the ellipsoid is the unit ball, with rows a_i and slacks d_i >= 0 at its center,
+take any λ >= 0 with Σ λ_i a_i = 0. For a feasible ellipsoid F (symmetric positive definite) around any point, Σ λ_i |F
+a_i| <= λᵀd, and |F a_i| >= u_iᵀ F a_i with u_i = a_i/|a_i|. With M = Σ λ_i a_i u_iᵀ, this implies tr(F M) <= λᵀd. Hence
+log det F <= n log(λᵀd / n) - log det M: this bound is the gap.
 """
 
 from typing import Any, NamedTuple
@@ -46,7 +47,8 @@ from loewner._kernels.simd.memory import Arena, Place, floats, held, sizes_of
 def balanced_gap(rows, slack, lam, m, n):
     """Certified gap of the unit ball for faces `rows` (m, n) with `slack` at the origin; `lam` is repaired in place.
 
-    The repair λ <- λ (1 - rows w), (Σ λ a aᵀ) w = Σ λ a, makes Σ λ_i a_i = 0; infinite if a λ turns negative.
+    The repair λ <- λ (1 - rows w), (Σ λ a aᵀ) w = Σ λ a, makes Σ λ_i a_i = 0. The gap is infinite if a λ turns
+    negative.
     """
     M = np.zeros((n, n))
     w = np.zeros(n)
@@ -95,7 +97,7 @@ class _Memory(NamedTuple):
     U : ndarray, shape (n, n)
         Upper factor of E⁻² = Aᵀ Y A.
     T : ndarray, shape (m, n)
-        Rows U⁻¹ a: faces in the coordinates where the ellipsoid is the unit ball.
+        Rows U⁻¹ a: faces in the coordinates in which the ellipsoid is the unit ball.
     V : ndarray, shape (m, p)
         A row svec(U⁻¹ a (U⁻¹ a)ᵀ) for each face.
     K : ndarray, shape (p, p)
@@ -103,11 +105,11 @@ class _Memory(NamedTuple):
     C : ndarray, shape (n, p)
         K⁻¹ Vᵀ ((h+z) / (2 h z) ∘ Y A), transposed.
     P : ndarray, shape (m, n)
-        (2 y h ∘ T - Y A), solved by the m x m matrix.
+        The matrix (2 y h ∘ T - Y A), solved by the m x m matrix.
     PA, lhs : ndarray, shape (n, n)
-        Pᵀ A, the matrix of the system for dx; and the copy that is solved.
+        Pᵀ A, the matrix of the system for dx; and the copy of it that is solved.
     h, d : ndarray, shape (m,)
-        |E a|, and the slack of the center: the ellipsoid is inside where h <= d.
+        The values |E a|, and the slacks of the center: the ellipsoid is inside where h <= d.
     y, z : ndarray, shape (m,)
         Multipliers and slacks.
     dx, dy, dz : ndarray, shape (n,), (m,), (m,)
@@ -146,12 +148,12 @@ _memory_of, _size = _MEMORY.whole(), _MEMORY.sizing()
 
 @njit()
 def solve_primal_dual(A, m, n, tol, x, low, lam):
-    """Largest ellipsoid in {z : A z <= 1} (rows near unit size); fills center, lower factor, multipliers.
+    """Largest ellipsoid in {z : A z <= 1} (rows near unit size); fills center, lower factor and multipliers.
 
-    Long steps first. About one piece in 300,000 makes them circle; it gets the plain method of Zhang and Gao, with
-    one step length and no corrector, which takes a few steps more.
+    Long steps are tried first. For about one piece in 300,000, they circle; this piece gets the plain method of Zhang
+    and Gao, with one step length and no corrector, which takes a few steps more.
 
-    Returns (gap, iterations); a gap above `tol` means it stopped there.
+    Returns (gap, iterations); a gap above `tol` means that the iteration stopped early.
     """
     counts = counts_of(m, n)
     memory = np.empty(_size(counts), np.uint8)
@@ -169,7 +171,7 @@ def solve_primal_dual(A, m, n, tol, x, low, lam):
 
 @njit()
 def _iterate(place, A, tol, x, low, lam, careful):
-    """One run of the primal-dual method, from the same start, with long steps or careful ones."""
+    """Run the primal-dual method once from the same start, with long steps or careful ones."""
     m, n, work = place.counts.m, place.counts.n, _memory_of(place)
     y, h = work.y, work.h
     for i in range(m):
@@ -187,7 +189,7 @@ def _iterate(place, A, tol, x, low, lam, careful):
         if iteration == 0:
             _begin(place, shrink)
             shrink = 1.0
-        # Certify shrink * E in the coordinates where it is the unit ball (λ may have any scale).
+        # Certify shrink * E in the coordinates in which it is the unit ball (λ may have any scale).
         for i in range(m):
             lam[i] = y[i] * h[i]
         gap = balanced_gap(work.T, work.d, lam, m, n) - n * logarithm(shrink)
@@ -211,11 +213,11 @@ def _iterate(place, A, tol, x, low, lam, careful):
 def _assemble(place, A):
     """Compute and factor E⁻²; fill T and h.
 
-    Returns whether it is positive definite, and the largest multiple of the ellipsoid about its center that is inside.
+    Returns whether E⁻² is positive definite, and the largest multiple of the ellipsoid about its center that is inside.
     """
     m, n, work = place.counts.m, place.counts.n, _memory_of(place)
     A, U, T, h, d, y = borrowed(A), work.U, work.T, work.h, work.d, work.y
-    # E² = (Aᵀ Y A)⁻¹ = L Lᵀ with L = U⁻ᵀ; a~ = Lᵀ a = U⁻¹ a; h = |a~|
+    # Here, E² = (Aᵀ Y A)⁻¹ = L Lᵀ with L = U⁻ᵀ, a~ = Lᵀ a = U⁻¹ a, and h = |a~|.
     fill_upper(U, 0.0, n)
     for i in range(m):
         for j in range(n):
@@ -241,7 +243,7 @@ def _assemble(place, A):
 
 @njit()
 def _begin(place, shrink):
-    """Begin with the largest multiple of the first ellipsoid that is inside."""
+    """Begin with the largest multiple of the first ellipsoid that is inside the polytope."""
     m, n, work = place.counts.m, place.counts.n, _memory_of(place)
     U, T, h, y = work.U, work.T, work.h, work.y
     for j in range(n):
@@ -262,7 +264,7 @@ def _factor(place, A):
     A, V, K, C, P, PA, h, y, z = borrowed(A), work.V, work.K, work.C, work.P, work.PA, work.h, work.y, work.z
     for i in range(m):
         svec(work.T[i], V, i, n)
-    # K = I + Uᵀ D⁻¹ U with D = 2 y h z, U = y V;  C = K⁻¹ Vᵀ ((h+z) / (2 h z) ∘ Y A)
+    # Compute K = I + Uᵀ D⁻¹ U with D = 2 y h z and U = y V, and C = K⁻¹ Vᵀ ((h+z) / (2 h z) ∘ Y A).
     fill_upper(K, 1.0, p)
     for j in range(n):
         for a in range(p):
@@ -282,7 +284,7 @@ def _factor(place, A):
         return False
     for j in range(n):
         normal_solve(K, C[j], p)
-    # P = (2 y h ∘ T - Y A)ᵀ, row i: (y/z) (h a_i - Cᵀ v_i);  and P A
+    # Compute P = (2 y h ∘ T - Y A)ᵀ, whose row i is (y/z) (h a_i - Cᵀ v_i), and P A.
     for j in range(n):
         for k in range(n):
             PA[j, k] = 0.0
@@ -341,13 +343,13 @@ def _step(place, A, x, careful):
 def _direction(place, A, mu, worst):
     """Solve for the steps dx, dy and dz, with the products of dy and dz so far.
 
-    Returns whether the system could be solved, how far y may go along its step, and how far x and z may; and the larger
+    Returns whether the system could be solved; how far y may go along its step, and how far x and z may; and the larger
     of `worst` and the residuals of h + z = d.
     """
     m, n, p, work = place.counts.m, place.counts.n, place.counts.p, _memory_of(place)
     A, V, P, PA, lhs, h, d = borrowed(A), work.V, work.P, work.PA, work.lhs, work.h, work.d
     y, z, dx, dy, dz, rhs, q = work.y, work.z, work.dx, work.dy, work.dz, work.rhs, work.q
-    # R1 = -Aᵀ(y h);  R2 = d - h - z;  R3 = mu - y z (- dy dz);  R23 = R2 - R3/y
+    # The residuals are R1 = -Aᵀ(y h), R2 = d - h - z, R3 = mu - y z (- dy dz), and R23 = R2 - R3/y.
     for j in range(n):
         dx[j] = 0.0
     for i in range(m):
@@ -363,7 +365,7 @@ def _direction(place, A, mu, worst):
             lhs[j, k] = PA[j, k]
     if not solve_general(lhs, dx, n):
         return False, 0.0, 0.0, worst
-    # du = G⁻¹ [2 y h ∘ (A dx - R23)];  dy = y du;  dz = R3/y - z du
+    # The steps are du = G⁻¹ [2 y h ∘ (A dx - R23)], dy = y du, and dz = R3/y - z du.
     for a in range(p):
         q[a] = 0.0
     for i in range(m):
@@ -396,10 +398,10 @@ def _direction(place, A, mu, worst):
 
 @njit()
 def inscribe(normals, slack_low, slack_high, factor, lam):
-    """Scale `factor` until the ellipsoid is inside every face for certain, then certify what is left.
+    """Scale `factor` until the ellipsoid is certainly inside every face, then certify the remaining gap.
 
-    `slack_low` and `slack_high` bound b - A c from both sides for the center as it stands. A computed entry of Lᵀ a
-    errs by at most (n + 1) u |L|ᵀ|a|. Returns the certified gap, infinite if no positive scale exists.
+    `slack_low` and `slack_high` bound b - A c from both sides for the center as it is stored. A computed entry of Lᵀ a
+    errs by at most (n + 1) u |L|ᵀ|a|. Returns the certified gap, which is infinite if no positive scale exists.
     """
     m, n = normals.shape
     rows = np.empty((m, n))

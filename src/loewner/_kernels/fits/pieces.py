@@ -1,4 +1,4 @@
-"""Both fits of convex pieces given by vertices and face normals, for one piece or a range."""
+"""Both fits of convex pieces given by vertices and face normals, for one piece or a range of pieces."""
 
 import numpy as np
 
@@ -15,8 +15,8 @@ from loewner._kernels.tolerances import FACE_ROUNDING, FACE_WIDTH
 def face_slacks(vertices, normal, center):
     """Bounds on the slack of one face at `center`, from the face's own vertices.
 
-    Returns (low, high): `low` bounds the smallest n·(v - c) over the face's own vertices from below, and `high` bounds
-    the largest over all vertices from above. docs/containment.md explains why `low` proves containment.
+    Returns (low, high): `low` is a lower bound on the smallest n·(v - c) over the face's own vertices, and `high` an
+    upper bound on the largest over all vertices. docs/containment.md explains why `low` proves containment.
     """
     m, n = vertices.shape
     top = -np.inf
@@ -41,15 +41,15 @@ def face_slacks(vertices, normal, center):
             value += normal[k] * (vertices[i, k] - center[k])
         if value >= edge:
             low = min(low, value)
-    doubt = (n + 2) * noise  # one rounding for v - c, n for the products and sums, and one to spare
+    doubt = (n + 2) * noise  # The terms are one rounding for v - c, n for the products and sums, and one to spare.
     return low - doubt, top + doubt
 
 
 @njit()
 def slacks_by_map(vertices, normals, center, frame, columns, nodes, low, high):
-    """`face_slacks` for a piece with many vertices, from the candidates that the map leaves for each face.
+    """Do the work of `face_slacks` for a piece with many vertices, from the map's candidates for each face.
 
-    The noise is bounded for all vertices by their largest offsets along the axes.
+    The largest offsets along the axes bound the noise for all vertices.
     """
     n = vertices.shape[1]
     reach = np.empty(n)
@@ -70,10 +70,10 @@ def slacks_by_map(vertices, normals, center, frame, columns, nodes, low, high):
 
 @njit()
 def fit_inner(vertices, normals, tol, outer_center, outer_factor, center, factor):
-    """Largest ellipsoid inside the piece, solved in the coordinates of its outer ellipsoid.
+    """Largest ellipsoid inside the piece, computed in the coordinates of its outer ellipsoid.
 
-    There the piece lies between the balls of radius 1/n and 1 (John), so nothing is ever thin.
-    Returns (code, gap, iterations).
+    In these coordinates, the piece lies between the balls of radius 1/n and 1 (John), so that it is never thin. Returns
+    (code, gap, iterations).
     """
     m, n = normals.shape
     A = np.empty((m, n))
@@ -111,7 +111,7 @@ def fit_inner(vertices, normals, tol, outer_center, outer_factor, center, factor
             value += outer_factor[j, k] * x[k]
         center[j] = outer_center[j] + value
     for i in range(m):
-        lam[i] /= slack_high[i]  # convert the multiplier from the scaled row to the unit normal
+        lam[i] /= slack_high[i]  # Convert the multiplier from the scaled row to the unit normal.
         if not many:
             slack_low[i], slack_high[i] = face_slacks(vertices, normals[i], center)
     if many:
@@ -124,12 +124,12 @@ def fit_inner(vertices, normals, tol, outer_center, outer_factor, center, factor
 def fit_range(
     first, last, vert_start, vertices, face_start, normals, tol, flatness, inner_c, inner_F, outer_c, outer_F, info
 ):
-    """Write both fits of pieces first..last-1 to their rows of the output arrays.
+    """Write both fits of the pieces first..last-1 to their rows of the output arrays.
 
-    Threads call it on separate ranges (it does not hold the interpreter lock); this compiles in a quarter of the time
-    of `prange` and runs as fast.
+    Threads call this function on separate ranges, because it does not hold the interpreter lock. Such functions compile
+    in a quarter of the time of `prange`, and run as fast.
 
-    `info` (P, 5): outer code, outer gap, inner code, inner gap, iterations of both.
+    `info` (P, 5) receives the outer code and gap, the inner code and gap, and the iterations of both.
     """
     for piece in range(first, last):
         V = vertices[vert_start[piece] : vert_start[piece + 1]]

@@ -1,24 +1,25 @@
 """The certificate, many piece pairs at a time, in registers.
 
-First sixteen pairs at a time are certified in single precision, with matching error bounds: this proves almost every
-pair at half the cost and half the memory. Pairs within that rounding of a decision are left to double precision, eight
-at a time.
+Sixteen pairs at a time are first certified in single precision, with matching error bounds. Single precision settles
+almost every pair at half the cost and with half the memory. Pairs that the errors of single precision leave undecided
+are certified in double precision, eight at a time.
 
-There are three stages, each run only if some pairs are still open:
+Each of the three stages runs only if some pairs are still open:
 
 near
-    bounding spheres of the outer ellipsoids.
+    The bounding spheres of the outer ellipsoids are apart.
 outer
-    a separating direction for the outer ellipsoids. The maximizer of the contact function is
-    guessed from the widths along r, s = h_a / (h_a + h_b), which is exact for spheres; K(s)⁻¹ r is then
-    a direction good enough for 999 in 1,000 separable pairs of round pieces.
+    A direction separates the outer ellipsoids. The maximizer of the contact function is guessed from the widths along
+    r: s = h_a / (h_a + h_b), which is exact for spheres. The direction K(s)⁻¹ r then separates 999 in 1,000 of the
+    round pieces that can be separated.
 inner
-    a common point of the inner ellipsoids at the same kind of guess.
+    The inner ellipsoids have a common point, which the same kind of guess yields.
 
-Each stage also determines whether a better s could still change the answer; only then is s improved. With a margin the
-near points matter, and they need the best s: `certify_best` always iterates.
+Each stage also determines whether a better s could still change the answer; only in this case is s improved. With a
+margin, the near points matter, and they need the best s, so that `certify_best` always iterates.
 
-The checks compare squares, not square roots (docs/certified.md): divisions and roots would take half of the time.
+The checks compare squares, not square roots (docs/certified.md), because divisions and roots would take half of the
+time.
 """
 
 from typing import Any, NamedTuple
@@ -61,21 +62,22 @@ from loewner._kernels.simd.vectors import (
 )
 from loewner._kernels.tolerances import SHAPE_ROUNDINGS, SINGLE_ROUNDOFF, UNIT_ROUNDOFF
 
-BLOCK = 128  # piece pairs that are settled together
+BLOCK = 128  # A block holds up to BLOCK piece pairs, which are settled together.
 
 NEWTON_STEPS = 12
 
-# Errors that a shape matrix Q causes in squared widths nᵀQn and in Qn, in units of the roundoff times trace(Q) |n|² and
-# trace(Q) |n|. The constant covers both precisions; single precision has the larger errors.
+# Errors that a shape matrix Q causes in squared widths nᵀQn and in products Qn, in units of the roundoff times trace(Q)
+# |n|² and trace(Q) |n|. The constant covers both precisions; single precision has the larger errors.
 SHAPE_ERROR = SHAPE_ROUNDINGS / UNIT_ROUNDOFF  # certified.md B4, B5
 
-# A pair is given up only if F differs from 1 by at least SURE (SINGLE_SURE in single precision). This band costs little
-# and leaves room for the rounding of F (see `_doubt`). No proof depends on it, since such a pair is left OPEN.
+# The search for s is given up only if F differs from 1 by at least SURE (SINGLE_SURE in single precision). The band
+# around 1 costs little and leaves room for the rounding of F (see `_doubt`). No proof depends on the band, because a
+# pair that is given up is left OPEN.
 SURE, SINGLE_SURE = 1e-6, 2e-3
 
 
 class Pose(NamedTuple):
-    """Poses of several bodies: rotation (nine entries in row order), translation, and whether all are rigid motions."""
+    """Poses of several bodies: rotations (nine entries in row order), translations, and whether all are rigid."""
 
     R: Any
     t: Any
@@ -83,7 +85,7 @@ class Pose(NamedTuple):
 
 
 class Bounds(NamedTuple):
-    """Centers and sizes of several pieces in the frames of their bodies: the first columns of their rows."""
+    """Centers and sizes of several pieces in the frames of their bodies, from the first columns of the pieces' rows."""
 
     outer_center: Any
     outer_radius: Any
@@ -92,10 +94,10 @@ class Bounds(NamedTuple):
 
 
 class Shape(NamedTuple):
-    """Ellipsoids in world axes, as eight columns of their rows: the shape matrix and two bounds on semi-axes.
+    """Ellipsoids in world axes, from eight columns of their rows: the shape matrix and two bounds on semi-axes.
 
     `sigma` is a lower bound on the least semi-axis of an outer ellipsoid; `inverse_sigma` is an upper bound on the
-    reciprocal of an inner ellipsoid's least semi-axis. Neither is used for the other kind.
+    reciprocal of an inner ellipsoid's least semi-axis. For the other kind of ellipsoid, neither is used.
     """
 
     Q: Any
@@ -105,7 +107,7 @@ class Shape(NamedTuple):
 
 @inline
 def turns(R):
-    """Mask: rotations that are not exactly the identity."""
+    """Return the mask of rotations that are not exactly the identity."""
     off = absolute(R[1]) + absolute(R[2]) + absolute(R[3]) + absolute(R[5]) + absolute(R[6]) + absolute(R[7])
     on = absolute(R[0] - 1.0) + absolute(R[4] - 1.0) + absolute(R[8] - 1.0)
     return off + on > 0.0
@@ -113,7 +115,7 @@ def turns(R):
 
 @inline
 def bounds_of(columns):
-    """The record of the columns OUTER_CENTER .. REACH."""
+    """Make a `Bounds` record of the columns OUTER_CENTER .. REACH."""
     return Bounds(
         (columns[OUTER_CENTER], columns[OUTER_CENTER + 1], columns[OUTER_CENTER + 2]),
         columns[OUTER_RADIUS],
@@ -124,7 +126,7 @@ def bounds_of(columns):
 
 @inline
 def shape_of(columns, R, rotated):
-    """The record of the columns from OUTER_SHAPE or INNER_SHAPE on."""
+    """Make a `Shape` record of the columns that begin at OUTER_SHAPE or INNER_SHAPE."""
     Q = columns[0], columns[1], columns[2], columns[3], columns[4], columns[5]
     if rotated:
         Q = rotated_shape(R, Q)
@@ -133,7 +135,7 @@ def shape_of(columns, R, rotated):
 
 @inline
 def _selected_shape(condition, a, b):
-    """Shapes a where the condition holds, otherwise b."""
+    """Select the shapes `a` where the condition holds, otherwise the shapes `b`."""
     Q = (
         select(condition, a.Q[0], b.Q[0]),
         select(condition, a.Q[1], b.Q[1]),
@@ -147,7 +149,7 @@ def _selected_shape(condition, a, b):
 
 @inline
 def offset_between(a, rotated_a, center_a, b, rotated_b, center_b):
-    """World vector from a's to b's point of their bodies; the translations are subtracted first."""
+    """World vector from a point of body a to a point of body b; the translations are subtracted first."""
     if rotated_a:
         center_a = apply(a.R, center_a)
     if rotated_b:
@@ -157,20 +159,20 @@ def offset_between(a, rotated_a, center_a, b, rotated_b, center_b):
 
 @inline
 def size_between(a, reach_a, b, reach_b):
-    """Sum of the lengths that go into the vector between two centers."""
+    """Sum of the lengths from which the vector between two centers is computed."""
     return one_norm(minus(b.t, a.t)) + reach_a + reach_b
 
 
 @inline
 def rounded_size(a, reach_a, b, reach_b):
-    """The size for translations that were rounded before their subtraction."""
+    """Sum of lengths as in `size_between`, for translations that were rounded before their subtraction."""
     t = absolute(a.t[0]) + absolute(a.t[1]) + absolute(a.t[2]) + absolute(b.t[0]) + absolute(b.t[1]) + absolute(b.t[2])
     return t + reach_a + reach_b
 
 
 @inline
 def _clear(r, radii, size, margin, unit):
-    """Mask of bounding spheres certainly farther apart than the margin."""
+    """Mask of pairs whose bounding spheres are certainly farther apart than the margin."""
     far = radii + position_error(size, unit) + margin
     # The second comparison decides if squares overflow.
     widest = maximum(absolute(r[0]), maximum(absolute(r[1]), absolute(r[2])))
@@ -179,29 +181,30 @@ def _clear(r, radii, size, margin, unit):
 
 @inline
 def guess(P, Q, r, tiny):
-    """s of two spheres with the widths of the ellipsoids along r."""
+    """Guess s; the guess is exact for spheres with the widths of the ellipsoids along r."""
     wide_p, wide_q = dot(apply_symmetric(P, r), r), dot(apply_symmetric(Q, r), r)
     return share_of_roots(maximum(wide_p, tiny), maximum(wide_q, tiny))
 
 
 @njit()
 def _best(P, Q, r):
-    """s and n = K(s)⁻¹ r at the maximum of F; of a single point, where every s leads to the same points, the middle."""
+    """Return s and n = K(s)⁻¹ r at the maximum of F; s is 0.5 for a point, where every s gives the same points."""
     d, q, s = polynomials(P, Q, r)
     for _ in range(NEWTON_STEPS):
         s = newton_step(d, q, s)
-    s = select((trace(P) <= 0.0) | (trace(Q) <= 0.0), 0.5, s)  # K is singular at the maximum if an ellipsoid is a point
+    # If an ellipsoid is a point, K is singular at the maximum.
+    s = select((trace(P) <= 0.0) | (trace(Q) <= 0.0), 0.5, s)
     return s, normal_at(P, Q, r, s)[1]
 
 
 @inline
 def _doubt(P, Q, least, miss, s, size, unit, sure):
-    """Bound on the rounding of F = s(1-s) rᵀK⁻¹r for F near 1, times the least eigenvalue of K.
+    """Bound on the rounding error of F = s(1-s) rᵀK⁻¹r for F near 1, times the least eigenvalue of K.
 
-    √F is a norm of r: an error ε of r, from the positions and from the difference of K n and r, changes it by at most η
-    = √(s(1-s)) ε / √λ, with the least eigenvalue λ of K. So F, computed from n·r, is on the apparent side of 1 if its
-    distance from 1 exceeds 3η + 2η², which is at most c + 4η²/c for any small c. An error of K changes F by its share
-    in λ.
+    √F is a norm of r. Let ε be the error of r, from the positions and from the difference of K n and r, and λ the least
+    eigenvalue of K. Then √F changes by at most η = √(s(1-s)) ε / √λ. Therefore F, computed from n·r, is on the apparent
+    side of 1 if its distance from 1 exceeds 3η + 2η², which is at most c + 4η²/c for any small c. An error of K changes
+    F by at most the error divided by λ.
 
     Parameters
     ----------
@@ -210,7 +213,7 @@ def _doubt(P, Q, least, miss, s, size, unit, sure):
     miss : vector
         1-norm of r - K n.
     sure : float
-        c, and also the least distance of F from 1 that is accepted.
+        The number c, which is also the least distance of F from 1 that is accepted.
     """
     u = 1.0 - s
     off = position_error(size, unit) + miss
@@ -220,7 +223,7 @@ def _doubt(P, Q, least, miss, s, size, unit, sure):
 
 @inline
 def _miss(r, s, Pn, Qn):
-    """1-norm of r - K(s) n, the distance of (1-s) P n from a's center to r - s Q n; zero in exact arithmetic."""
+    """1-norm of r - K(s) n, the vector from (1-s) P n to r - s Q n, from a's center; zero in exact arithmetic."""
     u = 1.0 - s
     return (
         absolute(r[0] - u * Pn[0] - s * Qn[0])
@@ -231,10 +234,10 @@ def _miss(r, s, Pn, Qn):
 
 @inline
 def _apart(a, b, r, n, s, size, unit, sure):
-    """Masks of pairs certainly separated by n, and of pairs that certainly no s separates, because F < 1 everywhere.
+    """Masks of pairs that n certainly separates, and of pairs that certainly no s separates, because F < 1 everywhere.
 
-    F is concave and its slope at s is (1-s)² nᵀPn - s² nᵀQn, which bounds it everywhere. Rounding changes the slope by
-    at most the change of F divided by s(1-s).
+    F is concave, so that its slope at s, (1-s)² nᵀPn - s² nᵀQn, bounds it everywhere. Rounding changes the slope by at
+    most the change of F divided by s(1-s).
     """
     Pn, Qn = apply_symmetric(a.Q, n), apply_symmetric(b.Q, n)
     nPn, nQn = dot(Pn, n), dot(Qn, n)
@@ -259,7 +262,7 @@ def _apart(a, b, r, n, s, size, unit, sure):
 
 @inline
 def _common(a, b, r, n, s, size, unit, sure):
-    """Masks of pairs with a certain common point at (1-s) P n from a's center, and with F > 1, so without one."""
+    """Masks of pairs that certainly have the common point (1-s) P n from a's center, and of pairs with none (F > 1)."""
     Pn, Qn = apply_symmetric(a.Q, n), apply_symmetric(b.Q, n)
     nPn, nQn = dot(Pn, n), dot(Qn, n)
     squared = dot(n, n)
@@ -267,7 +270,7 @@ def _common(a, b, r, n, s, size, unit, sure):
     u = 1.0 - s
     miss = _miss(r, s, Pn, Qn)
     slack = miss + position_error(size, unit)
-    # The level of the point in each ellipsoid, (1-s)|Fᵀn| and s|Gᵀn|, must be at most 1 minus a bound on its rounding
+    # In each ellipsoid, the level of the point, (1-s)|Fᵀn| or s|Gᵀn|, must be at most 1 minus a bound on its rounding
     # error.
     error_a = SHAPE_ERROR * unit * trace(a.Q)
     error_b = SHAPE_ERROR * unit * trace(b.Q)
@@ -289,11 +292,11 @@ def _put_normal(V, at, n):
 
 
 def _poses(fetch, everything, rigid_poses, one):
-    """Make the reader of poses for vectors of the kind that `fetch` returns."""
+    """Make a function that reads poses into vectors of the kind that `fetch` returns."""
 
     @inline
     def pose(T, rows, at, moved):
-        """Poses of the listed rows; a pose array that only holds the identity is not read."""
+        """Read the poses of the listed rows; a pose array that holds only the identity is not read."""
         if moved:
             p = fetch(T, 16, rows, at, 0)
             q = fetch(T, 16, rows, at, 8)
@@ -307,20 +310,20 @@ def _poses(fetch, everything, rigid_poses, one):
 
 
 def _stages(fetch, prefetch, lanes, pose, size_of, unit, tiny, sure):
-    """Make the compiled functions below in one of the two precisions.
+    """Make the compiled functions `spheres` and `certify` in one of the two precisions.
 
     Parameters
     ----------
     fetch : callable
-        Reads eight columns of as many rows as a vector has lanes.
+        Reads eight columns from as many rows as a vector has lanes.
     prefetch : callable
-        Prefetches such rows.
+        Prefetches these rows.
     lanes : int
     pose, size_of : callable
     unit, tiny : float
-        Unit roundoff, and a lower bound on products of four lengths.
+        Unit roundoff, and a least value for products of four lengths.
     sure : float
-        Least distance of F from 1 at which no s counts as settling a pair.
+        Least distance of F from 1 at which the search for an s that settles the pair is given up.
     """
     everything = 2**lanes - 1
 
@@ -328,7 +331,7 @@ def _stages(fetch, prefetch, lanes, pose, size_of, unit, tiny, sure):
     def spheres(count, margin, asking, hot_a, Ta, moved_a, hot_b, Tb, moved_b, listed, ahead, tier):
         """Run only the first stage: write BY_SPHERE or OPEN to `tier` for each listed piece pair.
 
-        Returns False where `certify` does.
+        Returns False in the cases in which `certify` does.
         """
         for at in range(0, count, lanes):
             if asking:
@@ -353,25 +356,26 @@ def _stages(fetch, prefetch, lanes, pose, size_of, unit, tiny, sure):
 
     @njit()
     def better(P, Q, r, n):
-        """Another s and its normal, from spheres with the widths of the ellipsoids along n."""
+        """Return another s and its normal, from spheres with the widths of the ellipsoids along n."""
         s = guess(P, Q, n, tiny)
         _, m = normal_at(P, Q, r, s)
         return s, m
 
     @njit()
     def certify(count, asking, hot_a, Ta, moved_a, hot_b, Tb, moved_b, listed, ahead, tier, V):
-        """Certify the listed piece pairs, margin 0.
+        """Certify the listed piece pairs for margin 0.
 
         Parameters
         ----------
         count : int
-            Number of piece pairs; the list is filled with repeats up to whole vectors.
+            Number of piece pairs; repeated entries fill the list up to whole vectors.
         asking : bool
-            Whether to prefetch data of later blocks, in portions between the computations, which a burst would delay.
+            Whether to prefetch data of later blocks. Prefetches are spread among the computations, because a burst
+            would delay these.
         hot_a, hot_b : ndarray, shape (P, HOT)
         Ta, Tb : ndarray, shape (N, 4, 4)
         moved_a, moved_b : bool
-            False if the operand's only pose is the identity.
+            False if the identity is the only pose of the operand.
         listed : PairList
             Pieces and poses of each pair.
         ahead : PairList
@@ -384,7 +388,8 @@ def _stages(fetch, prefetch, lanes, pose, size_of, unit, tiny, sure):
         Returns
         -------
         bool
-            False if a pose is not a rigid motion (in single precision: may not be one); the rest is then skipped.
+            False if a pose is not a rigid motion (in single precision: may not be one); the remaining pairs are then
+            skipped.
         """
         for at in range(0, count, lanes):
             if asking:
@@ -468,18 +473,19 @@ single_spheres, single_certify = _stages(
 
 @inline
 def tier_of_one(a, row_a, b, row_b, more):
-    """Tier of one piece pair, margin 0, by the same formulas on one lane of single precision, for a GPU thread.
+    """Tier of one piece pair for margin 0, computed on one lane of single precision, for a GPU thread.
 
-    It settles the same pairs as the stages, but with branches, since no other pair waits for this one.
+    The formulas are the same as in the stages, and settle the same pairs. Unlike the stages, this function branches,
+    because no other pair waits for this one.
 
     Parameters
     ----------
     a, b : Pose
         Poses that are rigid motions, or affine maps that deviate from them by `more`.
     row_a, row_b : int
-        Addresses of the pieces' rows of float32.
+        Addresses of the float32 rows of the pieces.
     more : scalar
-        Metres to be added to the lengths from which positions are computed, for other errors of the poses.
+        Length [m] to add to the lengths from which positions are computed, to allow for other errors of the poses.
 
     Returns
     -------
@@ -523,7 +529,7 @@ def tier_of_one(a, row_a, b, row_b, more):
 
 @inline
 def _ordered(swap, p, q, r):
-    """The two ellipsoids and the vector between their centers, exchanged where `swap` holds."""
+    """Exchange the two ellipsoids, and reverse the vector between their centers, where `swap` holds."""
     return _selected_shape(swap, q, p), _selected_shape(swap, p, q), selected(swap, _reversed(r), r)
 
 
@@ -536,7 +542,7 @@ def _reversed(v):
 def certify_best(count, margin, hot_a, Ta, moved_a, hot_b, Tb, moved_b, listed, tier, V):
     """Certify the listed piece pairs at the best s, in double precision, with any margin.
 
-    Parameters and result are as for `certify`, except that every remaining pair is OPEN.
+    The parameters and the result are documented in `certify`, but every remaining pair is OPEN.
     """
     for at in range(0, count, LANES):
         a = pose_of(Ta, listed.pose_a, at, moved_a)
@@ -550,7 +556,7 @@ def certify_best(count, margin, hot_a, Ta, moved_a, hot_b, Tb, moved_b, listed, 
         far = _clear(r, near_a.outer_radius + near_b.outer_radius, size, margin, UNIT_ROUNDOFF)
         p = shape_of(gather_transpose(hot_a, HOT, listed.piece_a, at, OUTER_SHAPE), a.R, moved_a)
         q = shape_of(gather_transpose(hot_b, HOT, listed.piece_b, at, OUTER_SHAPE), b.R, moved_b)
-        # Put the larger ellipsoid second: s is then small, and keeps its digits even if the sizes are very different.
+        # Put the larger ellipsoid second, so that s is small and keeps its digits even if the sizes are very different.
         swap = near_a.outer_radius > near_b.outer_radius
         p, q, r = _ordered(swap, p, q, r)
         s, n = _best(p.Q, q.Q, r)
@@ -560,7 +566,7 @@ def certify_best(count, margin, hot_a, Ta, moved_a, hot_b, Tb, moved_b, listed, 
         p = shape_of(gather_transpose(hot_a, HOT, listed.piece_a, at, INNER_SHAPE), a.R, moved_a)
         q = shape_of(gather_transpose(hot_b, HOT, listed.piece_b, at, INNER_SHAPE), b.R, moved_b)
         r = offset_between(a, moved_a, near_a.inner_center, b, moved_b, near_b.inner_center)
-        # A single point goes first, because the common point is computed from the first center.
+        # An ellipsoid that is a single point goes first, because the common point is computed from the first center.
         swap = (swap & (trace(p.Q) > 0.0)) | (trace(q.Q) <= 0.0)
         p, q, r = _ordered(swap, p, q, r)
         s, n = _best(p.Q, q.Q, r)

@@ -1,9 +1,9 @@
 """Penetration depth of two polytopes in about a microsecond, by a small expanding polytope in flat arrays.
 
-The method is the same as in `epa`, for plain polytopes that overlap: both sets of corners are moved to the world once,
-the faces are rows of 64, so that one comparison of eight vectors finds the nearest face or all faces visible from a new
-point, and faces are connected by half-edges. Unusual cases (too many faces, a rim that does not close, pieces that do
-not overlap) return UNSETTLED, and the careful search decides them.
+The method is the same as in `epa_robust`, for overlapping polytopes without radii. The corners of both polytopes are
+moved to the world once. The faces are rows of 64, so that one comparison of eight vectors finds the nearest face, or
+all faces visible from a new point. Half-edges connect the faces. Unusual cases (too many faces, a rim that does not
+close, pieces that do not overlap) return UNSETTLED, and the careful search decides them.
 
 References
 ----------
@@ -27,12 +27,13 @@ from loewner._kernels.pieces.shapes import rotation_of
 from loewner._kernels.simd.vectors import broadcast, load, mask_of, maximum, minimum, movemask, select, store
 from loewner._kernels.tolerances import POSITION_ROUNDINGS
 
-MAX_CORNERS = 1024  # limit per polytope; with more, transforming all corners to the world frame does not pay off
-MAX_FACES = 64  # each face takes one bit of a mask; hulls of 20 points need 20 to 30 faces
-MAX_POINTS = MAX_FACES // 2 + 2  # by Euler's formula
+# Limit on the corners of a polytope. With more corners, transforming all of them to the world frame does not pay off.
+MAX_CORNERS = 1024
+MAX_FACES = 64  # Each face takes one bit of a mask. Hulls of 20 points need 20 to 30 faces.
+MAX_POINTS = MAX_FACES // 2 + 2  # By Euler's formula, a closed surface of MAX_FACES triangles has MAX_POINTS points.
 
-# The flat workspace holds the corners of A and of B (x, y and z in rows of MAX_CORNERS), the normals and offsets of the
-# faces (rows of MAX_FACES), and the points of A - B (rows of POINT_ROW).
+# The workspace of floats holds the corners of A and of B (x, y and z in rows of MAX_CORNERS). The normals and offsets
+# of the faces (rows of MAX_FACES) and the points of A - B (rows of POINT_ROW) follow.
 _A = 0
 _B = _A + 3 * MAX_CORNERS
 _NX = _B + 3 * MAX_CORNERS
@@ -44,9 +45,9 @@ _POINT_ROW = 4
 _LANE = _POINT + _POINT_ROW * MAX_POINTS
 FLOATS = _LANE + 8
 
-# The workspace of integers holds, for each half-edge (4 face + side), its twin and its first point; for each point, its
-# corners of A and B, and the new face whose rim edge starts there; and for the rim, the half-edges beyond it and their
-# first points.
+# For each half-edge, with the number 4 face + side, the workspace of integers holds its twin and its first point. For
+# each point, it holds the corners of A and B, and the new face whose rim edge starts there. For the rim, it holds the
+# half-edges beyond it and their first points.
 _TWIN = 0
 _ORIGIN = _TWIN + 4 * MAX_FACES
 _CORNER_A = _ORIGIN + 4 * MAX_FACES
@@ -54,20 +55,21 @@ _CORNER_B = _CORNER_A + MAX_POINTS
 _START = _CORNER_B + MAX_POINTS
 _RIM = _START + MAX_POINTS
 _RIM_FROM = _RIM + 3 * MAX_FACES
-_LEFT = _RIM_FROM + 3 * MAX_FACES  # input of `proven_depth`: faces, number of points, vectors of A and of B
+# Input of `proven_depth`: the faces, the number of points, and the numbers of vectors of A and of B.
+_LEFT = _RIM_FROM + 3 * MAX_FACES
 INTEGERS = _LEFT + 4
 
 # A face has no reliable direction if its normal is shorter than FLAT_FACE times the square of its longest side.
 FLAT_FACE = 1e-10
 
-# Rounding may place the origin's foot outside its face by at most FOOT_SLACK in barycentric coordinates.
+# Rounding may place the foot of the origin outside its face by at most FOOT_SLACK in barycentric coordinates.
 FOOT_SLACK = 1e-9
 
-# Indices of the points and the faces of the first shell.
+# Indices of the points of the first shell, and also of its faces.
 _P0, _P1, _P2, _P3 = 0, 1, 2, 3
 
-# The twin of each half-edge of the first shell. Each face has three entries and one unused entry; the faces are (1 2
-# 3), (0 3 2), (0 1 3) and (0 2 1).
+# Twins of the half-edges of the first shell. Each face has three entries and one unused entry; the faces are (1 2 3),
+# (0 3 2), (0 1 3) and (0 2 1).
 _FIRST_TWINS = (13, 5, 9, 0, 10, 1, 12, 0, 14, 2, 4, 0, 6, 0, 8, 0)
 
 THIRD = 1.0 / 3.0
@@ -76,13 +78,13 @@ SQRT3 = 1.7320508075688772
 
 @intrinsic
 def _highest(typingctx, x):
-    """Largest of eight lanes."""
+    """Return the largest of eight lanes."""
     return _reduced(x, ">")
 
 
 @intrinsic
 def _lowest(typingctx, x):
-    """Smallest of eight lanes."""
+    """Return the smallest of eight lanes."""
     return _reduced(x, "<")
 
 
@@ -107,7 +109,7 @@ def _reduced(x, comparison):
 
 @intrinsic
 def _first_bit(typingctx, x):
-    """Number of the lowest set bit; 64 if there is none."""
+    """Return the number of the lowest set bit; 64 if no bit is set."""
 
     def generate(context, builder, sig, args):
         return builder.cttz(args[0], ir.Constant(ir.IntType(1), 0))
@@ -132,7 +134,7 @@ def _place(P, shift, W, at):
 
 @inline
 def _farthest(W, at, vectors, n):
-    """Number of the placed corner farthest along a direction."""
+    """Return the number of the placed corner farthest along a direction."""
     x, y, z = n
     most = load(W, at) * x + load(W, at + MAX_CORNERS) * y + load(W, at + 2 * MAX_CORNERS) * z
     where = broadcast(0.0)
@@ -148,13 +150,13 @@ def _farthest(W, at, vectors, n):
 
 @inline
 def _corner(W, at, i):
-    """Placed corner i of the polytope whose corners start at `at`."""
+    """Return placed corner i of the polytope whose corners start at `at`."""
     return W[at + i], W[at + MAX_CORNERS + i], W[at + 2 * MAX_CORNERS + i]
 
 
 @inline
 def _add_point(W, K, p, vectors_a, vectors_b, n):
-    """Write as point p the point of A - B that is farthest along a direction; return its support value."""
+    """Write the point of A - B farthest along a direction as point p; return its support value."""
     i = _farthest(W, _A, vectors_a, n)
     j = _farthest(W, _B, vectors_b, negated(n))
     K[_CORNER_A + p] = i
@@ -178,13 +180,13 @@ def _normal(W, f):
 
 @inline
 def _corners(K, f):
-    """Numbers of the three points of face f."""
+    """Return the numbers of the three points of face f."""
     return K[_ORIGIN + 4 * f], K[_ORIGIN + 4 * f + 1], K[_ORIGIN + 4 * f + 2]
 
 
 @inline
 def _make_face(W, K, f, u, v, w):
-    """Write face f with the corners u, v, w; False if it is too thin to have a direction."""
+    """Write face f with the corners u, v, w; return False if it is too thin to have a direction."""
     K[_ORIGIN + 4 * f], K[_ORIGIN + 4 * f + 1], K[_ORIGIN + 4 * f + 2] = u, v, w
     one, two, three = _point(W, u), _point(W, v), _point(W, w)
     a, b = minus(two, one), minus(three, one)
@@ -198,7 +200,7 @@ def _make_face(W, K, f, u, v, w):
 
 @inline
 def _first_points(W, K, vectors_a, vectors_b, n):
-    """Points 0..3 of A - B: along the unit vector n, and in three directions perpendicular to it."""
+    """Find points 0..3 of A - B: one along the unit vector n, and three along directions perpendicular to n."""
     u, v = across(n)
     v, half = scaled(0.5 * SQRT3, v), scaled(0.5, u)
     _add_point(W, K, _P0, vectors_a, vectors_b, n)
@@ -209,7 +211,7 @@ def _first_points(W, K, vectors_a, vectors_b, n):
 
 @inline
 def _points_across(W, K, vectors_a, vectors_b, n):
-    """Find points 0..3 of A - B again, for pieces with few corners or thin ones: each across the previous points."""
+    """Find points 0..3 of A - B again, for thin pieces or few corners, each in a direction across the previous ones."""
     _add_point(W, K, _P0, vectors_a, vectors_b, n)
     _add_point(W, K, _P1, vectors_a, vectors_b, negated(n))
     a, b = _point(W, _P0), _point(W, _P1)
@@ -226,7 +228,7 @@ def _points_across(W, K, vectors_a, vectors_b, n):
 
 @inline
 def _farther_point(W, K, p, vectors_a, vectors_b, n):
-    """Write point p along a direction or its opposite, whichever is farther from point 0."""
+    """Write as point p the point along a direction or along its opposite, whichever is farther from point 0."""
     height = dot(n, _point(W, _P0))
     against = _add_point(W, K, p + 1, vectors_a, vectors_b, negated(n))
     along = _add_point(W, K, p, vectors_a, vectors_b, n)
@@ -239,11 +241,11 @@ def _farther_point(W, K, p, vectors_a, vectors_b, n):
 
 @inline
 def _first_shell(W, K):
-    """The four faces over points 0..3, facing outward; False if they are too thin."""
+    """Make the four faces over points 0..3, facing outward; return False if they are too thin."""
     a, b, c, d = _point(W, _P0), _point(W, _P1), _point(W, _P2), _point(W, _P3)
     volume = dot(minus(d, a), cross(minus(b, a), minus(c, a)))
     one, two = (_P2, _P1) if volume < 0.0 else (_P1, _P2)
-    # Face f lies opposite point f (swap the points `one` and `two` if necessary).
+    # Face f lies opposite point f. The points `one` and `two` may have been swapped, so that the faces point outward.
     fine = _make_face(W, K, _P0, one, two, _P3)
     fine = _make_face(W, K, _P1, _P0, _P3, two) and fine
     fine = _make_face(W, K, _P2, _P0, one, _P3) and fine
@@ -255,7 +257,7 @@ def _first_shell(W, K):
 
 @inline
 def _seen(W, live, point, error):
-    """Mask of the faces that have a point in front of them."""
+    """Mask of the faces that a point lies in front of."""
     x, y, z = point
     seen = 0
     for c in range(0, MAX_FACES, 8):
@@ -296,12 +298,12 @@ def _expand(W, K, live, seen, w):
     Returns
     -------
     live : int
-        Mask of the current faces, or 0 if the rim of the visible faces is not one closed line, there is no room, or a
-        face is too thin.
+        Mask of the current faces. The mask is 0 if the rim of the visible faces is not one closed line, if no row for a
+        face is left, or if a face is too thin.
     nearest : int
     least : float
-        The face with the least offset, and that offset. The old faces are searched before the new ones are written, so
-        that the search need not wait for them.
+        The face with the least offset, and that offset. The old faces are searched before the new faces are written, so
+        that this search need not wait for them.
     """
     nearest, least = _nearest(W, live & ~seen)
     count = 0
@@ -310,7 +312,7 @@ def _expand(W, K, live, seen, w):
         f = _first_bit(rest)
         rest &= rest - 1
         for e in range(3):
-            # Write every side; the next side overwrites it unless the face beyond it stays. This avoids a branch.
+            # To avoid a branch, write every side; the next side overwrites it unless the face beyond it stays.
             twin = K[_TWIN + 4 * f + e]
             K[_RIM + count] = twin
             K[_RIM_FROM + count] = K[_ORIGIN + 4 * f + e]
@@ -381,11 +383,11 @@ def overlap_depth(A, B, n, W, K, result):
     Returns
     -------
     status : int
-        UNSETTLED if the polytopes may be apart, or for unusual cases.
+        UNSETTLED if the polytopes may be apart, and in unusual cases.
     lower, upper : float
-        Bounds on the depth to within rounding; `upper` belongs to the support plane of the normal.
+        Bounds on the depth, up to rounding; `upper` is the offset of the support plane with the returned normal.
     """
-    # This function is inlined, since passing the arrays of A and B would take as long as the function itself.
+    # This function is inlined, because passing the arrays of A and B would take as long as the function itself.
     shift = shift_between(A, B)
     error = rounding_error(A, B, shift)
     corners_a = A.layout[A.piece, POINTS_TO] - A.layout[A.piece, POINTS_FROM]
@@ -399,7 +401,7 @@ def overlap_depth(A, B, n, W, K, result):
 
 @apart
 def _placed_depth(vectors_a, vectors_b, error, n, W, K, result):
-    """`overlap_depth` of placed corners, given by their numbers of vectors of eight, which are 0 for too many."""
+    """Do the work of `overlap_depth` for placed corners, given by their numbers of vectors (0 for too many)."""
     if vectors_a == 0:
         return UNSETTLED, -np.inf, np.inf
     tolerance = error * (DEPTH_ACCURACY / POSITION_ROUNDINGS)
@@ -418,7 +420,7 @@ def _placed_depth(vectors_a, vectors_b, error, n, W, K, result):
         height = _add_point(W, K, used, vectors_a, vectors_b, _normal(W, f))
         if height <= error:
             break
-        # Use the plane of this face: another face may be equally near, but it has another normal.
+        # Use the plane of this face, because another face may be equally near but has another normal.
         if height - lower <= tolerance:
             if not _witness(W, K, live, f, lower + WITNESS_WINDOW * error, result):
                 break
@@ -435,12 +437,13 @@ def _placed_depth(vectors_a, vectors_b, error, n, W, K, result):
 def _witness(W, K, live, f, window, result):
     """Write the normal and the witnesses of face f, or of the face in the same plane that contains the origin's foot.
 
-    Returns False if the foot is in no face with an offset up to `window`.
+    Returns False if no face with an offset up to `window` contains the foot.
     """
     a, b, c = _foot(W, K, f)
     inside = min(a, min(b, c))
     if not inside >= 0.0:
-        # A parallelogram (a face spanned by two edges) is two triangles here, and f may be the wrong triangle.
+        # A parallelogram (a face spanned by two edges) is two triangles here, and f may be the triangle without the
+        # foot.
         rest = _not_above(W, live, window)
         while rest != 0:
             g = _first_bit(rest)
@@ -463,11 +466,11 @@ def _witness(W, K, live, f, window, result):
 
 @njit()
 def proven_depth(error, W, K, result):
-    """A lower bound, up to `error`, on the depth that `overlap_depth` has just settled; 0 if none is proven.
+    """Lower bound, up to `error`, on the depth that `overlap_depth` has just found; 0 if no depth is proven.
 
-    The faces are a closed surface of points of A - B. If it winds around the origin at some distance, a ball about the
-    origin lies in A - B: certified.md B49. The search continues until the ball touches a face of A - B itself, whose
-    normal and witnesses go to `result`.
+    The faces form a closed surface of points of A - B. If this surface winds around the origin at some distance, a ball
+    about the origin lies in A - B (certified.md B49). The search continues until the ball touches a face of A - B
+    itself, whose normal and witnesses are written to `result`.
     """
     live, first, vectors_a, vectors_b = K[_LEFT], K[_LEFT + 1], K[_LEFT + 2], K[_LEFT + 3]
     proven = 0.0
@@ -493,7 +496,7 @@ def proven_depth(error, W, K, result):
 
 @inline
 def _measure_face(W, K, f, error):
-    """Write a face's normal and offset again with more care; return True if the origin is behind it beyond rounding."""
+    """Compute a face's normal and offset with more care; return whether the origin is certainly behind the face."""
     u, v, w = _corners(K, f)
     behind, nearest, n = plane_with_care(_point(W, u), _point(W, v), _point(W, w), error)
     W[_NX + f], W[_NY + f], W[_NZ + f] = n
@@ -503,5 +506,5 @@ def _measure_face(W, K, f, error):
 
 @njit()
 def workspace():
-    """Arrays to which `overlap_depth` writes; they can be reused by further calls."""
+    """Return arrays to which `overlap_depth` writes; further calls can reuse them."""
     return np.empty(FLOATS), np.empty(INTEGERS, np.int64)

@@ -1,8 +1,8 @@
 """Penetration depth of two placed pieces by an expanding polytope inside A - B.
 
-The depth is the smallest support value h(n) of the Minkowski difference A - B over unit n. A polytope of support points
-grows inside A - B; its face with the smallest offset is pushed out to the support plane until the two agree. Offsets
-may be negative, so the polytope need not contain the origin at the start.
+The depth is the smallest support value h(n) of the Minkowski difference A - B over all unit vectors n. A polytope of
+support points grows inside A - B; its face with the smallest offset is pushed out to the support plane until their
+offsets agree. Offsets may be negative, so that the polytope need not contain the origin at the start.
 
 References
 ----------
@@ -18,32 +18,32 @@ from loewner._kernels.linalg3 import cross, dot, minus, negated, plus, scaled
 from loewner._kernels.narrow.gjk_robust import minkowski_support, rounding_error
 from loewner._kernels.tolerances import POSITION_ROUNDINGS
 
-# For a pair of polytopes, the search ends at a true face of A - B, after a few dozen faces. The limit is for curved
-# pieces: 1,500 support points resolve a sphere's depth to about 1e-6 of its radius in the worst case (all directions
-# equally deep), and much better otherwise.
+# For a pair of polytopes, the search ends at a true face of A - B, after a few dozen faces. Only curved pieces need
+# MAX_POINTS: 1,500 support points resolve a sphere's depth to about 1e-6 of its radius in the worst case (all
+# directions equally deep), and much better otherwise.
 MAX_POINTS = 1500
 MAX_FACES = 2 * MAX_POINTS
-NO_VOLUME = -2e300  # in place of a depth: the Minkowski difference is a point, a segment or a polygon
+NO_VOLUME = -2e300  # NO_VOLUME replaces a depth if the Minkowski difference is a point, a segment or a polygon.
 
-# Faces may supply the witnesses if they are farther away than the nearest face by at most WITNESS_WINDOW rounding
-# errors (1.4e-10 of the lengths).
+# A face may supply the witnesses if it is farther away than the nearest face by at most WITNESS_WINDOW rounding errors
+# (1.4e-10 of the lengths).
 WITNESS_WINDOW = 2e4
 
-# Angle [rad] from the normal within which support points refine a witness; the relative error of the depth is the
-# square of this angle.
+# Support points in directions at an angle of about HAIR [rad] to the normal refine a witness. The relative error of the
+# depth is the square of this angle.
 HAIR = 1e-5
 
-# A face is thin if the sine at one of its corners is below THIN; its normal is then computed with more care.
+# A face is thin if the sine at one of its corners is below THIN. The normal of a thin face is computed with more care.
 THIN = 1e-4
 
-DEPTH_ACCURACY = 1e-11  # accuracy for a distance query
-CONTACT_ACCURACY = 1e-13  # accuracy that distinguishes a graze from a gap
+DEPTH_ACCURACY = 1e-11  # Accuracy for distance queries.
+CONTACT_ACCURACY = 1e-13  # Accuracy that distinguishes a graze from a gap.
 
 
 class Workspace(NamedTuple):
     """Arrays to which `penetration` writes: support points, faces, and the lists of the face search.
 
-    `count` has one number: the rows of the faces in use, or 0 if the live faces are not a closed surface.
+    `count` has one entry: the number of rows of the faces in use, or 0 if the live faces are not a closed surface.
     """
 
     S: Any
@@ -60,7 +60,7 @@ class Workspace(NamedTuple):
 
 @njit()
 def _support(A, B, shift, n, S, k):
-    """`minkowski_support`, called instead of inlined: there are many calls here, all of them rare."""
+    """Call `minkowski_support` instead of inlining it, because it has many call sites, all of them rarely executed."""
     minkowski_support(A, B, shift, n, S, k)
 
 
@@ -71,13 +71,13 @@ def _point(S, k):
 
 @njit()
 def _face(S, corners, normals, offsets, f):
-    """Form the outward unit normal and offset of face f; return False if it has hardly any area."""
+    """Compute the outward unit normal and offset of face f; return False if it has hardly any area."""
     a, b, c = _point(S, corners[f, 0]), _point(S, corners[f, 1]), _point(S, corners[f, 2])
     u, v, w = minus(b, a), minus(c, b), minus(a, c)
     x, y, z = dot(u, u), dot(v, v), dot(w, w)
     n = cross(w, u)
     area, longest = np.sqrt(dot(n, n)), np.sqrt(x * z)
-    if area < THIN * longest:  # only the two shorter sides give an accurate normal of a thin face
+    if area < THIN * longest:  # Only the two shorter sides give an accurate normal of a thin face.
         most = max(x, max(y, z))
         n = cross(v, w) if x == most else (cross(w, u) if y == most else cross(u, v))
         area, longest = np.sqrt(dot(n, n)), np.sqrt(x * y * z / most)
@@ -95,12 +95,13 @@ def _face(S, corners, normals, offsets, f):
 
 @njit()
 def _first_tetrahedron(A, B, shift, n, S):
-    """Four support points that span a volume, the first two along n and -n, written to rows 0..3 of S."""
-    rows = np.arange(5)  # passed as data, since the functions below would otherwise be compiled once for each constant
+    """Write four support points that span a volume, the first two along n and -n, to rows 0..3 of S."""
+    # Row numbers are passed as data, because Numba would compile the functions below once for each constant.
+    rows = np.arange(5)
     _support(A, B, shift, n, S, rows[0])
     _support(A, B, shift, negated(n), S, rows[1])
-    # The third point lies off the line, and the fourth off the plane; each is the farther of the support points in two
-    # opposite directions.
+    # The third point lies off the line of the first two, and the fourth point off the plane of the first three. Both
+    # are the farther of the support points in two opposite directions.
     ex = S[1, 0] - S[0, 0]
     ey = S[1, 1] - S[0, 1]
     ez = S[1, 2] - S[0, 2]
@@ -119,7 +120,7 @@ def _first_tetrahedron(A, B, shift, n, S):
 
 @njit()
 def _volume(S):
-    """Six times the signed volume of rows 0..3."""
+    """Six times the signed volume of the tetrahedron in rows 0..3."""
     ux = S[1, 0] - S[0, 0]
     uy = S[1, 1] - S[0, 1]
     uz = S[1, 2] - S[0, 2]
@@ -135,7 +136,7 @@ def _volume(S):
 
 @njit()
 def _flat_normal(S, error, result):
-    """Whether rows 0..3 span no volume; if so, write a unit normal of their plane or line to `result`."""
+    """Return whether rows 0..3 span no volume; if so, write a unit normal of their plane or line to `result`."""
     ex, ey, ez = S[1, 0] - S[0, 0], S[1, 1] - S[0, 1], S[1, 2] - S[0, 2]
     ux, uy, uz = S[2, 0] - S[0, 0], S[2, 1] - S[0, 1], S[2, 2] - S[0, 2]
     nx, ny, nz = ey * uz - ez * uy, ez * ux - ex * uz, ex * uy - ey * ux
@@ -180,7 +181,7 @@ def _farther(A, B, shift, n, S, k):
 
 @njit()
 def _visible(S, normals, offsets, f, w, error):
-    """Whether the new point w lies in front of face f (true for a face without area)."""
+    """Return whether the new point w lies in front of face f; a face without area counts as well."""
     if offsets[f] == np.inf:
         return True
     return normals[f, 0] * S[w, 0] + normals[f, 1] * S[w, 1] + normals[f, 2] * S[w, 2] > offsets[f] + error
@@ -193,7 +194,7 @@ def _expand(S, corners, neighbors, normals, offsets, alive, free, counts, first,
     alive[first] = False
     free[counts[1]] = first
     counts[1] += 1
-    # Crossing the edges of each face in order, depth first, gives the rim in order.
+    # Crossing the edges of each face in order, depth first, yields the edges of the rim in order.
     top = 0
     for e in range(2, -1, -1):
         stack[top, 0] = first
@@ -270,12 +271,12 @@ def _expand(S, corners, neighbors, normals, offsets, alive, free, counts, first,
 
 @njit()
 def penetration(A, B, shift, accuracy, work, result):
-    """Depth of the cores' penetration.
+    """Compute the penetration depth of two cores.
 
     Parameters
     ----------
     accuracy : float
-        Gap of the bounds at which to stop, relative to the lengths involved.
+        Gap between the bounds, relative to the lengths involved, at which the search stops.
     work : Workspace
     result : ndarray, shape (9,)
         Receives the normal (from A to B) and the two deepest points.
@@ -283,8 +284,8 @@ def penetration(A, B, shift, accuracy, work, result):
     Returns
     -------
     lower, upper : float
-        Both `NO_VOLUME` if the cores span no volume; `result` then only holds a normal. Otherwise bounds on the depth,
-        to within `rounding_error`; `upper` belongs to the normal and the points.
+        Bounds on the depth, to within `rounding_error`; `upper` is the depth along the returned normal. If the cores
+        span no volume, both bounds are `NO_VOLUME`, and `result` holds only a normal.
     """
     lower, upper, astray = _expanded(A, B, shift, accuracy, (1.0, 0.0, 0.0), work, result)
     other = np.empty(9)
@@ -300,7 +301,7 @@ def penetration(A, B, shift, accuracy, work, result):
 
 @inline
 def _known(S, count):
-    """Whether row `count` of the support points repeats one of the rows before it."""
+    """Return whether row `count` of the support points repeats an earlier row."""
     known = False
     for k in range(count):
         known |= S[k, 0] == S[count, 0] and S[k, 1] == S[count, 1] and S[k, 2] == S[count, 2]
@@ -309,10 +310,10 @@ def _known(S, count):
 
 @njit()
 def _expanded(A, B, shift, accuracy, first, work, result):
-    """As `penetration`, from a polytope about the direction `first`; also returns whether the search went astray.
+    """Do the work of `penetration` with a polytope about `first`; also return whether the search went astray.
 
     Rounding can leave a dent between thin faces. A point that is already a corner then lies in front of a face, and
-    adding it again and again would not end.
+    adding this point again and again would never end.
     """
     S, corners, neighbors, normals, offsets, alive, free, horizon, stack, count = work
     count[0] = 0
@@ -322,11 +323,12 @@ def _expanded(A, B, shift, accuracy, first, work, result):
     for f in range(4):
         alive[f] = True
     if _flat_normal(S, error, result):
-        # Cores that span no volume (points, parallel segments) have depth zero: a shift perpendicular to their plane or
-        # line separates them at once. The caller has the deepest points from GJK.
+        # Cores that span no volume (points, parallel segments) have depth zero, because a shift perpendicular to their
+        # plane or line separates them at once. The caller takes the deepest points from GJK.
         return NO_VOLUME, NO_VOLUME, False
-    # Faces 0..3 lie opposite corners 0..3; once oriented, each face's corners run counter-clockwise seen from outside.
-    if _volume(S) < 0.0:  # swap two corners so that the faces of the fixed table below point outward
+    # Faces 0..3 lie opposite corners 0..3. Once oriented, the corners of each face run counter-clockwise seen from
+    # outside.
+    if _volume(S) < 0.0:  # Swap two corners, so that the faces in the fixed table below point outward.
         for c in range(9):
             S[0, c], S[1, c] = S[1, c], S[0, c]
     table = ((1, 2, 3), (0, 3, 2), (0, 1, 3), (0, 2, 1))
@@ -362,7 +364,7 @@ def _expanded(A, B, shift, accuracy, first, work, result):
         nx = normals[nearest, 0]
         ny = normals[nearest, 1]
         nz = normals[nearest, 2]
-        # The lowest point along -n is the farthest along n.
+        # The point that is lowest along -n is the farthest along n.
         _support(A, B, shift, (-nx, -ny, -nz), S, used)
         height = nx * S[used, 0] + ny * S[used, 1] + nz * S[used, 2]
         if height < upper:
@@ -372,7 +374,7 @@ def _expanded(A, B, shift, accuracy, first, work, result):
         if upper - least <= tolerance or height - least <= 4.0 * error:
             break
         if _known(S, used):
-            # A thin face that is folded over a face of A - B has the opposite normal.
+            # A thin face that is folded over a face of A - B has the opposite of that face's normal.
             _support(A, B, shift, (nx, ny, nz), S, used)
             height = -(nx * S[used, 0] + ny * S[used, 1] + nz * S[used, 2])
             astray = height + least > 4.0 * error
@@ -411,10 +413,10 @@ def _expanded(A, B, shift, accuracy, first, work, result):
 
 @njit()
 def proven_depth(error, work):
-    """A lower bound, up to `error`, on the depth that `penetration` has just found; 0 if none is proven.
+    """Lower bound, up to `error`, on the depth that `penetration` has just found; 0 if no depth is proven.
 
-    The faces are a closed surface of points of A - B. If it winds around the origin at some distance, a ball about the
-    origin lies in A - B: certified.md B49.
+    The faces form a closed surface of points of A - B. If this surface winds around the origin at some distance, a ball
+    about the origin lies in A - B (certified.md B49).
     """
     proven = np.inf if work.count[0] > 0 else 0.0
     for f in range(work.count[0]):
@@ -429,14 +431,15 @@ def proven_depth(error, work):
 
 @inline
 def plane_with_care(one, two, three, error):
-    """The plane of a face with the origin behind it, from the face's two shorter sides.
+    """Compute the plane of a face from its two shorter sides; the origin should lie behind it.
 
     Returns
     -------
     behind : bool
-        Whether the origin is behind the face beyond rounding, so that the face winds around it the right way.
+        Whether the origin is behind the face beyond rounding, so that the face winds around the origin in the right
+        direction.
     nearest : float
-        Extent of the nearest corner along the normal: up to `error`, no point of the face is nearer to the origin.
+        Least product of the normal with a corner: up to `error`, no point of the face is nearer to the origin.
     n : tuple of 3 float
         The unit normal.
     """
@@ -452,10 +455,10 @@ def plane_with_care(one, two, three, error):
 
 @njit()
 def _fine_foot(A, B, shift, S, used, result):
-    """Witnesses for the normal in `result` from the support points of five directions around it.
+    """Compute witnesses for the normal in `result` from the support points of five directions around it.
 
-    The origin's foot must lie in a triangle of three of the points, seen along the normal; returns False if it does
-    not.
+    Seen along the normal, the foot of the origin must lie in a triangle of three points; if it lies in none, the
+    function returns False.
     """
     nx, ny, nz = result[0], result[1], result[2]
     if abs(nx) <= abs(ny) and abs(nx) <= abs(nz):
@@ -495,7 +498,7 @@ def _fine_foot(A, B, shift, S, used, result):
 
 @njit()
 def _foot(S, corners, normals, f):
-    """Barycentric coordinates of the foot of the origin on face f; negative ones lie outside."""
+    """Barycentric coordinates of the foot of the origin on face f; a negative one means that the foot lies outside."""
     a = corners[f, 0]
     b = corners[f, 1]
     c = corners[f, 2]
@@ -523,7 +526,7 @@ def _area(S, normals, f, b, c):
 
 @njit()
 def _witness(S, corners, normals, f, result):
-    """Normal of face f and the points of A and B that belong to the foot of the origin on it."""
+    """Write the normal of face f, and the points of A and B that the foot of the origin on the face represents."""
     wa, wb, wc = _foot(S, corners, normals, f)
     wa = max(wa, 0.0)
     wb = max(wb, 0.0)
@@ -539,7 +542,7 @@ def _witness(S, corners, normals, f, result):
 
 @njit()
 def workspace(wanted):
-    """Arrays to which `penetration` writes; they can be reused by further calls."""
+    """Return arrays to which `penetration` writes; further calls can reuse the arrays."""
     points = MAX_POINTS + 8 if wanted else 1
     faces = MAX_FACES if wanted else 1
     return Workspace(

@@ -1,4 +1,4 @@
-"""The exact answer for one piece pair by the fast searches; `pipeline.fallback` settles the pairs that they cannot."""
+"""The exact answer for one piece pair by the fast searches; `pipeline.fallback` settles the pairs left open."""
 
 from loewner._kernels._jit import apart, njit
 from loewner._kernels.codes import (
@@ -23,39 +23,39 @@ from loewner._kernels.narrow.surface_walk import left_of
 from loewner._kernels.pieces.pack import pieces_of, placed, shift_between
 from loewner._kernels.pieces.shapes import radius
 
-SIZE = max(MEMORY.size(), SURFACE_SIZE)  # bytes of memory to which `exact_piece_pair` writes
+SIZE = max(MEMORY.size(), SURFACE_SIZE)  # `exact_piece_pair` writes to SIZE bytes of memory.
 
 
 @apart
 def exact_piece_pair(pack_a, i, poses_a, ka, pack_b, j, poses_b, kb, margin, n, steps, memory):
     """Settle one piece pair that the ellipsoids left ambiguous.
 
-    It takes handles, since placed pieces would be many arguments of a call that is not inlined.
+    The function takes handles, because placed pieces would be many arguments of a call that is not inlined.
 
     Parameters
     ----------
     pack_a, pack_b : int
         Handles of the pieces.
     i, j : int
-        The pieces A and B among these.
+        Numbers of the pieces A and B in the packs.
     poses_a, poses_b : ndarray, shape (n, 4, 4)
     ka, kb : int
-        The rows of their poses.
+        Rows of the poses of A and B.
     margin : float
-        Distance that the pieces must keep, >= 0.
+        Distance that the pieces must keep; at least 0.
     n : tuple of 3 float
         First direction from A to B: the contact normal of the outer ellipsoids.
     steps : int
-        As for `surface_pair`.
+        Limit on the steps, see `surface_pair`.
     memory : int
         Address of SIZE bytes of scratch memory.
 
     Returns
     -------
     verdict, tier : int
-        AMBIGUOUS with tier OPEN if the searches could not settle it.
+        The verdict is AMBIGUOUS, and the tier OPEN, if the searches could not settle the pair.
     taken : int
-        Steps of walks through surfaces.
+        Number of steps that walks through surfaces took.
     """
     A, B = placed(pieces_of(pack_a), i, poses_a, ka), placed(pieces_of(pack_b), j, poses_b, kb)
     if is_surface(A) or is_surface(B):
@@ -80,7 +80,7 @@ def exact_piece_pair(pack_a, i, poses_a, ka, pack_b, j, poses_b, kb, margin, n, 
 
 @njit()
 def _by_distance(A, B, shift, W, ends, n, error, margin, radii, memory):
-    """Settle a pair with radii or a margin, or a pair left by `decide`; separate, to keep the main function short."""
+    """Settle a pair with radii or a margin, or a pair that `decide` left open; a separate function keeps code short."""
     result = result_of(memory)
     status, _, _ = measure(A, B, shift, W, ends, n, error, margin + radii, margin + swollen_radii(A, B), result)
     if status == APART:

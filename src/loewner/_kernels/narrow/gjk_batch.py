@@ -1,14 +1,14 @@
-"""GJK on many open pairs of small polytopes, sixteen pairs side by side in registers, without branches.
+"""GJK for many open pairs of small polytopes: sixteen pairs side by side in registers, without branches.
 
-First the plane perpendicular to the contact normal of the outer ellipsoids is tried, which separates four in ten open
-pairs. For the others the simplex is walked by the signs of a few products, without a closest point: every round
-searches the vertices of both pieces once and computes all cases of the simplex together, from which each pair selects
-its own. Two or three more rounds settle most pairs.
+The plane perpendicular to the contact normal of the outer ellipsoids is tried first; it separates four in ten open
+pairs. For the other pairs, the signs of a few products decide how the simplex moves, without a closest point. Every
+round searches the vertices of both pieces once and computes all cases of the simplex together, and each pair selects
+its own case. Two or three more rounds settle most pairs.
 
-The walk is in single precision. Its results are proven nonetheless, by a support plane clear of the origin or by a
-tetrahedron of points of A - B that contains it, both by more than the rounding of that precision (docs/certified.md).
-Pairs nearer to contact, two in a thousand, have no proof here and are left to `gjk_fast`, so the result of a pair does
-not depend on its path or on the pairs beside it.
+The walk is in single precision. The results are nonetheless proven: a support plane is clear of the origin, or a
+tetrahedron of points of A - B contains the origin, by more than the rounding of single precision (docs/certified.md).
+Pairs nearer to contact, two in a thousand, are not proven here but left to `gjk_fast`. The result of a pair therefore
+depends neither on its path nor on the pairs beside it.
 
 References
 ----------
@@ -47,37 +47,36 @@ from loewner._kernels.simd.vectors import (
 )
 from loewner._kernels.tolerances import SINGLE_ROUNDOFF, UNIT_ROUNDOFF
 
-# Limits of the walk, and factors of its rounding errors.
+ROUNDS = 10  # Five rounds settle nine in ten pairs, and eight settle 99 in 100.
 
-ROUNDS = 10  # five rounds settle nine in ten pairs, and eight settle 99 in 100
+FEW = 4  # Fewer than FEW pairs are searched faster one by one.
 
-FEW = 4  # fewer pairs are faster to search one by one
-
-MOST = 64  # limit on the vertices of a piece: with more, sixteen pairs exceed the first-level cache
+MOST = 64  # A piece may have up to MOST vertices. With more, sixteen pairs exceed the first-level cache.
 
 # Errors of a width computed by `plane`, and of a product with a support point, in roundoffs of single precision times
-# the lengths. All errors here are at least twice the derived values.
+# the lengths. All errors in this module are at least twice the derived values.
 WIDTH_ERROR = 16.0  # certified.md B9
 PRODUCT_ERROR = 72.0  # certified.md B10
 # Errors of a determinant of three points, and of the sum of four determinants, in roundoffs times the cube of the
-# longest point's length.
+# farthest point's distance from the origin.
 VOLUME_ERROR = 98.0  # certified.md B11
 SUM_ERROR = 632.0  # certified.md B12
-# Error of a determinant due to its points' errors, in roundoffs times the lengths and the longest point's square.
+# Error of a determinant due to the errors of its points, in roundoffs times the lengths times the squared distance of
+# the farthest point from the origin.
 POINT_ERROR = 64.0  # certified.md B13
 
-SHORT = 1e-30  # directions with a smaller square are not trusted, since the square may lack digits
+SHORT = 1e-30  # A direction whose square is below SHORT is not trusted, because the square may lack digits.
 
-VERTEX = 3 * SINGLE_LANES  # entries for one vertex of each of sixteen pieces
+VERTEX = 3 * SINGLE_LANES  # One vertex of each of sixteen pieces takes VERTEX entries.
 
 
 class Workspace(NamedTuple):
-    """Memory of a walk, which can be reused by further walks.
+    """Memory of a walk; further walks can reuse it.
 
     Attributes
     ----------
     listed : PairList
-        Sixteen pairs.
+        The sixteen pairs of the walk.
     first_a, last_a, first_b, last_b : ndarray of int64, shape (16,)
         First and last block of vertices of each piece.
     here : ndarray of int64, shape (16,)
@@ -112,7 +111,7 @@ workspace_at = WORKSPACE.whole()
 
 @inline
 def put(memory, at, k, i, j, ka, kb, n):
-    """List a pair: its number, its pieces and their poses, a direction from a to b."""
+    """List a pair: its number, its pieces and their poses, and a direction from a to b."""
     work = workspace_at(memory)
     pair_list.put(work.listed, at, k, i, j, ka, kb)
     at = np.uint64(at)
@@ -123,14 +122,14 @@ def put(memory, at, k, i, j, ka, kb, n):
 
 @inline
 def takes(layout, piece):
-    """Whether the functions below take a piece."""
-    piece = np.uint64(piece)  # unsigned, since a signed index could count from the end
+    """Return whether the functions below accept a piece."""
+    piece = np.uint64(piece)  # The index is unsigned, because a signed index could count from the end.
     return (layout[piece, KIND] == POLYTOPE) & (layout[piece, POINTS_TO] - layout[piece, POINTS_FROM] <= MOST)
 
 
 @inline
 def _blocks(layout, pieces, first, last):
-    """Write the first and the last block of vertices of each piece; return the number of blocks of the largest one."""
+    """Write the first and the last block of vertices of each piece; return the largest number of blocks."""
     most = 0
     for lane in range(SINGLE_LANES):
         piece = pieces[lane]
@@ -143,7 +142,7 @@ def _blocks(layout, pieces, first, last):
 
 @inline
 def _block(points, first, last, here, b):
-    """The b-th block of vertices of each piece, or its last one if there are fewer: eight x, eight y and eight z."""
+    """Load block b of the vertices of each piece, or its last block if it has fewer: eight x, eight y and eight z."""
     for lane in range(SINGLE_LANES):
         here[lane] = min(first[lane] + b, last[lane])
     width = 3 * BLOCK
@@ -156,7 +155,7 @@ def _block(points, first, last, here, b):
 
 @inline
 def _lay(points, first, last, here, most, W, at):
-    """Write the vertices of sixteen pieces side by side from W[at] on; return their end."""
+    """Write the vertices of sixteen pieces side by side, starting at W[at]; return the end of the written entries."""
     for b in range(most):
         px, py, pz = _block(points, first, last, here, b)
         store_strided(W, at, VERTEX, px)
@@ -168,8 +167,8 @@ def _lay(points, first, last, here, most, W, at):
 
 @inline
 def _farthest(W, start, stop, x, y, z):
-    """The vertex in W of each piece that has the largest product with the piece's direction."""
-    # Interleave two searches, since each step of a search depends on its previous step.
+    """For each piece, find the vertex in W that has the largest product with the piece's direction."""
+    # Two searches are interleaved, because each step of a search depends on its previous step.
     ax, ay, az = load_single(W, start), load_single(W, start + SINGLE_LANES), load_single(W, start + 2 * SINGLE_LANES)
     bx, by, bz = (
         load_single(W, start + VERTEX),
@@ -197,16 +196,17 @@ def _farthest(W, start, stop, x, y, z):
 
 @inline
 def plane(sa, la, xa, i, Ta, r, sb, lb, xb, j, Tb, q, n):
-    """Whether the plane perpendicular to a direction from a to b certainly separates two pieces, margin 0.
+    """Return whether the plane perpendicular to a direction from a to b certainly separates two pieces, for margin 0.
 
     Parameters
     ----------
     sa, la, xa, i, Ta, r : ndarray, ndarray, ndarray, int, ndarray, int
-        For a: hot columns, vertices in single precision, layout (see `shapes`) and piece; poses, and the row of the
-        pose. Likewise for b. `takes` must hold for both pieces.
+        For a: hot columns, vertices in single precision, layout (see `shapes`) and piece; then the poses and the row of
+        the pose. The other arguments are the same for b. `takes` must hold for both pieces.
     """
     x, y, z = n
-    i, r, j, q = np.uint64(i), np.uint64(r), np.uint64(j), np.uint64(q)  # unsigned, so that none counts from the end
+    # The indices are unsigned, so that none counts from the end.
+    i, r, j, q = np.uint64(i), np.uint64(r), np.uint64(j), np.uint64(q)
     tx, ty, tz = Tb[q, 0, 3] - Ta[r, 0, 3], Tb[q, 1, 3] - Ta[r, 1, 3], Tb[q, 2, 3] - Ta[r, 2, 3]
     along_a = (
         np.float32(Ta[r, 0, 0] * x + Ta[r, 1, 0] * y + Ta[r, 2, 0] * z),
@@ -230,57 +230,57 @@ def plane(sa, la, xa, i, Ta, r, sb, lb, xb, j, Tb, q, n):
 
 @inline
 def _directions(N):
-    """The directions to start from, or an arbitrary direction if there is none."""
+    """Load the directions to start from; a direction that is zero is replaced with an arbitrary one."""
     n = load_rounded(N, 0), load_rounded(N, SINGLE_LANES), load_rounded(N, 2 * SINGLE_LANES)
     return selected(dot(n, n) > SHORT, n, (1.0, 0.0, 0.0))
 
 
 @inline
 def faces(A, B, C, E):
-    """Heights of the origin over the faces of a tetrahedron, times twice their areas; negative on the inner side.
+    """Heights of the origin over a tetrahedron's faces, times twice the faces' areas; negative on the inner side.
 
     Parameters
     ----------
     A, B, C, E : tuple of 3
-        The newest point; and the others, which run counter-clockwise seen from there.
+        The newest point A, and the other points, which run counter-clockwise seen from A.
 
     Returns
     -------
     f, g, h, base : float
-        For the faces A B C, A C E, A E B and B E C.
+        Heights over the faces A B C, A C E, A E B and B E C.
     normals : tuple of 3 tuples of 3
-        The first three faces' normals, as long as twice their areas.
+        Normals of the first three faces; the length of each is twice the area of its face.
     """
     AB, AC, AE = minus(B, A), minus(C, A), minus(E, A)
     normals = cross(AB, AC), cross(AC, AE), cross(AE, AB)
     f, g, h = -dot(normals[0], A), -dot(normals[1], A), -dot(normals[2], A)
-    # The four products add up to the negative volume of the tetrahedron.
+    # The four products add up to minus six times the volume of the tetrahedron.
     return f, g, h, dot(normals[0], AE) - (f + g + h), normals
 
 
 @inline
 def advance(A, B, C, E, two, three, f, g, h):
-    """The part of a simplex with the newest point A that the walk keeps, and the direction from the origin to it.
+    """Select the part of a simplex with the newest point A that the walk keeps, and the direction to it.
 
     Parameters
     ----------
     A, B, C, E, f, g, h
-        As for `faces`; C and E are ignored if there are fewer points.
+        Documented in `faces`; C and E are ignored if the simplex has fewer points.
     two, three : mask
-        Whether the simplex has two, or three, points besides A.
+        Whether the simplex has two points, or three, besides A.
 
     Returns
     -------
     n, B, C, E : tuple of 3
     two, three : mask
     """
-    # Continue with one face, as the triangle A, B, C.
+    # Continue with one face of the tetrahedron, as the triangle A, B, C.
     second = three & (g > f) & (g >= h)
     third = three & (h > f) & (h > g)
     B, C = selected(second, C, selected(third, E, B)), selected(second, E, selected(third, B, C))
     plane = two | three
 
-    # For a triangle, the origin projects into the triangle, or lies beyond edge A B or A C.
+    # The origin projects into the triangle A B C, or lies beyond its edge A B or A C.
     AB, AC = minus(B, A), minus(C, A)
     normal = cross(AB, AC)
     beyond_c = plane & (dot(cross(normal, AC), A) < 0.0)
@@ -289,11 +289,11 @@ def advance(A, B, C, E, two, three, f, g, h):
     swap = beyond_c & (dot(AC, A) < 0.0)
     B = selected(swap, C, B)
 
-    # For a segment, the origin projects into the segment, or lies beyond A.
+    # The origin projects into the segment A B, or lies beyond A.
     AB = minus(B, A)
     beside = dot(AB, A) < 0.0
     across = cross(cross(AB, A), AB)
-    # Turn the triangle so that A, B, C run counter-clockwise seen from the origin.
+    # Order the triangle so that A, B, C run counter-clockwise seen from the origin.
     other = dot(normal, A) <= 0.0
     n = selected(line, selected(beside, across, A), selected(other, negated(normal), normal))
     return n, A, selected(line | other, B, C), selected(other, C, B), line & beside, ~line
@@ -301,18 +301,19 @@ def advance(A, B, C, E, two, three, f, g, h):
 
 @njit()
 def settle(count, sa, la, xa, Ta, moved_a, sb, lb, xb, Tb, moved_b, memory):
-    """Walk the simplex of each of the listed pairs, margin 0.
+    """Walk the simplex of each of the listed pairs, for margin 0.
 
     Parameters
     ----------
     count : int
-        Pairs in the list, at least 1.
+        Number of pairs in the list; at least 1.
     sa, la, xa, Ta : ndarray
-        For a: hot columns, vertices in single precision, layout (see `shapes`), and poses. Likewise for b.
+        For a: hot columns, vertices in single precision, layout (see `shapes`), and poses. The other arguments are the
+        same for b.
     moved_a, moved_b : bool
-        False if the operand's only pose is the identity.
+        False if the identity is the only pose of the operand.
     memory : int
-        Address of a `Workspace`. `takes` must hold for the pieces; `found` receives APART, TOUCHING or UNSETTLED.
+        Address of a `Workspace`, whose `found` receives APART, TOUCHING or UNSETTLED. `takes` must hold for the pieces.
     """
     work = workspace_at(memory)
     listed, N, W, found = work.listed, work.directions, work.vertices, work.found
@@ -334,8 +335,8 @@ def settle(count, sa, la, xa, Ta, moved_a, sb, lb, xb, Tb, moved_b, memory):
     ends_a = _lay(xa, work.first_a, work.last_a, work.here, most_a, W, 0)
     ends_b = _lay(xb, work.first_b, work.last_b, work.here, most_b, W, ends_a)
 
-    # The simplex has one, two or three points B, C, E of the Minkowski difference, the newest one first. The direction
-    # n points from the origin to the part of the simplex that is kept.
+    # The simplex has one, two or three points B, C, E of the Minkowski difference, the newest first. The direction n
+    # points from the origin to the part of the simplex that is kept.
     n = negated(_directions(N))
     B, C, E = n, n, n
     none = ~((n[0] > 0.0) | ~(n[0] > 0.0))
@@ -362,7 +363,7 @@ def settle(count, sa, la, xa, Ta, moved_a, sb, lb, xb, Tb, moved_b, memory):
             break
         largest = maximum(largest, dot(A, A))
         if r == 0:
-            # A direction between the first one and the direction of the first point saves a round.
+            # A direction between the first direction and the direction of the first point saves a round.
             kept = np.float32(KEPT) / length
             rest = np.float32(1.0 - KEPT) / sqrt(dot(A, A))
             n = kept * n[0] + rest * A[0], kept * n[1] + rest * A[1], kept * n[2] + rest * A[2]

@@ -1,9 +1,9 @@
-"""The fast searches on two placed pieces: GJK with the simplex in registers.
+"""The fast searches for two placed pieces: GJK with the simplex in registers.
 
-The vertices of small polytopes are moved to the world once per pair; then a round is two searches through vectors of
-points and about forty products. Both searches prove their results in the same way as `gjk_robust.run`, by a support
-plane clear of the origin or by points of the pieces; if they cannot, they return UNSETTLED and `gjk_robust.run` takes
-over.
+The vertices of small polytopes are moved to the world once per pair. A round then takes two searches through vectors of
+points and about forty products. Both `decide` and `measure` prove their results in the same way as `gjk_robust.run`, by
+a support plane clear of the origin or by points of the pieces. If no proof succeeds, they return UNSETTLED, and
+`gjk_robust.run` takes over.
 
 References
 ----------
@@ -24,36 +24,37 @@ from loewner._kernels.simd.memory import Arena, floats
 from loewner._kernels.tolerances import LEAST_SQUARE, UNIT_ROUNDOFF
 
 DECIDE_ROUNDS = 24
-MEASURE_ROUNDS = 64  # hulls usually need six rounds, and at most twelve; curved pieces converge linearly
+MEASURE_ROUNDS = 64  # Hulls usually need six rounds, and at most twelve; curved pieces converge linearly.
 
-# A support point that is already in the simplex ends the search; the bounds on the distance must then agree to within
+# A support point that is already in the simplex ends the search. The bounds on the distance must then agree to within
 # LAST_GAP times the error of a height.
 LAST_GAP = 16.0
 
 # If the squared sine at a corner of a triangle is below THIN, the triangle's normal is made orthogonal to the edges.
 THIN = 1e-4
 
-# Weight of the first direction in the second one, for unit vectors; values from 0.5 to 0.8 work equally well.
+# For unit vectors, KEPT is the weight of the first direction in the second one. Values from 0.5 to 0.8 work equally
+# well.
 KEPT = 0.7
 
 # Error of a determinant of three points, and of the sum of four determinants, in units of the roundoff times the third
 # power of the largest sum of coordinates.
 VOLUME_ERROR = 64.0  # certified.md B16, B17
 
-# Columns of the scratch array: the placed vertices of both pieces, then six coordinates for each round of `measure`.
+# The scratch array has columns for the placed vertices of both pieces, and six numbers for each round of `measure`.
 PLACED = 2 * LARGE
 _PATH = 3 * PLACED
 
 ENTRIES = _PATH + 6 * MEASURE_ROUNDS
 
-# Memory of a search: vertices and simplex, and the result of `measure`.
+# Memory of a search: the vertices and the simplex, and the result of `measure`.
 MEMORY = Arena(vertices=floats(ENTRIES), result=floats(9))
 vertices_of, result_of = MEMORY.accessors("vertices result")
 
 
 @inline
 def place_piece(P, shift, W, at):
-    """Place the vertices of a small polytope in W from column `at` on; return the end (`at` for other pieces)."""
+    """Place the vertices of a small polytope in W from column `at`; return the end, which is `at` for other pieces."""
     if P.layout[P.piece, KIND] != POLYTOPE:
         return at
     start, stop = P.layout[P.piece, POINTS_FROM], P.layout[P.piece, POINTS_TO]
@@ -63,14 +64,14 @@ def place_piece(P, shift, W, at):
 
 @inline
 def begin(A, B, shift, W):
-    """Place the vertices of two pieces, if they are small polytopes; return the columns of W where A's and B's end."""
+    """Place the vertices of two pieces, if they are small polytopes; return the columns of W where each piece ends."""
     end_a = place_piece(A, (0.0, 0.0, 0.0), W, 0)
     return end_a, place_piece(B, shift, W, end_a)
 
 
 @inline
 def _supports(A, B, shift, W, ends, n):
-    """Points of A and of B whose difference is least along n."""
+    """Find the points of A and of B whose difference is least along n."""
     end_a, end_b = ends
     if end_a > 0:
         k = entry_of(farthest(W, 0, end_a, negated(n)))
@@ -87,7 +88,7 @@ def _supports(A, B, shift, W, ends, n):
 
 @inline
 def _edge(a, b):
-    """Line case: number of points kept, and the direction from the feature away from the origin."""
+    """Reduce a simplex of two points: return how many are kept, and the direction from the origin to the kept part."""
     u = minus(b, a)
     if dot(u, a) < 0.0:
         return 2, cross(cross(u, a), u)
@@ -98,30 +99,30 @@ def _edge(a, b):
 def decide(A, B, shift, W, ends, n, error):
     """Decide most pairs of plain cores (no radii, no margin) in a few rounds, all in registers.
 
-    The simplex is walked only by the signs of a few products, without a closest point. Results are proven in the same
-    way as in `gjk_robust.run`: by a support plane clear of the origin, or by a tetrahedron that contains it clear of
-    rounding. Everything else is UNSETTLED and goes to `measure`.
+    The signs of a few products decide how the simplex moves, without a closest point. Results are proven in the same
+    way as in `gjk_robust.run`: by a support plane clear of the origin, or by a tetrahedron that contains the origin
+    beyond rounding. All other pairs are UNSETTLED and go to `measure`.
 
     Parameters
     ----------
     A, B : Placed
     shift : tuple of 3 float
-        Vector from A's translation to B's.
+        Vector from A's translation to B's translation.
     W : ndarray
-        `workspace`, filled by `begin`.
+        The `vertices` of `MEMORY`, filled by `begin`.
     ends : tuple of 2 int
         Result of `begin`.
     n : tuple of 3 float
         First direction, from A to B; not zero.
     error : float
-        `gjk_robust.rounding_error`.
+        Result of `gjk_robust.rounding_error`.
 
     Returns
     -------
     status : int
         APART, TOUCHING or UNSETTLED.
     n : tuple of 3 float
-        The direction reached, from A to B.
+        The last direction of the search, from A to B.
     points : int
         Number of points of the simplex; 0 if the first direction settled the pair.
     """
@@ -142,7 +143,7 @@ def decide(A, B, shift, W, ends, n, error):
         if k == 0:
             k = 1
             b = a
-            # As in `measure`, start between the first direction and the direction of the first point.
+            # As in `measure`, search between the first direction and the direction of the first point.
             kept = KEPT / length
             rest = (1.0 - KEPT) / np.sqrt(dot(a, a))
             p = kept * p[0] + rest * a[0], kept * p[1] + rest * a[1], kept * p[2] + rest * a[2]
@@ -191,7 +192,7 @@ def decide(A, B, shift, W, ends, n, error):
                     c = b
                 b = a
             else:
-                # The origin is inside the prism over the triangle: keep the triangle, turned so that a, b, c run
+                # The origin is inside the prism over the triangle: keep the triangle, ordered so that a, b, c run
                 # counter-clockwise seen from the origin.
                 k = 3
                 if dot(normal, a) <= 0.0:
@@ -208,19 +209,21 @@ def decide(A, B, shift, W, ends, n, error):
 
 @inline
 def _triangle(a, p, q):
-    """Part of a triangle that is nearest to the origin, if the newest point a belongs to it.
+    """Find the part of a triangle that is nearest to the origin, if the newest point a belongs to this part.
 
     Returns
     -------
     part : int
-        0: a, 1: the edge ap, 2: the edge aq, 3: the inside. -1: a part without a, or rounding.
+        0 for a, 1 for the edge ap, 2 for the edge aq, 3 for the inside; -1 if the part does not contain a, or if
+        rounding prevents a decision.
     n : tuple of 3 float
-        Normal of that part away from the origin, orthogonal to the part to full precision unless the triangle is thin.
+        Normal of the part, away from the origin; unless the triangle is thin, it is orthogonal to the part to full
+        precision.
     """
     u, w = minus(p, a), minus(q, a)
     along_p, along_q = dot(a, u), dot(a, w)
     n, across_p, across_q = cross(u, w), cross(a, u), cross(a, w)
-    # Barycentric coordinates of the origin's foot, times the squared area.
+    # Barycentric coordinates of the foot of the origin, times the square of n.
     of_q = dot(n, across_p)
     of_p = -dot(n, across_q)
     if of_p > 0.0 and of_q > 0.0:
@@ -248,7 +251,7 @@ def _squared_distance(a, p, q):
 
 @njit()
 def _nearest_face(beyond_e, beyond_b, beyond_c, a, b, c, e):
-    """The nearest face at the newest point a among those beyond which the origin lies: 0 abc, 1 ace, 2 aeb."""
+    """Nearest face at the newest point a among the faces with the origin beyond: 0 for abc, 1 for ace, 2 for aeb."""
     d0 = _squared_distance(a, b, c) if beyond_e > 0.0 else np.inf
     d1 = _squared_distance(a, c, e) if beyond_b > 0.0 else np.inf
     d2 = _squared_distance(a, e, b) if beyond_c > 0.0 else np.inf
@@ -259,7 +262,7 @@ def _nearest_face(beyond_e, beyond_b, beyond_c, a, b, c, e):
 
 @njit()
 def _squared_off(n, u, w):
-    """Remove the parts of n along two edges, the longer one last; twice, because the first pass rounds."""
+    """Remove the components of n along two edges, the longer edge last; do so twice, because the first pass rounds."""
     if dot(u, u) > dot(w, w):
         u, w = w, u
     over_u, over_w = 1.0 / dot(u, u), 1.0 / dot(w, w)
@@ -270,17 +273,17 @@ def _squared_off(n, u, w):
 
 
 def measuring(supports):
-    """Make the search below for support points found by a function like `_supports`."""
+    """Make a search that finds support points by a function like `_supports`."""
 
     @inline
     def search(A, B, shift, W, ends, n, error, reach, far, result):
-        """As `measure`, from any n; also returns the last direction, a unit vector from A to B."""
+        """Search as `measure` does, from any n; also return the last direction, a unit vector from A to B."""
         if not LEAST_SQUARE < dot(n, n) < np.inf:
             n = (1.0, 0.0, 0.0)
         p = scaled(-1.0 / np.sqrt(dot(n, n)), n)
         first = p
         k = 0
-        # The simplex b, c, e (newest point first), and the rounds in which b, c and e were found.
+        # The simplex is b, c, e (the newest point first), found in the rounds from_b, from_c and from_e.
         b = c = e = (0.0, 0.0, 0.0)
         from_b = from_c = from_e = 0
         largest = 0.0
@@ -290,7 +293,7 @@ def measuring(supports):
         for r in range(MEASURE_ROUNDS):
             o = p
             if r == 1:
-                # The first direction is already good, and the direction of the first point is poor: a direction between
+                # The first direction is already good, and the direction of the first point is poor. A direction between
                 # them saves a round.
                 o = (
                     KEPT * first[0] + (1.0 - KEPT) * p[0],
@@ -306,7 +309,7 @@ def measuring(supports):
             closed = length - plane <= DISTANCE_TOLERANCE * length + ERROR_SHARE * error
             if r == 1:
                 if closed:
-                    continue  # the point is no nearer, and `plane` is not a bound for this direction
+                    continue  # The point is no nearer, and `plane` is not a bound for this direction.
             else:
                 if plane - error > lower:
                     lower = plane - error
@@ -333,7 +336,7 @@ def measuring(supports):
                 if k == 3:
                     ab, ac, ae = minus(b, a), minus(c, a), minus(e, a)
                     face_bc = cross(ab, ac)
-                    # The origin lies beyond the face of b, c and the new point, opposite e, if `beyond_e` is positive.
+                    # If `beyond_e` is positive, the origin lies beyond the face of b, c and the new point, opposite e.
                     volume = dot(face_bc, ae)
                     sign = np.copysign(1.0, volume)
                     beyond_e = sign * dot(face_bc, a)
@@ -343,7 +346,7 @@ def measuring(supports):
                     if count == 0:
                         doubt = VOLUME_ERROR * UNIT_ROUNDOFF * largest * largest * largest
                         # The base, -|volume| minus the other three products, must also be negative beyond its rounding
-                        # error: for flat tetrahedra, its sign is noise.
+                        # error, because the sign of the volume is noise for flat tetrahedra.
                         base = -(abs(volume) + beyond_e + beyond_b + beyond_c)
                         if beyond_e < -doubt and beyond_b < -doubt and beyond_c < -doubt and base < -doubt:
                             status = OVERLAPPING
@@ -382,7 +385,8 @@ def measuring(supports):
             if length <= reach:
                 status = TOUCHING
                 break
-            # If there is no progress, or contact is too near for these products, `gjk_robust.run` must search the pair.
+            # If the search makes no progress, or contact is too near for these products, `gjk_robust.run` must search
+            # the pair.
             if not (4.0 * error < length < before):
                 break
         if status == NEAREST:
@@ -409,20 +413,20 @@ _measure = measuring(_supports)
 
 @inline
 def measure(A, B, shift, W, ends, n, error, reach, far, result):
-    """Distance of two cores, or on which side of a margin it is.
+    """Compute the distance of two cores, or decide on which side of a margin it is.
 
-    A round keeps the part of the simplex nearest to the origin and searches along that part's own normal (see
+    Each round keeps the part of the simplex nearest to the origin and searches along the normal of this part (see
     `simplex.direction`), as `gjk_robust.run` does.
 
     Parameters
     ----------
     A, B, shift, W, ends, n, error
-        As for `decide`.
+        Documented in `decide`.
     reach, far : float
-        Stop once the distance is known to be at most `reach`, or more than `far`; use -inf and inf for the distance
-        itself.
+        The search stops once the distance is known to be at most `reach`, or more than `far`; use -inf and inf to
+        obtain the distance itself.
     result : ndarray, shape (9,)
-        Receives for NEAREST the unit normal from A to B and the two nearest points.
+        For NEAREST, receives the unit normal from A to B and the two nearest points.
 
     Returns
     -------
@@ -437,5 +441,5 @@ def measure(A, B, shift, W, ends, n, error, reach, far, result):
 
 @inline
 def measure_along(A, B, shift, W, ends, n, error, reach, far, result):
-    """As `measure`, and also the last direction, along which they are APART."""
+    """Measure as `measure` does; also return the last direction, which separates the cores if they are APART."""
     return _measure(A, B, shift, W, ends, n, error, reach, far, result)

@@ -1,9 +1,9 @@
 """The careful GJK on two placed pieces: a proof of separation, a common point, or the distance.
 
-`gjk_fast` answers nearly all pairs faster and leaves the others to this module.
+`gjk_fast` answers nearly all pairs faster and leaves the remaining pairs to this module.
 
-It works in the world's axes with the origin at the first body's translation, so a pair far from the world's origin
-loses nothing: only the difference of the translations is used.
+The search works in world axes, with the origin at the translation of the first body. Only the difference of the
+translations is used, so that a pair far from the world's origin loses no accuracy.
 
 References
 ----------
@@ -27,18 +27,18 @@ from loewner._kernels.tolerances import LEAST_SQUARE, UNIT_ROUNDOFF
 MAX_ROUNDS = 512
 
 # A distance is final when its upper and lower bounds differ by less than DISTANCE_TOLERANCE times the distance, plus
-# the rounding of the bounds (an eighth of the proven error bound, which is generous).
+# ERROR_SHARE times the proven error bound, which is generous.
 DISTANCE_TOLERANCE = 2e-15
 ERROR_SHARE = 0.125
 
-# Pairs within 128 rounding errors of touching, about 1e-12 of the lengths involved, count as touching. This is a
-# choice, not a bound: it only has to exceed the errors of the points themselves.
+# Pairs within 128 rounding errors of touching, about 1e-12 of the lengths involved, count as touching. TOUCH_ROUNDINGS
+# is a choice, not a bound: it only has to exceed the errors of the points themselves.
 TOUCH_ROUNDINGS = 128.0
 
 
 @inline
 def minkowski_support(A, B, shift, n, S, k):
-    """Write to row k of S the point of A - B that is least along n, and the points of A and B."""
+    """Write the point of A - B that is least along n, and its points of A and B, to row k of S."""
     a = placed_support(A, negated(n))
     b = plus(placed_support(B, n), shift)
     S[k, 0], S[k, 1], S[k, 2] = minus(a, b)
@@ -60,7 +60,7 @@ def lengths(A, B, shift):
 
 @inline
 def off_orthonormal(R):
-    """‖RᵀR - 1‖ of nine numbers in row order, by the root of the sum of its squares."""
+    """Bound on ‖RᵀR - 1‖ for the nine numbers of R in row order: the square root of the sum of squared entries."""
     squares = 0.0
     for i in range(3):
         for j in range(3):
@@ -90,20 +90,21 @@ def run(A, B, shift, n, limit, settle, S, weights, v, d):
     Parameters
     ----------
     limit : float
-        Margin the pieces must keep; the rounding radii of the pieces are added here.
+        Margin that the pieces must keep; the rounding radii of the pieces are added here.
     settle : bool
-        True: stop as soon as "apart" or "touching" is proven. False: continue to the distance.
+        If True, stop as soon as "apart" or "touching" is proven; if False, continue to the distance.
 
     Returns
     -------
     status : int
         APART: proven farther apart than `limit`. TOUCHING: the upper bound is within `limit`, or within rounding error
-        of it. UNSETTLED: neither, at the limit of arithmetic.
+        of it. UNSETTLED: the accuracy of the arithmetic suffices for neither.
     lower, upper : float
-        Bounds on the distance of the cores minus the rounding radii; both may be negative for cores that are apart by
-        less than the radii; upper is -inf if the cores intersect.
+        Bounds on the distance of the cores, minus the rounding radii. Both bounds may be negative for cores that are
+        apart by less than the radii; `upper` is -inf if the cores intersect.
     k : int
-        Number of remaining rows of the simplex, with `weights`, `v` (from B's near point to A's) and its direction `d`.
+        Number of rows of the simplex that remain. `weights` holds their weights, `v` the vector from B's near point to
+        A's near point, and `d` its direction.
     """
     radii = A.table[A.piece, ROUNDING] + B.table[B.piece, ROUNDING]
     near = limit + radii
@@ -142,7 +143,7 @@ def run(A, B, shift, n, limit, settle, S, weights, v, d):
             return TOUCHING, lower - radii, length - radii, k
         if length <= error or not direction(S, k, v, d) > 0.0:
             break
-        # Rounding can make a round useless; several such rounds in a row mean that no more progress is possible.
+        # Rounding can make a round useless. Several useless rounds in a row mean that no more progress is possible.
         if length >= before * (1.0 - UNIT_ROUNDOFF):
             stalls += 1
             if stalls > 2:
@@ -160,7 +161,7 @@ def run(A, B, shift, n, limit, settle, S, weights, v, d):
 
 @njit(forceinline=False)
 def write_simplex(G, k, weights, d, result):
-    """Normal and witnesses of the simplex that `run` ended with."""
+    """Write the normal and the witnesses of the simplex with which `run` ended."""
     for c in range(3):
         result[c] = -d[c]
     for c in range(6):

@@ -1,4 +1,4 @@
-"""GJK between a piece and the hull of another one at two poses: find a plane between them."""
+"""GJK between a piece and the hull of another piece at two poses: find a plane between them."""
 
 from loewner._kernels._jit import inline
 from loewner._kernels.codes import APART, OVERLAPPING, TOUCHING
@@ -11,7 +11,7 @@ from loewner._kernels.pieces.shapes import placed_support, radius
 
 @inline
 def _supports(A, B, shift, W, ends, n):
-    """Points of A, and of B at its two poses, whose difference is least along n."""
+    """Find the points of A, and of B at both of its poses, whose difference is least along n."""
     a = placed_support(A, negated(n))
     first, last = B
     b = plus(placed_support(first, n), shift[0])
@@ -26,19 +26,19 @@ _search = measuring(_supports)
 
 @inline
 def separated(A, first, last, n, least, keep, stretch, memory):
-    """Whether a piece is proven farther than `keep` from the hull of another one at two poses.
+    """Return whether a piece is proven to be farther than `keep` from the hull of another piece at two poses.
 
     Parameters
     ----------
     A, first, last : Placed
-        The static piece, and the other one at both poses.
+        The static piece, and the other piece at both poses.
     n : tuple of 3 float
         First direction, from A to the hull; any direction is valid.
     least, keep : float
-        Distances, 0 <= least <= keep. The search ends where they are certainly more than `keep` or not more than
-        `least` apart; between the two it looks for the plane that is best.
+        Distances, with 0 <= least <= keep. The search ends once the distance is certainly more than `keep`, or not more
+        than `least`. In between, it looks for the plane with the largest gap.
     stretch : float
-        Amount by which poses between the two may stretch radii more than these poses do.
+        Amount by which poses between the two poses may stretch radii more than these two do.
     memory : int
         Address of `gjk_fast.MEMORY`.
 
@@ -46,9 +46,9 @@ def separated(A, first, last, n, least, keep, stretch, memory):
     -------
     yes : bool
     n : tuple of 3 float
-        Unit direction that was reached.
+        The last direction of the search, a unit vector.
     open : bool
-        If not proven: whether they may be more than `least` apart.
+        Whether the distance may be more than `least`, if it is not proven to be more than `keep`.
     """
     shift = shift_between(A, first), shift_between(A, last)
     error = max(rounding_error(A, first, shift[0]), rounding_error(A, last, shift[1]))

@@ -1,12 +1,14 @@
-"""Ellipsoids inside the solid that a closed triangle mesh bounds, each proven to be inside.
+"""Ellipsoids inside the solid that a closed triangle mesh bounds; each is proven to be inside.
 
-A seed grows as in IRIS (Deits and Tedrake 2015, doi:10.1007/978-3-319-16595-0_7): planes between the ellipsoid and the
-triangles nearest in its own metric cut out a polytope, and the largest ellipsoid of this polytope is the next one.
-Planes are found with tolerances, since no proof depends on them: the result is shrunk until a proof holds.
+A seed grows as in IRIS (Deits and Tedrake 2015, doi:10.1007/978-3-319-16595-0_7). Planes between the ellipsoid and the
+triangles nearest to it, in the ellipsoid's own metric, cut out a polytope, and the largest ellipsoid in this polytope
+is the next ellipsoid. The planes are found with tolerances, because no proof depends on them: the result is shrunk
+until a proof succeeds.
 
-The proof has two parts. No triangle meets the ellipsoid: each is farther from its center, in its metric, than 1. The
-center is inside: the surface winds around it. Points are inside if their winding number is not zero, of either sign,
-and it is the same for points without a triangle between them, so all of the ellipsoid is inside.
+The proof has two parts. First, no triangle meets the ellipsoid: in the ellipsoid's metric, every triangle is farther
+from the center than 1. Second, the center is inside, because the surface winds around it. A point is inside if its
+winding number, of either sign, is not zero. Points without a triangle between them have the same winding number, so
+that the whole ellipsoid is inside.
 """
 
 from typing import Any, NamedTuple
@@ -28,58 +30,60 @@ from loewner._kernels.simd.vectors import absolute, maximum, movemask, next_lane
 from loewner._kernels.tolerances import UNIT_ROUNDOFF
 from loewner._kernels.trees.triangle_tree import BLOCK, LEAF, WIDE, leaf_of, longer, size_of
 
-# Number of surface points tried for each requested ellipsoid, and limits on the number for all ellipsoids together.
+# POINTS_ON surface points are tried for each requested ellipsoid, but at least FEWEST_ON and at most MOST_ON in total.
 POINTS_ON = 16
 FEWEST_ON = 64
 MOST_ON = 512
 
-# Squares of distances from seeds may be underestimated by the factor ROUGH, which saves most of the search. A ball next
-# to the surface is small enough if no triangle is nearer to its center than OFF_SURFACE times its radius. SHRINKS is
-# the largest number of attempts to find such a ball.
+# Squared distances from seeds may be underestimated by the factor ROUGH, which saves most of the search. A ball next to
+# the surface is small enough if no triangle is nearer to its center than OFF_SURFACE times its radius. At most SHRINKS
+# attempts are made to find such a ball.
 ROUGH = 0.8
 PLACES = (1.0, 0.3)
 OFF_SURFACE = 0.87
 SHRINKS = 12
 
-# Smallest allowed semi-axis, relative to the mesh's size; rounding errors grow with its inverse, see `prove`.
+# Smallest allowed semi-axis, relative to the mesh's size. Rounding errors grow with the inverse of the semi-axis, see
+# `prove`.
 LEAST_AXIS = 1e-6
 
 # An ellipsoid is not worth a test if it adds less than LEAST_VOLUME times the volume of the largest one.
 LEAST_VOLUME = 1e-3
 
-# Largest number of rounds for each seed, each with planes and a fit. A round that enlarges the volume by less than the
+# A seed grows for at most ROUNDS rounds, each with planes and a fit. A round that enlarges the volume by less than the
 # factor GROWTH is the last.
 ROUNDS = 4
 GROWTH = 1.02
 
-# Half size of the box, in the ellipsoid's metric, in which a round searches for triangles.
+# Half size, in the ellipsoid's metric, of the box in which a round searches for triangles.
 REACH = 6.0
 
-# Limit on the planes of a round. A plane represents all triangles beyond it, and also triangles in front of it by at
-# most CLOSE times its distance. CLOSE is doubled after every further STEP planes, so that the limit suffices.
+# A round uses at most MOST_PLANES planes. A plane represents all triangles beyond it, and also triangles in front of it
+# by at most CLOSE times its distance. CLOSE is doubled after every further STEP planes, so that the limit suffices.
 MOST_PLANES = 120
 STEP = 20
 CLOSE = 0.01
 
-# A fit may meet triangles that a plane represents only approximately. Up to STEP triangles then get planes of their
-# own, at most REPAIRS times.
+# A fit may meet triangles that a plane represents only approximately. Up to STEP such triangles then get planes of
+# their own, at most REPAIRS times.
 REPAIRS = 3
 
-# Number of seeds that grow as far as they can, since one large ellipsoid is worth most. Planes keep later seeds out of
-# most of each existing ellipsoid; in units of the semi-axes, BEYOND is their distance from the ellipsoid's center.
+# The first UNCUT seeds grow as far as they can, because one large ellipsoid is worth most. Planes keep later seeds out
+# of most of each existing ellipsoid; their distance from the center of that ellipsoid is BEYOND, in units of its
+# semi-axes.
 UNCUT = 5
 BEYOND = 0.2
 
-# Allowed gap of the fits in log-volume. It costs less volume than the planes exclude.
+# Allowed gap of the fits in log-volume. The volume that this gap costs is less than the volume that the planes exclude.
 FIT_TOLERANCE = 1e-3
 
-# Point of an ellipsoid, in units of its semi-axes, at which the winding number is computed.
+# The winding number is computed at this point of an ellipsoid, in units of its semi-axes.
 OFF_CENTER = 0.0271, 0.0317, 0.0123
 
-# Number of points used to measure which fraction of an ellipsoid lies in others.
+# Number of points that measure which fraction of an ellipsoid lies in other ellipsoids.
 POINTS = 128
 
-# Rounding error of a distance from the center, relative to the metric: see `prove`.
+# Rounding error of a distance from the center, relative to the metric, see `prove`.
 ROUNDINGS = 512.0 * UNIT_ROUNDOFF  # certified.md B71
 
 IDENTITY = (1.0, 0.0, 1.0, 0.0, 0.0, 1.0)
@@ -91,15 +95,16 @@ class Mesh(NamedTuple):
     Attributes
     ----------
     tree : surface_boxes.Tree
-        Over its triangles, in coordinates moved and scaled from the mesh's.
+        Tree over the triangles, whose coordinates are moved and scaled from the mesh's own coordinates.
     size, far : float
-        Half the longest edge of the box around it, and a bound on coordinates.
+        Half the longest edge of the box around the mesh, and a bound on coordinates.
     memory : int
         Address of `surface_walk.SIZE` bytes.
     planes : ndarray
-        Planes {x : n x = offset}, each as the three numbers n and the offset.
+        Planes {x : n x = offset}, each given by four numbers: n and the offset.
     edges : ndarray
-        For each plane, where points x count as beyond it: n (x - c) >= edge, c being the center of the current search.
+        For each plane, the value of n (x - c) from which points x count as beyond it, where c is the center of the
+        current search.
     """
 
     tree: Any
@@ -121,13 +126,13 @@ def lower(L, v):
 
 @inline
 def upper(L, v):
-    """Product of the transpose of such a matrix and a vector."""
+    """Product of the transpose of a lower triangular matrix, six numbers in row order, and a vector."""
     return L[0] * v[0] + L[1] * v[1] + L[3] * v[2], L[2] * v[1] + L[4] * v[2], L[5] * v[2]
 
 
 @inline
 def inverse(F):
-    """Inverse of a lower triangular matrix, an array, as six numbers in row order."""
+    """Inverse of a lower triangular matrix, given as an array, as six numbers in row order."""
     a = 1.0 / F[0, 0]
     c = 1.0 / F[1, 1]
     f = 1.0 / F[2, 2]
@@ -137,7 +142,7 @@ def inverse(F):
 
 @inline
 def six(F):
-    """Six numbers of a lower triangular matrix, an array, in row order."""
+    """Six numbers, in row order, of a lower triangular matrix, given as an array."""
     return F[0, 0], F[1, 0], F[1, 1], F[2, 0], F[2, 1], F[2, 2]
 
 
@@ -146,13 +151,13 @@ def six(F):
 
 @inline
 def normal(mesh, k):
-    """Normal of a plane."""
+    """Normal of plane k."""
     return mesh.planes[4 * k], mesh.planes[4 * k + 1], mesh.planes[4 * k + 2]
 
 
 @inline
 def slack(mesh, k, center):
-    """How far a plane is beyond a center, in units of its normal's length."""
+    """Distance from a center to plane k, times the length of the plane's normal."""
     return mesh.planes[4 * k + 3] - dot(normal(mesh, k), center)
 
 
@@ -167,7 +172,7 @@ def write_plane(mesh, k, n, offset):
 
 @inline
 def _row_lengths(G):
-    """Length of the vector of the sums of absolute values in the rows of a lower triangular matrix."""
+    """Length of the vector whose entries are the sums of absolute values in the rows of a lower triangular matrix."""
     x, y, z = abs(G[0]), abs(G[1]) + abs(G[2]), abs(G[3]) + abs(G[4]) + abs(G[5])
     return np.sqrt(x * x + y * y + z * z)
 
@@ -195,7 +200,7 @@ _next_nearest = walk.nearing(_gaps)
 
 @inline
 def _metric(mesh, center, G):
-    """Center and metric for `_gaps`, in single precision."""
+    """Center and metric in single precision, for `_gaps`."""
     c = boxes.singles(center)
     f = np.float32
     wider = f(boxes.ROUNDINGS * mesh.size * _row_lengths(G))
@@ -204,14 +209,15 @@ def _metric(mesh, center, G):
 
 @njit()
 def least_in(mesh, child, center, G, first, last):
-    """Squared distance of the nearest triangle of a leaf that is not beyond a plane, infinite if none, and its point.
+    """Squared distance, and nearest point, of a leaf's nearest triangle not beyond a plane; infinite if all are beyond.
 
-    Distances are from a center, in the metric of G; the point is relative to it, in this metric.
+    Distances are from `center`, in the metric of G. The point is relative to the center, in the same metric.
     """
     a, b, c = walk.corners_of(mesh.tree.blocks, leaf_of(child))
     a, b, c = minus(a, center), minus(b, center), minus(c, center)
     bits = (1 << size_of(child)) - 1
-    for k in range(last - 1, first - 1, -1):  # newest first: only new planes can cover a leaf seen before
+    # Try the newest planes first: only new planes can exclude a leaf that was seen before.
+    for k in range(last - 1, first - 1, -1):
         n, edge = normal(mesh, k), mesh.edges[k]
         bits &= ~movemask((dot(a, n) >= edge) & (dot(b, n) >= edge) & (dot(c, n) >= edge))
         if bits == 0:
@@ -231,9 +237,9 @@ def least_in(mesh, child, center, G, first, last):
 
 @njit()
 def nearest(mesh, center, G, limit, share):
-    """Distance of a nearest triangle from a center in the metric of G, at most `limit`, and its nearest point there.
+    """Lower bound on the distance of the nearest triangle from a center in G's metric, at most `limit`; a near point.
 
-    The result is a lower bound, which may be the square root of a `share` of the distance.
+    The square of the bound may be less than the squared distance by the factor `share`.
     """
     query = _metric(mesh, center, G), mesh.planes, mesh.edges, 0, 0
     best, point, height = limit * limit, walk.ORIGIN, walk.begun(mesh.memory)
@@ -248,7 +254,7 @@ def nearest(mesh, center, G, limit, share):
 
 @inline
 def winds_around(mesh, p):
-    """Whether the surface winds around a point, as far as rays decide."""
+    """Return whether the surface winds around a point; False if no ray decides."""
     walk.left_of(mesh.memory)[0] = NO_LIMIT
     number = winding_number(mesh.tree, p, 3.0 * mesh.far, mesh.memory)
     return number != 0 and number != UNCOUNTED
@@ -259,7 +265,7 @@ def winds_around(mesh, p):
 
 @njit()
 def pushed(heap, count, key, code):
-    """Add an entry to `count` others; returns the heap, which is moved if it was full."""
+    """Add an entry to the `count` entries of a heap; return the heap, which is moved if it was full."""
     keys, codes = heap
     if count == len(keys):
         keys, codes = longer(keys), longer(codes)
@@ -273,7 +279,7 @@ def pushed(heap, count, key, code):
 
 @njit()
 def popped(heap, count):
-    """Remove the first entry, so that `count` stay, and return it."""
+    """Remove the first entry, so that `count` entries remain, and return it."""
     keys, codes = heap
     first, at, below = (keys[0], codes[0]), 0, 1
     while below < count:
@@ -306,13 +312,14 @@ def volume(F):
 
 @njit()
 def add_planes(mesh, center, G, limit, first, count, most):
-    """Add planes between an ellipsoid and the triangles nearest to it, until all within `limit` are beyond a plane.
+    """Add planes between an ellipsoid and its nearest triangles, until all within `limit` are beyond a plane.
 
-    Triangles beyond one of the planes first .. count need none. At most `most` planes are added. Returns their new
-    number; -1 if a triangle is at the center.
+    Triangles beyond one of the planes first .. count need no new plane. At most `most` planes are added. Returns the
+    new number of planes; -1 if a triangle passes through the center.
     """
     metric, lanes = _metric(mesh, center, G), walk.lanes_of(mesh.memory)
-    # The heap orders boxes by lower bounds on their squared distances, and examined leaves by their nearest triangle.
+    # The heap orders boxes by lower bounds on their squared distances, and examined leaves by the squared distances of
+    # their nearest triangles.
     heap, held, start = (np.zeros(256), np.zeros(256, np.int64)), 1, count
     while held > 0 and count < start + most:
         held -= 1
@@ -343,8 +350,9 @@ def add_planes(mesh, center, G, limit, first, count, most):
 
 @njit()
 def write_rows(mesh, count, center, F, rows):
-    """Write rows {y : rows y <= 1} for the box of half size REACH and for planes around a center; return their
-    number."""
+    """Write the rows of the constraints rows y <= 1, for the box of half size REACH and for the planes around a center;
+    return the number of rows.
+    """
     for side in range(6):
         for k in range(3):
             rows[side, k] = 0.0
@@ -403,20 +411,20 @@ def grow(mesh, count, center, factor):
 
 @njit()
 def ball_at(mesh, start, n):
-    """Height of the center, and radius, of a ball in the solid above a point of the surface, along its normal n.
+    """Find a ball in the solid above a surface point, along its normal n; return the center's height, and the radius.
 
-    A ball shrinks until no triangle is much nearer than the point; the radius is 0 if none is found. See Ma, Bae and
-    Choi (2012), "3D medial axis point approximation using nearest neighbors and the normal field",
-    doi:10.1007/s00371-011-0594-7.
+    The ball shrinks until no triangle is much nearer to its center than the surface point; the radius is 0 if no ball
+    is found. See Ma, Bae and Choi (2012), "3D medial axis point approximation using nearest neighbors and the normal
+    field", doi:10.1007/s00371-011-0594-7.
     """
-    radius = mesh.size  # no ball inside the mesh is larger
+    radius = mesh.size  # No ball inside the mesh is larger than the mesh.
     for _ in range(SHRINKS):
         center = along(start, radius, n)
         distance, q = nearest(mesh, center, IDENTITY, radius, ROUGH)
         if distance >= OFF_SURFACE * radius:
             if winds_around(mesh, center):
                 return radius, distance
-            limit = (1.0 - LEAST_AXIS) * radius  # the center may be behind a thin wall
+            limit = (1.0 - LEAST_AXIS) * radius  # The center may be behind a thin wall.
             distance, q = nearest(mesh, center, IDENTITY, limit, 1.0)
             if not distance < limit:
                 break
@@ -427,7 +435,7 @@ def ball_at(mesh, start, n):
 
 @njit()
 def find_seeds(mesh, wanted, seeds, radii):
-    """Find balls that no triangle meets, near points all over the surface; return their number."""
+    """Find balls that no triangle meets, near points all over the surface; return the number of balls."""
     tree = mesh.tree
     cumulated = np.zeros(len(tree.blocks) // BLOCK * LEAF)
     volume6 = 0.0
@@ -447,7 +455,8 @@ def find_seeds(mesh, wanted, seeds, radii):
     for i in range(wanted):
         t = min(np.searchsorted(cumulated, (i + 0.5) / wanted * area), len(cumulated) - 1)
         a, b, c = walk.corners_at(tree.blocks, t // LEAF * BLOCK, t % LEAF)
-        # Points in the triangle follow a low-discrepancy sequence, since one triangle may be a whole side of the mesh.
+        # The points in a triangle follow a low-discrepancy sequence, because one triangle may be a whole side of the
+        # mesh.
         x = (0.5 + 0.7548776662466927 * i) % 1.0
         y = (0.5 + 0.5698402909980532 * i) % 1.0
         if x + y > 1.0:
@@ -472,7 +481,7 @@ def find_seeds(mesh, wanted, seeds, radii):
 
 @njit()
 def discount(seeds, radii, scores, found, center, factor):
-    """Lower the scores of seeds in an ellipsoid to 0, and reduce scores of seeds near it; a score is a length."""
+    """Set the scores of seeds in an ellipsoid to 0, and reduce the scores of seeds near it; a score is a length."""
     G = inverse(factor)
     for i in range(found):
         y = lower(G, minus((seeds[i, 0], seeds[i, 1], seeds[i, 2]), (center[0], center[1], center[2])))
@@ -481,9 +490,9 @@ def discount(seeds, radii, scores, found, center, factor):
 
 @njit()
 def cut_off(mesh, seed, centers, factors, count):
-    """Write planes that keep an ellipsoid grown from a seed out of most of the existing ellipsoids.
+    """Write planes that keep the ellipsoid grown from a seed out of most of each existing ellipsoid.
 
-    Without them all seeds of a convex solid would grow to the same ellipsoid.
+    Without these planes, all seeds in a convex solid would grow to the same ellipsoid.
     """
     for i in range(count):
         center = centers[i, 0], centers[i, 1], centers[i, 2]
@@ -543,12 +552,13 @@ def spread(centers, factors, total, count, chosen):
 
 @njit()
 def prove(mesh, origin, scale, center, factor):
-    """Shrink an ellipsoid, in the mesh's own coordinates, until it is proven to be inside; return False if it is not.
+    """Shrink an ellipsoid, in the mesh's own coordinates, until it is proven inside; return False without a proof.
 
-    Let G be the computed inverse of the factor F as stored, in the tree's coordinates. A point z of the unit ball goes
-    to c + F z, which y = G (x - c) takes to G F z, at most 1 + e from the origin with e >= |G F - 1|, computed with a
-    bound on its rounding. So no triangle meets the ellipsoid if all of them, mapped by G, are farther from the origin.
-    docs/certified.md (B71) derives how much rounding may add to the computed distance.
+    Let F be the stored factor in the tree's coordinates, and G its computed inverse. For a point z of the unit ball,
+    the map y = G (x - c) takes the point c + F z of the ellipsoid to G F z. The image G F z is at most 1 + e from the
+    origin, where e >= |G F - 1| is computed with a bound on its rounding. If all triangles, mapped by G, are farther
+    from the origin, none meets the ellipsoid. docs/certified.md (B71) derives how much rounding may add to the computed
+    distance.
     """
     (x, y, z), _ = boxes.box_at(mesh.tree.boxes, 0)
     middle = (center[0] - origin[0]) * scale, (center[1] - origin[1]) * scale, (center[2] - origin[2]) * scale
@@ -569,7 +579,7 @@ def prove(mesh, origin, scale, center, factor):
         need = 1.0 + error + doubt
         share, _ = nearest(mesh, middle, G, 2.0 * need - 1.0, 1.0)
         if share >= need:
-            # Any point of the ellipsoid will do; away from its center, no ray runs along an edge of a symmetric mesh.
+            # Any point of the ellipsoid will do. Away from the center, no ray runs along an edge of a symmetric mesh.
             return winds_around(mesh, plus(middle, lower(low, OFF_CENTER)))
         shrink = (share - 2.0 * doubt) / (1.0 + 2.0 * error) * (1.0 - attempt * 1e-9)
         if not shrink > 0.0:
@@ -582,7 +592,7 @@ def prove(mesh, origin, scale, center, factor):
 
 @inline
 def off_inverse(G, F):
-    """Upper bound on |G F - 1| of two lower triangular matrices, including rounding."""
+    """Upper bound on |G F - 1| for two lower triangular matrices, including rounding."""
     a, b = G[1] * F[0], G[2] * F[1]
     c, d, e = G[3] * F[0], G[4] * F[1], G[5] * F[3]
     f, g = G[4] * F[2], G[5] * F[4]
@@ -595,21 +605,22 @@ def off_inverse(G, F):
 def inscribed_ellipsoids(table, size, far, origin, scale, centers, factors, memory):
     """Write ellipsoids inside a closed mesh to `centers` and `factors`, as many as fit; return their number.
 
-    More are grown than requested. The largest is first.
+    More ellipsoids are grown than requested. The largest ellipsoid comes first.
 
     Parameters
     ----------
     table : int
-        Address of the table of a tree over the mesh's triangles, each coordinate less its origin and times `scale`.
+        Address of the table of a tree over the mesh's triangles; its coordinates are the mesh's less `origin`, times
+        `scale`.
     size, far : float
-        Half the longest edge of the box around the tree, and a bound on its coordinates.
+        Half the longest edge of the box around the tree, and a bound on the tree's coordinates.
     origin : ndarray, shape (3,)
     scale : float
         A power of two.
     centers : ndarray, shape (n, 3)
     factors : ndarray, shape (n, 3, 3)
     memory : int
-        Address of `mesh_points.points_memory` bytes.
+        Address of `mesh_points.points_memory()` bytes.
     """
     count = len(centers)
     wanted = min(max(POINTS_ON * count, FEWEST_ON), MOST_ON)
@@ -647,7 +658,7 @@ def inscribed_ellipsoids(table, size, far, origin, scale, centers, factors, memo
                 factors[kept, j, k] = grown_factors[chosen[i], j, k] / scale
         if prove(mesh, origin, scale, centers[kept], factors[kept]):
             kept += 1
-    for i in range(1, kept):  # sort by insertion, since there are few ellipsoids
+    for i in range(1, kept):  # Insertion sort suffices, because the ellipsoids are few.
         j = i
         while j > 0 and volume(factors[j]) > volume(factors[j - 1]):
             for k in range(3):

@@ -1,8 +1,8 @@
-"""Distances of many points from a mesh, winding numbers around them, and orientations of nearby triangles.
+"""Distances of many points from a mesh, winding numbers around the points, and orientations of nearby triangles.
 
 The tree is in the frame of the points. Boxes are tested in single precision, with a slack for its rounding, and
-triangles eight at a time. A distance belongs to the nearest point of the triangle up to rounding, however thin the
-triangle is: its error is a few roundoffs of the coordinates (certified.md B44).
+triangles eight at a time. Up to rounding, a returned distance is the distance of the nearest point of the triangle,
+however thin the triangle is: its error is a few roundoffs of the coordinates (certified.md B44).
 """
 
 import numpy as np
@@ -20,7 +20,7 @@ from loewner._kernels.trees.triangle_tree import BLOCK, LEAF, leaf_of
 
 @njit()
 def points_memory():
-    """How many bytes the functions below need."""
+    """Number of bytes that the functions below need."""
     return walk.SIZE
 
 
@@ -43,15 +43,15 @@ def squared_distances_of(points, triangles, squared):
 
 @njit()
 def heights_above(planes, points, enough, heights):
-    """How far points are above the highest of several planes, for the boundary of a convex piece.
+    """Compute how far points are above the highest of several planes, for the boundary of a convex piece.
 
     Parameters
     ----------
     planes : ndarray, shape (4 n,)
-        The x of n normals, a multiple of eight, then their y, z, and the offsets.
+        The x of n normals (n is a multiple of eight), then their y, their z, and the offsets of the planes.
     points : ndarray, shape (m, 3)
     enough : ndarray, shape (m,)
-        Height above one plane at which the others no longer count.
+        Height above one plane from which the other planes no longer count.
     heights : ndarray, shape (m,)
         Receives the heights.
     """
@@ -68,7 +68,7 @@ def heights_above(planes, points, enough, heights):
 
 @njit()
 def nearest_triangles(table, size, points, distances, places, memory):
-    """Distances of points from a mesh, and the nearest triangles.
+    """Find the distances of points from a mesh, and the nearest triangles.
 
     Parameters
     ----------
@@ -109,9 +109,9 @@ def nearest_triangles(table, size, points, distances, places, memory):
 
 @njit()
 def winding_numbers(table, size, points, numbers, memory):
-    """Winding numbers of a mesh around points, from the crossings of rays; UNCOUNTED if no ray gives an answer.
+    """Compute the winding numbers of a mesh around points from the crossings of rays; UNCOUNTED if no ray decides.
 
-    Parameters are as for `nearest_triangles`.
+    The parameters are documented in `nearest_triangles`.
     """
     tree = tree_at(table)
     for n in range(len(points)):
@@ -133,23 +133,23 @@ _next_in_ball = walk.walking(_in_ball)
 
 @njit()
 def facing_one_way(table, size, points, reach, normals, two_sided, least, steps, answers, near, memory):
-    """Whether the outer sides of all triangles within reach of a point face one half-space.
+    """For each point, write whether the outer sides of all triangles within its reach face one half-space.
 
     Parameters
     ----------
     table, size, points, memory
-        As for `nearest_triangles`.
+        Documented in `nearest_triangles`.
     reach : ndarray, shape (n,)
     normals : ndarray, shape (places, 3)
-        Normals of the triangles, in the order of the tree's blocks; triangles without one do not count.
+        Normals of the triangles, in the order of the tree's blocks; triangles without a normal do not count.
     two_sided : bool
-        Whether the outer side of a triangle is the point's side.
+        Whether the outer side of a triangle is the side on which the point lies.
     least : float
-        Least product of a normal with a direction for the normal to face along it.
+        A normal faces along a direction if their product is more than this value.
     steps : int
-        Number of steps of the search for this direction.
+        Number of steps of the search for such a direction.
     answers : ndarray of bool, shape (n,)
-        Receives the answers, which are false for a point without a triangle in reach.
+        Receives the answers; the answer is False for a point without a triangle in reach.
     near : ndarray, shape (triangles, 3)
         Scratch memory.
     """
@@ -181,7 +181,7 @@ def facing_one_way(table, size, points, reach, normals, two_sided, least, steps,
 
 @njit()
 def _face_one_way(normals, count, least, steps):
-    """Whether a direction is found along which all of some normals face."""
+    """Return whether a direction is found along which all `count` normals face."""
     direction = 0.0, 0.0, 0.0
     for k in range(count):
         direction = plus(direction, _point(normals, k))

@@ -1,4 +1,4 @@
-"""Lists of piece pairs, which the stages of a query pass to each other."""
+"""Lists of piece pairs that the stages of a query pass to each other."""
 
 from typing import Any, NamedTuple
 
@@ -10,12 +10,16 @@ from loewner._kernels.simd.vectors import SINGLE_LANES
 
 
 class PairList(NamedTuple):
-    """Five arrays of int64, an entry for each piece pair.
+    """Five arrays of int64, with one entry per piece pair.
 
     Attributes
     ----------
-    pair : the pair of bodies, or of a body and a configuration, to which the piece pair belongs piece_a, piece_b : rows
-    of the packed pieces pose_a, pose_b : rows of the poses
+    pair
+        The pair of bodies, or of a body and a configuration, to which the piece pair belongs.
+    piece_a, piece_b
+        Rows of the packed pieces.
+    pose_a, pose_b
+        Rows of the poses.
     """
 
     pair: Any
@@ -26,12 +30,12 @@ class PairList(NamedTuple):
 
 
 def arena(capacity: int) -> Arena:
-    """Memory of a list; its capacity is a multiple of sixteen, or the list is not filled up."""
+    """Memory of a list; the capacity must be a multiple of sixteen if `fill` is used."""
     return Arena(PairList, **{name: integers(capacity) for name in PairList._fields})
 
 
-# Indices are unsigned: a signed index might count from the end, and the check for this would keep loops from being
-# vectorised.
+# Indices are unsigned, because a signed index might count from the end, and the check for negative indices would keep
+# loops from being vectorised.
 @inline
 def put(listed, at, pair, piece_a, piece_b, pose_a, pose_b):
     """Write entry `at`."""
@@ -45,13 +49,13 @@ def put(listed, at, pair, piece_a, piece_b, pose_a, pose_b):
 
 @inline
 def copy(target, to, source, at):
-    """Copy entry `at` of one list to entry `to` of another, or of the same."""
+    """Copy entry `at` of one list to entry `to` of another list, or of the same list."""
     at = np.uint64(at)
     put(target, to, source.pair[at], source.piece_a[at], source.piece_b[at], source.pose_a[at], source.pose_b[at])
 
 
 @inline
 def fill(listed, count):
-    """Repeat the last of `count` entries up to whole vectors."""
+    """Fill whole vectors by repeating the last of `count` entries."""
     for lane in range(count, (count + SINGLE_LANES - 1) // SINGLE_LANES * SINGLE_LANES):
         copy(listed, lane, listed, count - 1)

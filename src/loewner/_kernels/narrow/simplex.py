@@ -1,12 +1,13 @@
 """Closest point of a simplex to the origin: the inner step of GJK.
 
-A simplex is the first k rows of ``S`` (4, 9): a point of the Minkowski difference A - B, then its points of A and of B.
-Each solver keeps the rows that support the closest point, writes their barycentric weights to ``weights`` and the
-closest point to ``v``, and returns the number of remaining rows. Four rows mean that the origin is inside.
+The first k rows of ``S`` (4, 9) are the simplex. Each row holds a point of the Minkowski difference A - B, then its
+points of A and of B. Each solver keeps the rows that support the closest point, writes their barycentric weights to
+``weights`` and the closest point to ``v``, and returns the number of remaining rows. If four rows remain, the origin is
+inside.
 
-The regions are found by signs of dot products (Ericson, Real-Time Collision Detection, 2005, section 5.1). Every answer
-is a point of the simplex, even if rounding changes signs, so |v| is always an upper bound on the distance; GJK proves
-the lower bound by itself.
+The signs of dot products determine the region (Ericson, Real-Time Collision Detection, 2005, section 5.1). Every answer
+is a point of the simplex, even if rounding changes signs, so that |v| is always an upper bound on the distance. GJK
+proves the lower bound separately.
 """
 
 import numpy as np
@@ -15,8 +16,8 @@ from loewner._kernels._jit import inline, njit
 from loewner._kernels.linalg3 import along, cross, dot, minus
 from loewner._kernels.tolerances import LEAST_SQUARE, UNIT_ROUNDOFF
 
-# Error of either volume that `_beyond` compares, in units of the roundoff times the third power of the largest sum of
-# coordinates.
+# Error of each of the two volumes that `_beyond` compares, in units of the roundoff times the third power of the
+# largest sum of coordinates.
 FACE_ERROR = 64.0  # certified.md B15
 
 
@@ -44,7 +45,7 @@ def _combine(S, k, weights, v):
 
 @njit()
 def segment_weight(a, b):
-    """Weight of b in the point of the segment ab closest to the origin."""
+    """Weight of b in the point of the segment ab that is closest to the origin."""
     d = minus(b, a)
     squared = dot(d, d)
     if squared <= 0.0:
@@ -56,7 +57,7 @@ def segment_weight(a, b):
 
 @njit(forceinline=False)
 def triangle_weights(a, b, c):
-    """Barycentric weights of the point of a triangle closest to the origin."""
+    """Barycentric weights of the point of a triangle that is closest to the origin."""
     ab, ac = minus(b, a), minus(c, a)
     d1, d2 = -dot(ab, a), -dot(ac, a)
     if d1 <= 0.0 and d2 <= 0.0:
@@ -67,8 +68,8 @@ def triangle_weights(a, b, c):
     d5, d6 = -dot(ab, c), -dot(ac, c)
     if d6 >= 0.0 and d5 <= d6:
         return 0.0, 0.0, 1.0
-    # Each edge region and face region is found from the normal and one edge. On curved pieces, triangles become tiny
-    # while their distance from the origin does not, so each product here has a small factor.
+    # The normal and one edge determine each edge region and the face region. On curved pieces, triangles become tiny
+    # but stay away from the origin, so that each product here is chosen to have a small factor.
     bc, n = minus(c, b), cross(ab, ac)
     weight_c = dot(n, cross(a, ab))
     if weight_c <= 0.0 and d1 >= 0.0 and d3 <= 0.0:
@@ -103,7 +104,7 @@ def _best_edge(a, b, c):
 
 @njit()
 def _compact(S, k, weights, v):
-    """Drop the rows of weight zero and form the closest point."""
+    """Drop the rows with weight zero, and compute the closest point."""
     m = 0
     for i in range(k):
         if weights[i] > 0.0:
@@ -116,10 +117,10 @@ def _compact(S, k, weights, v):
 
 @njit()
 def _beyond(S, i, j, k, opposite, doubt):
-    """Whether the origin is not certainly on the inner side of face ijk.
+    """Return whether the origin is not certainly on the inner side of face ijk.
 
-    `doubt` bounds the rounding error of the two compared volumes. A superfluous face costs a little time, but a missing
-    one the right answer: in a flat tetrahedron all four must be tried.
+    `doubt` bounds the rounding error of the two volumes compared. A superfluous face costs only a little time, but a
+    missing face may cost the right answer: in a flat tetrahedron, all four faces must be tried.
     """
     ux = S[j, 0] - S[i, 0]
     uy = S[j, 1] - S[i, 1]
@@ -192,7 +193,7 @@ def closest(S, k, weights, v):
 
 @njit(forceinline=False)
 def weigh_inside(S, weights, v):
-    """Write weights of the origin, which is in the tetrahedron S, or of the nearest point found if S is too flat."""
+    """Write the weights of the origin, which is in the tetrahedron S, or of a nearest point if S is too flat."""
     total = 0.0
     for i in range(4):
         j, k, m = (1 if i == 0 else 0), (2 if i < 2 else 1), (3 if i < 3 else 2)
@@ -224,7 +225,7 @@ def combined(wa, a, wb, b, wc, c):
 
 @njit()
 def _without(d, ex, ey, ez):
-    """Remove the part of d along e, twice: the second pass removes the rounding of the first."""
+    """Remove the component of d along e, twice: the second pass removes the rounding of the first."""
     squared = ex * ex + ey * ey + ez * ez
     if squared > 0.0:
         for _ in range(2):
@@ -236,11 +237,12 @@ def _without(d, ex, ey, ez):
 
 @njit(forceinline=False)
 def direction(S, k, v, d):
-    """Unit normal d of the simplex's feature, on the side away from the origin.
+    """Compute the unit normal d of the simplex's feature, on the side away from the origin.
 
-    v is a weighted sum of points whose rounding is relative to their size, so close to contact its direction is noise.
-    The feature itself still has a normal to full precision: perpendicular to the edge, or to the triangle. Returns the
-    offset d·x of the feature, which is the distance of the origin; 0 if there is no normal.
+    The closest point v is a weighted sum of points whose rounding is relative to their size, so that close to contact
+    its direction is noise. The feature itself still has a normal to full precision, perpendicular to the edge or the
+    triangle. Returns the offset d·x of the feature, which is the distance of the origin; 0 if the feature has no
+    normal.
     """
     for j in range(3):
         d[j] = v[j] if k != 1 else S[0, j]
@@ -254,7 +256,8 @@ def direction(S, k, v, d):
         sign = 1.0 if side >= 0.0 else -1.0
         d[0], d[1], d[2] = sign * nx, sign * ny, sign * nz
         _unit(d)
-        # A thin triangle's normal is only roughly perpendicular to the edges. Correct it along the longer edge last.
+        # The normal of a thin triangle is only roughly perpendicular to the edges. Correct the normal along the longer
+        # edge last.
         if ux * ux + uy * uy + uz * uz > wx * wx + wy * wy + wz * wz:
             _without(d, wx, wy, wz)
             _without(d, ux, uy, uz)

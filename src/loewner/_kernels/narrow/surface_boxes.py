@@ -1,11 +1,11 @@
-"""Two surfaces at two poses: their records, and which boxes of their trees come near each other.
+"""Records for two surfaces at two poses, and tests of whether boxes of their trees come near each other.
 
-Everything is seen in the axes of the first body's frame, in single precision. All boxes of a tree are turned alike, so
+All tests are in the axes of the first body's frame, in single precision. All boxes of a tree are rotated alike, so that
 one rotation serves a whole query.
 
 References
 ----------
-Gottschalk, Lin and Manocha (1996), "OBBTree", doi:10.1145/237170.237244: fifteen axes tell whether two boxes meet.
+Gottschalk, Lin and Manocha (1996), "OBBTree", doi:10.1145/237170.237244: fifteen axes decide whether two boxes meet.
 """
 
 from typing import Any, NamedTuple
@@ -23,14 +23,14 @@ from loewner._kernels.simd.vectors import absolute, load_single, maximum, minimu
 from loewner._kernels.tolerances import SINGLE_ROUNDOFF
 from loewner._kernels.trees.triangle_tree import CORNERS, DIAGONALS, ROWS, WIDE, WIDE_BITS
 
-# Allowed error along each of the fifteen axes, relative to the lengths involved: a multiple of the deviations of both
-# rotations from orthonormality, and a multiple of the roundoff of single precision.
+# Allowed error along each of the fifteen axes, relative to the lengths involved: BENDS times the deviations of both
+# rotations from orthonormality, plus ROUNDINGS.
 BENDS = 8.0  # certified.md B39
 ROUNDINGS = 64.0 * SINGLE_ROUNDOFF  # certified.md B40
 
 
 class Tree(NamedTuple):
-    """A surface as kernels see it: the arrays of `trees.triangle_tree`, and a point of each connected part."""
+    """A surface as the kernels use it: the arrays of `trees.triangle_tree`, and a point of each connected part."""
 
     boxes: Any
     children: Any
@@ -40,7 +40,7 @@ class Tree(NamedTuple):
 
 
 class Box(NamedTuple):
-    """Middle and half widths along a tree's axes, and both in single precision, with slack for rounding."""
+    """Middle and half widths of a box along a tree's axes, with slack for rounding, in double and single precision."""
 
     middle: Any
     half: Any
@@ -49,17 +49,17 @@ class Box(NamedTuple):
 
 
 class Relation(NamedTuple):
-    """How b lies in the axes of a's frame, in single precision.
+    """Pose of b in the axes of a's frame, in single precision.
 
     Attributes
     ----------
     turn : tuple of 9
-        The product of a's transposed rotation and b's.
+        Product of a's transposed rotation and b's rotation.
     size : tuple of 9
-        Its absolute values.
+        Absolute values of the entries of `turn`.
     shift : tuple of 3
     slack : float32
-        What sums of lengths may be off by, and the distance that counts as meeting.
+        Bound on the errors of sums of lengths, plus the distance at which boxes count as meeting.
     """
 
     turn: Any
@@ -70,36 +70,36 @@ class Relation(NamedTuple):
 
 @inline
 def is_surface(P):
-    """Whether a piece is one."""
+    """Return whether a piece is a surface."""
     return P.layout[P.piece, KIND] <= SURFACE
 
 
 @inline
 def is_solid(P):
-    """Whether it holds what it winds around."""
+    """Return whether a piece is a solid: a surface together with all that it winds around."""
     return P.layout[P.piece, KIND] == SOLID
 
 
-# Reads the tree of a surface, given the address of the table of its arrays.
+# `tree_at` reads the tree of a surface, given the address of the table of the tree's arrays.
 tree_at = reader(record_kind(Tree, "S1 I1 F1 F1 S1"))
 
 
 @inline
 def surface_of(P):
-    """Tree of a surface that is a piece."""
+    """Tree of a piece that is a surface."""
     return tree_at(P.layout[P.piece, SURFACE_AT])
 
 
 @inline
 def singles(v):
-    """A vector in single precision."""
+    """Convert a vector to single precision."""
     f = np.float32
     return f(v[0]), f(v[1]), f(v[2])
 
 
 @inline
 def relation(A, B, shift, size, near):
-    """How B lies in the axes of the surface A: boxes within `near` count as meeting; `size` is a sum of lengths."""
+    """`Relation` of B to the surface A: boxes within `near` count as meeting; `size` is a sum of lengths."""
     R, S = rotation_of(A), rotation_of(B)
     bend = off_orthonormal(R) + off_orthonormal(S) + 2e-15
     m = product((R[0], R[3], R[6], R[1], R[4], R[7], R[2], R[5], R[8]), S)
@@ -139,7 +139,7 @@ def boxes_of(boxes, node):
 
 @inline
 def between(relation, middle_a, middle_b):
-    """From the middle of a box of a to that of one of b, in a's axes."""
+    """Vector from the middle of a box of a to the middle of a box of b, in a's axes."""
     m, s = relation.turn, relation.shift
     return (
         m[0] * middle_b[0] + m[1] * middle_b[1] + m[2] * middle_b[2] + (s[0] - middle_a[0]),
@@ -150,7 +150,7 @@ def between(relation, middle_a, middle_b):
 
 @inline
 def meeting(relation, t, g, h):
-    """Bits of the lanes whose boxes are not proven apart: `t` between middles, half widths `g` of a and `h` of b."""
+    """Bits of the lanes whose boxes are not proven apart; `t` is between the middles, `g` and `h` are half widths."""
     m, z, e = relation.turn, relation.size, relation.slack
     mask = (
         (absolute(t[0]) <= (g[0] + e) + (z[0] * h[0] + z[1] * h[1] + z[2] * h[2]))
@@ -179,14 +179,14 @@ def meeting(relation, t, g, h):
 
 @inline
 def meeting_between(first, last, middle_a, middle_b, g, h):
-    """Bits of the lanes whose boxes are not proven apart, along a's axes, on the straight way between two places of b.
+    """Bits of the lanes whose boxes a's axes do not prove to be apart on the straight path of b between two places.
 
     Parameters
     ----------
     first, last : Relation
-        To b at both places.
+        Relations of a to b at both places.
     middle_a, middle_b, g, h
-        Middles of the boxes, and half widths.
+        Middles and half widths of the boxes.
     """
     t, s, y, z = between(first, middle_a, middle_b), between(last, middle_a, middle_b), first.size, last.size
     e = max(first.slack, last.slack)
@@ -202,14 +202,14 @@ def meeting_between(first, last, middle_a, middle_b, g, h):
 
 @inline
 def _touching(first, last, reach_first, reach_last):
-    """Where two intervals along an axis, about `first` and `last`, do not lie on the same side of 0."""
+    """Mask of lanes in which two intervals, about `first` and `last`, do not lie on the same side of 0."""
     above = minimum(first - reach_first, last - reach_last)
     return (above <= np.float32(0.0)) & (maximum(first + reach_first, last + reach_last) >= np.float32(0.0))
 
 
 @inline
 def opens_first(a, b, slot_a, slot_b):
-    """Whether the box of a is opened, not the box of b: the larger box, unless it is a leaf. At most one is a leaf."""
+    """Return whether to open a's box instead of b's box: the larger box, unless it is a leaf; at most one is a leaf."""
     if a.children[slot_a] < 0 or b.children[slot_b] < 0:
         return b.children[slot_b] < 0
     (_, g), (_, h) = box_at(a.boxes, slot_a), box_at(b.boxes, slot_b)
@@ -218,9 +218,9 @@ def opens_first(a, b, slot_a, slot_b):
 
 @inline
 def in_box(boxes, node, query):
-    """Bits of the boxes of a node that meet a box, and come within `far` of planes m x = limit from below.
+    """Bits of the boxes of a node that meet a box, and that come within `far` of planes m x = limit from below.
 
-    The query is the `Box`, an array of planes, which are rows of four, how many of them count, and `far`.
+    The query consists of the `Box`, an array of planes (rows of four numbers), the number of planes to use, and `far`.
     """
     box, planes, count, far = query
     middles, halves = boxes_of(boxes, node)
@@ -238,7 +238,7 @@ def in_box(boxes, node, query):
 
 @inline
 def plane_gaps(middles, halves, planes, count, gaps):
-    """Squared lower bounds on distances from what lies above planes, where they are larger than those in `gaps`."""
+    """Raise the squared lower bounds in `gaps` to the squared distances of the boxes from the far sides of planes."""
     for k in range(count):
         gap = np.float32(planes[4 * k + 3]) - farthest(middles, halves, planes, 4 * k, 1.0)
         gap = maximum(gap, np.float32(0.0))
@@ -248,7 +248,7 @@ def plane_gaps(middles, halves, planes, count, gaps):
 
 @inline
 def farthest(middles, halves, planes, at, sign):
-    """How far boxes go along a normal at an entry of `planes`, or in the opposite direction, in single precision."""
+    """Extent of boxes along the normal at entry `at` of `planes`, or along its opposite, in single precision."""
     f = np.float32
     x, y, z = f(sign * planes[at]), f(sign * planes[at + 1]), f(sign * planes[at + 2])
     return (middles[0] * x + middles[1] * y + middles[2] * z) + (
@@ -258,9 +258,9 @@ def farthest(middles, halves, planes, at, sign):
 
 @inline
 def squared_gaps(relation, t, g, h):
-    """Lower bounds on the squared distance of boxes, along the axes of a's and along those of b's, whichever says more.
+    """Lower bounds on the squared distances of boxes: the larger of the bounds along a's axes and along b's axes.
 
-    Parameters as for `meeting`; lengths in a's axes, which a pose may stretch by 1e-6.
+    The parameters are documented in `meeting`; lengths are in a's axes, which a pose may stretch by 1e-6.
     """
     m, z, e = relation.turn, relation.size, relation.slack
     x = absolute(t[0]) - ((g[0] + e) + (z[0] * h[0] + z[1] * h[1] + z[2] * h[2]))
@@ -276,16 +276,16 @@ def squared_gaps(relation, t, g, h):
 
 
 class Way(NamedTuple):
-    """A direction in the axes of a tree, as an axis and two diagonals: where their rows are, and their shares.
+    """A direction in the axes of a tree, split into an axis and two diagonals: where their rows are, and their shares.
 
     Attributes
     ----------
     n : tuple of 3 float
         The direction.
     axis, edge, corner : int
-        Rows of boxes and of diagonals.
+        Places of the axis in the rows of boxes, and of the two diagonals in the rows of diagonals.
     lean, share, edge_share, corner_share : float32
-        The share of the axis, with its sign and without, and those of the diagonals.
+        The share of the axis, with and without its sign, and the shares of the diagonals.
     """
 
     n: Any
@@ -300,7 +300,7 @@ class Way(NamedTuple):
 
 @inline
 def squared_gap(t, halves, half):
-    """Squared distance of boxes along the same axes, in single precision; t between their middles."""
+    """Squared distances of boxes along common axes, in single precision; t is the vector between their middles."""
     x = maximum(absolute(t[0]) - (halves[0] + half[0]), np.float32(0.0))
     y = maximum(absolute(t[1]) - (halves[1] + half[1]), np.float32(0.0))
     z = maximum(absolute(t[2]) - (halves[2] + half[2]), np.float32(0.0))
@@ -309,9 +309,9 @@ def squared_gap(t, halves, half):
 
 @inline
 def gaps_from_box(boxes, node, query):
-    """Squared lower bounds on the distances of a node's boxes from a box and from the far side of planes.
+    """Squared lower bounds on the distances of a node's boxes from a box and from the far sides of planes.
 
-    Also returns the middles of the boxes, from the middle of the box, and their half widths.
+    Also returns the vectors from the middle of the box to the middles of the node's boxes, and their half widths.
     """
     middle, half, planes, count = query
     middles, halves = boxes_of(boxes, node)
@@ -321,7 +321,7 @@ def gaps_from_box(boxes, node, query):
 
 @inline
 def way_along(n):
-    """A direction, three numbers of single precision, by its coordinates in order: see `trees.triangle_tree`."""
+    """Split a direction, in single precision, by the order of its coordinates: see `trees.triangle_tree`."""
     x, y, z = abs(n[0]), abs(n[1]), abs(n[2])
     left, behind, below = n[0] < 0.0, n[1] < 0.0, n[2] < 0.0
     high, low = max(x, max(y, z)), min(x, min(y, z))
@@ -342,7 +342,7 @@ def way_along(n):
 
 @inline
 def reaches_of(tree, node, way):
-    """How far the triangles of the boxes of a node go along a direction at most."""
+    """Upper bounds on how far the triangles in each box of a node extend along a direction."""
     at, more = node * ROWS + way.axis, node * DIAGONALS
     middle, half = load_single(tree.boxes, at), load_single(tree.boxes, at + 3 * WIDE)
     edge, corner = load_single(tree.diagonals, more + way.edge), load_single(tree.diagonals, more + way.corner)
@@ -351,7 +351,7 @@ def reaches_of(tree, node, way):
 
 @inline
 def reach_at(tree, slot, way):
-    """How far the triangles of one box go along a direction at most."""
+    """Upper bound on how far the triangles in one box extend along a direction."""
     lane = slot & (WIDE - 1)
     at, more = (slot >> WIDE_BITS) * ROWS + way.axis + lane, (slot >> WIDE_BITS) * DIAGONALS + lane
     middle, half = tree.boxes[at], tree.boxes[at + 3 * WIDE]
@@ -365,7 +365,8 @@ def box_in_frame(A, B, shift, far, size):
     R = rotation_of(A)
     slack = _slack(R, far, size)
     m = h = (0.0, 0.0, 0.0)
-    for axis in range(3):  # loops here and below, since the large support function is copied wherever it is called
+    # The loops here and below save code, because the large support function is copied wherever it is called.
+    for axis in range(3):
         middle, half = _extent(B, shift, (R[axis], R[axis + 3], R[axis + 6]), slack)
         m, h = (m[1], m[2], middle), (h[1], h[2], half)
     return Box(m, h, singles(m), singles(h))
@@ -388,21 +389,21 @@ def oval_in_frame(A, B, shift, far, size):
 
 @inline
 def _slack(R, far, size):
-    """Widening of a box along the axes of R: the distance, the bend of poses, and rounding."""
+    """Widening of a box along the axes of R: the distance `far`, the bend of poses not quite rigid, and rounding."""
     bend = off_orthonormal(R) + 1e-15
     return far * (1.0 + bend) + (4.0 * bend + ROUNDINGS) * size
 
 
 @inline
 def _half_width(Q, n):
-    """How far an ellipsoid with shape matrix Q goes along n from its center; rounded outward."""
+    """Extent of an ellipsoid with shape matrix Q along n from its center, rounded outward."""
     width, _ = outward_width(Q, n, dot(n, n))
     return width
 
 
 @inline
 def _extent(B, shift, n, slack):
-    """Where the middle of a piece is along a direction, and how far it goes from there."""
+    """Position of a piece's middle along a direction, and the piece's half width."""
     below = above = 0.0
     for side in range(2):
         way = scaled(2.0 * side - 1.0, n)

@@ -1,7 +1,8 @@
-"""A lower bound on the depth of a surface and another piece in each other.
+"""A lower bound on how deep a surface and another piece penetrate each other.
 
-It is the depth of the deepest pair of convex parts: bodies whose parts have to be moved by this much are at least as
-deep. For solids a ball of one body, or a point, that lies within the other may prove more, since it has to come out.
+The bound is the depth of the deepest pair of convex parts: bodies whose parts must be moved by that depth are at least
+as deep. For solids, a ball or a point of one body that lies within the other body may prove more, because it has to
+come out.
 """
 
 import numpy as np
@@ -36,7 +37,7 @@ NO_INSIDE = 1e-100
 
 @njit()
 def surface_depth(A, B, shift, n, faces, edges, memory, result):
-    """A lower bound on the depth of two pieces that meet; operands as for `surface_distance`."""
+    """Lower bound on the depth of two pieces that meet; the operands are documented in `surface_distance`."""
     found, back, own = 0.0, negated(shift), np.empty(9)
     result[0], result[1], result[2] = walk.unit(n)
     for c in range(6):
@@ -57,7 +58,7 @@ def surface_depth(A, B, shift, n, faces, edges, memory, result):
 
 @inline
 def _write_turned(own, shift, sign, result):
-    """Copy a normal and two witnesses; with sign -1 seen from the other body, whose translation is at `shift`."""
+    """Copy a normal and two witnesses; with sign -1, exchange the two bodies, whose translations differ by `shift`."""
     for c in range(3):
         result[c] = sign * own[c]
         if sign > 0.0:
@@ -109,7 +110,7 @@ def _deepest_triangles(A, B, shift, found, faces, edges, memory, own, result):
 
 @inline
 def _most_depth(a, b):
-    """Upper bound on the depth of two triangles: how far they have to go along either normal; 0 if they are apart."""
+    """Upper bound on the depth of two triangles: the shift along either normal that parts them; 0 if they are apart."""
     n, m = cross(minus(a[1], a[0]), minus(a[2], a[0])), cross(minus(b[1], b[0]), minus(b[2], b[0]))
     return max(min(_overlap(n, a, b), _overlap(m, a, b)), 0.0)
 
@@ -126,7 +127,7 @@ def _overlap(n, a, b):
 
 @njit()
 def _deepest_to_piece(A, B, shift, found, sign, faces, edges, memory, own, result):
-    """Depth of the triangle of A that is deepest in the convex piece B; the result is turned round if sign is -1."""
+    """Depth of the triangle of A deepest in the convex piece B; with sign -1, the result is for exchanged bodies."""
     a, box = surface_of(A), box_in_frame(A, B, shift, 0.0, lengths(A, B, shift))
     rounding, curved = rounding_error(A, B, shift), B.layout[B.piece, KIND] != POLYTOPE
     work, n = epa_robust.workspace(curved), (0.0, 0.0, 1.0)
@@ -160,7 +161,7 @@ def _deepest_to_piece(A, B, shift, found, sign, faces, edges, memory, own, resul
 
 @njit()
 def _narrow(S):
-    """Make a triangle without area, as a piece of its own, the segment or point that it is: EPA has these cores."""
+    """Turn a triangle piece without area into a segment or a point, because EPA accepts these as cores."""
     p, table = S.points, S.table
     a, b, c = (p[0], p[8], p[16]), (p[1], p[9], p[17]), (p[2], p[10], p[18])
     n = cross(minus(b, a), minus(c, a))
@@ -201,7 +202,7 @@ def _inner_ball(P, shift):
 
 @njit()
 def _deepest_point(A, B, shift, found, sign, memory, own, result):
-    """Depth of the ball of B, or of the points of its parts, that is deepest within the solid A."""
+    """Depth of the deepest among B's ball and the points of B's parts within the solid A."""
     R, size = rotation_of(B), lengths(A, B, shift)
     center, ball = _inner_ball(B, shift)
     found = _deeper_point(A, center, ball, size, found, shift, sign, memory, own, result)

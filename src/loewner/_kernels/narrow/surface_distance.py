@@ -1,8 +1,8 @@
 """Signed distance of a surface and another piece.
 
-The nearest boxes come first, by lower bounds in single precision; then triangles, eight at a time; and the nearest
-pair at last by GJK, as two pieces of their own, for the normal and the witnesses. Pieces that meet have a depth, see
-`surface_depth`.
+Boxes are taken in the order of lower bounds in single precision, nearest first, and their triangles eight at a time.
+Finally, GJK measures the nearest two triangles, as separate pieces, for the normal and the witnesses. Pieces that meet
+have a depth, see `surface_depth`.
 """
 
 from typing import Any, NamedTuple
@@ -27,7 +27,7 @@ from loewner._kernels.pieces.shapes import radius, rotation_of
 from loewner._kernels.simd.vectors import highest, maximum, movemask, next_lane, store
 from loewner._kernels.trees.triangle_tree import BLOCK, LEAF, WIDE, leaf_of
 
-# Sums of lengths [m] above which squares overflow in single precision.
+# Squares overflow in single precision if sums of lengths [m] are larger than FARTHEST.
 FARTHEST = 1e18
 
 
@@ -41,7 +41,7 @@ def surface_distance(A, B, n, limit, faces, edges, memory, result):
     n : tuple of 3 float
         A direction from A to B.
     limit : float
-        Distances of cores above this are of no interest.
+        Distances of cores above this limit are not computed.
     faces, edges : ndarray
         Workspace of `epa_fast`.
     memory : int
@@ -52,10 +52,10 @@ def surface_distance(A, B, n, limit, faces, edges, memory, result):
     Returns
     -------
     distance : float
-        inf if it is above the limit. If negative, the depth is at least that, up to rounding (certified.md B49); it is
-        the depth of a pair of convex parts.
+        The distance; inf if it is above the limit. If it is negative, the depth is at least its absolute value, up to
+        rounding (certified.md B49): the depth of a pair of convex parts.
     gap : float
-        How far bounds on it are apart.
+        Difference between the bounds on the distance.
     """
     shift = shift_between(A, B)
     if not lengths(A, B, shift) < FARTHEST:
@@ -95,17 +95,17 @@ def _between_pieces(A, B, shift, n, memory, result):
         return above, above - below
     G, weights, v, d = np.empty((4, 9)), np.empty(4), np.empty(3), np.empty(3)
     _, below, above, k = run(A, B, shift, n, 0.0, False, G, weights, v, d)
-    radii = radius(A) + radius(B)  # `run` subtracts these radii
-    if k == 4:  # the cores have a point in common; `run` has not written its weights
+    radii = radius(A) + radius(B)  # The bounds that `run` returns are reduced by these radii.
+    if k == 4:  # The cores have a point in common, whose weights `run` has not written.
         above = -radii
         weigh_inside(G, weights, v)
-    below = max(below, -radii)  # cores that certainly intersect were settled before
+    below = max(below, -radii)  # Cores that certainly intersect were settled before.
     write_simplex(G, k, weights, d, result)
     return above + radii, above - below
 
 
 class Ways(NamedTuple):
-    """A unit vector n, in the axes of tree a and its opposite in the axes of b, and the shift of the frames along n."""
+    """A unit vector n as a `Way` in tree a, its opposite as a `Way` in tree b, and the shift of the frames along n."""
 
     n: Any
     a: Any
@@ -115,9 +115,10 @@ class Ways(NamedTuple):
 
 @njit()
 def _nearest_triangles(A, B, shift, limit, memory):
-    """Triangles of two surfaces that are nearest to each other, by block and lane; -1 if none comes within `limit`.
+    """Find the nearest triangles of two surfaces, by block and lane; -1 if none comes within `limit`.
 
-    Boxes exclude most, and so does their extent along the normal of the nearest triangles so far.
+    The distances of boxes exclude most pairs; the extents of boxes along the normal of the nearest triangles found so
+    far exclude more.
     """
     a, b = boxes.surface_of(A), boxes.surface_of(B)
     about = boxes.relation(A, B, shift, lengths(A, B, shift), 0.0)
@@ -167,9 +168,9 @@ def _nearest_triangles(A, B, shift, limit, memory):
 
 @inline
 def _next_near(about, ways, a, b, memory, height, old, best):
-    """The next leaves whose squared distance may be at most `best`, the height, and the new `old`.
+    """Find the next leaves whose squared distance may be at most `best`; also return the height and the new `old`.
 
-    Entries of the stack below `old` are from before the direction changed.
+    Entries of the stack below `old` were pushed before the direction last changed.
     """
     stack, bounds = walk.stack_of(memory), walk.bounds_of(memory)
     while height > 0:
@@ -208,28 +209,28 @@ def _next_near(about, ways, a, b, memory, height, old, best):
 
 @inline
 def _reaches(blocks, leaf, n):
-    """How far the triangles of a leaf go along a direction."""
+    """How far the triangles of a leaf extend along a direction."""
     p, q, r = walk.corners_of(blocks, leaf)
     return walk.most(dot(p, n), dot(q, n), dot(r, n))
 
 
 @inline
 def _near_along(gap, best):
-    """Where gaps along a direction let distances be among the best."""
+    """Mask of gaps along a direction for which the squared distance may be at most `best`."""
     gap = maximum(gap, 0.0)
     return gap * gap * BELIEVED <= best
 
 
 @inline
 def _single_near(gap, best):
-    """`_near_along` in single precision."""
+    """Compute `_near_along` in single precision."""
     gap = maximum(gap, np.float32(0.0))
     return gap * gap <= walk.rounded_up(best)
 
 
 @inline
 def _larger(squared, gap):
-    """The larger of lower bounds on squared distances and on distances."""
+    """The larger of squared lower bounds and the squares of gaps."""
     gap = maximum(gap, np.float32(0.0))
     return maximum(gap * gap, squared)
 
@@ -245,7 +246,7 @@ def _between_middles(A, B, shift):
 
 @inline
 def _ways(A, B, shift, n, slack):
-    """`Ways` along a vector n."""
+    """Make the `Ways` along a vector n."""
     n = walk.unit(n)
     a, b = apply_transposed(rotation_of(A), n), apply_transposed(rotation_of(B), negated(n))
     return Ways(
@@ -255,18 +256,18 @@ def _ways(A, B, shift, n, slack):
 
 @inline
 def _middle_gaps(a, b):
-    """Lower bounds on the squared distances of a triangle from eight, along the lines of their middles."""
+    """Lower bounds on the squared distances of a triangle from eight triangles, along the lines between middles."""
     n = minus(plus(plus(b[0], b[1]), b[2]), plus(plus(a[0], a[1]), a[2]))
     near = walk.least(dot(b[0], n), dot(b[1], n), dot(b[2], n))
     gap = maximum(near - walk.most(dot(a[0], n), dot(a[1], n), dot(a[2], n)), 0.0)
-    return gap * gap * BELIEVED / (dot(n, n) + 1e-300)  # 1e-300 avoids 0 / 0 if the centers coincide
+    return gap * gap * BELIEVED / (dot(n, n) + 1e-300)  # The term 1e-300 avoids 0 / 0 if the centers coincide.
 
 
 @njit()
 def _nearest_to_piece(A, B, shift, limit, memory):
-    """Triangle of surface A that is nearest to the convex piece B; -1 if none comes within `limit`.
+    """Find the triangle of surface A that is nearest to the convex piece B; -1 if none comes within `limit`.
 
-    Each search ends with a plane, and the last few are kept: everything far beyond one of them is left out.
+    Each search ends with a plane. The last few planes are kept, and triangles far beyond one of them are skipped.
     """
     a, R, size = boxes.surface_of(A), rotation_of(A), lengths(A, B, shift)
     error = rounding_error(A, B, shift)
@@ -296,7 +297,7 @@ def _nearest_to_piece(A, B, shift, limit, memory):
             searches += 1
             walk.keep_plane(B, shift, R, n, size, planes, k)
             if status != APART:
-                if status != NEAREST:  # the pieces are so near contact that more care is needed
+                if status != NEAREST:  # The pieces are so near contact that more care is needed.
                     piece = walk.triangle_piece(A, leaf * LEAF + lane, 0.0, walk.first_of(memory))
                     above, _ = _between_pieces(piece, B, shift, n, memory, result)
                 if above <= best:

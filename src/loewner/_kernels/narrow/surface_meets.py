@@ -1,9 +1,9 @@
-"""Do a surface and another piece meet? The walk through two trees of triangles, or through one for a convex piece.
+"""Decide whether a surface and another piece meet: walk through two trees of triangles, or through one tree.
 
-Boxes settle most of it in single precision. Triangles are settled eight at a time by signs of determinants
-(`triangles`), and the rest by GJK. Signs that rounding could turn are never guessed: such pairs are *open*, and
-`loewner.queries._exact` settles them in integers. Where no triangles meet, `surface_points` decides whether one
-body lies within the other.
+Boxes settle most pairs in single precision. Signs of determinants settle triangles eight at a time (`triangles`), and
+GJK settles the rest. Signs that rounding could change are never guessed: such pairs are *open*, and
+`loewner.queries._exact` settles them in integers. Where no triangles meet, `surface_points` decides whether one body
+lies within the other.
 """
 
 from typing import Any, NamedTuple
@@ -25,11 +25,11 @@ from loewner._kernels.simd.memory import integers_at
 from loewner._kernels.simd.vectors import movemask, next_lane
 from loewner._kernels.trees.triangle_tree import BLOCK, LEAF, leaf_of, size_of
 
-MEETING = -1  # in place of a number of open pairs
+MEETING = -1  # MEETING replaces a number of open pairs.
 
 
 class Asked(NamedTuple):
-    """What `surface_pair` is called with besides the pieces: distances, memory, and room for open pairs."""
+    """Arguments of `surface_pair` other than the pieces: distances, memory, and room for open pairs."""
 
     near: Any
     far: Any
@@ -46,34 +46,34 @@ def surface_pair(A, B, near, far, memory, listed_at, room, steps=NO_LIMIT):
     ----------
     A, B : Placed
     near, far : float
-        Cores that come this near collide, cores farther apart are free: the margin and the rounding radii, as they are
-        and as the poses stretch them.
+        Cores that come within `near` collide; cores farther apart than `far` are free. Both distances are the margin
+        plus the rounding radii, which for `far` are stretched like the poses.
     memory : int
         Address of `surface_walk.MEMORY`.
     listed_at, room : int
-        Address of integers, two for each open pair that there is room to list. For two surfaces these are the
-        triangles, by block and lane; for a surface and a convex piece, the triangle and -1.
+        Address of integers, and the number of open pairs that they have room for: two integers each. For two surfaces,
+        they are the triangles, by block and lane; for a surface and a convex piece, the triangle and -1.
     steps : int
-        The verdict is AMBIGUOUS if boxes, triangles and points to be examined are more than this. The number that is
-        left can be read from the memory.
+        Limit on the number of boxes, triangles and points to examine; beyond it, the verdict is AMBIGUOUS. The number
+        of steps left can be read from the memory.
 
     Returns
     -------
     verdict : int
-        AMBIGUOUS if pairs are open, or if it is open whether something lies within a solid.
+        AMBIGUOUS if pairs are open, or if it is not known whether a part lies within a solid.
     open_pairs : int
     """
-    # Addresses of NumPy arrays have another integer type; without this conversion, everything would be compiled again.
+    # Addresses of NumPy arrays have another integer type. Without this conversion, everything would be compiled again.
     asked = Asked(near, far, np.int64(memory), np.int64(listed_at), room)
     walk.left_of(asked.memory)[0] = steps
     return _settled(A, B, asked) if is_surface(A) else _settled(B, A, asked)
 
 
-# A call copies both records through memory (76 words), and the callee counts references again. Therefore, this is the
-# only call that every pair makes, and the callee begins by borrowing.
+# A call copies the records of both pieces through memory (76 words), and the callee counts references again. Therefore,
+# this is the only call that every pair makes, and the callee begins by borrowing the arrays.
 @apart
 def _settled(A, B, asked):
-    """As `surface_pair`, for a surface A."""
+    """Settle two pieces as `surface_pair` does, where A is a surface."""
     A, B = placed(A, A.piece, A.poses, A.row), placed(B, B.piece, B.poses, B.row)
     shift = shift_between(A, B)
     size = lengths(A, B, shift)
@@ -88,7 +88,7 @@ def _settled(A, B, asked):
 
 @inline
 def _list(asked, open_pairs, first, second):
-    """List an open pair if there is room; returns how many pairs are open by now."""
+    """List an open pair if there is room; return the number of open pairs so far."""
     if open_pairs < asked.room:
         listed = integers_at(asked.listed_at, (asked.room, 2))
         listed[open_pairs, 0], listed[open_pairs, 1] = first, second
@@ -97,7 +97,7 @@ def _list(asked, open_pairs, first, second):
 
 @inline
 def _two_surfaces(A, B, shift, size, asked):
-    """Settle the triangles of two surfaces; MEETING, or how many pairs are open."""
+    """Settle the triangles of two surfaces; return MEETING or the number of open pairs."""
     a, b = surface_of(A), surface_of(B)
     about = relation(A, B, shift, size, asked.far)
     height, open_pairs = walk.resumed(asked.memory), 0
@@ -111,7 +111,7 @@ def _two_surfaces(A, B, shift, size, asked):
 
 @inline
 def _boxes_touch(a, b, reach):
-    """Where the boxes of a triangle and of eight come within `reach` of each other along all axes."""
+    """Mask of lanes in which the box of a triangle comes within `reach` of the box of one of eight along all axes."""
     return _touch_along(a, b, reach, 0) & _touch_along(a, b, reach, 1) & _touch_along(a, b, reach, 2)
 
 
@@ -122,7 +122,7 @@ def _touch_along(a, b, reach, axis):
 
 @inline
 def _leaves(A, B, child_a, child_b, shift, size, asked, open_pairs):
-    """Settle the triangles of two leaves; MEETING, or how many pairs are open by now."""
+    """Settle the triangles of two leaves; return MEETING or the number of open pairs so far."""
     leaf_a, leaf_b = leaf_of(child_a), leaf_of(child_b)
     near, far, error = asked.near, asked.far, walk.CORNER_ERROR * size
     placed = walk.placed_of(asked.memory)
@@ -143,7 +143,7 @@ def _leaves(A, B, child_a, child_b, shift, size, asked, open_pairs):
         if far == 0.0:
             bits &= ~beside
         else:
-            # Distances within eight corner errors of a limit are left to the search.
+            # Pairs whose distance is within eight corner errors of a limit are left to the search.
             squared = squared_distances(a, b)
             within = max(near - 8.0 * error, 0.0)
             beyond = far + 8.0 * error
@@ -156,7 +156,7 @@ def _leaves(A, B, child_a, child_b, shift, size, asked, open_pairs):
             open_pairs = _search(A, B, leaf_a, lane_a, leaf_b, bits & ~apart_bits, shift, asked, open_pairs)
             if open_pairs == MEETING:
                 return MEETING
-            bits &= apart_bits  # triangles that are apart unless they pierce each other
+            bits &= apart_bits  # These triangles are apart unless they pierce each other.
         if bits == 0:
             continue
         meets, misses = meet(a, b, on_a, side_a, error, long_a, long_b, between_corners)
@@ -171,7 +171,7 @@ def _leaves(A, B, child_a, child_b, shift, size, asked, open_pairs):
 
 @inline
 def _search(A, B, leaf_a, lane_a, leaf_b, bits, shift, asked, open_pairs):
-    """Settle a triangle and some of eight one by one; MEETING, or how many pairs are open by now."""
+    """Settle a triangle with the selected triangles of a leaf; return MEETING or the number of open pairs so far."""
     near, far, memory = asked.near, asked.far, asked.memory
     placed, W, result = walk.placed_of(memory), walk.vertices_of(memory), walk.result_of(memory)
     error, left = rounding_error(A, B, shift), walk.left_of(memory)
@@ -186,7 +186,7 @@ def _search(A, B, leaf_a, lane_a, leaf_b, bits, shift, asked, open_pairs):
             status, _, _ = walk.decided(A, B, shift, W, (LEAF, 2 * LEAF), n, error)
         else:
             status, _, _, _ = walk.measured(A, B, shift, W, (LEAF, 2 * LEAF), n, error, near - error, far, result)
-        # A contact from the search is correct up to rounding, so the error must be less than the allowed distance.
+        # The search finds a contact up to rounding, so that the error must be less than the allowed distance.
         if status in (TOUCHING, OVERLAPPING) and near > error:
             return MEETING
         if status != APART:
@@ -196,11 +196,11 @@ def _search(A, B, leaf_a, lane_a, leaf_b, bits, shift, asked, open_pairs):
 
 @inline
 def _with_piece(A, B, shift, size, asked):
-    """Settle the triangles of a surface A and a convex piece B; MEETING, or how many pairs are open.
+    """Settle the triangles of a surface A and a convex piece B; return MEETING or the number of open pairs.
 
-    It starts with the box around B's outer ellipsoid, and finds the box around B itself, which takes six searches, only
-    when triangles come near. Where GJK separates a triangle from B, its plane mostly separates the triangles around it,
-    too. So the last few planes are kept, and everything beyond one of them is left out.
+    The walk starts with the box around B's outer ellipsoid. The box around B itself takes six searches, and is found
+    only when triangles come near. If GJK separates a triangle from B, its plane usually separates nearby triangles,
+    too. The last few planes are therefore kept, and triangles beyond one of them are skipped.
     """
     near, far, memory = asked.near, asked.far, asked.memory
     a, R, error = surface_of(A), rotation_of(A), rounding_error(A, B, shift)

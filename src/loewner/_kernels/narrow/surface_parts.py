@@ -1,4 +1,4 @@
-"""What ellipsoids of parts of surfaces prove: outer ones around what is below the root, inner ones in a solid."""
+"""Proofs by ellipsoids of parts of surfaces: outer ones around the parts below the root, inner ones in a solid."""
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from loewner._kernels.narrow.surface_walk import left_of
 from loewner._kernels.pieces.pack import placed, shift_between
 from loewner._kernels.simd.memory import held
 
-CHUNK = 16  # pairs that are tested at a time: one of the first usually decides
+CHUNK = 16  # CHUNK pairs are tested at a time, because one of the first pairs usually decides.
 
 _LISTED = arena(CHUNK)
 _SIZE, _listed_at = _LISTED.size() // 8, _LISTED.whole()
@@ -23,19 +23,19 @@ _SIZE, _listed_at = _LISTED.size() // 8, _LISTED.whole()
 
 @inline
 def has_parts(pieces):
-    """Whether there is a surface among packed pieces."""
+    """Return whether any of the packed pieces is a surface."""
     return len(pieces.part_start) > 0
 
 
 @apart
 def parts_tier(a, i, Ta, ka, b, j, Tb, kb, margin):
-    """Who settles a piece pair that the ellipsoids of whole pieces left: BY_OUTER, BY_INNER, or OPEN.
+    """Return what settles a piece pair that ellipsoids of whole pieces left open: BY_OUTER, BY_INNER, or OPEN if none.
 
     Parameters
     ----------
     a, b : Pieces
     i, ka, j, kb : int
-        Pieces, and rows of poses.
+        Numbers of the pieces, and rows of their poses.
     margin : float
     """
     outer_a, inner_a, of_surface_a = _rows(a, i)
@@ -47,8 +47,8 @@ def parts_tier(a, i, Ta, ka, b, j, Tb, kb, margin):
     listed = _listed_at(memory.ctypes.data)
     found = OPEN
     for turn in range(2):
-        # First try all pairs of inner ellipsoids, any of which may overlap; then the outer ones, all of which must be
-        # apart.
+        # First try all pairs of inner ellipsoids, any of which may overlap, and then all pairs of outer ellipsoids, all
+        # of which must be apart.
         first_a, end_a = inner_a if turn == 0 else outer_a
         first_b, end_b = inner_b if turn == 0 else outer_b
         wide, total = end_b - first_b, (end_a - first_a) * (end_b - first_b)
@@ -78,7 +78,7 @@ def parts_tier(a, i, Ta, ka, b, j, Tb, kb, margin):
 
 @njit()
 def _none_within(A, B):
-    """Whether two pieces whose surfaces do not meet are proven not to lie within each other."""
+    """Return whether two pieces whose surfaces do not meet are proven not to lie within each other."""
     memory, shift = np.empty(WALK // 8), shift_between(A, B)
     left_of(memory.ctypes.data)[0] = NO_LIMIT
     found = within_either(A, B, shift, lengths(A, B, shift), memory.ctypes.data)
@@ -88,7 +88,7 @@ def _none_within(A, B):
 
 @inline
 def _rows(pieces, i):
-    """Rows of outer and of inner ellipsoids, from and to, and whether they are of parts of a surface."""
+    """First row and end of the outer and of the inner ellipsoids, and whether these belong to parts of a surface."""
     if has_parts(pieces):
         at = PARTS * i
         outer, inner, stop = (

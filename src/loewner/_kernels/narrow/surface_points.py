@@ -1,7 +1,7 @@
-"""Points and surfaces: how often a surface winds around a point, which of its points is nearest, and solids.
+"""Points and surfaces: a surface's winding number around a point, its nearest point, and points in solids.
 
-A solid also holds everything within it. Where nothing meets its surface, one point of each connected part of the other
-body decides, by the winding number: how often a ray from there meets the surface.
+A solid also contains everything within its surface. If nothing meets this surface, one point of each connected part of
+the other body decides, by its winding number: how often, with signs, a ray from the point crosses the surface.
 """
 
 import numpy as np
@@ -17,17 +17,17 @@ from loewner._kernels.simd.vectors import absolute, load, load_single, maximum, 
 from loewner._kernels.tolerances import UNIT_ROUNDOFF
 from loewner._kernels.trees.triangle_tree import BLOCK, LEAF, ROWS, WIDE, leaf_of, size_of
 
-# Where a point may lie, in order of increasing danger.
+# Possible places of a point, in order of increasing danger.
 OUTSIDE, UNKNOWN, WITHIN = 0, 1, 2
 
-# Slopes of rays, which run near one axis, towards the other two axes: a ray along an axis would meet many edges of
+# A ray runs near one axis, with slopes towards the other two axes, because a ray along an axis would meet many edges of
 # typical meshes. Each of six rays changes the slopes by a further tenth, and both slopes stay positive.
 LEAN_I, LEAN_J = 0.07391, 0.61803
 
 
 @inline
 def within_either(A, B, shift, size, memory):
-    """Whether a part of one of two pieces lies within the other one, if that is a solid."""
+    """Return whether a part of one of two pieces lies within the other piece, if that is a solid."""
     found = OUTSIDE
     if is_solid(A):
         found = _parts_within(A, B, shift, size, memory)
@@ -38,7 +38,7 @@ def within_either(A, B, shift, size, memory):
 
 @apart
 def _parts_within(A, B, shift, size, memory):
-    """Whether a part of B lies within the solid A, judged by one point of each connected part."""
+    """Return whether a part of B lies within the solid A, judged by one point of each connected part."""
     if not is_surface(B):
         return point_within(A, plus(placed_support(B, (1.0, 0.0, 0.0)), shift), size, memory)
     parts, R, left = surface_of(B).parts, rotation_of(B), walk.left_of(memory)
@@ -56,9 +56,9 @@ def _parts_within(A, B, shift, size, memory):
 
 @njit()
 def point_within(A, x, size, memory):
-    """Whether a point, in the world's axes from the translation of A, lies within the solid A."""
+    """Return whether a point, given in world axes from the translation of A, lies within the solid A."""
     R = rotation_of(A)
-    # Use the inverse, not the transpose: a pose is only required to be rigid to 1e-6.
+    # Use the inverse, not the transpose, because a pose is only required to be rigid to 1e-6.
     u, v, w = (R[0], R[3], R[6]), (R[1], R[4], R[7]), (R[2], R[5], R[8])
     volume = dot(cross(u, v), w)
     q = dot(cross(v, w), x) / volume, dot(cross(w, u), x) / volume, dot(cross(u, v), x) / volume
@@ -86,10 +86,11 @@ _next_along_ray = walk.walking(_along_ray)
 
 @njit()
 def winding_number(a, q, size, memory):
-    """How often a surface goes around a point of its frame; UNCOUNTED if no ray decides.
+    """Count how often a surface winds around a point of its frame; UNCOUNTED if no ray decides.
 
-    A ray near an axis is followed; where it comes too close to an edge or starts too close to a triangle, another one.
-    `size` is a sum of lengths that bounds coordinates; the point may be off by CORNER_ERROR of it.
+    The function follows a ray near an axis. If the ray comes too close to an edge or starts too close to a triangle,
+    another ray is tried. `size` is a sum of lengths that bounds coordinates; the error of the point may be up to
+    CORNER_ERROR times `size`.
     """
     slack = ROUNDINGS * size
     middle, half = box_at(a.boxes, 0)
@@ -113,9 +114,10 @@ def winding_number(a, q, size, memory):
 
 @njit()
 def _windings(a, q, i, j, k, backward, lean, size, memory):
-    """How often a ray from a point, given by its coordinates i, j and k, along axis k or against it, meets a surface.
+    """Count, with signs, how often a ray from a point along axis k, or against it, crosses a surface.
 
-    It leans towards axes i and j by `lean`: the coordinates along these, less that share of the third, are constant.
+    The ray leans towards the axes i and j by `lean`: on the ray, the coordinates i and j, less their share of
+    coordinate k, are constant.
     """
     lean_i, lean_j = lean
     sign = -1.0 if backward == 1 else 1.0
@@ -137,14 +139,16 @@ def _windings(a, q, i, j, k, backward, lean, size, memory):
         w0, w1, w2 = w0 * sign, w1 * sign, w2 * sign
         d0, d1, d2 = u0 * v1 - u1 * v0, u1 * v2 - u2 * v1, u2 * v0 - u0 * v2
         across = maximum(_largest(u0, u1, u2), _largest(v0, v1, v2))
-        # Error of a coordinate across the ray: the point's error, and the rounding of the slope times the length ahead.
+        # Error of a coordinate across the ray: the point's error, plus the rounding of the slope times the length
+        # ahead.
         off = 2.0 * error + ahead * (4.0 * UNIT_ROUNDOFF)
         limit = across * (8.0 * off) + across * across * (8.0 * UNIT_ROUNDOFF)
         left = (d0 > limit) & (d1 > limit) & (d2 > limit)
         right = (d0 < -limit) & (d1 < -limit) & (d2 < -limit)
         beside = ((d0 > limit) | (d1 > limit) | (d2 > limit)) & ((d0 < -limit) | (d1 < -limit) | (d2 < -limit))
         behind = (w0 < -error) & (w1 < -error) & (w2 < -error)
-        # The place where the ray's line meets the plane, times the area, is the weighted sum of the distances.
+        # The weighted sum of the distances is the place at which the ray's line meets the triangle's plane, times the
+        # area.
         where = d0 * w2 + d1 * w0 + d2 * w1
         doubtful = (limit * ahead + across * across * error) * 8.0
         beyond = (left & (where < -doubtful)) | (right & (where > doubtful))
@@ -157,7 +161,7 @@ def _windings(a, q, i, j, k, backward, lean, size, memory):
 
 @inline
 def _coordinates(blocks, at, axis, origin):
-    """One coordinate of the corners of eight triangles, from a point."""
+    """One coordinate of the corners of eight triangles, relative to a point."""
     i = at + axis * LEAF
     return load(blocks, i) - origin, load(blocks, i + 3 * LEAF) - origin, load(blocks, i + 6 * LEAF) - origin
 
@@ -178,9 +182,9 @@ def _count(bits):
 
 @njit()
 def nearest_point(A, x, size, memory):
-    """Distance of a point, in the world's axes from the translation of A, from surface A, and its nearest point."""
+    """Distance of a point, in world axes from the translation of A, from surface A, and the nearest point of A."""
     a, R = surface_of(A), rotation_of(A)
-    # Boxes are compared in A's axes, which may be off from orthonormal axes by 1e-6; triangles, in the world's axes.
+    # Boxes are compared in A's axes, which may deviate from orthonormal axes by 1e-6, and triangles in world axes.
     single = singles((dot((R[0], R[3], R[6]), x), dot((R[1], R[4], R[7]), x), dot((R[2], R[5], R[8]), x)))
     slack = np.float32(1e-5 * size)
     lanes, placed = walk.lanes_of(memory), walk.placed_of(memory)

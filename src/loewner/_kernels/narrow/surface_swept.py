@@ -1,6 +1,6 @@
-"""Are the triangles of a surface apart from a piece, or from another surface's triangles, between two poses?
+"""Decide whether a surface stays apart from another piece, or from the triangles of another surface, between two poses.
 
-Proofs of motions replace a surface by convex parts. Where the parts meet although the triangles do not, this walk
+Proofs of motions replace a surface with convex parts. Where the parts meet although the triangles do not, this walk
 through the trees of triangles finds a plane for each triangle, or each pair of triangles, that comes near.
 """
 
@@ -22,36 +22,37 @@ from loewner._kernels.pieces.shapes import radius, rotation_of
 from loewner._kernels.simd.vectors import lowest, maximum, minimum, movemask, next_lane
 from loewner._kernels.trees.triangle_tree import BLOCK, LEAF, WIDE, leaf_of, size_of
 
-# Limits on the searches for one interval and on the steps of the walk: beyond these, halving the interval is faster.
-# Short intervals get a multiple of both limits, since just as many triangles may come near in each of their halves.
+# Limits on the searches for one interval and on the steps of the walk; beyond these limits, halving the interval is
+# faster. Short intervals get a multiple of both limits, because just as many triangles may come near in each of their
+# halves.
 MOST_SEARCHES, MOST_STEPS = 256, 4096
 
-# An entry of the stack is the number of a box, shifted by ENTRY bits, plus ALL or the number of one of the leaf's
-# triangles.
+# An entry of the stack is the number of a box, shifted by ENTRY bits, plus the number of a triangle in a leaf, or plus
+# ALL for the whole box.
 ENTRY, ALL = 4, 15
 
 
 @apart
 def triangles_apart(A, first, last, keep, stretch, travel, times, steps, gjk, memory):
-    """Whether a surface and another piece are proven farther apart than `keep` between two poses of the latter.
+    """Return whether a surface and another piece are proven farther apart than `keep` between two poses of the latter.
 
-    Each triangle of the surface is parted at both poses by a plane from the other piece, or from each of its triangles,
-    as `gjk_swept.separated` does. False if that takes too many searches.
+    At both poses, a plane must part each triangle of the surface from the other piece, or from each of its triangles,
+    in the way of `gjk_swept.separated`. The result is False if this takes too many searches.
 
     Parameters
     ----------
     A, first, last : Placed
         The surface, and the other piece at both poses.
     keep : float
-        Distance, >= 0.
+        Distance to prove; at least 0.
     stretch : float
-        Amount by which poses between the two may stretch radii more than these poses do.
+        Amount by which poses between the two poses may stretch radii more than these two do.
     travel : float
-        Upper bound on the distance of any point's second place from its first one.
+        Upper bound on the distance between the first and the last place of any point.
     times : int
-        Multiple of the searches and steps that are allowed.
+        Factor on the numbers of searches and steps that are allowed.
     steps : int
-        How many steps, including searches, it may take at most.
+        Limit on the number of steps, including searches.
     gjk, memory : int
         Addresses of `gjk_fast.MEMORY` and `surface_walk.MEMORY`.
 
@@ -59,9 +60,9 @@ def triangles_apart(A, first, last, keep, stretch, travel, times, steps, gjk, me
     -------
     yes : bool
     taken : int
-        Steps and searches.
+        Number of steps and searches.
     """
-    # The callee counts references again unless it begins by borrowing.
+    # The callee counts references again unless it begins by borrowing the arrays.
     A = placed(A, A.piece, A.poses, A.row)
     first, last = placed(first, first.piece, first.poses, first.row), placed(last, last.piece, last.poses, last.row)
     radii, far = radius(A) + radius(last), keep
@@ -76,9 +77,10 @@ def triangles_apart(A, first, last, keep, stretch, travel, times, steps, gjk, me
 
 @inline
 def _two_surfaces(A, first, last, near, far, travel, times, most, memory):
-    """Part the triangles of two surfaces; cores that come within `near` meet, and are to be proven `far` apart.
+    """Part the triangles of two surfaces: cores that come within `near` meet, and cores `far` apart are proven apart.
 
-    A plane that parts two triangles mostly parts those around them, too, so the last few are tried on boxes and leaves.
+    A plane that parts two triangles usually parts nearby triangles, too. The last few planes are therefore tried on
+    boxes and leaves.
     """
     shift, shift_last = shift_between(A, first), shift_between(A, last)
     size = max(lengths(A, first, shift), lengths(A, last, shift_last))
@@ -141,12 +143,12 @@ def _two_surfaces(A, first, last, near, far, travel, times, most, memory):
 
 @inline
 def _next_pair(relations, a, b, planes, count, slack, stack, height, steps, most):
-    """The next two leaves that may be near, their triangles as bits, the height of the stack, and all steps so far.
+    """Find the next two leaves that may be near; also return their triangles as bits, the height, and all steps so far.
 
-    Zeros instead of leaves at the end of the walk, and after too many steps.
+    At the end of the walk, or after too many steps, zeros replace the leaves.
 
-    Compare `surface_walk.next_meeting`. An entry of the stack is a box, or one of the triangles of a leaf: large
-    triangles next to small ones are taken one by one, since a leaf of them fills much space.
+    Compare `surface_walk.next_meeting`. An entry of the stack is a box or one triangle of a leaf: large triangles next
+    to small ones are taken one by one, because a leaf of large triangles fills much space.
     """
     while height > 0 and steps < most:
         height -= 1
@@ -192,7 +194,7 @@ def _next_pair(relations, a, b, planes, count, slack, stack, height, steps, most
 
 @inline
 def _lanes(child, entry):
-    """The triangles of a leaf that an entry stands for, as bits."""
+    """Bits of the triangles of a leaf that an entry represents."""
     return (1 << size_of(child)) - 1 if entry & ALL == ALL else 1 << (entry & ALL)
 
 
@@ -214,7 +216,7 @@ def _box(tree, entry):
 
 @inline
 def _meeting(relations, middle_a, middle_b, half_a, half_b):
-    """Bits of the boxes that are near at the first pose, and on the way from there to the last one."""
+    """Bits of the boxes that are near at the first pose, and near on the way from there to the last pose."""
     near, first, last = relations
     bits = boxes.meeting_between(first, last, middle_a, middle_b, half_a, half_b)
     if bits != 0:
@@ -224,7 +226,7 @@ def _meeting(relations, middle_a, middle_b, half_a, half_b):
 
 @inline
 def _parted_from_b(b, other, planes, at, slack, middles, halves):
-    """Bits of the boxes of a node of A's tree that a plane parts from an entry of the other one at both poses."""
+    """Bits of the boxes of a node of A's tree that a plane parts from an entry of B's tree at both poses."""
     low = planes[at + 12] - _reach(b, other, planes, at + 6, -1.0)
     low = min(low, planes[at + 13] - _reach(b, other, planes, at + 9, -1.0)) - slack
     return movemask(boxes.farthest(middles, halves, planes, at + 3, 1.0) < np.float32(low))
@@ -232,7 +234,7 @@ def _parted_from_b(b, other, planes, at, slack, middles, halves):
 
 @inline
 def _parted_from_a(a, one, planes, at, slack, middles, halves):
-    """The same for boxes of the other tree, and an entry of A's."""
+    """Bits of the boxes of a node of B's tree that a plane parts from an entry of A's tree at both poses."""
     high = _reach(a, one, planes, at + 3, 1.0) + slack
     return movemask(
         (boxes.farthest(middles, halves, planes, at + 6, -1.0) < np.float32(planes[at + 12] - high))
@@ -242,7 +244,7 @@ def _parted_from_a(a, one, planes, at, slack, middles, halves):
 
 @inline
 def _parted(a, b, one, other, planes, count, slack):
-    """Whether one of the planes parts two entries, the second one at both poses."""
+    """Return whether one of the planes parts two entries, the second of them at both poses."""
     for k in range(count):
         at = PLANE * k
         above = _reach(a, one, planes, at + 3, 1.0) + slack
@@ -254,7 +256,7 @@ def _parted(a, b, one, other, planes, count, slack):
 
 @inline
 def _reach(tree, entry, planes, at, sign):
-    """How far an entry goes along a normal, or in the opposite direction."""
+    """Extent of an entry along a plane's normal; with sign -1, in the opposite direction."""
     if entry & ALL == ALL:
         middle, half = boxes.box_at(tree.boxes, entry >> ENTRY)
         return sign * _along(planes, at, middle) + _across(planes, at, half)
@@ -276,7 +278,7 @@ def _across(planes, at, v):
 
 @inline
 def _keep_parting(A, first, last, shift, shift_last, n, planes, k):
-    """Keep a unit normal from A to the other surface, in the frames of both, and offsets of the latter."""
+    """Store a unit normal from A to the other surface, in the frames of both, and the offsets of the other surface."""
     at = PLANE * k
     of_a, of_b = apply_transposed(rotation_of(A), n), apply_transposed(rotation_of(first), n)
     of_last = apply_transposed(rotation_of(last), n)
@@ -288,7 +290,7 @@ def _keep_parting(A, first, last, shift, shift_last, n, planes, k):
 
 @inline
 def _beyond(of_a, first, last, n, far):
-    """The triangles of a leaf of A, as bits, that a plane parts from all triangles of another leaf at both poses."""
+    """Bits of the triangles of a leaf of A that a plane parts from all triangles of another leaf at both poses."""
     low = minimum(_lowest(first, n), _lowest(last, n))
     high = maximum(maximum(dot(of_a[0], n), dot(of_a[1], n)), dot(of_a[2], n))
     return movemask(high + far < lowest(low))
@@ -301,7 +303,7 @@ def _lowest(corners, n):
 
 @inline
 def _near(one, first, last, reach):
-    """Where the box of a triangle and the boxes around eight at two poses come within `reach` along all axes."""
+    """Mask of lanes in which a triangle's box comes within `reach` of the box around one of eight at two poses."""
     return (
         _near_along(one, first, last, reach, 0)
         & _near_along(one, first, last, reach, 1)
@@ -327,7 +329,7 @@ def _write_two(W, at, first, last):
 
 @inline
 def _surface_and_piece(A, first, last, keep, far, stretch, travel, times, gjk, memory):
-    """Part the triangles of a surface A from a convex piece; planes that were found are tried on other triangles."""
+    """Part the triangles of a surface A from a convex piece; each plane that is found is tried on other triangles."""
     shift, shift_last = shift_between(A, first), shift_between(A, last)
     size = max(lengths(A, first, shift), lengths(A, last, shift_last))
     tree, planes, R = surface_of(A), walk.planes_of(memory), rotation_of(A)
@@ -345,7 +347,7 @@ def _surface_and_piece(A, first, last, keep, far, stretch, travel, times, gjk, m
             left[0] -= 1
             lane, bits = next_lane(bits)
             piece = walk.triangle_piece(A, leaf * LEAF + lane, A.table[A.piece, ROUNDING], walk.first_of(memory))
-            piece.layout[0, KIND] = SURFACE  # a polytope has no radius
+            piece.layout[0, KIND] = SURFACE  # The piece must be a surface, because a polytope has no radius.
             proven, n, _ = gjk_swept.separated(piece, first, last, walk.nonzero(n), keep, keep, stretch, gjk)
             if not proven or searches >= times * MOST_SEARCHES:
                 return False

@@ -1,8 +1,8 @@
-"""The walk through trees of triangles, from leaf to leaf, and the parts that all questions about surfaces share.
+"""The walk through trees of triangles, from leaf to leaf, and the parts that all queries about surfaces share.
 
-A walk keeps the boxes that it has still to open on a stack. Each function below goes on to the next leaf and returns
-it with the height of the stack, so a question is a loop over leaves: `surface_meets`, `surface_distance`,
-`surface_depth`, `surface_points` and `mesh_points`. All of them use the same memory, which is declared here.
+A walk keeps the boxes that it must still open on a stack. Each function below goes on to the next leaf and returns it
+with the height of the stack, so that a query is a loop over leaves: see `surface_meets`, `surface_distance`,
+`surface_depth`, `surface_points` and `mesh_points`. All five modules use the same memory, which is declared here.
 """
 
 import numpy as np
@@ -20,39 +20,41 @@ from loewner._kernels.simd.vectors import load, maximum, minimum, movemask, next
 from loewner._kernels.tolerances import UNIT_ROUNDOFF
 from loewner._kernels.trees.triangle_tree import BLOCK, LEAF, LEVELS, WIDE, size_of
 
-# Error of a coordinate of a placed corner, in roundoffs of the lengths involved.
+# Error of a coordinate of a placed corner, relative to the lengths involved.
 CORNER_ERROR = 16.0 * UNIT_ROUNDOFF  # certified.md B36, B42
 
-# Poses may stretch lengths by 1e-6, and bounds are squared and rounded; BELIEVED times a squared bound stays valid.
+# Poses may stretch lengths by 1e-6, and bounds are squared and rounded. A squared bound times BELIEVED stays valid.
 BELIEVED = 1.0 - 1e-5  # certified.md B41
 
-# Boxes are searched in the order of their squared lower bounds plus MIDDLES times the squared distance between
-# their centers.
+# Boxes are searched in the order of a key: their squared lower bound plus MIDDLES times the squared distance between
+# the centers.
 MIDDLES = 0.1
 
-STACK = 2 * LEVELS * WIDE  # number of entries, for two trees
-PLANES, PLANE = 4, 4  # number of kept planes, and of numbers per plane: a normal and an offset
-PARTING = 14  # numbers that describe a plane between two surfaces at two poses, see `surface_swept`
+STACK = 2 * LEVELS * WIDE  # The stack has room for the entries of two trees.
+PLANES, PLANE = 4, 4  # A search keeps the last PLANES planes, each with PLANE numbers: a normal and an offset.
+PARTING = 14  # PARTING numbers describe a plane between two surfaces at two poses, see `surface_swept`.
 ORIGIN = (0.0, 0.0, 0.0)
 
 TRIANGLE = Arena(layout=integers(1, LAYOUT), table=floats(1, COLUMNS), points=floats(3 * LEAF))
 _layout_of, _table_of, _points_of = TRIANGLE.accessors("layout table points")
 
 MEMORY = Arena(
-    stack=integers(STACK, 2),  # boxes of both trees; one tree uses the first column
-    placed=floats(3 * BLOCK),  # the corners of two leaves, one of them at two poses
-    vertices=floats(gjk_fast.ENTRIES), result=floats(9),  # memory of a search
+    # The stack holds boxes of both trees; a walk through one tree uses only the first column.
+    stack=integers(STACK, 2),
+    placed=floats(3 * BLOCK),  # Corners of two leaves, one of them at two poses.
+    vertices=floats(gjk_fast.ENTRIES), result=floats(9),  # Memory of a GJK search.
     planes=floats(PLANES * PLANE), parting=floats(PLANES * PARTING),
-    bounds=floats(STACK, 2),  # for each entry, a squared lower bound on the distance, and the key that orders entries
+    # For each entry of the stack: a squared lower bound on the distance, and the key that orders entries.
+    bounds=floats(STACK, 2),
     lanes=floats(2 * WIDE),
     first=TRIANGLE, second=TRIANGLE,
-    left=integers(1),  # how many more steps walks may take
+    left=integers(1),  # Number of steps that walks may still take.
 )  # fmt: skip
 stack_of, placed_of, vertices_of, result_of, planes_of, bounds_of, lanes_of, parting_of, left_of = MEMORY.accessors(
     "stack placed vertices result planes bounds lanes parting left"
 )
 first_of, second_of = MEMORY.addresses("first second")
-SIZE = MEMORY.size()  # bytes
+SIZE = MEMORY.size()  # Size of the memory in bytes.
 
 
 # -- walks ----------------------------------------------------------------------------------------
@@ -60,25 +62,25 @@ SIZE = MEMORY.size()  # bytes
 
 @inline
 def begun(memory):
-    """Put the root, or both roots, on the stack, for as many steps as it takes; returns its height."""
+    """Put the root, or both roots, on the stack, and allow any number of steps; return the stack's height."""
     left_of(memory)[0] = NO_LIMIT
     return resumed(memory)
 
 
 @inline
 def resumed(memory):
-    """As `begun`, for as many steps as are left. A walk that would take more ends with boxes on the stack."""
+    """Begin a walk with the steps that are left; a walk that needs more ends with boxes on the stack."""
     stack, bounds = stack_of(memory), bounds_of(memory)
     stack[0, 0], stack[0, 1], bounds[0, 0] = 0, 0, 0.0
     return 1
 
 
 def walking(near):
-    """The walk through one tree, into the boxes that a function like `surface_boxes.in_box` chooses."""
+    """Make a walk through one tree, into the boxes that a function like `surface_boxes.in_box` chooses."""
 
     @inline
     def next_leaf(tree, memory, height, query):
-        """The next leaf, a negative entry of `children`, or 0 at the end, and the height of the stack."""
+        """Return the next leaf, a negative entry of `children` (0 at the end), and the height of the stack."""
         stack, left = stack_of(memory), left_of(memory)
         while height > 0 and left[0] > 0:
             height -= 1
@@ -101,20 +103,20 @@ _next_in_box = walking(boxes.in_box)
 
 @inline
 def next_in_box(tree, box, kept, far, memory, height):
-    """The next leaf that meets a box and comes within `far` of the first `kept` planes from below."""
+    """Find the next leaf that meets a box and comes within `far` of the first `kept` planes from below."""
     return _next_in_box(tree, memory, height, (box, planes_of(memory), kept, far))
 
 
 def nearing(gaps_of):
-    """The walk through one tree from near boxes to far ones.
+    """Make a walk through one tree from near boxes to far ones.
 
-    A function like `surface_boxes.gaps_from_box` returns squared lower bounds on the distances of a node's boxes, their
-    middles, and their half widths.
+    `gaps_of`, a function like `surface_boxes.gaps_from_box`, returns squared lower bounds on the distances of a node's
+    boxes, their middles, and their half widths.
     """
 
     @inline
     def next_leaf(tree, memory, height, best, query):
-        """The next leaf whose squared distance may be at most `best`, or 0 at the end, and the height of the stack."""
+        """Return the next leaf whose squared distance may be at most `best` (0 at the end), and the stack's height."""
         stack, bounds = stack_of(memory), bounds_of(memory)
         while height > 0:
             height -= 1
@@ -135,13 +137,13 @@ _next_nearest = nearing(boxes.gaps_from_box)
 
 @inline
 def next_nearest(tree, middle, half, kept, best, memory, height):
-    """The next leaf whose squared distance from a box, and from the far side of planes, may be at most `best`."""
+    """Find the next leaf whose squared distance from a box, and from the far sides of planes, may be at most `best`."""
     return _next_nearest(tree, memory, height, best, (middle, half, planes_of(memory), kept))
 
 
 @inline
 def next_meeting(about, a, b, memory, height):
-    """The next leaves of two trees whose boxes are not proven apart, or 0 and 0 at the end, and the height."""
+    """Find the next leaves of two trees whose boxes are not proven apart (0 and 0 at the end), and the height."""
     stack, left = stack_of(memory), left_of(memory)
     while height > 0 and left[0] > 0:
         height -= 1
@@ -171,9 +173,9 @@ def next_meeting(about, a, b, memory, height):
 
 @inline
 def push_near(memory, height, gaps, t, halves, best, child, other, first):
-    """Put the boxes of a node that may be near enough on the stack, the most promising on top.
+    """Push the boxes of a node that may be near enough on the stack, the most promising box on top.
 
-    Bounds of large boxes are 0 for many at a time; the distance of their middles, t, still orders them.
+    The bounds of many large boxes are 0; the distance between middles, the length of t, still orders these boxes.
     """
     bits = movemask((gaps <= rounded_up(best)) & (halves[0] >= np.float32(0.0)))
     if bits == 0:
@@ -199,7 +201,7 @@ def push_near(memory, height, gaps, t, halves, best, child, other, first):
 
 @inline
 def rounded_up(best):
-    """A bound in single precision, for squared lower bounds, that a valid one can only exceed above `best`."""
+    """Round a squared distance up to single precision, so that any valid bound above the result is above `best`."""
     return np.float32(best * (1.0 + 2e-5) + 1e-37)
 
 
@@ -247,7 +249,7 @@ def corners_of(blocks, leaf):
 
 @inline
 def placed_corners(P, blocks, leaf, shift):
-    """Corners of the eight triangles of a leaf in the world's axes."""
+    """Corners of the eight triangles of a leaf in world axes."""
     R = rotation_of(P)
     p, q, r = corners_of(blocks, leaf)
     return image(R, shift, p), image(R, shift, q), image(R, shift, r)
@@ -263,7 +265,7 @@ def store_corners(placed, at, corners):
 
 @inline
 def corners_at(placed, at, lane):
-    """Corners of one of the triangles that were stored."""
+    """Corners of one of the stored triangles."""
     i = at + lane
     return (
         (placed[i], placed[i + LEAF], placed[i + 2 * LEAF]),
@@ -274,7 +276,7 @@ def corners_at(placed, at, lane):
 
 @inline
 def box_gaps(a, b):
-    """Squared distances of the box of a triangle from the boxes of eight."""
+    """Squared distances of the box of a triangle from the boxes of eight triangles."""
     return _gap(a, b, 0) + _gap(a, b, 1) + _gap(a, b, 2)
 
 
@@ -287,7 +289,7 @@ def _gap(a, b, axis):
 
 @inline
 def gap_to_box(blocks, leaf, box):
-    """Squared distance of the boxes of eight triangles from a box along the same axes."""
+    """Squared distances of the boxes of eight triangles from a box along the same axes."""
     corners = corners_of(blocks, leaf)
     x, y, z = _gap_along(corners, box, 0), _gap_along(corners, box, 1), _gap_along(corners, box, 2)
     return x * x + y * y + z * z
@@ -302,9 +304,9 @@ def _gap_along(corners, box, axis):
 
 @inline
 def triangle_piece(P, triangle, rounding, memory):
-    """A triangle of a surface, by its block and lane, as a piece of its own, in memory of `TRIANGLE`.
+    """Make a piece of one triangle of a surface, given by its block and lane, in memory with the layout `TRIANGLE`.
 
-    `rounding` is its radius: the surface's own one, or 0 for the core alone.
+    `rounding` is the radius of the piece: the radius of the surface, or 0 for the core alone.
     """
     layout, table, points = _layout_of(memory), _table_of(memory), _points_of(memory)
     for c in range(LAYOUT):
@@ -323,16 +325,16 @@ def triangle_piece(P, triangle, rounding, memory):
 # -- searches of triangles, which end with a plane ------------------------------------------------
 
 
-# The two searches are long, so their callers in this file share one copy.
+# The two searches are long, so that their callers in this file should share one copy of each.
 @apart
 def decided(A, B, shift, W, ends, n, error):
-    """`gjk_fast.decide`."""
+    """Call `gjk_fast.decide`."""
     return gjk_fast.decide(A, B, shift, W, ends, n, error)
 
 
 @apart
 def measured(A, B, shift, W, ends, n, error, near, far, result):
-    """`gjk_fast.measure_along`."""
+    """Call `gjk_fast.measure_along`."""
     return gjk_fast.measure_along(A, B, shift, W, ends, n, error, near, far, result)
 
 
@@ -347,13 +349,13 @@ def write_triangle(W, at, corners):
 
 @inline
 def nonzero(n):
-    """A direction to begin with: n, or any other one if n is zero."""
+    """Return a first direction for a search: n, or an arbitrary direction if n is zero."""
     return n if dot(n, n) > 0.0 else (1.0, 0.0, 0.0)
 
 
 @inline
 def unit(n):
-    """The unit vector along n, or any other one if n has no direction."""
+    """Return the unit vector along n, or an arbitrary unit vector if n has no direction."""
     squared = dot(n, n)
     if not 0.0 < squared < np.inf:
         return 0.0, 0.0, 1.0
@@ -362,9 +364,9 @@ def unit(n):
 
 @inline
 def keep_plane(B, shift, R, n, size, planes, k):
-    """Keep as plane k, in the axes R of a surface's frame, a lower bound on the places of B along n."""
+    """Write plane k, in the axes R of a surface's frame: the direction n, and a lower bound on B along n."""
     length = np.sqrt(dot(n, n))
-    if not 0.0 < length < np.inf:  # n has no direction: write a plane with nothing beyond it
+    if not 0.0 < length < np.inf:  # The vector n has no direction: write a plane that has nothing beyond it.
         planes[PLANE * k], planes[PLANE * k + 1], planes[PLANE * k + 2] = ORIGIN
         planes[PLANE * k + 3] = -np.inf
         return
@@ -377,7 +379,7 @@ def keep_plane(B, shift, R, n, size, planes, k):
 
 @inline
 def lower_plane(B, shift, n, size, planes, k):
-    """Lower plane k, which `keep_plane` has written for the direction n, to the places of B at another pose."""
+    """Lower plane k, which `keep_plane` wrote for the direction n, to the coordinates of B at another pose."""
     length = np.sqrt(dot(n, n))
     if 0.0 < length < np.inf:
         n = n[0] / length, n[1] / length, n[2] / length
@@ -387,7 +389,7 @@ def lower_plane(B, shift, n, size, planes, k):
 
 @inline
 def not_beyond(blocks, leaf, planes, k, far):
-    """Bits of the triangles of a leaf that come within `far` of plane k from below, or are not numbers."""
+    """Bits of the triangles of a leaf that come within `far` of plane k from below; NaN corners count."""
     m = planes[PLANE * k], planes[PLANE * k + 1], planes[PLANE * k + 2]
     p, q, r = corners_of(blocks, leaf)
     limit = planes[PLANE * k + 3] - far
@@ -396,7 +398,7 @@ def not_beyond(blocks, leaf, planes, k, far):
 
 @inline
 def not_beyond_any(blocks, leaf, planes, kept, far, bits):
-    """The triangles among some of a leaf that come within `far` of the first `kept` planes from below."""
+    """Clear, in `bits`, the triangles of a leaf that stay more than `far` below one of the first `kept` planes."""
     for k in range(kept):
         if bits != 0:
             bits &= not_beyond(blocks, leaf, planes, k, far)

@@ -1,6 +1,6 @@
-"""Intersection tests and distances of one triangle and eight others.
+"""Intersection tests and distances between one triangle and eight other triangles.
 
-Corners are tuples of three numbers: floats for the single triangle, and vectors with a lane for each of the eight.
+Corners are tuples of three coordinates: floats for the single triangle, and vectors with a lane for each of the eight.
 Results are proven for the given errors of the corners; undecided cases are left to the caller.
 
 References
@@ -16,21 +16,22 @@ from loewner._kernels.simd.vectors import absolute, maximum, minimum, select
 from loewner._kernels.tolerances import UNIT_ROUNDOFF
 
 # A determinant of three differences of corners has two errors: CORNER_ERRORS times the error of a corner times products
-# of two lengths, and PRODUCT_ROUNDINGS times the product of all three lengths. A length is a sum of coordinates.
+# of two lengths, and PRODUCT_ROUNDINGS times the product of all three lengths. A length is a sum of absolute
+# coordinates.
 CORNER_ERRORS = 8.0  # certified.md B37
 PRODUCT_ROUNDINGS = 16.0 * UNIT_ROUNDOFF  # certified.md B38
-_LEAST = 1e-290  # an upper bound on products that underflow
+_LEAST = 1e-290  # Products that underflow are less than _LEAST.
 
 
 @inline
 def length1(v):
-    """Sum of the coordinates of a vector."""
+    """Sum of the absolute values of a vector's coordinates."""
     return absolute(v[0]) + absolute(v[1]) + absolute(v[2])
 
 
 @inline
 def longest_edge(a, b, c):
-    """The longest edge of a triangle, by the sum of its coordinates."""
+    """Length of the longest edge of a triangle, as the sum of its absolute coordinates."""
     return maximum(length1(minus(b, a)), maximum(length1(minus(c, b)), length1(minus(a, c))))
 
 
@@ -48,7 +49,7 @@ def same_side(x, y, z, limit):
 
 @inline
 def _edge_misses(x, y, u, v, w, side, limit):
-    """Mask of edges that miss a triangle: the ends lie on one side of the plane, or the line passes outside."""
+    """Mask of edges that miss a triangle: both ends lie on one side of the plane, or the line passes outside."""
     beside = ((x > side) & (y > side)) | ((x < -side) & (y < -side))
     above = (u > limit) | (v > limit) | (w > limit)
     below = (u < -limit) | (v < -limit) | (w < -limit)
@@ -57,14 +58,14 @@ def _edge_misses(x, y, u, v, w, side, limit):
 
 @inline
 def _edge_pierces(x, y, u, v, w, side, limit):
-    """Mask of edges that pierce a triangle: the ends lie on both sides, and the line passes inside."""
+    """Mask of edges that pierce a triangle: the ends lie on opposite sides of the plane, and the line passes inside."""
     through = ((x > side) & (y < -side)) | ((x < -side) & (y > side))
     return through & same_side(u, v, w, limit)
 
 
 @inline
 def sides(normal, corner, others):
-    """Determinants whose signs are the sides of a triangle's plane on which three corners lie."""
+    """Determinants whose signs decide on which sides of a triangle's plane three corners lie."""
     return (
         dot(normal, minus(others[0], corner)),
         dot(normal, minus(others[1], corner)),
@@ -74,12 +75,12 @@ def sides(normal, corner, others):
 
 @inline
 def meet(a, b, on_a, side_a, error, long_a, long_b, apart):
-    """Masks of the eight triangles `b` that certainly meet triangle `a`, and that certainly do not.
+    """Masks of the eight triangles `b` that certainly meet triangle `a`, and of the triangles that certainly do not.
 
-    Two triangles meet if an edge of one meets the other. An edge pierces a triangle if its ends are strictly on both
-    sides of the plane, and its line has all three edges of the triangle on the same side; it misses the triangle if it
-    lies strictly on one side, or has edges on both sides. The signs of fifteen determinants decide this, if they exceed
-    rounding.
+    Two triangles meet if an edge of one meets the other triangle. An edge pierces a triangle if its ends lie strictly
+    on opposite sides of the plane and its line passes all three edges on the same side. An edge misses a triangle if it
+    lies strictly on one side of the plane, or if its line passes edges on different sides. The signs of fifteen
+    determinants decide this, if they exceed rounding.
 
     Parameters
     ----------
@@ -93,7 +94,7 @@ def meet(a, b, on_a, side_a, error, long_a, long_b, apart):
         Bound on the error of a corner's coordinate.
     long_a : float
     long_b, apart : vector
-        Lengths of the longest edges, and of the largest difference of corners, as sums of coordinates.
+        Lengths of the longest edges, and of the largest difference of corners, as sums of absolute coordinates.
 
     Returns
     -------
@@ -129,7 +130,7 @@ def meet(a, b, on_a, side_a, error, long_a, long_b, apart):
 
 @inline
 def _lines(edge, start, edge_b, b):
-    """Determinants whose signs are the sides on which an edge passes the three edges of a triangle."""
+    """Determinants whose signs decide on which side an edge passes each of the three edges of a triangle."""
     return (
         dot(cross(edge, edge_b[0]), minus(b[0], start)),
         dot(cross(edge, edge_b[1]), minus(b[1], start)),
@@ -139,7 +140,7 @@ def _lines(edge, start, edge_b, b):
 
 @inline
 def _clamped(x):
-    """x within 0 .. 1; 0 for NaN."""
+    """Clamp x to 0 .. 1; NaN becomes 0."""
     return minimum(maximum(x, 0.0), 1.0)
 
 
@@ -148,7 +149,8 @@ def _between_edges(start_a, edge_a, over_a, start_b, edge_b, over_b):
     """Squared distances of an edge from eight edges, between points that are nearest up to rounding.
 
     `over_a` and `over_b` are the reciprocals of the squared lengths. The first guess is the foot of the common normal,
-    by products of the normal itself: for nearly parallel edges the usual difference of squares would be noise.
+    computed from products of the normal itself: for nearly parallel edges, the usual difference of squares would be
+    noise.
     """
     r = minus(start_a, start_b)
     normal = cross(edge_a, edge_b)
@@ -164,7 +166,7 @@ def _between_edges(start_a, edge_a, over_a, start_b, edge_b, over_b):
 
 @inline
 def _pick(second, third, values):
-    """One of three vectors: the second, the third, or otherwise the first."""
+    """Select one of three vectors: the second, the third, or otherwise the first."""
     a, b, c = values
     return (
         select(third, c[0], select(second, b[0], a[0])),
@@ -175,9 +177,9 @@ def _pick(second, third, values):
 
 @inline
 def upright(corners, edges):
-    """A triangle on its longest edge: start, edge, position of the apex's foot on it, and the altitude.
+    """Describe a triangle by its longest edge: the start, the edge, the place of the apex's foot, and the altitude.
 
-    Also returns the reciprocals of the squared lengths of edge and altitude.
+    Also returns the reciprocals of the squared lengths of the edge and the altitude.
     """
     first, other, last = dot(edges[0], edges[0]), dot(edges[1], edges[1]), dot(edges[2], edges[2])
     second, third = other > first, last > maximum(first, other)
@@ -193,8 +195,8 @@ def upright(corners, edges):
 def from_face(x, face):
     """Mask of triangles that contain the foot of a point on their planes, and the vectors from the feet to the point.
 
-    First comes the foot on the longest edge, then the step from there along the altitude: the remaining vector is
-    short, so the error of the altitude's direction, which is large for a sliver, has little effect.
+    The foot on the longest edge comes first, followed by the step from there along the altitude. The remaining vector
+    is short, so that the error of the altitude's direction, which is large for a sliver, has little effect.
     """
     start, edge, share, altitude, over, over_altitude = face
     r = minus(x, start)
@@ -207,16 +209,16 @@ def from_face(x, face):
 
 @inline
 def _to_face(x, face, least):
-    """The squared distance of a point from a face if its foot lies inside and this is smaller; otherwise `least`."""
+    """Squared distance of a point from a face if its foot lies inside and this is below `least`; otherwise `least`."""
     inside, d = from_face(x, face)
     return select(inside, minimum(dot(d, d), least), least)
 
 
 @inline
 def squared_distances(a, b):
-    """Squared distances of triangle `a` from the eight `b`, as if they did not pierce each other.
+    """Squared distances of triangle `a` from the eight triangles `b`, as if no triangle pierced another.
 
-    Each is the distance of two points of the triangles that are nearest up to rounding.
+    Each result is the squared distance of two points of the triangles that are nearest up to rounding.
 
     Parameters
     ----------
@@ -246,9 +248,9 @@ def squared_distances(a, b):
 
 @inline
 def nearest_on(corners, x):
-    """Nearest points of triangles to a point: on an edge, or the foot on the plane if it lies inside.
+    """Points of triangles nearest to a point: on an edge, or the foot on the plane if the foot lies inside.
 
-    Each is a point of the triangle, however thin, and the nearest one, up to rounding.
+    However thin the triangle is, each result is a point of it, and its nearest point, up to rounding.
     """
     a, b, c = corners
     edges = minus(b, a), minus(c, b), minus(a, c)

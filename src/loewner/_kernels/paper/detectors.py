@@ -1,7 +1,7 @@
 """The paper's four detectors, each over n pairs on one thread.
 
-Centers and factors as for `estimates.by_name`. Answers are uint8: `collides`, and `ambiguous` in the detector's own
-sense, which is where its estimate (and not an overlap check) decided.
+Centers and factors are documented in `estimates.by_name`. Answers are uint8: `collides`, and `ambiguous` in the
+detector's own sense, which is True where the detector's estimate decided, and not an overlap check.
 """
 
 import math
@@ -14,7 +14,7 @@ from loewner._kernels.paper.estimates import by_name, f_from_near_points, offset
 
 @inline
 def _face_distance(faces, start, stop, origin, p, e):
-    """Where the ray origin + p + t e leaves a polytope {x : normals x <= offsets}."""
+    """Find where the ray origin + p + t e leaves a polytope {x : normals x <= offsets}."""
     t = math.inf
     for i in range(start, stop):
         n = (faces[i, 0], faces[i, 1], faces[i, 2])
@@ -26,10 +26,10 @@ def _face_distance(faces, start, stop, origin, p, e):
 
 @njit()
 def detector_1(centers, factors, faces_1, start_1, faces_2, start_2, collides, ambiguous):
-    """The earlier method (the paper, section 2), as read in docs/design/paper.md.
+    """The earlier method (section 2 of the paper), as interpreted in docs/design/paper.md.
 
-    The inner ellipsoids are its own heuristic ones. Faces: normals and offsets (f, 4), and the first face of each body
-    (n + 1,).
+    The inner ellipsoids are the method's own heuristic ones. `faces_1` and `faces_2` hold normals and offsets (f, 4);
+    `start_1` and `start_2`, the first face of each body (n + 1,).
     """
     c1i, F1i, c1o, F1o, c2i, F2i, c2o, F2o = by_name(centers, factors)
     for k in range(len(c1i)):
@@ -48,8 +48,8 @@ def detector_1(centers, factors, faces_1, start_1, faces_2, start_2, collides, a
         origin = (c1i[k, 0], c1i[k, 1], c1i[k, 2])
         face_1 = _face_distance(faces_1, start_1[k], start_1[k + 1], origin, v1, e)
         face_2 = L - _face_distance(faces_2, start_2[k], start_2[k + 1], origin, v2, back)
-        # This is the printed test for "the enclosing ellipsoids overlap". It is also false if the polyhedra overlap
-        # along the line, which is a certain collision; the paper corrects this flaw.
+        # The condition is the printed test for "the enclosing ellipsoids overlap". The test is also false if the
+        # polyhedra overlap along the line, which is a certain collision; the paper corrects this flaw.
         if (outer_1 - outer_2) * (face_1 - face_2) > 0.0:
             collides[k], ambiguous[k] = 0, 0
             continue
@@ -104,7 +104,7 @@ def detector_3(centers, factors, collides, ambiguous):
 
 @njit()
 def detector_4(centers, factors, collides, ambiguous):
-    """Center lines, each ellipsoid pair's own, for both checks and for the near points of f."""
+    """Center lines for both overlap checks and for the near points of f; each ellipsoid pair has its own line."""
     c1i, F1i, c1o, F1o, c2i, F2i, c2o, F2o = by_name(centers, factors)
     for k in range(len(c1i)):
         G1, G2 = near.inverse(matrix(F1o[k])), near.inverse(matrix(F2o[k]))

@@ -16,12 +16,13 @@ def offset(x, k, y):
 
 @inline
 def by_name(centers, factors):
-    """Centers and factors of the inner and outer ellipsoids of body 1, then of body 2, for n pairs.
+    """Name the centers and factors of the inner and outer ellipsoids of body 1, then of body 2, for n pairs.
 
     Parameters
     ----------
     centers : ndarray, shape (4, n, 3)
-        Inner of body 1, outer of body 1, inner of body 2, outer of body 2; all of a pair in one frame, in metres.
+        Centers in metres of the inner and the outer ellipsoid of body 1, then of body 2; all centers of a pair are in
+        one frame.
     factors : ndarray, shape (4, n, 3, 3)
 
     Returns
@@ -35,22 +36,22 @@ def by_name(centers, factors):
 
 @njit()
 def f_from_near_points(v1, v2, distance, r, p1, G1, p2, G2):
-    """The paper's f from the near points of the inner ellipsoids and the two outer ellipsoids.
+    """The paper's f, from the near points of the inner ellipsoids and from the two outer ellipsoids.
 
-    On the line from v1 (at 0) to v2 (at L), body 1's outer ellipsoid ends at beta and body 2's begins at
-    alpha; both branches of the printed f are (L + alpha - beta)/2. If the near points are one
-    point (L = 0), the line through it runs along the centers, and f <= 0.
+    On the line from v1 (at 0) to v2 (at L), the outer ellipsoid of body 1 ends at beta and the outer ellipsoid of body
+    2 begins at alpha. Both branches of the printed f are (L + alpha - beta)/2. If the near points are one point (L =
+    0), the line through it runs along the centers, and f <= 0.
 
     Parameters
     ----------
     v1, v2 : tuple of 3 float
-        Relative to a common origin.
+        Near points, relative to a common origin.
     distance : float
         L = |v2 - v1|, in metres.
     r : tuple of 3 float
-        Direction to use when L = 0.
+        Direction of the line if L = 0.
     p1, p2 : tuple of 3 float
-        Outer centers, relative to the same origin.
+        Centers of the outer ellipsoids, relative to the same origin.
     G1, G2 : tuple of 9 float
         Inverses of the outer factors.
     """
@@ -76,9 +77,9 @@ def estimates_of_pairs(method, centers, factors, f):
     Parameters
     ----------
     method : int
-        Of `near_points`; Lin-Han to `PAPER_ANGLE`.
+        Method of `near_points`; Lin-Han iterates to the angle `PAPER_ANGLE`.
     centers, factors
-        See `by_name`.
+        Documented in `by_name`.
     """
     c1i, F1i, c1o, F1o, c2i, F2i, c2o, F2o = by_name(centers, factors)
     for k in range(len(f)):

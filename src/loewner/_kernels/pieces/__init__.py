@@ -1,1 +1,1 @@
-"""Convex pieces as kernels see them: packed arrays, shapes, poses."""
+"""Convex pieces in the form that kernels use: packed arrays, shapes, poses."""

@@ -1,18 +1,18 @@
-"""Find, for large hulls, the vertices that can be the farthest along a direction.
+"""For large hulls, find the vertices that can be the farthest along a direction.
 
-Directions are points on the surface of a cube. Each of its six faces is a square of cells that are halved both ways
-until few vertices can be the farthest along any direction of the cell; such a leaf keeps copies of its vertices as
-blocks (see `pieces.support`). A search then descends a few levels and reads a few blocks, however many vertices the
-hull has.
+Directions are points on the surface of a cube. Each of its six faces is a square of cells, which are halved both ways
+until few vertices can be the farthest along any direction of the cell. Such a cell is a leaf, which keeps copies of its
+vertices as blocks (see `pieces.support`). A search descends a few levels and reads a few blocks, however many vertices
+the hull has.
 
-A vertex v is left out of a cell only if one other vertex w beats it at all four corners: (w - v)·n is linear in n, so w
-beats v in the whole cell. `CLEARANCE` keeps this true in floating point, both for the corner products and for a
-direction that rounding puts into the neighbouring cell. So the farthest vertex found is the same as from a search
+A vertex v is omitted from a cell only if one other vertex w beats it at all four corners: (w - v)·n is linear in n, so
+that w beats v in the whole cell. `CLEARANCE` keeps this true in floating point, both for the corner products and for a
+direction that rounding puts into the neighbouring cell. The farthest vertex found is therefore the same as in a search
 through all vertices.
 
-The map of a hull is a flat array: the leaves' blocks, then the *nodes*, with two numbers each. For a leaf these are its
-first and last+1 column; for an inner node, the number of its first child and -1. Nodes 0 .. 5 are the cube's faces +x,
--x, +y, -y, +z, -z; the four children of a node are adjacent, with the first coordinate changing fastest.
+The map of a hull is a flat array: the leaves' blocks, then the *nodes*, with two numbers each. For a leaf, they are its
+first and last+1 column; for an inner node, they are the number of its first child and -1. Nodes 0 .. 5 are the cube's
+faces +x, -x, +y, -y, +z, -z. The four children of a node are adjacent, with the first coordinate changing fastest.
 """
 
 import numpy as np
@@ -21,20 +21,20 @@ from loewner._kernels._jit import apart, inline, njit
 from loewner._kernels.columns import BLOCK, DEEPEST, GRID
 from loewner._kernels.tolerances import UNIT_ROUNDOFF
 
-LEAF = 32  # a cell with at most LEAF vertices (four blocks) is not divided further
+LEAF = 32  # A cell with at most LEAF vertices (four blocks) is not divided further.
 
-# Division stops when the leaves hold MOST_COPIES copies of a vertex on average; two or three are usual.
+# Division stops when the leaves hold MOST_COPIES copies of a vertex on average; two or three copies are usual.
 MOST_COPIES = 8
 
-# A cell omits a vertex only if another one is farther by CLEARANCE times the largest coordinate. Each of their two
-# products with a direction (entries at most 1) has an error of 9u; rounding that moves a direction into a neighbouring
-# cell, by 4u in two entries, changes the difference of the products by 16u.
+# A cell omits a vertex only if another vertex is farther by CLEARANCE times the largest coordinate. The product of each
+# with a direction (entries at most 1) has an error of 9u. Rounding that moves a direction into a neighbouring cell, by
+# 4u in two entries, changes the difference of the products by 16u.
 CLEARANCE = 64.0 * UNIT_ROUNDOFF  # certified.md B18
 
 
 @inline
 def _direction(face, s, t):
-    """Direction at the place (s, t) of a cube face, both in -1 .. 1."""
+    """Direction at the place (s, t) of a cube face, with s and t in -1 .. 1."""
     sign = 1.0 if face % 2 == 0 else -1.0
     if face < 2:
         return sign, s, t
@@ -68,7 +68,7 @@ def place(x, y, z):
 def candidates(points, first, nodes, x, y, z):
     """First and last+1 column of the vertices that can be the farthest along a direction.
 
-    `first` is the first column of the hull's blocks, `nodes` the entry where its nodes start.
+    `first` is the first column of the hull's blocks, and `nodes` the entry at which its nodes start.
     """
     node, s, t = place(x, y, z)
     bit = DEEPEST
@@ -136,7 +136,7 @@ def direction_map(vertices):
     Returns
     -------
     columns : ndarray of int64, shape (c,)
-        Vertices of the leaves in order, each leaf filled up to whole blocks with repeats of its last vertex.
+        Vertices of the leaves in order; repeats of a leaf's last vertex fill its last block.
     nodes : ndarray, shape (n, 2)
     """
     largest = 0.0
@@ -148,12 +148,12 @@ def direction_map(vertices):
 
 @apart
 def map_within(vertices, slack):
-    """Build the map, omitting from a cell the vertices that are beaten by more than `slack` [m] in all of it.
+    """Build the map, omitting from a cell the vertices that are beaten by more than `slack` [m] in the whole cell.
 
-    This is for directions whose largest entry is 1.
+    The map is for directions whose largest entry is 1.
     """
     count = len(vertices)
-    # The pool holds the lists of vertices on the current path from the root, one after the other.
+    # The pool holds the lists of vertices on the current path from the root, one after another.
     pool = np.empty((DEEPEST + 2) * count, np.int64)
     for v in range(count):
         pool[v] = v

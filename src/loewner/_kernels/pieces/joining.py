@@ -1,4 +1,4 @@
-"""Join bodies of several packs, for Python and for C: their arrays are copied, and not made anew."""
+"""Join bodies of several packs, for Python and for C: their arrays are copied, not computed again."""
 
 import numpy as np
 
@@ -8,27 +8,27 @@ from loewner._kernels.pieces.pack import pieces_of
 from loewner._kernels.records import ENTRIES, Pieces
 from loewner._kernels.simd.memory import held, integers_at
 
-ROWS = 6 * WIDE  # numbers in a group, see `trees.boxes`
-LINE = CACHE_LINE // 8  # words
+ROWS = 6 * WIDE  # A group takes ROWS numbers, see `trees.boxes`.
+LINE = CACHE_LINE // 8  # A cache line has LINE words.
 TABLE = -(-ENTRIES * len(Pieces._fields) // LINE) * LINE
 
 
 @njit()
 def join_bodies(chosen, block):
-    """Make one pack of bodies, in order.
+    """Make one pack from bodies, in order.
 
     Parameters
     ----------
     chosen : ndarray of int64, shape (n, 2)
-        The handle of a pack, and the number of a body in it.
+        The handle of a pack, and the number of a body in that pack.
     block : ndarray
-        Receives the table of the pack and behind it the arrays, each at the start of a cache line, as the block itself
-        must begin. Without a block, only its size is computed.
+        Receives the table of the pack, followed by the arrays. Each array starts at a cache line, and the block itself
+        must begin at one. Without a block, only its size is computed.
 
     Returns
     -------
     int
-        Words of the block.
+        Number of words of the block.
     """
     pieces = numbers = groups = parts = 0
     single, has_parts = True, False
@@ -61,8 +61,7 @@ def join_bodies(chosen, block):
 
 @inline
 def _ends(pack, body):
-    """A body's first piece and the one after its last, likewise for its numbers in `points`, and the end of its
-    groups."""
+    """Beginning and end of a body's pieces, then of its numbers in `points`, and the end of its groups."""
     first, last = pack.piece_start[body], pack.piece_start[body + 1]
     number = 3 * pack.layout[first, POINTS_FROM] if first < len(pack.layout) else len(pack.points)
     end = 3 * pack.layout[last, POINTS_FROM] if last < len(pack.layout) else len(pack.points)
@@ -108,7 +107,8 @@ def _fill(made, chosen):
             if len(made.part_start) > 0:
                 part = _copy_parts(pack, first + n, made, piece + n, part)
         for n in range(WIDE * groups):
-            # A negative child is a piece, any other child a group; an unused place has -1, or still leads to a piece.
+            # A negative child is a piece, and any other child a group; an unused place has -1, or still leads to a
+            # piece.
             child = pack.children[WIDE * from_group + n]
             if child >= 0:
                 child += group - from_group
@@ -122,7 +122,7 @@ def _fill(made, chosen):
 
 @inline
 def _copy_parts(pack, source, made, piece, part):
-    """Copy the rows of a piece's parts; other pieces keep zeros, since any other end is a surface's."""
+    """Copy the rows of a piece's parts; other pieces keep zeros, because any other end belongs to a surface."""
     at, to = PARTS * source, PARTS * piece
     first, last = (pack.part_start[at], pack.part_start[at + 2]) if len(pack.part_start) > 0 else (0, 0)
     for n in range(PARTS):

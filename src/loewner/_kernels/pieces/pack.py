@@ -1,4 +1,4 @@
-"""Packed pieces behind one number: see `records`."""
+"""Packed pieces behind one number, see `records`."""
 
 from loewner._kernels._jit import borrowed, inline
 from loewner._kernels.records import MOTION_WORDS, KeptAxis, MotionTables, Pieces, Placed, PlaneModel, Problem, Tree
@@ -15,13 +15,13 @@ motion_tables_of = reader(record_kind(MotionTables, MOTION_WORDS))
 
 @inline
 def placed(pieces, piece, poses, row):
-    """One piece at one pose; the caller keeps the arrays alive."""
+    """One piece at one pose; the caller must keep the arrays alive."""
     return Placed(borrowed(pieces.table), borrowed(pieces.layout), borrowed(pieces.points), piece, borrowed(poses), row)
 
 
 @inline
 def shift_between(A, B):
-    """World vector between the translations of two placed pieces."""
+    """World vector from the translation of A to the translation of B."""
     return (
         B.poses[B.row, 0, 3] - A.poses[A.row, 0, 3],
         B.poses[B.row, 1, 3] - A.poses[A.row, 1, 3],

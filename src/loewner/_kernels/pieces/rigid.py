@@ -7,9 +7,9 @@ from loewner._kernels.codes import LAST_ROW, NOT_FINITE, NOT_ORTHONORMAL, REFLEC
 from loewner._kernels.simd.vectors import ALL, LANES, absolute, gather_transpose, movemask
 from loewner._kernels.tolerances import ROTATION_TOLERANCE
 
-# Allowance for the check of eight poses at once, which rounds differently from the check of a single pose. The
-# certificate allows slightly more, so that every pose that fails also has a fault when it is checked alone; the search
-# for faults allows slightly less, so that it misses none.
+# Allowance for the check of eight poses at once, whose rounding differs from the check of a single pose. The
+# certificate allows slightly more, so that every pose that fails also has a fault when it is checked alone. The search
+# for faults allows slightly less, so that it misses no fault.
 HAIR = 1e-9
 
 
@@ -27,7 +27,7 @@ def fault(T):
             worst = max(worst, abs(entry))
             total += abs(entry)
     total += abs(T[3, 0]) + abs(T[3, 1]) + abs(T[3, 2]) + abs(T[3, 3])
-    # Infinity minus itself is NaN, and NaN minus itself is NaN.
+    # If an entry is infinite or NaN, the total minus itself is NaN.
     if total - total != 0.0:
         return NOT_FINITE, total
     if T[3, 0] != 0.0 or T[3, 1] != 0.0 or T[3, 2] != 0.0 or T[3, 3] != 1.0:
@@ -47,7 +47,7 @@ def fault(T):
 def _rigid(tolerance, largest):
     @inline
     def is_rigid(p, q):
-        """Whether poses, their entries in row order in p and q, are free of faults: a mask."""
+        """Mask of poses without faults; p and q hold the entries of the poses in row order."""
         a = absolute(p[0] * p[0] + p[4] * p[4] + q[0] * q[0] - 1.0)
         b = absolute(p[1] * p[1] + p[5] * p[5] + q[1] * q[1] - 1.0)
         c = absolute(p[2] * p[2] + p[6] * p[6] + q[2] * q[2] - 1.0)
@@ -68,15 +68,15 @@ def _rigid(tolerance, largest):
 is_rigid = _rigid(ROTATION_TOLERANCE * (1 + HAIR), np.finfo(np.float64).max)
 _is_surely_rigid = _rigid(ROTATION_TOLERANCE * (1 - HAIR), np.finfo(np.float64).max)
 
-# Allowance for rounding the entries to single precision and for multiplying them. A pose that passes is thus rigid,
-# except perhaps for its last row: this row may round to (0, 0, 0, 1), but no certificate reads it.
+# Allowance for rounding the entries to single precision and for multiplying them. A pose that passes is therefore
+# rigid, except perhaps for its last row: this row may round to (0, 0, 0, 1), but no certificate reads it.
 SINGLE_ROOM = 0.4 * ROTATION_TOLERANCE  # certified.md B20
 is_rigid_single = _rigid(ROTATION_TOLERANCE - SINGLE_ROOM, 1e30)
 
 
 @inline
 def _fault_among(Ts, start, stop):
-    """Index, kind and size of the first fault of a range; index `stop` if all are rigid."""
+    """Index, kind and size of the first fault of a range; the index is `stop` if all poses are rigid."""
     for k in range(start, stop):
         kind, size = fault(Ts[k])
         if kind != RIGID:
@@ -86,7 +86,7 @@ def _fault_among(Ts, start, stop):
 
 @njit()
 def first_fault(Ts):
-    """Index, kind and size of the first fault in a batch (N, 4, 4); index N if all are rigid."""
+    """Index, kind and size of the first fault in a batch (N, 4, 4); the index is N if all poses are rigid."""
     total = Ts.shape[0]
     if total < LANES:
         return _fault_among(borrowed(Ts), 0, total)

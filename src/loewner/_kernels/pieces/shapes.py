@@ -3,32 +3,32 @@
 A packed set of pieces is a tuple of twelve arrays:
 
 ``table`` (P, COLUMNS) float64
-    One row per piece; the columns are named below. Lengths are in metres, in the body frame.
+    One row per piece; the columns are named in `columns`. Lengths are in metres, in the body frame.
 ``layout`` (P, 4) int64
-    Kind, first and last+1 column of its points; for a surface, the address of its table (`narrow.surface_boxes`).
+    Kind, first and last+1 column of the piece's points; for a surface, also the address of its table
+    (`narrow.surface_boxes`).
 ``points`` (3 V,) float64
-    Vertices in blocks, see `pieces.support`. Each piece is filled up to whole blocks with repeats of its last vertex,
-    so a piece is one run of cache lines. A large polytope (MAPPED) has the blocks and nodes of its `directions`
-    instead.
+    Vertices in blocks, see `pieces.support`. Repeats of the last vertex fill the last block of each piece, so that a
+    piece is one run of cache lines. A large polytope (MAPPED) has the blocks and nodes of its `directions` instead.
 ``piece_start`` (n+1,) int64
-    Body i owns pieces piece_start[i] .. piece_start[i+1].
+    Body i has the pieces piece_start[i] .. piece_start[i+1].
 ``hot`` (P, HOT) float64
-    The first columns of ``table`` once more, packed for streaming through millions of pieces.
+    A copy of the first columns of ``table``, packed for streaming through millions of pieces.
 ``single`` (P, HOT) float32
-    ``hot`` in single precision, with bounds rounded to the safe side; or no rows, if a piece is too large or too small
-    for sixth powers of lengths in single precision.
+    ``hot`` in single precision, with bounds rounded to the safe side. The array has no rows if a piece is too large or
+    too small for sixth powers of lengths in single precision.
 ``groups`` (48 G,) float64, ``children`` (8 G,) int64, ``roots`` (n,) int64
-    Trees over the pieces of bodies that have many, see `trees`.
+    Trees over the pieces of bodies that have many pieces, see `trees`.
 ``vertices`` (3 V,) float32
-    ``points`` in single precision, if there are rows of ``single``; otherwise nothing.
+    ``points`` in single precision if ``single`` has rows; otherwise empty.
 ``parts`` (R, HOT) float64, ``part_start`` (3 P,) int64
-    If there are surfaces: ellipsoids around their parts and inside solids, in rows as in ``hot``, and the starts of
-    each piece's outer and inner ones, and their end. Otherwise nothing.
+    If any piece is a surface: ellipsoids around parts of surfaces and inside solids, in rows as in ``hot``; and, for
+    each piece, the starts of its outer and inner ellipsoids, and their end. Otherwise empty.
 
 Every piece is the sum of a core and a ball. The core is a polytope (its vertices), a surface (triangles; its points are
 the corners of a box around it, and prove no contact), or the image c + F·C of a unit shape C (ball, cylinder, cone,
-segment, point). The ball's rounding radius is zero except for capsules and spheres, whose cores are a segment and a
-point, and for surfaces with a radius.
+segment, point). The radius of the ball, the rounding radius, is zero except for capsules and spheres, whose cores are a
+segment and a point, and for surfaces with a radius.
 """
 
 import numpy as np
@@ -60,7 +60,7 @@ from loewner._kernels.simd.vectors import prefetch, prefetch_far
 
 @inline
 def farthest_vertex(layout, points, piece, n):
-    """Entry of `points` where the farthest vertex of a polytope along a direction is."""
+    """Entry of `points` at which the farthest vertex of a polytope along a direction is."""
     start, stop = layout[piece, POINTS_FROM], layout[piece, POINTS_TO]
     if layout[piece, KIND] == MAPPED:
         start, stop = candidates(points, start, 3 * stop, n[0], n[1], n[2])
@@ -69,7 +69,7 @@ def farthest_vertex(layout, points, piece, n):
 
 @inline
 def radius(P):
-    """Rounding radius of a piece; the table is only read for kinds that have one."""
+    """Rounding radius of a piece; the table is read only for kinds that have a radius."""
     kind = P.layout[P.piece, KIND]
     return P.table[P.piece, ROUNDING] if kind >= SEGMENT or kind <= SURFACE else 0.0
 
@@ -88,20 +88,20 @@ def prefetch_points(layout, points, piece):
             prefetch(points, at)
 
 
-SINGLES = 2 * LINE  # numbers of single precision in a cache line
+SINGLES = 2 * LINE  # A cache line has SINGLES numbers of single precision.
 FEW_LINES = 5
 
 
 def _asking(prefetch):
-    """Make the function below for one of the two caches."""
+    """Make a prefetching function for one of the two caches."""
 
     @inline
     def ask(layout, vertices, piece):
         """Prefetch the vertices of a small polytope in single precision."""
-        piece = np.uint64(piece)  # unsigned, since a signed index could count from the end
+        piece = np.uint64(piece)  # The index is unsigned, because a signed index could count from the end.
         if layout[piece, KIND] == POLYTOPE:
             first, last = 3 * layout[piece, POINTS_FROM], 3 * layout[piece, POINTS_TO] - 1
-            # Prefetch three blocks without a branch, as in `support.extent`.
+            # Prefetch three blocks without a branch, as `support.extent` reads them.
             for line in range(FEW_LINES):
                 prefetch(vertices, min(first + line * SINGLES, last))
             for at in range(first + FEW_LINES * SINGLES, last, SINGLES):
@@ -117,7 +117,7 @@ prefetch_vertices, prefetch_vertices_far = _asking(prefetch), _asking(prefetch_f
 
 @inline
 def unit_support(kind, x, y, z):
-    """Farthest point of a unit shape: ball, cylinder, cone (apex at +1, base at -1) or segment."""
+    """Farthest point of a unit shape along a direction: ball, cylinder, cone (apex at +1, base at -1) or segment."""
     if kind == ELLIPSOID:
         length = np.sqrt(x * x + y * y + z * z)
         if length == 0.0:
@@ -130,13 +130,13 @@ def unit_support(kind, x, y, z):
         if length == 0.0:
             return 0.0, 0.0, np.copysign(1.0, z)
         return x / length, y / length, np.copysign(1.0, z)
-    if kind == CONE:  # compare the rim of the cone's base with its apex: |xy| - z against z
+    if kind == CONE:  # Compare the rim of the cone's base with its apex: |xy| - z with z.
         if length == 0.0:
             return 0.0, 0.0, np.copysign(1.0, z)
         if z > length - z:
             return 0.0, 0.0, 1.0
         return x / length, y / length, -1.0
-    return np.nan, np.nan, np.nan  # a kind without a branch above: NaN, so that nothing is proven
+    return np.nan, np.nan, np.nan  # A kind without a branch above gives NaN, so that nothing is proven.
 
 
 @inline
@@ -171,6 +171,6 @@ def rotation_of(P):
 
 @inline
 def placed_support(P, n):
-    """Farthest point of a rotated (not translated) core along a direction in the world's axes."""
+    """Farthest point of a rotated (not translated) core along a direction in world axes."""
     R = rotation_of(P)
     return apply(R, core_support(P, apply_transposed(R, n)))

@@ -1,7 +1,7 @@
-"""Searches through points, and their placement, eight points at a time.
+"""Searches through points, and placement of points, eight at a time.
 
-Points come in *blocks* of eight: eight x, eight y, eight z in a row of a flat array. Column i is the point at
-``3 * (i - i % 8) + i % 8`` and 8 and 16 entries further; ranges of columns start and end at multiples of eight.
+Points come in *blocks* of eight: eight x, eight y, eight z in a row of a flat array. The x of column i is at ``3 * (i -
+i % 8) + i % 8``, and its y and z are 8 and 16 entries further. Ranges of columns start and end at multiples of eight.
 """
 
 import numpy as np
@@ -20,18 +20,18 @@ from loewner._kernels.simd.vectors import (
     store,
 )
 
-LINE = CACHE_LINE // 8  # float64 in a cache line
+LINE = CACHE_LINE // 8  # A cache line has LINE float64.
 
 
 @inline
 def entry_of(column):
-    """Where the x of a column is in its flat array; y and z follow at distances of `BLOCK`."""
+    """Entry of the x of a column in its flat array; y and z follow at distances of `BLOCK`."""
     return 3 * (column & ~(BLOCK - 1)) + (column & (BLOCK - 1))
 
 
 @inline
 def _block(points, column):
-    """The eight points from a column on."""
+    """Load the eight points that start at a column."""
     at = 3 * column
     return load(points, at), load(points, at + BLOCK), load(points, at + 2 * BLOCK)
 
@@ -40,8 +40,8 @@ def _block(points, column):
 def farthest(points, start, stop, n):
     """Column of the point with the largest dot product with n.
 
-    Columns start .. stop, at least one block. Ties go the same way every time. If all products are NaN or -inf the
-    answer is still one of the columns.
+    Columns start .. stop are searched, at least one block. Ties are always decided in the same way. If all products are
+    NaN or -inf, the answer is still one of the columns.
     """
     best, at = broadcast(-np.inf), numbers_from(start)
     column = start
@@ -56,10 +56,10 @@ def farthest(points, start, stop, n):
 
 @inline
 def extent(points, start, stop, n):
-    """The largest dot product of columns start .. stop with n, in single precision.
+    """Largest dot product of columns start .. stop with n, in single precision.
 
-    At least one block. Up to three are read without a branch, the last one again where there are fewer: how many there
-    are is hard to predict.
+    The range has at least one block. Up to three blocks are read without a branch, because their number is hard to
+    predict; if the range has fewer blocks, its last block is read again.
     """
     last = stop - BLOCK
     best = dot(_block(points, start), n)
@@ -72,7 +72,7 @@ def extent(points, start, stop, n):
 
 @inline
 def place_vertices(points, start, stop, R, t, placed, to):
-    """Write R p + t for a range of columns, at least one block, to `placed` from column `to` on."""
+    """Write R p + t for a range of columns, at least one block, to `placed`, starting at column `to`."""
     column, at = start, 3 * to
     while True:
         x, y, z = plus(apply(R, _block(points, column)), t)

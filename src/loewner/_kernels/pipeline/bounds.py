@@ -1,9 +1,10 @@
-"""Certified bounds on the distance of two pieces, eight pairs at a time, and the estimate that follows.
+"""Certified bounds on the distance of two pieces, eight pairs at a time, and an estimate of the distance.
 
-All distances are signed: negative is the penetration depth.
+All distances are signed: a penetration depth is a negative distance.
 
-Each stage goes through the whole queue, and stages meet in memory only. A stage is a chain in which every step waits
-for the one before; eight pairs in registers from the first stage to the last took half as long again.
+Each stage processes the whole queue and passes its results to the next stage in memory. Keeping eight pairs in
+registers from the first stage to the last took half as long again, because each step of a stage waits for the step
+before it.
 """
 
 from typing import Any, NamedTuple
@@ -45,17 +46,19 @@ from loewner._kernels.simd.vectors import (
 from loewner._kernels.tolerances import SHAPE_ROUNDINGS, UNIT_ROUNDOFF
 from loewner._kernels.trees import piece_tree
 
-QUEUED = 32  # piece pairs that are bounded together
-WALKED = 16  # piece pairs taken from the trees at a time, which limits the age of the distance bound
+QUEUED = 32  # A queue holds up to QUEUED piece pairs, which are bounded together.
+WALKED = 16  # The trees yield up to WALKED piece pairs at a time. A small number keeps the distance bound recent.
 
-BOUND_STEPS = 12  # Newton steps for the contact function of a single pair; the number must be even
-POLISH_ROUNDS = 3  # rounds that tighten a bound, by Newton's method for the direction of the near points
+BOUND_STEPS = 12  # Number of Newton steps that maximise the contact function of a single pair; it must be even.
+POLISH_ROUNDS = 3  # Number of rounds that tighten a bound, by Newton's method for the direction of the near points.
 
-INNER_LANES = 0xF0  # lanes of a single pair's inner ellipsoids; its outer ones use the first four
+# Mask of the lanes that hold the inner ellipsoids of a single pair. The outer ellipsoids of the pair use the first four
+# lanes.
+INNER_LANES = 0xF0
 
 
 class Operands(NamedTuple):
-    """Both operands of a query: of each the handle of its pieces, see `pieces.pack`, and its poses."""
+    """Both operands of a query: for each, the handle of its pieces (see `pieces.pack`) and its poses."""
 
     a: Any
     poses_a: Any
@@ -64,23 +67,23 @@ class Operands(NamedTuple):
 
 
 class Queue(NamedTuple):
-    """Piece pairs that are bounded together, and their bounds: an entry or a column for each pair.
+    """Piece pairs that are bounded together, and their bounds: each array has one entry or column per pair.
 
     Attributes
     ----------
     pairs : PairList
     shift : ndarray, shape (3, QUEUED)
-        From the translation of a's pose to the translation of b's.
+        Vector from the translation of a's pose to the translation of b's pose.
     size : ndarray, shape (QUEUED,)
-        Sum of the lengths that went into positions.
+        Sum of the lengths from which positions are computed.
     below, above : ndarray, shape (QUEUED,)
         Bounds on the signed distance.
     normal : ndarray, shape (3, QUEUED)
         The direction, from a to b, that proves the lower bound.
     contact : ndarray, shape (QUEUED,)
-        Product of the two contact functions, of the outer and of the inner ellipsoids, at their maxima.
+        Product of the maxima of the two contact functions, for the outer and for the inner ellipsoids.
     estimate : ndarray, shape (QUEUED,)
-        The distance that both suggest; negative exactly if their product is below 1.
+        The distance estimated from both contact functions; it is negative exactly if `contact` is below 1.
     """
 
     pairs: Any
@@ -100,18 +103,18 @@ QUEUE = Arena(
 
 
 class Side(NamedTuple):
-    """One piece of every pair: an entry or a column for each pair.
+    """One piece of every pair: each array has one entry or column per pair.
 
     Attributes
     ----------
     R : ndarray, shape (9, QUEUED)
         The rotation of its pose.
     outer, inner : ndarray, shape (9, QUEUED)
-        Centers and shape matrices of its ellipsoids.
+        Centers and shape matrices of the piece's outer and inner ellipsoids.
     sigma : ndarray, shape (QUEUED,)
-        Lower bound on the least semi-axis of the inner one.
+        Lower bound on the least semi-axis of the inner ellipsoid.
     center, shape : ndarray, shape (3, QUEUED) and (6, QUEUED)
-        One of them in the world's axes, its center relative to the translation of the pose.
+        The outer or the inner ellipsoid in world axes, with its center relative to the translation of the pose.
     """
 
     R: Any
@@ -123,20 +126,20 @@ class Side(NamedTuple):
 
 
 class Search(NamedTuple):
-    """State of the search for bounds: an entry or a column for each pair.
+    """State of the search for bounds: each array has one entry or column per pair.
 
     Attributes
     ----------
     r
         Vector from the first to the second center.
     cubic, quadratic, s
-        The contact function as `polynomials` returns it, and where it is greatest.
+        The polynomials of the contact function, see `polynomials`, and the argument s at which it is greatest.
     F, offset
-        Its value for the outer ellipsoids, and the offset of the centers along their contact normal.
+        The contact function of the outer ellipsoids at s, and the offset of their centers along the contact normal.
     n, length, gap
-        The direction that was tried last, its length, and the bound by it.
+        The last direction that was tried, its length, and the bound that it gives.
     Pn, Qn, width_p, width_q
-        The near points in that direction; for upper bounds, the error of the widths per length of n.
+        Products of the shapes P and Q with n; for upper bounds, also the errors of the widths, per length of n.
     """
 
     r: Any
@@ -171,7 +174,7 @@ _side_at, (_a_at, _b_at) = SIDE.whole(), MEMORY.addresses("a b")
 
 @njit()
 def next_pieces(pair, pose_a, pose_b, body_b, operands, reach, steps, numbers, work):
-    """Fill the front of the queue with the next piece pairs that a walk leaves within `reach`; how many."""
+    """Fill the front of the queue with the next piece pairs that a walk finds within `reach`; return their number."""
     a, b, pairs = pieces_of(operands.a), pieces_of(operands.b), queue_of(work).pairs
     found = piece_tree.more(a, b, body_b, reach, steps, numbers, pairs.piece_a[:WALKED], pairs.piece_b[:WALKED])
     pairs.pair[:found] = pair
@@ -182,7 +185,7 @@ def next_pieces(pair, pose_a, pose_b, body_b, operands, reach, steps, numbers, w
 
 @inline
 def load_three(rows, at):
-    """A vector of three rows, for eight pairs."""
+    """Load a vector of three rows for eight pairs."""
     return load(rows, at), load(rows, QUEUED + at), load(rows, 2 * QUEUED + at)
 
 
@@ -198,11 +201,11 @@ def _store_rows(rows, at, v):
 
 
 def _loading(fetch, pose_of, alone):
-    """The second function below, for many pairs or for a single one."""
+    """Make a function that loads many pairs, or a single pair."""
 
     @inline
     def load_side(pieces, poses, pose_rows, piece_rows, at, side):
-        """Read eight pieces; returns their poses and reaches."""
+        """Read eight pieces; return their poses and reaches."""
         pose = pose_of(borrowed(poses), pose_rows, at, True)
         near = bounds_of(fetch(pieces.table, COLUMNS, piece_rows, at, OUTER_CENTER))
         columns = fetch(pieces.table, COLUMNS, piece_rows, at, OUTER_SHAPE)
@@ -219,7 +222,8 @@ def _loading(fetch, pose_of, alone):
     def load_pairs(count, operands, work):
         """Read the queued pairs.
 
-        A single one has four lanes for its outer ellipsoids and four for its inner ones: both are worked on at once.
+        A single pair has four lanes for its outer ellipsoids and four for its inner ellipsoids, so that one pass
+        processes both.
         """
         queue = queue_of(work)
         a, b, pairs = pieces_of(operands.a), pieces_of(operands.b), queue.pairs
@@ -237,7 +241,7 @@ _load_many, _load_one = _loading(gather_transpose, pose_of, False), _loading(spr
 
 @njit()
 def _turn(count, inner, address):
-    """Turn the outer or the inner ellipsoids of one side into the world's axes."""
+    """Rotate the outer or the inner ellipsoids of one side into world axes."""
     side = _side_at(address)
     ellipsoids = side.inner if inner else side.outer
     for at in range(0, count, LANES):
@@ -259,10 +263,10 @@ def _place(count, inner, work):
 
 @njit()
 def _find_best(count, work):
-    """Find where the contact functions are greatest, for all pairs side by side, since each step waits for the last.
+    """Find the maxima of the contact functions, for all pairs side by side, because each step waits for the last.
 
-    If two steps lead back to their start, as they do when only the last bits change, all later steps do, too. They are
-    then left out, and the result is the same to the bit.
+    If two steps lead back to their start, which happens when only the last bits change, all later steps would do so,
+    too. Skipping these later steps leaves the result the same to the bit.
     """
     a, b, search = _a_of(work), _b_of(work), _search_of(work)
     for at in range(0, count, LANES):
@@ -286,13 +290,13 @@ def _find_best(count, work):
 
 @inline
 def _between_points(r, a, Pn, b, Qn):
-    """From the point a P n of one ellipsoid to the point r - b Q n of the other."""
+    """Return the vector from the point a P n of one ellipsoid to the point r - b Q n of the other."""
     return r[0] - b * Qn[0] - a * Pn[0], r[1] - b * Qn[1] - a * Pn[1], r[2] - b * Qn[2] - a * Pn[2]
 
 
 @inline
 def _put_widths(search, at, P, Q, n, squared):
-    """Outward widths along n; with P n and Q n they are kept for the next round."""
+    """Store the outward widths along n, and P n and Q n, for the next round."""
     hp, Pn = outward_width(P, n, squared)
     hq, Qn = outward_width(Q, n, squared)
     _store_rows(search.Pn, at, Pn)
@@ -304,12 +308,13 @@ def _put_widths(search, at, P, Q, n, squared):
 
 @njit()
 def _first_lower_bounds(count, work):
-    """The bound by the contact normal, F, and the centers' offset along the normal; whether a bound is positive."""
+    """Bound each distance along the contact normal; write F and the centers' offset; return whether any is > 0."""
     queue, a, b, search, positive = queue_of(work), _a_of(work), _b_of(work), _search_of(work), 0
     for at in range(0, count, LANES):
         P, Q, r = _load_six(a.shape, at), _load_six(b.shape, at), load_three(search.r, at)
         F, n = normal_at(P, Q, r, load(search.s, at))
-        n = selected(dot(n, n) > 0.0, n, (1.0, 0.0, 0.0))  # concentric: any direction gives a valid bound
+        # The ellipsoids are concentric: any direction gives a valid bound.
+        n = selected(dot(n, n) > 0.0, n, (1.0, 0.0, 0.0))
         squared = dot(n, n)
         hp, hq = _put_widths(search, at, P, Q, n, squared)
         length = sqrt(squared)
@@ -327,7 +332,7 @@ def _first_lower_bounds(count, work):
 
 @njit()
 def _polish_lower_bounds(count, work):
-    """One round, kept where it tightens the bound."""
+    """Polish each bound by one round, and keep the result where it tightens the bound."""
     queue, a, b, search = queue_of(work), _a_of(work), _b_of(work), _search_of(work)
     for at in range(0, count, LANES):
         r, P, Q = load_three(search.r, at), _load_six(a.shape, at), _load_six(b.shape, at)
@@ -342,14 +347,14 @@ def _polish_lower_bounds(count, work):
         store(search.gap, at, bound)
         store(search.length, at, length)
         best = load(queue.below, at)
-        better = (bound > best) & (best > 0.0)  # near points of overlapping ellipsoids have no meaning
+        better = (bound > best) & (best > 0.0)  # Near points of overlapping ellipsoids have no meaning.
         store(queue.below, at, select(better, bound, best))
         _store_rows(queue.normal, at, selected(better, n, load_three(queue.normal, at)))
 
 
 @njit()
 def _first_upper_bounds(count, work):
-    """The bound by the common point or the two near points, and the estimate; whether a bound is positive."""
+    """Bound each distance by the common point or the two near points, and estimate it; return whether any is > 0."""
     queue, a, b, search, positive = queue_of(work), _a_of(work), _b_of(work), _search_of(work), 0
     for at in range(0, count, LANES):
         P, Q, r = _load_six(a.shape, at), _load_six(b.shape, at), load_three(search.r, at)
@@ -357,12 +362,12 @@ def _first_upper_bounds(count, work):
         sigma_a, sigma_b = load(a.sigma, at), load(b.sigma, at)
         F, n = normal_at(P, Q, r, s)
         level, best, depth = nearness(P, Q, r, n, s, sigma_a, sigma_b, size)
-        # If the bound is NaN, use the centers, since they are also points of the ellipsoids.
+        # If the bound is NaN, use the distance of the centers, because the centers are also points of the ellipsoids.
         centers = sqrt(dot(r, r)) * (1.0 + 8.0 * UNIT_ROUNDOFF)
         best = select(best < np.inf, best, centers + SHAPE_ROUNDINGS * size)
         best = select(level <= 1.0, -maximum(depth, 0.0), best)
         store(queue.above, at, best)
-        # Effect of the rounding of P n and Q n on the levels, per length of n.
+        # The rounding errors of P n and Q n change the levels by these amounts, per length of n.
         store(search.width_p, at, SHAPE_ROUNDINGS * trace(P) / sigma_a)
         store(search.width_q, at, SHAPE_ROUNDINGS * trace(Q) / sigma_b)
         _store_rows(search.n, at, n)
@@ -375,7 +380,7 @@ def _first_upper_bounds(count, work):
 
 @njit()
 def _polish_upper_bounds(count, work):
-    """One round of the same for the upper bound; a bound that is a depth already is not touched."""
+    """Polish each upper bound by one round, except bounds that are already depths."""
     queue, a, b, search = queue_of(work), _a_of(work), _b_of(work), _search_of(work)
     for at in range(0, count, LANES):
         P, Q, n = _load_six(a.shape, at), _load_six(b.shape, at), load_three(search.n, at)
@@ -384,7 +389,7 @@ def _polish_upper_bounds(count, work):
         length = sqrt(squared)
         hp, Pn = outward_width(P, n, squared)
         hq, Qn = outward_width(Q, n, squared)
-        # Divide by slightly more than the width, so that rounding cannot push the points outside; the slack of at least
+        # Divide by slightly more than the width, so that rounding cannot push the points outside. The slack of at least
         # 128 roundings also covers the roundings of the quotient.
         level_p = 1.0 / (hp + load(search.width_p, at) * length)
         level_q = 1.0 / (hq + load(search.width_q, at) * length)
@@ -396,11 +401,11 @@ def _polish_upper_bounds(count, work):
 
 @inline
 def _estimated(F_outer, F_inner, offset):
-    """Product of two contact functions, and the distance that they suggest; negative exactly if it is below 1.
+    """Return the product of two contact functions, and the estimated distance, negative exactly for products below 1.
 
-    √F is the factor by which both ellipsoids must grow to touch. The geometric mean g of the outer
-    and the inner factor is taken for the pieces' own; pieces whose width along the normal times g
-    equals the centers' offset along it are apart by offset (1 - 1/g).
+    √F is the factor by which both ellipsoids must grow to touch. The factor assumed for the pieces is g, the geometric
+    mean of the factors of the outer and the inner ellipsoids. If the width of the pieces along the normal times g
+    equals the offset of their centers along the normal, the pieces are apart by offset (1 - 1/g).
     """
     contact = F_outer * F_inner
     g = sqrt(sqrt(maximum(contact, 0.0)))
@@ -409,7 +414,7 @@ def _estimated(F_outer, F_inner, offset):
 
 @njit()
 def _take_inner(work):
-    """Let a single pair's inner ellipsoids, and where F is greatest for them, take the place of the outer ones."""
+    """Replace the outer ellipsoids of a single pair, and the s of their maximum, with those of the inner ellipsoids."""
     a, b, search = _a_of(work), _b_of(work), _search_of(work)
     for c in range(6):
         _swap_halves(a.shape, c * QUEUED)
@@ -426,7 +431,7 @@ def _swap_halves(rows, at):
 
 @njit()
 def write_bounds(count, operands, work):
-    """Both bounds for the queued piece pairs. Whole vectors: the last pair fills up what is left over."""
+    """Compute both bounds for the queued piece pairs. Copies of the last pair fill the last vector."""
     queue = queue_of(work)
     if count == 1:
         _load_one(count, operands, work)
@@ -448,7 +453,7 @@ def write_bounds(count, operands, work):
         for _ in range(POLISH_ROUNDS):
             _polish_upper_bounds(count, work)
     for k in range(count):
-        if not queue.below[k] > -np.inf:  # NaN from an overflow: use the weakest bound, which is always valid
+        if not queue.below[k] > -np.inf:  # After an overflow (NaN), use the weakest bound, which is always valid.
             queue.below[k] = -2.0 * queue.size[k]
 
 
@@ -461,7 +466,7 @@ def _decide(margin, count, operands, work, out):
         k = queue.pairs.pair[lane]
         if queue.below[lane] > margin or out[k] == COLLIDING:
             continue
-        # NaN counts as colliding: it should never arise, and must not make anything free.
+        # NaN should never arise; it counts as colliding, because it must not make a pair free.
         if not queue.estimate[lane] > margin:
             out[k] = COLLIDING
 
@@ -470,7 +475,7 @@ def _decide(margin, count, operands, work, out):
 def estimate_range(margin, start, stop, plan, rows, pack_a, Ta, pack_b, Tb, out):
     """Decide the pairs left AMBIGUOUS in `out` by the estimate, the product of their two contact functions.
 
-    Operands as in `verdicts`.
+    The operands are documented in `verdicts`.
     """
     operands = Operands(pack_a, Ta, pack_b, Tb)
     a, b = pieces_of(pack_a), pieces_of(pack_b)

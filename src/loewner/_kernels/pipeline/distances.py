@@ -1,7 +1,7 @@
-"""Distances of ranges of pairs: certified bounds, an estimate, and on request the exact value.
+"""Distances of ranges of pairs: certified bounds, an estimate and, on request, the exact value.
 
-All distances are signed, with penetration depths negative. The distance of two bodies is the minimum over their piece
-pairs.
+All distances are signed: a penetration depth is a negative distance. The distance of two bodies is the minimum over
+their piece pairs.
 """
 
 from typing import Any, NamedTuple
@@ -44,32 +44,34 @@ from loewner._kernels.simd.vectors import (
 from loewner._kernels.tolerances import POSITION_ROUNDINGS, UNIT_ROUNDOFF
 from loewner._kernels.trees import piece_tree
 
-SEED_ROUNDS = 3  # searches from a center for the nearest center of the other body, and back
+# Number of times that the search for the first pair goes from a center to the nearest center of the other body and
+# back.
+SEED_ROUNDS = 3
 
-POSE_ENTRIES = 16  # numbers of a pose
+POSE_ENTRIES = 16  # A pose has POSE_ENTRIES numbers.
 
-AHEAD = 2  # lanes between the prefetch of a piece's vertices and their use
+AHEAD = 2  # The vertices of a piece are prefetched AHEAD lanes before their use.
 
 # A distance is settled when its bounds differ by at most SETTLED times the lengths involved.
 SETTLED = 1e-9
 
-# Curved pieces other than ellipsoids and balls may have the same depth in every direction. The depth found is then
-# correct up to rounding, but the 1,500 points of the expanding polytope prove it only to 4e-4. Such a depth is
-# returned, since it belongs to a plane and two witnesses, and is never less than the true depth.
+# A curved piece that is neither an ellipsoid nor a ball may have the same depth in every direction. The depth found is
+# then correct up to rounding, but the 1,500 points of the expanding polytope prove it only to 4e-4. The depth is
+# returned nonetheless: a plane and two witnesses attain it, and it is never less than the true depth.
 SETTLED_CURVED = 1e-3
 
-NEVER = -1.0  # a tolerance at which no distance is settled
+NEVER = -1.0  # With this tolerance, no distance is settled.
 
-# Allowed deviation of the vector between two witnesses from depth times normal, relative to the lengths involved.
+# The vector between two witnesses may deviate from depth times normal by WITNESSES times the lengths involved.
 WITNESSES = 1e-5
 
 SETTLED_DISTANCE, NOT_SETTLED = 0, 1
 
-LEFT_INTEGERS, LEFT_FLOATS = 6, 8  # columns of the arrays of a `Left`
+LEFT_INTEGERS, LEFT_FLOATS = 6, 8  # The arrays of a `Left` have these numbers of columns.
 
 
 class Bounds(NamedTuple):
-    """Bounds on the distance of each pair of bodies, and its estimate: arrays of shape (n,)."""
+    """Bounds on the distance of each pair of bodies, and an estimate of the distance: arrays of shape (n,)."""
 
     lower: Any
     upper: Any
@@ -77,19 +79,19 @@ class Bounds(NamedTuple):
 
 
 class Exact(NamedTuple):
-    """Exact distances, an entry or a row for each pair of bodies.
+    """Exact distances: each array has one entry or row per pair of bodies.
 
     Attributes
     ----------
     distance : ndarray, shape (n,)
     witness_a, witness_b : ndarray, shape (n, 3)
-        World points of a and b that attain it.
+        World points of a and b that attain the distance.
     normal : ndarray, shape (n, 3)
         Unit vector from a to b.
     status : ndarray of int8, shape (n,)
         SETTLED_DISTANCE or NOT_SETTLED.
     pieces : ndarray of int64, shape (n, 2), or empty
-        Rows of the two pieces that attain it, on request.
+        Rows of the two pieces that attain the distance, on request.
     """
 
     distance: Any
@@ -103,7 +105,7 @@ class Exact(NamedTuple):
 class Searches(NamedTuple):
     """Memory of the fast searches: ENTRIES of `gjk_fast`, both arrays of `epa_fast`, and a result.
 
-    The result is a normal and two witnesses, nine numbers. `surfaces` is the address of memory for `surface_distance`.
+    The result is a normal and two witnesses: nine numbers. `surfaces` is the address of memory for `surface_distance`.
     """
 
     vertices: Any
@@ -114,9 +116,10 @@ class Searches(NamedTuple):
 
 
 class Round(NamedTuple):
-    """Results for pairs of ellipsoids, eight at a time: an entry or a column for each pair of the queue.
+    """Results for pairs of ellipsoids, eight at a time: each array has one entry or column per pair of the queue.
 
-    They are the distance, a bound on its error (infinite if it was not found), the normal and both witnesses.
+    The results are the distance, a bound on its error (infinite if no distance was found), the normal and both
+    witnesses.
     """
 
     distance: Any
@@ -125,17 +128,17 @@ class Round(NamedTuple):
 
 
 class Measured(NamedTuple):
-    """The distance of two pieces, or minus their depth.
+    """The distance of two pieces, or the negative of their depth.
 
     Attributes
     ----------
     value : float
     gap : float
-        How far the bounds on it are apart.
+        Difference between the upper and the lower bound on the value.
     tolerance : float
-        The largest gap at which it is settled, relative to the lengths involved.
+        The largest gap, relative to the lengths involved, at which the value is settled.
     radius_a, radius_b : float
-        Rounding radii by which the witnesses are to be moved.
+        Rounding radii of the pieces; the witnesses are still to be moved by these.
     """
 
     value: Any
@@ -146,7 +149,7 @@ class Measured(NamedTuple):
 
 
 class Late(NamedTuple):
-    """Places in the queue of the pairs that the fast searches leave open, and whether their cores certainly overlap."""
+    """Queue places of the pairs that the fast searches leave open, and whether the cores certainly overlap."""
 
     place: Any
     inside: Any
@@ -173,7 +176,7 @@ class Left(NamedTuple):
     pieces : ndarray of int64, shape (m, LEFT_INTEGERS)
         The entries of the pair list, and whether the cores certainly overlap.
     values : ndarray, shape (m, LEFT_FLOATS)
-        The shift, the size, the lower bound and the normal, from the queue.
+        The shift, the size, the lower bound and the normal, copied from the queue.
     """
 
     pieces: Any
@@ -182,7 +185,7 @@ class Left(NamedTuple):
 
 @njit()
 def _distance_with_care(A, B, shift, n, error, inside, work, result):
-    """Signed distance and gap if the fast search did not find them; the witnesses belong to the cores."""
+    """Compute a signed distance and its gap where the fast search found none; the witnesses are points of the cores."""
     G = np.empty((4, 9))
     weights = np.empty(4)
     d = np.empty(3)
@@ -192,21 +195,21 @@ def _distance_with_care(A, B, shift, n, error, inside, work, result):
     if not inside:
         status, lower, upper, k = run(A, B, shift, n, 0.0, False, G, weights, np.empty(3), d)
     ra, rb = radius(A), radius(B)
-    # "Apart" must be proven, since a stalled search may have found separate points of overlapping cores.
+    # The cores must be proven apart, because a stalled search may return separate points of overlapping cores.
     if k < 4 and upper + ra + rb > 4.0 * error and lower + ra + rb > 0.0 and status != UNSETTLED:
         write_simplex(G, k, weights, d, result)
         return upper, upper - lower
-    # The depth that is returned is the upper bound, from the support plane of its normal. Only a graze needs more
-    # accuracy, so that it can be distinguished from a gap; deep in a curved piece, such accuracy is not achievable, and
-    # requesting it degrades the witnesses.
+    # The returned depth is the upper bound, from the support plane of its normal. Only a graze needs more accuracy, to
+    # distinguish it from a gap. Deep in a curved piece, that accuracy is not achievable, and requesting it degrades the
+    # witnesses.
     shallow, deep = penetration(A, B, shift, DEPTH_ACCURACY, work, result)
     graze = k < 4 and deep != NO_VOLUME and deep <= SETTLED / POSITION_ROUNDINGS * error
     if graze:
         shallow, deep = penetration(A, B, shift, CONTACT_ACCURACY, work, result)
     if deep != NO_VOLUME:
         if graze:
-            # An expanding polytope that does not contain the origin need not contain the origin's foot in the nearest
-            # face either; GJK's points may be better.
+            # If an expanding polytope does not contain the origin, its nearest face may not contain the foot of the
+            # origin either. The points that GJK found may therefore be better.
             before = result.copy()
             missed = _miss(result, -deep)
             write_simplex(G, k, weights, d, result)
@@ -217,11 +220,11 @@ def _distance_with_care(A, B, shift, n, error, inside, work, result):
                     result[c] = before[c]
         return -deep - ra - rb, deep - shallow
     if upper + ra + rb > 4.0 * error:
-        # The cores are apart after all: use GJK's result, with its gap.
+        # The cores are apart after all: use the result of GJK, with its gap.
         write_simplex(G, k, weights, d, result)
         return upper, upper - lower
     if k == 4:
-        # This happens only if rounding made a flat simplex seem to contain the origin.
+        # This case occurs only if rounding made a flat simplex seem to contain the origin.
         return -np.inf, np.inf
     nx, ny, nz = result[0], result[1], result[2]
     write_simplex(G, k, weights, d, result)
@@ -231,7 +234,7 @@ def _distance_with_care(A, B, shift, n, error, inside, work, result):
 
 @njit()
 def _miss(result, distance):
-    """How far the two points miss being `distance` apart along the normal."""
+    """Return by how much the vector between the two points differs from `distance` times the normal."""
     squared = 0.0
     for c in range(3):
         squared += (result[6 + c] - result[3 + c] - distance * result[c]) ** 2
@@ -245,13 +248,13 @@ def _is_curved(P):
 
 @inline
 def _column(rows, k):
-    """A vector of the queue, for one pair."""
+    """Load a vector of the queue for one pair."""
     return rows[0, k], rows[1, k], rows[2, k]
 
 
 @inline
 def _placed_eight(R, pieces, rows, at):
-    """Factors of eight ellipsoids in the world's axes, and their centers less their bodies' translations."""
+    """Factors of eight ellipsoids in world axes, and their centers relative to the translations of their bodies."""
     first = gather_transpose(pieces.table, COLUMNS, rows, at, FRAME_CENTER)
     last = gather_transpose(pieces.table, COLUMNS, rows, at, FRAME_FACTOR + 1)
     return product(R, (first[3], *last)), apply(R, (first[0], first[1], first[2]))
@@ -259,7 +262,7 @@ def _placed_eight(R, pieces, rows, at):
 
 @njit()
 def _measure_round(count, operands, work, distance):
-    """Measure the queued pairs of ellipsoids, eight at a time; pairs that need more care get an infinite gap."""
+    """Measure the queued pairs of ellipsoids, eight at a time; a pair that needs more care gets an infinite gap."""
     a, b, queue, found = pieces_of(operands.a), pieces_of(operands.b), queue_of(queued_at(work)), round_of(work)
     pairs = queue.pairs
     pair_list.fill(pairs, count)
@@ -292,7 +295,7 @@ def _measure_round(count, operands, work, distance):
 
 @inline
 def _of_eight(eight, lane, result):
-    """The result of `_measure_round` for two ellipsoids."""
+    """Extract the result of `_measure_round` for one pair of ellipsoids."""
     for c in range(9):
         result[c] = eight.result[c, lane]
     return Measured(eight.distance[lane], eight.gap[lane], SETTLED, 0.0, 0.0)
@@ -300,19 +303,19 @@ def _of_eight(eight, lane, result):
 
 @inline
 def _of_surfaces(A, B, lane, queue, known, searches):
-    """Distance of a surface and another piece, if it is less than the `known` distance of their bodies."""
+    """Distance of a surface and another piece, provided that it is less than the `known` distance of their bodies."""
     ra, rb, size, above = radius(A), radius(B), queue.size[lane], queue.above[lane]
     limit = above if above < known else known
-    # The limit is slightly larger than the ellipsoids' bounds, because these are rounded, and because poses stretch the
-    # bounds but not the radii.
+    # The limit is slightly larger than the bound from the ellipsoids: that bound is rounded, and poses stretch it but
+    # not the radii.
     limit = max(limit, 0.0) * (1.0 + SETTLED) + SETTLED * size + swollen_radii(A, B)
     value, gap = surface_distance(
         A, B, _column(queue.normal, lane), limit, searches.faces, searches.edges, searches.surfaces, searches.result
     )
     if value == np.inf and not known <= above:
-        return Measured(np.inf, np.inf, NEVER, ra, rb)  # the ellipsoids prove that the pieces are nearer than this
+        return Measured(np.inf, np.inf, NEVER, ra, rb)  # The ellipsoids prove that the pieces are nearer than `known`.
     value = value - ra - rb
-    if value < 0.0:  # the returned depth must be a lower bound in spite of rounding
+    if value < 0.0:  # Rounding must not make the returned depth larger than the true depth.
         value = min(value + position_error(size, UNIT_ROUNDOFF), 0.0)
     return Measured(value, gap, SETTLED, ra, rb)
 
@@ -326,17 +329,17 @@ def _of_balls(A, B, lane, queue, result):
 
 @inline
 def _of_overlap(A, B, n, faces, edges, result):
-    """Whether two polytopes certainly overlap, and their depth if they do."""
+    """Return whether two polytopes certainly overlap, and their depth if they do."""
     searched, shallow, deep = overlap_depth(A, B, n, faces, edges, result)
     return searched == DEPTH_FOUND, Measured(-deep, deep - shallow, SETTLED, 0.0, 0.0)
 
 
 @inline
 def _of_cores(A, B, lane, queue, searches):
-    """Status and distance of any other pieces: NEAREST if it is found, otherwise OVERLAPPING or another status."""
+    """Status and distance of any other pieces: NEAREST if the distance is found; otherwise, OVERLAPPING or another."""
     shift, n, size = _column(queue.shift, lane), _column(queue.normal, lane), queue.size[lane]
     plain = not (_is_curved(A) or _is_curved(B))
-    if plain and queue.contact[lane] < 1.0:  # they probably overlap
+    if plain and queue.contact[lane] < 1.0:  # The pieces probably overlap.
         settled, depth = _of_overlap(A, B, n, searches.faces, searches.edges, searches.result)
         if settled:
             return NEAREST, depth
@@ -344,8 +347,7 @@ def _of_cores(A, B, lane, queue, searches):
     ends = begin(A, B, shift, searches.vertices)
     status, below, above = measure(A, B, shift, searches.vertices, ends, n, error, -np.inf, np.inf, searches.result)
     ra, rb = radius(A), radius(B)
-    # Cores that inner ellipsoids prove to overlap are not apart: if a search found a distance between them, it was
-    # rounding.
+    # If the inner ellipsoids prove an overlap, a positive distance between the cores is a rounding error.
     if status == NEAREST and not above - ra - rb <= queue.above[lane] + SETTLED * size:
         status = UNSETTLED
     return status, Measured(above - ra - rb, above - below, SETTLED, ra, rb)
@@ -353,8 +355,9 @@ def _of_cores(A, B, lane, queue, searches):
 
 @njit()
 def measure_near(count, operands, work, exact):
-    """Exact distances of the queued pairs by the fast searches; list the pairs that they leave open, and return their
-    number."""
+    """Measure the queued pairs exactly by the fast searches; list the pairs that these leave open, and return their
+    number.
+    """
     a, b = pieces_of(operands.a), pieces_of(operands.b)
     Ta, Tb = borrowed(operands.poses_a), borrowed(operands.poses_b)
     queue, eight, left, searches = queue_of(queued_at(work)), round_of(work), late_of(work), searches_of(work)
@@ -389,7 +392,7 @@ def measure_near(count, operands, work, exact):
 
 @njit()
 def measure_late(late, operands, queued, left, exact):
-    """Exact distances of the pairs that the fast search left; only they need the large work space."""
+    """Measure the pairs that the fast search left open; only these pairs need the large work space."""
     a, b, Ta, Tb = pieces_of(operands.a), pieces_of(operands.b), operands.poses_a, operands.poses_b
     queue = queue_of(queued)
     pairs = queue.pairs
@@ -414,7 +417,7 @@ def measure_late(late, operands, queued, left, exact):
         ra, rb = radius(A), radius(B)
         missed = _miss(result, value + ra + rb)
         if np.isnan(missed) or (value < 0.0 and missed > WITNESSES * queue.size[lane]):
-            tolerance = NEVER  # a depth that its witnesses do not confirm, or witnesses that are not numbers
+            tolerance = NEVER  # The witnesses do not confirm the depth, or they are not numbers.
         _record(lane, queue, Ta, Measured(value, gap, tolerance, ra, rb), result, exact)
 
 
@@ -427,7 +430,8 @@ def _record(lane, queue, Ta, measured, result, exact):
     pairs = queue.pairs
     k, ka = pairs.pair[lane], pairs.pose_a[lane]
     value, gap, tolerance, ra, rb = measured
-    # The ellipsoids' bound may be better. A value far below it is not valid, even if the search's bounds agree.
+    # The lower bound from the ellipsoids may be nearer to the value than the bound from the search. A value far below
+    # it is not valid, even if the bounds from the search agree.
     gap = min(gap, abs(value - queue.below[lane]))
     if not gap <= tolerance * queue.size[lane]:
         exact.status[k] = NOT_SETTLED
@@ -443,7 +447,7 @@ def _record(lane, queue, Ta, measured, result, exact):
 
 @njit()
 def _leave(late, work, kept, left):
-    """List the pairs that the fast search left for `measure_left`, from row `kept` on; return where they end."""
+    """List the pairs left by the fast search for `measure_left`, starting at row `kept`; return the end of the list."""
     queue, which = queue_of(queued_at(work)), late_of(work)
     for m in range(late):
         lane = which.place[m]
@@ -459,12 +463,12 @@ def _leave(late, work, kept, left):
 
 @njit()
 def _room(kept, left):
-    """The lists in `left`, with room for the pairs of another queue."""
+    """Return the lists in `left`, enlarged if necessary for the pairs of another queue."""
     if kept + QUEUED <= len(left.pieces):
         return left
     more = Left(np.empty((2 * kept + QUEUED, LEFT_INTEGERS), np.int64), np.empty((2 * kept + QUEUED, LEFT_FLOATS)))
-    # Entries are copied by loops, here and elsewhere, because an assignment of slices, compiled by Numba, would raise a
-    # Python error if their shapes differed.
+    # Loops copy entries, here and elsewhere, because Numba would compile a Python error into an assignment of slices,
+    # in case the shapes differ.
     for n in range(kept):
         for c in range(LEFT_INTEGERS):
             more.pieces[n, c] = left.pieces[n, c]
@@ -493,12 +497,12 @@ def _measure(wanted, count, operands, work, kept, left, bounds, exact):
 
 @njit()
 def _measure_many(wanted, k, ia, ka, ib, kb, operands, work, kept, left, bounds, exact):
-    """Measure a pair of bodies, one with many pieces: only the piece pairs that may be the nearest."""
+    """Measure a pair of bodies, at least one with many pieces: only the piece pairs that may be the nearest."""
     a, b = pieces_of(operands.a), pieces_of(operands.b)
     steps = np.empty(piece_tree.STEPS, np.int64)
     numbers = np.empty(piece_tree.NUMBERS)
     piece_tree.begin(a, ia, operands.poses_a, ka, b, ib, operands.poses_b, kb, steps, numbers)
-    # The walk starts with a bound on the distance, so that it skips most pairs.
+    # A first bound on the distance lets the walk skip most pairs.
     i, j = piece_tree.nearest_centers(a, ia, b, ib, numbers, SEED_ROUNDS)
     pair_list.put(queue_of(queued_at(work)).pairs, 0, k, i, j, ka, kb)
     found = 1
@@ -513,7 +517,7 @@ def _measure_many(wanted, k, ia, ka, ib, kb, operands, work, kept, left, bounds,
 
 @inline
 def _ask(pieces, piece, poses, row):
-    """Prefetch a piece and its pose: they may be anywhere in memory, and arrive while the queue fills."""
+    """Prefetch a piece and its pose, which may be anywhere in memory; they arrive while the queue fills."""
     for at in range(0, COLUMNS, LINE):
         prefetch_far(pieces.table, piece * COLUMNS + at)
     prefetch_far(pieces.table, piece * COLUMNS + COLUMNS - 1)
@@ -529,27 +533,27 @@ def memory_of_distances():
 
 @njit()
 def distance_range(wanted, start, stop, plan, rows, pack_a, Ta, pack_b, Tb, memory, numbers, vectors, status):
-    """Distances of pairs start .. stop.
+    """Compute the distances of pairs start .. stop.
 
     Parameters
     ----------
     wanted : bool
-        Whether exact distances are requested; only then are they, the vectors and the status written.
+        Whether exact distances are requested; if not, exact distances, vectors and the status are not written.
     plan, rows, pack_a, Ta, pack_b, Tb
-        Operands as in `verdicts`.
+        The operands are documented in `verdicts`.
     memory : int
-        Address of `MEMORY` to write to; one thread uses it at a time.
+        Address of memory with the layout `MEMORY`, to write to; only one thread may use it at a time.
     numbers : ndarray, shape (4, n), or (3, n) without exact distances
-        Lower bounds, upper bounds, estimates and exact distances.
+        Receives lower bounds, upper bounds, estimates and exact distances.
     vectors : ndarray, shape (3, n, 3)
-        Witnesses of a and of b, and normals, see `Exact`.
+        Receives the witnesses on a and on b, and the normals, see `Exact`.
     status : ndarray of int8, shape (n,)
         See `Exact`.
 
     Returns
     -------
     pieces, values : ndarray
-        The arrays of a `Left`, for `measure_left`, which has to finish its pairs.
+        The arrays of a `Left`; `measure_left` has to finish their pairs.
     """
     lower, upper, estimate = numbers[0], numbers[1], numbers[2]
     distance = numbers[3] if wanted else floats_at(memory, (0,))
@@ -558,7 +562,8 @@ def distance_range(wanted, start, stop, plan, rows, pack_a, Ta, pack_b, Tb, memo
     operands = Operands(pack_a, Ta, pack_b, Tb)
     a, b = pieces_of(pack_a), pieces_of(pack_b)
     shape, body_a, pose_a, body_b, pose_b = plan[0], plan[1], plan[2], plan[3], plan[4]
-    # The lists have no room at first, since making an array here, even an empty one, would allocate in every query.
+    # The lists are empty at first, and lie in `memory`, because creating an array, even an empty one, would allocate
+    # memory in every query.
     left = Left(integers_at(memory, (0, LEFT_INTEGERS)), floats_at(memory, (0, LEFT_FLOATS)))
     count, kept = 0, 0
     for k in range(start, stop):
@@ -585,12 +590,12 @@ def distance_range(wanted, start, stop, plan, rows, pack_a, Ta, pack_b, Tb, memo
                     kept, left = _measure(wanted, count, operands, memory, kept, left, bounds, exact)
                     count = 0
     kept, left = _measure(wanted, count, operands, memory, kept, left, bounds, exact)
-    return left.pieces[:kept], left.values[:kept]  # not as a record, which Python could only make by a slow call
+    return left.pieces[:kept], left.values[:kept]  # Python could read a record only by a slow call.
 
 
 @njit()
 def measure_left(pieces, values, pack_a, Ta, pack_b, Tb, numbers, vectors, status):
-    """Exact distances of the piece pairs in a `Left`; compiled only when there is one."""
+    """Measure the piece pairs in a `Left` exactly; this function is compiled only when a `Left` has pairs."""
     operands = Operands(pack_a, Ta, pack_b, Tb)
     exact = Exact(numbers[3], vectors[0], vectors[1], vectors[2], status, np.empty((0, 2), np.int64))
     memory = np.empty(_QUEUE_BYTES // 8)

@@ -1,7 +1,7 @@
 """The exact answer for the few pairs that the fast searches leave open: a robust GJK, then the expanding polytope.
 
-It is separate from `verdicts`, so that it is only compiled when a pair needs it. Triangles of two surfaces that
-rounding leaves unsettled are decided in integers, see `loewner.queries._exact`.
+This module is separate from `verdicts`, so that it is compiled only when a pair needs it. Two triangles of surfaces
+that rounding leaves unsettled are decided in integers, see `loewner.queries._exact`.
 """
 
 import numpy as np
@@ -22,18 +22,19 @@ from loewner._kernels.simd.memory import held
 from loewner._kernels.trees import piece_tree
 from loewner._kernels.trees.triangle_tree import BLOCK, LEAF, leaf_of, size_of
 
-CHUNK = 64  # piece pairs taken from the trees at a time
+CHUNK = 64  # The trees yield up to CHUNK piece pairs at a time.
 
-TRIANGLE_SIZE = TRIANGLE.size()  # bytes
+TRIANGLE_SIZE = TRIANGLE.size()  # A triangle takes TRIANGLE_SIZE bytes.
 
-ROOM = 4096  # limit on the triangles of a surface that one convex piece may touch or nearly touch
+ROOM = 4096  # Limit on the number of triangles of a surface that a convex piece may touch or nearly touch.
 
 
 @njit()
 def settle_open(margin, start, stop, plan, rows, pack_a, Ta, pack_b, Tb, out):
-    """Settle the pairs start .. stop that are AMBIGUOUS in `out` from scratch; operands as in `verdicts`, poses rigid.
+    """Settle the pairs start .. stop that are AMBIGUOUS in `out` from scratch; poses must be rigid.
 
-    INEXACT marks pairs that depend on triangles of surfaces, or points, that rounding cannot separate.
+    The operands are documented in `verdicts`. A pair becomes INEXACT if it depends on triangles of surfaces, or points,
+    that rounding cannot separate.
     """
     a, b = pieces_of(pack_a), pieces_of(pack_b)
     shape, body_a, pose_a, body_b, pose_b = plan[0], plan[1], plan[2], plan[3], plan[4]
@@ -64,7 +65,7 @@ def settle_open(margin, start, stop, plan, rows, pack_a, Ta, pack_b, Tb, out):
 
 @njit()
 def _with_surface(A, B, margin, work):
-    """Settle a piece pair with a surface; INEXACT if it needs integers."""
+    """Settle a piece pair with a surface; return INEXACT if the pair needs integers."""
     memory = np.empty(SURFACE_SIZE // 8)
     listed = np.empty((ROOM, 2), np.int64)
     near, far = margin + (radius(A) + radius(B)), margin + swollen_radii(A, B)
@@ -87,18 +88,18 @@ def _with_surface(A, B, margin, work):
 
 @njit()
 def open_triangles(margin, k, plan, rows, pack_a, Ta, pack_b, Tb, listed):
-    """List the triangles that keep a pair INEXACT; operands as in `verdicts`.
+    """List the triangles that keep a pair INEXACT; the operands are documented in `verdicts`.
 
     Parameters
     ----------
     listed : ndarray of int64, shape (room, 6)
-        Receives the rows of two pieces and of their poses, and two triangles, by block and lane. A row with -1 for both
-        triangles means that one piece may lie within the other.
+        Receives, in each row, the rows of two pieces and of their poses, and two triangles, by block and lane. A row
+        with -1 for both triangles means that one piece may lie within the other.
 
     Returns
     -------
     count : int
-        Number of rows found; only as many as fit are listed.
+        Number of rows found; only the first `room` rows are listed.
     """
     a, b = pieces_of(pack_a), pieces_of(pack_b)
     shape, body_a, pose_a, body_b, pose_b = plan[0], plan[1], plan[2], plan[3], plan[4]
@@ -142,12 +143,12 @@ def exact_parts(pack, piece):
     kind : int
     radius : float
     triangles : ndarray, shape (n, 9)
-        Triangles of a surface, by block and lane; padding of a block is NaN.
+        Triangles of a surface, by block and lane; the padding of a block is NaN.
     points : ndarray, shape (m, 3)
-        One point of each connected part of a surface, or of a convex piece's core.
+        One point of each connected part of a surface, or one point of the core of a convex piece.
     """
     pieces = pieces_of(pack)
-    poses = np.zeros((1, 4, 4))  # no result depends on the pose
+    poses = np.zeros((1, 4, 4))  # The pose does not affect any result.
     P = placed(pieces, piece, poses, 0)
     if not is_surface(P):
         point = np.empty((1, 3))
@@ -168,7 +169,7 @@ def exact_parts(pack, piece):
 
 @njit()
 def _piece_pair(A, B, margin, work):
-    """Settle one piece pair; AMBIGUOUS if this is beyond the limits of arithmetic."""
+    """Settle one piece pair; return AMBIGUOUS if rounding errors prevent a decision."""
     shift = shift_between(A, B)
     error = rounding_error(A, B, shift)
     swollen = swollen_radii(A, B)
@@ -180,7 +181,7 @@ def _piece_pair(A, B, margin, work):
         return COLLIDING
     # GJK can be slow if curved pieces barely overlap. The expanding polytope then finds the same contact from inside.
     shallow, deep = penetration(A, B, shift, CONTACT_ACCURACY, work, np.empty(9))
-    if deep == NO_VOLUME:  # a sentinel, not a depth, so it must not count as a separation
+    if deep == NO_VOLUME:  # NO_VOLUME is a sentinel, not a depth, so that it must not count as a separation.
         return AMBIGUOUS
     if -deep - swollen - error > margin:
         return FREE

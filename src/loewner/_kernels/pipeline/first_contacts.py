@@ -1,8 +1,8 @@
-"""First contacts of pairs of bodies that move and turn: proven steps from time to time, and the first time they touch.
+"""First contacts of pairs of bodies that move and turn: proven time steps, and the first time of contact.
 
-A step is proven by planes at its two ends, see docs/certified.md, "First contact": the normal turns from one to the
-other, and the loss in between is of second order in the step. Near contact the steps therefore converge quadratically.
-Times are fractions of the motion.
+Planes at the two ends of a step prove it, see docs/certified.md, "First contact": the normal turns from one plane to
+the other, and the gap lost in between is of second order in the step. Near contact the steps therefore converge
+quadratically. Times are fractions of the motion.
 """
 
 import numpy as np
@@ -41,39 +41,39 @@ from loewner._kernels.simd.trig import sine_cosine
 from loewner._kernels.tolerances import UNIT_ROUNDOFF
 from loewner._kernels.trees import piece_tree
 
-# A placed point has two errors: one from the rotation of its body, times its distance from the body's origin, and one
-# from the origin itself, times the coordinates of its start and its end.
+# A placed point has two errors. The error of its body's rotation is multiplied by the point's distance from the body's
+# origin, and the error of the origin by the coordinates of its start and its end.
 TURN_ROUNDINGS = 256.0 * UNIT_ROUNDOFF  # certified.md B58
 PLACE_ROUNDINGS = 16.0 * UNIT_ROUNDOFF  # certified.md B59
 
-# Allowance for poses accepted as rigid, which stretch paths, and for a few dozen roundings in rates.
+# The factor UPWARD allows for poses accepted as rigid, which stretch paths, and for a few dozen roundings in rates.
 STRETCH = 1e-5  # certified.md B60
 UPWARD = 1.0 + STRETCH
 
-# A turn is rejected if the cosine of half its angle is below NEARLY_HALF_TURN: poses that may have passed through
-# float32 do not show which way is shorter.
+# A turn is rejected if the cosine of half its angle is below NEARLY_HALF_TURN, because poses that were stored as
+# float32 may not determine which way is shorter.
 NEARLY_HALF_TURN = 1e-6
 
-ROUNDS = 256  # hulls need seven rounds; only motions that graze within the tolerance need all of them
+ROUNDS = 256  # Hulls need seven rounds; only motions that graze within the tolerance need all ROUNDS.
 
-# Steps assume the fraction SHARE of the curvature that the bounds allow. The optimum is flat: 0.3 and 0.6 take 2 % more
-# rounds. A step that is not proven is multiplied by a factor from LEAST to REDUCED, see `_reduced`.
+# Steps assume that the curvature is SHARE times its bound. The optimum is flat: 0.3 and 0.6 take 2 % more rounds. A
+# step that is not proven is multiplied by a factor between LEAST and REDUCED, see `_reduced`.
 SHARE, LEAST, REDUCED = 0.4, 0.3, 0.8
-REACHED = 0.5  # fraction of the widest step by which to go back from an unproven plane, see `_reduced`
+REACHED = 0.5  # Fraction of the widest step by which the search goes back from an unproven plane, see `_reduced`.
 
-# Fractions of the tolerance: how far from contact the last step but one ends, and how far apart the last two times may
-# be.
+# The last step but one ends BEFORE times the tolerance from contact. The last two times may be up to LAST times the
+# tolerance apart.
 BEFORE, LAST = 0.25, 0.9
 
-SURFACE_SHARE = 0.95  # fraction of the longest step that the speed of surfaces allows
-NEAR = 1e-9  # fraction of a surface's distance that is reserved for rounding until the distance is proven
+SURFACE_SHARE = 0.95  # Fraction of the longest step that the speed of surfaces allows.
+NEAR = 1e-9  # The fraction NEAR of a surface's distance is reserved for rounding until the distance is proven.
 
-# Columns of a motion, one row for each body: the rotation at time 0, split into a constant part, a part with the sine
-# and a part with the cosine; the origin at time 0; its displacement; the angular velocity; the axis in the body's
-# frame; the angle; the coordinates.
+# Columns of a motion, with one row for each body. The rotation at time 0 is split into a constant part, a sine part and
+# a cosine part. The further columns hold the origin at time 0 and its displacement, the angular velocity, the axis in
+# the body's frame, the angle, and the sum of the coordinates.
 REST, SINE, COSINE, START, WAY, SPIN, AXIS, ANGLE, SIZE, MOTION = 0, 9, 18, 27, 30, 33, 36, 39, 40, 41
 
-FOUND = 64  # piece pairs taken from the trees at a time
+FOUND = 64  # The trees yield up to FOUND piece pairs at a time.
 
 MEMORY = Arena(
     poses=floats(2, 4, 4), motions=floats(2, MOTION), search=SEARCH, faces=floats(epa_fast.FLOATS),
@@ -99,14 +99,14 @@ def _nine(row, at):
 
 @njit()
 def write_motion(first, last, poses, row, motion):
-    """Write the motion between two poses, and the pose at 0; False if the turn has no shorter way."""
+    """Write the motion between two poses, and the pose at time 0; return False if neither way to turn is shorter."""
     R, S = matrix(first), matrix(last)
     for c in range(3):
         poses[row, 3, c] = 0.0
         motion[START + c], motion[WAY + c] = first[c, 3], last[c, 3] - first[c, 3]
     poses[row, 3, 3] = 1.0
     motion[SIZE] = one_norm(_three(motion, START)) + abs(last[0, 3]) + abs(last[1, 3]) + abs(last[2, 3])
-    # The quaternion of R'S, from its largest component (Shepperd).
+    # Compute the quaternion of R'S, starting with its largest component (Shepperd's method).
     m = product((R[0], R[3], R[6], R[1], R[4], R[7], R[2], R[5], R[8]), S)
     same = True
     for c in range(9):
@@ -129,7 +129,7 @@ def write_motion(first, last, poses, row, motion):
     if sine > 0.0 and not same:
         # Compute the angle from the tangent of its quarter.
         axis, angle = scaled(1.0 / sine, v), 4.0 * arc_tangent(sine, w + np.sqrt(sine * sine + w * w))
-    # R exp(a [k]) = R k k' + sin(a) R [k] + cos(a) (R - R k k')
+    # The rotation is R exp(a [k]) = R k k' + sin(a) R [k] + cos(a) (R - R k k').
     k, Rk = axis, apply(R, axis)
     rest = (
         Rk[0] * k[0], Rk[0] * k[1], Rk[0] * k[2], Rk[1] * k[0], Rk[1] * k[1], Rk[1] * k[2],
@@ -149,7 +149,7 @@ def write_motion(first, last, poses, row, motion):
 
 @njit()
 def _place(motions, t, poses):
-    """Write the poses of both bodies at a time."""
+    """Write the poses of both bodies at time t."""
     for row in range(2):
         _place_one(motions[row], t, poses, row)
 
@@ -168,7 +168,7 @@ def _place_one(motion, t, poses, row):
 
 @inline
 def arm_of(P, motion):
-    """Upper bound on the distance of any point of a core from the axis of its body's motion."""
+    """Upper bound on the distance between any point of a core and the axis about which its body turns."""
     table, p = P.table, P.piece
     r = radius(P)
     c = table[p, OUTER_CENTER], table[p, OUTER_CENTER + 1], table[p, OUTER_CENTER + 2]
@@ -180,7 +180,7 @@ def arm_of(P, motion):
 
 @inline
 def rates_between(way_a, arm_a, way_b, arm_b):
-    """Bounds on the relative velocity and acceleration of any point of one body and any point of the other one."""
+    """Bounds on the velocity and acceleration of any point of one body relative to any point of the other body."""
     v = minus(_three(way_b, WAY), _three(way_a, WAY))
     speed = np.sqrt(dot(v, v)) + way_a[ANGLE] * arm_a + way_b[ANGLE] * arm_b
     bend = way_a[ANGLE] * way_a[ANGLE] * arm_a + way_b[ANGLE] * way_b[ANGLE] * arm_b
@@ -189,17 +189,17 @@ def rates_between(way_a, arm_a, way_b, arm_b):
 
 @inline
 def _nearing_speed(A, way_a, B, way_b):
-    """Bound on the rate at which the distance of two pieces changes, after the bound on the speed of any two points.
+    """Bound on the rate at which the distance of two pieces changes, followed by the bound on the speed of two points.
 
-    Along the line of the nearest points, the turn of a body moves both of them alike, so that the one nearer to the
-    body's axis counts: beside a floor that turns, points of the floor that are far away do not.
+    A body's turn moves both nearest points alike along the line between them, so that the point nearer to the body's
+    axis counts. For example, points of a turning floor that are far from the other body do not count.
     """
     table_a, table_b = A.table, B.table
     reach_a, reach_b = table_a[A.piece, REACH], table_b[B.piece, REACH]
     between = minus(_three(way_b, START), _three(way_a, START))
     then = plus(between, minus(_three(way_b, WAY), _three(way_a, WAY)))
     apart = np.sqrt(max(dot(between, between), dot(then, then)))
-    # Poses that are accepted as rigid may be stretched slightly, and rotating a stretched frame moves the two points
+    # Poses that are accepted as rigid may be slightly stretched, and rotating a stretched frame moves the two points
     # differently.
     stretch = STRETCH * (apart + reach_a + reach_b)
     arm_a = min(arm_of(A, way_a), apart + reach_b + stretch)
@@ -210,20 +210,20 @@ def _nearing_speed(A, way_a, B, way_b):
 
 @inline
 def lost_between(speed, bend, change, w):
-    """Largest loss of a gap between planes at the ends of a step w, whose unit normals differ by a change."""
+    """Largest loss of a gap during a step w between planes whose unit normals differ by `change`."""
     return (bend * w + 2.0 * change * speed) * w / 8.0
 
 
 @inline
 def _middle(P):
-    """Center of the outer ellipsoid in the world's axes, relative to the translation of its body."""
+    """Center of the outer ellipsoid in world axes, relative to the translation of its body."""
     table, p = P.table, P.piece
     return apply(rotation_of(P), (table[p, OUTER_CENTER], table[p, OUTER_CENTER + 1], table[p, OUTER_CENTER + 2]))
 
 
 @njit()
 def _touch_with_care(A, B, shift, n, margin):
-    """Whether the robust search calls two convex pieces touching."""
+    """Return whether two convex pieces touch according to the robust search."""
     status, _, _, _ = run(A, B, shift, n, margin, True, np.empty((4, 9)), np.empty(4), np.empty(3), np.empty(3))
     return status == TOUCHING
 
@@ -237,7 +237,7 @@ def _gap_along(A, B, shift, n, error):
 
 @njit()
 def _look_at_surface(A, B, n, margin, far, memory):
-    """As `_look`, where one piece is a surface."""
+    """Do the work of `_look` if one piece, or both, are surfaces."""
     result, work = result_of(search_at(memory)), surfaces_at(memory)
     shift, radii = shift_between(A, B), radius(A) + radius(B)
     verdict, _ = surface_pair(A, B, margin + radii, far, work, work, 0)
@@ -260,7 +260,7 @@ def _look_at_surface(A, B, n, margin, far, memory):
 
 @njit()
 def _look(A, B, n, margin, far, memory):
-    """Whether two pieces come within the margin, and a plane between them.
+    """Return whether two pieces come within the margin, and a plane between them.
 
     Parameters
     ----------
@@ -268,7 +268,7 @@ def _look(A, B, n, margin, far, memory):
     n : tuple of 3 float
         First direction, from A to B.
     margin, far : float
-        The margin, and the distance of cores that is certainly more than it.
+        The margin, and a distance: cores that are further apart than `far` are certainly not within the margin.
 
     Returns
     -------
@@ -276,9 +276,9 @@ def _look(A, B, n, margin, far, memory):
     n : tuple of 3 float
         Unit normal of the plane.
     gap : float
-        Proven lower bound on the distance of the cores beyond `far`; for convex pieces, along n.
+        Proven lower bound on the distance of the cores, less `far`; for convex pieces, on the gap along n.
     above : float
-        Upper bound on the distance of the pieces beyond the margin.
+        Upper bound on the distance of the pieces, less the margin.
     at_a, at_b : tuple of 3 float
         The nearest points, each relative to the translation of its body.
     """
@@ -308,7 +308,7 @@ def _look(A, B, n, margin, far, memory):
 
 @inline
 def _nearing(way_a, way_b, n, at_a, at_b):
-    """How fast two points approach each other along n."""
+    """Return the speed at which two points approach each other along n."""
     a = plus(_three(way_a, WAY), cross(_three(way_a, SPIN), at_a))
     b = plus(_three(way_b, WAY), cross(_three(way_b, SPIN), at_b))
     return dot(n, minus(a, b))
@@ -323,10 +323,10 @@ def _turned(n, m):
 
 @inline
 def _reduced(w, gap, nearing, low, curve):
-    """The step to try instead of one that lost curve w² and is not proven, so that both halves are likely to be.
+    """Shorten a step that lost curve w² and is not proven, so that both parts of the step are likely to be proven.
 
-    The gap at its end is `low`: from there the plane reaches back as far as the loss, also taken as a multiple of the
-    square, is less.
+    `low` is the gap at the end of the step. The plane there is likely to prove the part of the step in which the loss,
+    again a multiple of the square, is less than `low`.
     """
     most = min(REDUCED * w, 0.9 * _root(gap, nearing, curve))
     return min(max(w - REACHED * np.sqrt(max(low, 0.0) / curve), LEAST * w), most)
@@ -334,22 +334,22 @@ def _reduced(w, gap, nearing, low, curve):
 
 @inline
 def _root(gap, nearing, curve):
-    """The step after which the gap, which shrinks at a rate, has shrunk to curve times the step's square."""
+    """Length of the step after which the gap, closing at the rate `nearing`, is curve times the step's square."""
     below = nearing + np.sqrt(nearing * nearing + 4.0 * curve * gap)
     return 2.0 * gap / below if below > 0.0 else np.inf
 
 
 @njit()
 def _between_pieces(A, B, horizon, margin, tolerance, memory):
-    """Follow two pieces up to a time, at which the bodies are known to touch if it is less than 1.
+    """Follow two pieces until the time `horizon`; if this is less than 1, the bodies are known to touch then.
 
     Returns
     -------
     verdict : int
     free_until : float
-        They are proven free before this time; `horizon` or slightly less if FREE.
+        The pieces are proven free before this time. If the verdict is FREE, it is `horizon`, or slightly less.
     touching_at : float
-        Time at which they touch; inf if none is known.
+        A time at which the pieces touch; inf if none is known.
     rounds : int
     """
     poses, motions = poses_of(memory), motions_of(memory)
@@ -358,14 +358,14 @@ def _between_pieces(A, B, horizon, margin, tolerance, memory):
     speed, bend = rates_between(way_a, arm_a, way_b, arm_b)
     reaches = A.table[A.piece, REACH] + B.table[B.piece, REACH]
     slack = TURN_ROUNDINGS * reaches + PLACE_ROUNDINGS * (way_a[SIZE] + way_b[SIZE])
-    # The error of a rotation also stretches radii.
+    # The error of a rotation also stretches the rounding radii.
     far = margin + swollen_radii(A, B) * (1.0 + TURN_ROUNDINGS) + slack
     surface = is_surface(A) or is_surface(B)
-    if surface:  # only this speed proves steps of surfaces, see `_nearing_speed`
+    if surface:  # Only this speed proves steps of surfaces, see `_nearing_speed`.
         speed = _nearing_speed(A, way_a, B, way_b)
     t, at, hit, turning = 0.0, 0.0, np.inf, 0.0
     gap, above, nearing, normal = np.inf, np.inf, 0.0, (0.0, 0.0, 0.0)
-    # The last plane that was not proven from t; it is often proven from a time in between.
+    # Keep the last plane that did not prove the step from t; it often proves the step from a later t.
     later, later_gap, later_above, later_nearing, later_normal = np.inf, 0.0, np.inf, 0.0, normal
     _place(motions, 0.0, poses)
     n = minus(plus(shift_between(A, B), _middle(B)), _middle(A))
@@ -373,7 +373,7 @@ def _between_pieces(A, B, horizon, margin, tolerance, memory):
         w = at - t
         if r > 0:
             _place(motions, at, poses)
-            if at >= horizon and not surface:  # the current plane often proves the rest of the motion
+            if at >= horizon and not surface:  # The current plane often proves the rest of the motion.
                 shift = shift_between(A, B)
                 low, _, _ = _gap_along(A, B, shift, normal, rounding_error(A, B, shift))
                 if min(gap, low - far) > lost_between(speed, bend, 0.0, w):
@@ -389,7 +389,7 @@ def _between_pieces(A, B, horizon, margin, tolerance, memory):
                 change = _turned(n, normal)
                 lost = lost_between(speed, bend, change, w)
                 proven = proven or min(gap, low) > lost
-                # The curvature that would explain the error of the last step's model.
+                # This curvature would explain why the model of the last step predicted a larger gap.
                 curve = (lost + max(gap - nearing * w - low, 0.0)) / (w * w)
                 if proven:
                     turning = change / w
@@ -409,7 +409,8 @@ def _between_pieces(A, B, horizon, margin, tolerance, memory):
         # Even at full speed, the gap does not close before t + gap / speed.
         if (hit - t) * speed - gap <= tolerance:
             return COLLIDING, min(t + gap / speed, hit), hit, r
-        if horizon < 1.0 and (horizon - t) * speed <= tolerance:  # t is within the tolerance of the known contact
+        # The time t is within the tolerance of the known contact.
+        if horizon < 1.0 and (horizon - t) * speed <= tolerance:
             return FREE, min(t + gap / speed, horizon), np.inf, r
         if proven:
             w = _root(gap, nearing, SHARE * (bend + 2.0 * turning * speed))
@@ -418,8 +419,8 @@ def _between_pieces(A, B, horizon, margin, tolerance, memory):
             if nearing > 0.0:
                 due, before = gap / nearing, BEFORE * tolerance / speed
                 last = (LAST * tolerance + gap) / speed
-                # Go beyond the expected contact, by at most the time until it: a search that cannot settle such a
-                # shallow contact can settle a contact that is nearer to touching.
+                # Step past the expected contact, by at most the time until it. A search that cannot settle such a
+                # shallow contact can settle one that is nearer to touching.
                 w = min(0.5 * (due + last), 2.0 * due) if due + before <= last else min(w, due - before)
         else:
             w = _reduced(w, gap, nearing, low, curve) if curve > 0.0 else 0.5 * w
@@ -437,7 +438,7 @@ def _between_pieces(A, B, horizon, margin, tolerance, memory):
 
 @njit()
 def _between_bodies(a, ia, b, ib, margin, tolerance, memory):
-    """As `_between_pieces`, for two bodies; both motions are in memory."""
+    """Follow two bodies, whose motions are in memory, as `_between_pieces` follows two pieces."""
     poses, motions = poses_of(memory), motions_of(memory)
     first_a, first_b = a.piece_start[ia], b.piece_start[ib]
     if a.piece_start[ia + 1] - first_a == 1 and b.piece_start[ib + 1] - first_b == 1:
@@ -451,7 +452,7 @@ def _between_bodies(a, ia, b, ib, margin, tolerance, memory):
         far_b = max(far_b, b.table[j, REACH])
     speed, _ = rates_between(motions[0], far_a, motions[1], far_b)
     slack = TURN_ROUNDINGS * (far_a + far_b) + PLACE_ROUNDINGS * (motions[0, SIZE] + motions[1, SIZE])
-    # Pieces that may meet are near each other halfway through the motion.
+    # Start with the pieces that are near each other halfway through the motion, because these are likely to meet.
     _place(motions, 0.5, poses)
     piece_tree.begin(a, ia, poses, 0, b, ib, poses, 1, steps, numbers)
     verdict, free, touching, horizon, rounds = FREE, np.inf, np.inf, 1.0, 0
@@ -477,25 +478,26 @@ def memory_of_first_contacts():
 
 @njit()
 def first_contacts(start, stop, plan, pack_a, Ta0, Ta1, pack_b, Tb0, Tb1, margin, tolerance, memory, times, verdicts):
-    """First contacts of pairs start .. stop.
+    """Find the first contacts of pairs start .. stop.
 
     Parameters
     ----------
     plan, pack_a, pack_b
-        Operands as in `verdicts`.
+        The operands are documented in `verdicts`.
     Ta0, Ta1, Tb0, Tb1 : ndarray, shape (n, 4, 4)
-        Poses at the beginning and at the end of each motion; rigid.
+        Poses at the beginning and at the end of each motion; they must be rigid.
     margin, tolerance : float
     memory : int
-        Address of `MEMORY` to write to; one thread uses it at a time.
+        Address of memory with the layout `MEMORY`, to write to; only one thread may use it at a time.
     times : ndarray, shape (2, n)
-        Receives the times up to which the pairs are free, and at which they touch; inf if they are free.
+        Receives the times until which the pairs are proven free, and the times at which they touch (inf for free
+        pairs).
     verdicts : ndarray of int8, shape (n,)
 
     Returns
     -------
     fault : int
-        2 k or 2 k + 1 if the turn of a or b of pair k has no shorter way, at which the work ends; otherwise -1.
+        2 k or 2 k + 1 if neither way to turn is shorter for a or b of pair k, which ends the work; otherwise -1.
     rounds : int
         Number of searches.
     """

@@ -1,7 +1,7 @@
-"""Verdicts for ranges of pairs: the certificate on lists of piece pairs, then exact searches for the open ones.
+"""Verdicts for ranges of pairs: the certificate for lists of piece pairs, then exact searches for the pairs left open.
 
-The k-th pair of a batch of shape (s0, s1, ...) uses row Σ index_d · stride_d of each operand (two bodies, two pose
-arrays), which broadcasts without copies.
+In a batch of shape (s0, s1, ...), pair k uses row Σ index_d · stride_d of each operand (two bodies, two pose arrays).
+The strides broadcast the operands without copies.
 """
 
 from typing import Any, NamedTuple
@@ -55,26 +55,26 @@ from loewner._kernels.pipeline.workspace import (
 from loewner._kernels.simd.vectors import SINGLE_LANES, prefetch
 from loewner._kernels.trees import piece_tree
 
-# Hints from one block to the next, and flags of `_flush`: FAR if most pairs are far apart, and CLOSE if single
+# Hints that one block passes to the next, also flags of `_flush`. FAR: most pairs are far apart. CLOSE: single
 # precision could not settle most pairs.
 FAR, CLOSE = 1, 2
 
-# Further flags of `_flush`.
-DISTINCT = 4  # no pair of bodies is listed twice, since each body is one piece
-CONSECUTIVE = 8  # the listed pairs are consecutive
-PREFETCHING = 16  # the list `ahead` contains the entries of a later block
-BEST = 32  # the first guesses of s missed the maximum of the contact function, which these pairs need
+DISTINCT = 4  # No pair of bodies is listed twice, because each body is one piece.
+CONSECUTIVE = 8  # The listed pairs are consecutive.
+PREFETCHING = 16  # The list `ahead` contains the entries of a later block.
+BEST = 32  # The listed pairs need the maximum of the contact function, which the first guesses of s missed.
 
-AHEAD = 6  # piece pairs between the prefetch of their vertices and their use
+AHEAD = 6  # The vertices of a piece pair are prefetched AHEAD piece pairs before their use.
 
-LEAD = 2 * BLOCK  # piece pairs between the prefetch of their rows and their use
+LEAD = 2 * BLOCK  # The rows of a piece pair are prefetched LEAD piece pairs before their use.
 
-ENOUGH = BLOCK // 2  # pairs that need the best s are settled once this many have been collected
+ENOUGH = BLOCK // 2  # Pairs that need the best s are settled once ENOUGH have been collected.
 
 
 class Query(NamedTuple):
-    """A query: CERTIFY or EXACT, the margin, and for each operand the handle of its pieces, its poses, and whether any
-    pose moves them."""
+    """A query: the mode (CERTIFY or EXACT) and the margin; for each operand, the handle of its pieces, its poses, and
+    whether any pose moves them.
+    """
 
     mode: Any
     margin: Any
@@ -88,7 +88,7 @@ class Query(NamedTuple):
 
 @inline
 def row_of(k, shape, strides):
-    """Row that an operand contributes to pair k."""
+    """Return the row that an operand contributes to pair k."""
     if shape.shape[0] == 1:
         return k * strides[0]
     row = 0
@@ -102,13 +102,13 @@ def row_of(k, shape, strides):
 
 @inline
 def _entry(array, place):
-    """An entry of a flat array, by an unsigned index: a signed one might count from the end."""
+    """Return an entry of a flat array by an unsigned index, because a signed index might count from the end."""
     return array[np.uint64(place)]
 
 
 @njit()
 def is_identity(T):
-    """Whether an operand has only one pose, and this pose is the identity."""
+    """Return whether an operand has only one pose, which is the identity."""
     if T.shape[0] != 1:
         return False
     for r in range(4):
@@ -143,7 +143,7 @@ def _culled(query, flags, count, single, work):
 
 @njit()
 def _put_aside(count, listed, tier, waiting, unsure):
-    """Append the listed pairs that are UNSURE to a list of `waiting` pairs; return its new length."""
+    """Append the UNSURE pairs to the list `unsure`, which holds `waiting` pairs; return its new length."""
     for lane in range(count):
         if tier[lane] == UNSURE:
             pair_list.copy(unsure, waiting, listed, lane)
@@ -153,9 +153,9 @@ def _put_aside(count, listed, tier, waiting, unsure):
 
 @njit()
 def _improved(query, count, work):
-    """Certify UNSURE lanes again, at the maximum of the contact function; return False for a faulty pose."""
+    """Certify UNSURE lanes again, at the maximum of the contact function; return False if a pose is not rigid."""
     a, b = pieces_of(query.a), pieces_of(query.b)
-    again = ahead_of(work)  # the pairs listed there have been prefetched by now
+    again = ahead_of(work)  # The pairs listed here have already been prefetched.
     unsure = _put_aside(count, listed_of(work), tier_of(work), 0, again)
     fill(again, unsure)
     tiers = np.empty(BLOCK, np.int8)
@@ -176,18 +176,18 @@ def _improved(query, count, work):
 
 @njit()
 def _search(query, turn, count, fresh, last, work, out, tally):
-    """Settle the open piece pairs held in one half of the list by the exact searches.
+    """Settle the open piece pairs in one half of the list by the exact searches.
 
-    Pairs of small polytopes that no plane separates at once wait for the batch GJK until they fill registers. None
-    remain if these are the last.
+    Pairs of small polytopes that no plane separates at once wait until enough have been collected to fill the registers
+    of the batch GJK. If `last` is 1, none are left waiting.
 
     Parameters
     ----------
     turn, count : int
-        The half, and its number of pairs.
+        The half, and the number of its pairs.
     fresh : int
-        Number of pairs in the other half, whose vertices are prefetched between the searches, which a burst would
-        delay.
+        Number of pairs in the other half. The vertices of such pairs are prefetched between the searches, because a
+        burst of prefetches would delay the searches.
     last : int
         1 if these are the last pairs, otherwise 0.
     """
@@ -265,7 +265,7 @@ def _search_one(query, k, i, j, ka, kb, normal, work, out, tally):
         query.a, i, query.poses_a, ka, query.b, j, query.poses_b, kb, query.margin, normal, NO_LIMIT, exact_of(work)
     )
     tally[tier] += 1
-    # Another pair of pieces of the same bodies may have been found colliding meanwhile.
+    # Meanwhile, another piece pair of the same bodies may have been found colliding.
     if verdict != FREE and out[k] != COLLIDING:
         out[k] = verdict
 
@@ -275,15 +275,16 @@ def _flush(query, flags, count, work, out, tally):
     """Certify the listed piece pairs and merge them into the verdicts of their pairs.
 
     Open pairs are held for the exact search in one half of a list while the next block is certified, so that their
-    vertices arrive meanwhile. The few that need the best s wait until they fill registers, and so do pairs for the
-    batch GJK (see `_search`). If the list is not DISTINCT nothing waits: an immediate result may save the rest.
+    vertices arrive meanwhile. The few pairs that need the best s wait until they fill registers, and so do pairs for
+    the batch GJK (see `_search`). If the list is not DISTINCT, no pair waits: an immediate result may make the other
+    piece pairs unnecessary.
 
     Returns
     -------
     rigid : bool
         Whether all poses are rigid motions.
     hints : int
-        FAR | CLOSE, which determine how the next block starts.
+        FAR | CLOSE; the hints determine how the next block starts.
     """
     a, b = pieces_of(query.a), pieces_of(query.b)
     Ta, Tb = borrowed(query.poses_a), borrowed(query.poses_b)
@@ -332,7 +333,7 @@ def _flush(query, flags, count, work, out, tally):
                     a, listed.piece_a[lane], Ta, listed.pose_a[lane], b, listed.piece_b[lane], Tb, listed.pose_b[lane],
                     query.margin,
                 )  # fmt: skip
-    # Avoid branches, since the result of the next pair is unpredictable.
+    # The loops avoid branches, because the result of the next pair is unpredictable.
     far, outer, inner, left = total - count, 0, 0, 0
     for lane in range(count):
         far += tier[lane] == BY_SPHERE
@@ -344,7 +345,7 @@ def _flush(query, flags, count, work, out, tally):
     tally[BY_INNER] += inner
     unsettled = np.int8(FREE if query.mode == EXACT else AMBIGUOUS)
     if flags & CONSECUTIVE and count == total:
-        begin = np.uint64(listed.pair[0])  # unsigned for the reason given in `pair_list`
+        begin = np.uint64(listed.pair[0])  # The index is unsigned for the reason given in `pair_list`.
         for lane in range(count):
             verdict = np.int8(COLLIDING) * (tier[lane] == BY_INNER) + unsettled * (tier[lane] == OPEN)
             out[begin + np.uint64(lane)] = verdict
@@ -372,7 +373,7 @@ def _flush(query, flags, count, work, out, tally):
 def _hold(a, b, count, turn, work):
     """Copy the OPEN pairs, with their normals, to one half of the list of held pairs; return their number."""
     listed, tier, held, at, way = listed_of(work), tier_of(work), held_of(work), turn * BLOCK, turn * (3 * BLOCK)
-    # First find where the open pairs are: few pairs are open, but each takes much copying.
+    # Find the open pairs first: few pairs are open, but copying a pair takes many instructions.
     open_pairs = 0
     for lane in range(count):
         held.pair[np.uint64(at + open_pairs)] = lane
@@ -397,9 +398,9 @@ def _steps(row, at, more, first, step):
 
 @inline
 def _progressions(work, at, more, k, first, step):
-    """List pairs k .. k + more, whose rows of bodies and poses are arithmetic progressions, and the later ones.
+    """List pairs k .. k + more, whose rows of bodies and poses are arithmetic progressions; list later ones in `ahead`.
 
-    Past the end of an axis the later entries are unused, and prefetching them does no harm.
+    Later entries beyond the end of an axis are not used, and prefetching them does no harm.
     """
     listed, ahead = listed_of(work), ahead_of(work)
     _steps(listed.pair, at, more, k, 1)
@@ -415,7 +416,7 @@ def _progressions(work, at, more, k, first, step):
 
 @inline
 def _picked(row, later, more, rows, side, k, stop, step):
-    """Write the rows used by pairs k .. k + more, which are listed by number, to the start of a row, and later ones."""
+    """Write the listed rows for pairs k .. k + more to the start of `row`, and the rows of later pairs to `later`."""
     begin = np.uint64(k)
     for lane in range(more):
         row[np.uint64(lane)] = rows[side, begin + np.uint64(lane)] * step
@@ -425,7 +426,7 @@ def _picked(row, later, more, rows, side, k, stop, step):
 
 @inline
 def rows_of(k, shape, rows, body_a, body_b, pose_a, pose_b):
-    """Rows of a, b and their poses that belong to pair k."""
+    """Return the rows of a, b and their poses for pair k."""
     if rows.shape[1] > 0:
         return rows[0, k] * body_a[0], rows[1, k] * body_b[0], rows[0, k] * pose_a[0], rows[1, k] * pose_b[0]
     return row_of(k, shape, body_a), row_of(k, shape, body_b), row_of(k, shape, pose_a), row_of(k, shape, pose_b)
@@ -435,7 +436,7 @@ def rows_of(k, shape, rows, body_a, body_b, pose_a, pose_b):
 def settle_range(mode, margin, start, stop, plan, rows, pack_a, Ta, pack_b, Tb, out, tally, memory):
     """Settle pairs start .. stop.
 
-    A single function does everything, including single pairs: each further caller would be compiled with all of it
+    One function handles all cases, including single pairs: each additional caller would be compiled with all of it
     again.
 
     Parameters
@@ -443,26 +444,26 @@ def settle_range(mode, margin, start, stop, plan, rows, pack_a, Ta, pack_b, Tb, 
     mode : int
         CERTIFY or EXACT.
     margin : float
-        Distance that pairs must keep, >= 0.
+        Distance that pairs must keep; at least 0.
     plan : ndarray of int64, shape (5, d)
-        Batch shape, then the strides, in rows, of a, Ta, b and Tb along its axes.
+        The batch shape, followed by the strides, in rows, of a, Ta, b and Tb along the axes of the batch.
     rows : ndarray of int64, shape (2, m) or (2, 0)
-        If not empty, pair k has a's row rows[0, k] and b's row rows[1, k], and d is 1; strides are then steps from one
-        such row to the next.
+        If not empty, pair k takes row rows[0, k] of a and row rows[1, k] of b, and d is 1; strides then lead from one
+        listed row to the next.
     pack_a, pack_b : int
         Handles of packed pieces, see `pieces.pack`.
     Ta, Tb : ndarray, shape (..., 4, 4), one batch axis
     out : ndarray of int8
-        Receives the verdicts; AMBIGUOUS in mode EXACT means that the search did not settle the pair.
+        Receives the verdicts. In mode EXACT, AMBIGUOUS means that the search did not settle the pair.
     tally : ndarray of int64, shape (TIERS,)
-        The numbers of piece pairs settled by each tier are added here.
+        The number of piece pairs settled by each tier is added to this array.
     memory : int
-        Address of `workspace.SIZE` scratch bytes; one thread uses them at a time.
+        Address of `workspace.SIZE` scratch bytes; only one thread may use them at a time.
 
     Returns
     -------
     bool
-        False if one of the poses is not a rigid motion; no result is then valid.
+        False if one of the poses is not a rigid motion; in that case, no result is valid.
     """
     work = memory
     carried_of(work)[:] = 0
@@ -470,7 +471,7 @@ def settle_range(mode, margin, start, stop, plan, rows, pack_a, Ta, pack_b, Tb, 
     a, b = pieces_of(pack_a), pieces_of(pack_b)
     shape, body_a, pose_a, body_b, pose_b = plan[0], plan[1], plan[2], plan[3], plan[4]
     if len(a.piece_start) == len(a.layout) + 1 and len(b.piece_start) == len(b.layout) + 1:
-        # With one piece per body, there is nothing to look up.
+        # With one piece per body, no lookup is needed.
         listed, ahead, carried = listed_of(work), ahead_of(work), carried_of(work)
         last = shape.shape[0] - 1
         step = body_a[last], body_b[last], pose_a[last], pose_b[last]
@@ -500,7 +501,8 @@ def settle_range(mode, margin, start, stop, plan, rows, pack_a, Ta, pack_b, Tb, 
                 return False
             waiting = carried[N_UNSURE]
             if waiting >= ENOUGH or (waiting > 0 and k == stop):
-                # The waiting pairs replace this block; their results do not predict the results of later blocks.
+                # The waiting pairs replace this block. The results of waiting pairs must not become hints, because they
+                # do not predict the results of later blocks.
                 carried[N_UNSURE] = 0
                 for lane in range(waiting):
                     pair_list.copy(listed, lane, unsure_of(work), lane)
@@ -510,7 +512,7 @@ def settle_range(mode, margin, start, stop, plan, rows, pack_a, Ta, pack_b, Tb, 
             _search(query, carried[HALF], carried[N_HELD], 0, 1, work, out, tally)
         return True
 
-    # If one body has many pieces, the trees are used.
+    # If a body has many pieces, use the trees.
     steps = np.empty(piece_tree.STEPS, np.int64)
     numbers = np.empty(piece_tree.NUMBERS)
     found_a = np.empty(BLOCK, np.int64)
@@ -518,7 +520,7 @@ def settle_range(mode, margin, start, stop, plan, rows, pack_a, Ta, pack_b, Tb, 
     hints, filled = 0, 0
     for k in range(start, stop):
         ia, ib, ka, kb = rows_of(k, shape, rows, body_a, body_b, pose_a, pose_b)
-        # The trees may leave no piece pair at all; the poses would then remain unchecked.
+        # Check the poses here, because the trees may leave no piece pair whose test would check them.
         if (a.roots[ia] >= 0 or b.roots[ib] >= 0) and (fault(Ta[ka])[0] != RIGID or fault(Tb[kb])[0] != RIGID):
             return False
         out[k] = FREE

@@ -1,7 +1,7 @@
-"""Scratch memory of the stages of a query, which the caller owns, so that no query allocates.
+"""Scratch memory for the stages of a query; the caller owns it, so that no query allocates.
 
-Only the address is passed from function to function, and each takes the fields that it uses: a record of arrays costs
-Numba a second of compilation for every call that passes it.
+Functions pass only the address, and each takes the fields that it uses. A record of arrays would cost Numba a second of
+compilation in every call that passes it.
 """
 
 from loewner._kernels._jit import njit
@@ -9,23 +9,24 @@ from loewner._kernels.narrow import exact, gjk_batch, pair_list
 from loewner._kernels.narrow.certificate import BLOCK
 from loewner._kernels.simd.memory import Arena, floats, integers, raw, small_integers
 
-# Entries of `carried_of`: the number of pairs held for the search, and their half of the list; the number of pairs
-# waiting for the s at the maximum of the contact function, and of pairs waiting for the batch GJK.
+# Entries of `carried_of`: the number of pairs held for the search, the half of the list that holds them, the number of
+# pairs waiting for the maximum of the contact function, and the number waiting for the batch GJK.
 N_HELD, HALF, N_UNSURE, N_WALKING, CARRIED = 0, 1, 2, 3, 4
 
 MEMORY = Arena(
-    listed=pair_list.arena(BLOCK),  # the piece pairs of a block
-    ahead=pair_list.arena(BLOCK),  # pairs that a later block will need, to be prefetched
-    unsure=pair_list.arena(BLOCK),  # pairs that wait for a certificate at the best s
-    held=pair_list.arena(2 * BLOCK),  # pairs waiting for the exact search: one half is searched, the other is filled
-    tier=small_integers(BLOCK),  # the certificate's result for each listed pair
-    normals=floats(3 * BLOCK),  # contact normals that the certificate writes: all x, all y, all z
-    held_normals=floats(2 * 3 * BLOCK),  # normals of the held pairs
-    carried=integers(CARRIED),  # numbers that one block hands to the next
+    listed=pair_list.arena(BLOCK),  # The piece pairs of a block.
+    ahead=pair_list.arena(BLOCK),  # Pairs that a later block will need, to be prefetched.
+    unsure=pair_list.arena(BLOCK),  # Pairs waiting to be certified at the maximum of the contact function.
+    # Pairs waiting for the exact search: one half is searched while the other half is filled.
+    held=pair_list.arena(2 * BLOCK),
+    tier=small_integers(BLOCK),  # The result of the certificate for each listed pair.
+    normals=floats(3 * BLOCK),  # Contact normals that the certificate writes: first all x, then all y, then all z.
+    held_normals=floats(2 * 3 * BLOCK),  # Contact normals of the held pairs.
+    carried=integers(CARRIED),  # Numbers that one block passes to the next.
     walk=raw(gjk_batch.WORKSPACE.size()),
     exact=raw(exact.SIZE),
 )
-SIZE = MEMORY.size()  # bytes
+SIZE = MEMORY.size()  # Size of the memory in bytes.
 listed_of, ahead_of, unsure_of, held_of, tier_of, normals_of, held_normals_of, carried_of, walk_of, exact_of = (
     MEMORY.accessors("listed ahead unsure held tier normals held_normals carried walk exact")
 )
@@ -33,5 +34,5 @@ listed_of, ahead_of, unsure_of, held_of, tier_of, normals_of, held_normals_of, c
 
 @njit()
 def workspace_size():
-    """Number of bytes of a query's memory."""
+    """Number of bytes of memory that a query needs."""
     return SIZE

@@ -1,8 +1,8 @@
 """Brakes: the shortest stop of each joint in its own time, and stops on a path of straight motions.
 
-Each brake is written as states at the times at which a rate of a joint jumps: positions, and the velocities and
-accelerations from then on. From one state to the next, accelerations change linearly, so a piece follows from its first
-state and from the position at its end.
+A brake is written as states at the times at which a velocity, an acceleration or its rate jumps: positions, velocities,
+and accelerations from then on. Between two states, accelerations change linearly, so that a piece follows from its
+first state and from the position at its end.
 """
 
 import numpy as np
@@ -10,14 +10,14 @@ import numpy as np
 from loewner._kernels._jit import inline, njit
 from loewner._kernels.tolerances import UNIT_ROUNDOFF
 
-# Times closer together than NEAR times a brake's duration are merged, since rounding would affect a piece of this
+# Times closer together than NEAR times a brake's duration are merged, because rounding would affect a piece of this
 # length.
 NEAR = 1e-9
 
 # Largest number of Newton or bisection steps in the search for the time at which a distance is covered.
 STEPS = 64
 
-# Allowed error, relative to the values, of the deviation between a brake and a single course for the whole brake.
+# Allowed error, relative to the values, in the deviation between a brake and a single course for the whole brake.
 WHOLE_ROUNDINGS = 128.0 * UNIT_ROUNDOFF  # certified.md, "Gates", derives 63 roundings
 
 
@@ -29,18 +29,18 @@ def stop_phases(v, a, strongest, jerk):
     ----------
     v, a : float
     strongest, jerk : float
-        Largest acceleration, and its largest rate; infinite if it may jump.
+        Largest acceleration, and its largest rate, which is infinite if accelerations may jump.
 
     Returns
     -------
     sign, peak : float
         During the second phase, the acceleration is -sign * peak.
     ramp, flat, back : float
-        Durations of the three phases: the acceleration changes towards the peak, stays, and returns to zero.
+        Durations of the three phases: the acceleration changes to its peak, stays there, and returns to zero.
     """
     if jerk == np.inf:
         return np.sign(v), strongest, 0.0, (abs(v) / strongest if v != 0.0 else 0.0), 0.0
-    rest = v + a * abs(a) / (2.0 * jerk)  # the velocity at which the acceleration merely returns to zero
+    rest = v + a * abs(a) / (2.0 * jerk)  # At the velocity `rest`, the acceleration only has to return to zero.
     sign = np.sign(rest) if rest != 0.0 else np.sign(a)
     v, a = sign * v, sign * a
     strongest = max(strongest, -a)
@@ -53,13 +53,13 @@ def stop_phases(v, a, strongest, jerk):
 
 @inline
 def _moved(q, v, a, jerk, t):
-    """Position, velocity and acceleration after a time with constant jerk."""
+    """Return position, velocity and acceleration after a time with constant jerk."""
     return q + t * (v + t * (a / 2.0 + t * jerk / 6.0)), v + t * (a + t * jerk / 2.0), a + t * jerk
 
 
 @inline
 def _joint_at(q, v, a, strongest, jerk, t):
-    """State of a braking joint: position, velocity and acceleration from then on."""
+    """Return position and velocity of a braking joint at a time, and its acceleration from then on."""
     sign, peak, ramp, flat, back = stop_phases(v, a, strongest, jerk)
     steep = 0.0 if jerk == np.inf else sign * jerk
     near = NEAR * (ramp + flat + back)
@@ -81,7 +81,7 @@ def _joint_at(q, v, a, strongest, jerk, t):
 
 @inline
 def _distinct(times, count):
-    """Sort times, merge times that are near to each other with the last one, and return their number."""
+    """Sort times, merge groups of near times into the last time of each group, and return the number of times left."""
     for k in range(1, count):
         t, m = times[k], k
         while m > 0 and times[m - 1] > t:
@@ -90,7 +90,7 @@ def _distinct(times, count):
         times[m] = t
     kept, near = 1, NEAR * times[count - 1]
     for k in range(1, count):
-        # A joint that comes to rest at once gets its own piece, however short; on a longer piece, it would move.
+        # A joint that comes to rest at once gets its own piece, however short, because it would move on a longer piece.
         if times[k] - times[kept - 1] > near or (kept == 1 and times[k] > 0.0):
             kept += 1
         if kept > 1:
@@ -105,16 +105,16 @@ def brakes_by_joint(Q, V, A, strongest, jerk, times, states, counts):
     Parameters
     ----------
     Q, V, A : ndarray, shape (n, dof)
-        Positions, velocities and accelerations where each brake begins; accelerations count only for joints whose jerk
-        is limited.
+        Positions, velocities and accelerations at the beginning of each brake. Accelerations count only for joints
+        whose jerk is limited.
     strongest, jerk : ndarray, shape (dof,)
-        Limits; infinite jerk: none.
+        Limits of the acceleration and its rate; an infinite rate means no limit.
     times : ndarray, shape (n, 3 dof + 1)
-        Seconds since a brake began, which are written; the first is 0.
+        Receives the seconds since a brake began; the first entry is 0.
     states : ndarray, shape (n, 3 dof + 1, 3, dof)
-        Positions, velocities and accelerations from these times on, which are written.
+        Receives the positions and velocities at these times, and the accelerations from then on.
     counts : ndarray of int64, shape (n,)
-        Number of times of each brake, which is written: its pieces and one.
+        Receives the number of times of each brake, which is the number of its pieces plus one.
     """
     for n in range(len(Q)):
         count = 1
@@ -134,7 +134,7 @@ def brakes_by_joint(Q, V, A, strongest, jerk, times, states, counts):
 
 @inline
 def _limits_on(rows, at, k, strongest, jerk):
-    """Limits of the second and third derivative of the path's time, on one straight motion."""
+    """Limits on the second and third derivatives of the path's time on one straight motion."""
     gain, steep = np.inf, np.inf
     for c in range(rows.shape[1]):
         rate = abs(rows[k + 1, c] - rows[k, c]) / (at[k + 1] - at[k])
@@ -145,7 +145,7 @@ def _limits_on(rows, at, k, strongest, jerk):
 
 @inline
 def _time_to(way, v, a, jerk, T):
-    """The time, up to T, at which a speed that does not rise has covered a distance."""
+    """Time, at most T, after which a speed that does not rise has covered a distance."""
     low, high, t = 0.0, T, min(way / v, T)
     for _ in range(STEPS):
         off, speed, _ = _moved(-way, v, a, jerk, t)
@@ -164,7 +164,7 @@ def _time_to(way, v, a, jerk, T):
 
 @inline
 def _write_state(state, rows, at, k, s, v, a):
-    """Write the state at a time of the path, with its rate and the rate's rate, from motion k on."""
+    """Write the state at time s of the path on motion k, given the rate v of the path's time and its derivative a."""
     step = at[k + 1] - at[k]
     share = max((s - at[k]) / step, 0.0)
     if k + 2 < len(at):
@@ -176,13 +176,13 @@ def _write_state(state, rows, at, k, s, v, a):
 
 @njit()
 def _stop_motion_by_motion(rows, at, begin, first, strongest, beyond, times, states):
-    """Write a brake without limits of jerk: on each motion, the rate falls as fast as the limits allow.
+    """Write a brake without limits of jerk: on each motion, the path's time slows down as fast as the limits allow.
 
     Returns
     -------
     count : int
     needed : int
-        As `brakes_on_path` writes them.
+        The entries of `counts` and `needed`, see `brakes_on_path`.
     """
     count, begun, s, v = 0, 0.0, begin, 1.0
     for k in range(first, len(at) - 1):
@@ -207,13 +207,13 @@ def _stop_motion_by_motion(rows, at, begin, first, strongest, beyond, times, sta
 
 @njit()
 def _stop_at_one_rate(rows, at, begin, first, strongest, jerk, beyond, times, states):
-    """Write a brake with limits of jerk: the limits of all motions that it enters hold on all of them.
+    """Write a brake with limits of jerk: the limits of every motion that it enters hold for the whole brake.
 
     Returns
     -------
     count : int
     needed : int
-        As `brakes_on_path` writes them.
+        The entries of `counts` and `needed`, see `brakes_on_path`.
     """
     motions = len(at) - 1
     gain, steep = _limits_on(rows, at, first, strongest, jerk)
@@ -247,9 +247,9 @@ def _stop_at_one_rate(rows, at, begin, first, strongest, jerk, beyond, times, st
                 break
             cut = _time_to(at[k + 1] - s, v, a, push, T)
             k += 1
-            if cut - gone <= near:  # the part on the previous motion takes no time
+            if cut - gone <= near:  # The part on the previous motion takes no time.
                 count -= 1
-            if T - cut <= near:  # the next phase begins on the next motion
+            if T - cut <= near:  # The next phase begins on the next motion.
                 break
             gone = cut
         s, v, begun = end[0], end[1], begun + T
@@ -260,27 +260,28 @@ def _stop_at_one_rate(rows, at, begin, first, strongest, jerk, beyond, times, st
 
 @njit()
 def brakes_on_path(rows, at, begins, strongest, jerk, beyond, times, states, counts, needed):
-    """Write brakes on a path of straight motions, from each of some times on: the path's time runs slower, and stops.
+    """Write brakes on a path of straight motions, one from each given time: the path's time slows down and stops.
 
-    The time s of the path begins at the rate 1. Its second and third derivatives are limited by the joint that allows
-    least on a motion, so that accelerations within each motion, and their rates, are within the limits of all joints.
-    Velocities jump at rows, where the path has corners.
+    The time s of the path begins at the rate 1. On each motion, the joint that allows least limits the second and third
+    derivatives of s, so that accelerations within the motion, and their rates, are within the limits of all joints.
+    Velocities jump at rows, because the path has corners there.
 
     Parameters
     ----------
     rows : ndarray, shape (k, dof)
     at : ndarray, shape (k,)
-        When the robot is at each row without a brake; increasing.
+        Times at which the robot passes each row without a brake; increasing.
     begins : ndarray, shape (n,)
-        Times of the path when a brake begins; from the first of `at` to the last.
+        Times of the path at which a brake begins, between the first and the last entry of `at`.
     strongest, jerk : ndarray, shape (dof,)
-        As for `brakes_by_joint`; without limits of jerk, all are infinite.
+        Documented in `brakes_by_joint`; without limits of jerk, all entries of `jerk` are infinite.
     beyond : bool
-        Whether brakes may go on along the last motion after the last row.
+        Whether a brake may continue beyond the last row, along the last motion.
     times, states, counts : ndarray, shape (n, k + 4), (n, k + 4, 3, dof) and (n,)
-        Written as by `brakes_by_joint`. The count is 0 if a brake does not end by the last row.
+        Receive the arrays that `brakes_by_joint` writes. The count is 0 if a brake does not end by the last row.
     needed : ndarray of int64, shape (n,)
-        Index of the row by which each brake ends, k if there is none. Later rows change nothing.
+        Receives the index of the row by which each brake ends, or k if it does not end by the last row. Later rows do
+        not affect the brake.
     """
     limited = False
     for c in range(len(jerk)):
@@ -304,15 +305,15 @@ def courses_of_brakes(times, states, counts, courses, seconds):
     Parameters
     ----------
     times, states, counts : ndarray
-        As `brakes_by_joint` writes them.
+        The arrays that `brakes_by_joint` writes.
     courses : ndarray, shape (m, degree + 1, dof)
-        Control points: of degree 2 if accelerations are constant on each piece, otherwise of degree 3.
+        Receives control points: of degree 2 if accelerations are constant on each piece, otherwise of degree 3.
     seconds : ndarray, shape (m,)
 
     Returns
     -------
     int
-        The number of pieces.
+        Number of pieces.
     """
     made, degree = 0, courses.shape[1] - 1
     for n in range(len(counts)):
@@ -337,13 +338,13 @@ def _between(p, q, x):
 
 @inline
 def _blossom(p, q, r, x, y):
-    """The quadratic form of three control points at two fractions."""
+    """Blossom of the curve with three control points: its symmetric form at two fractions."""
     return _between(_between(p, q, x), _between(q, r, x), y)
 
 
 @inline
 def _part(course, first, last, c):
-    """The control points of one value of a course between two fractions; the third one counts for a cubic only."""
+    """Control points of one value of a course between two fractions; in a quadratic, the third does not count."""
     p, q, r = course[0, c], course[1, c], course[2, c]
     if len(course) == 3:
         ahead = _blossom(p, q, r, first, last)
@@ -359,18 +360,19 @@ def _part(course, first, last, c):
 
 @njit()
 def whole_brakes(times, states, counts, until, courses, off):
-    """Write one course for each brake, and by how much the brake deviates from it at the same fraction.
+    """Write one course for each whole brake, and bounds on the brake's deviation from the course at the same fraction.
 
     Parameters
     ----------
     times, states, counts : ndarray
-        As `brakes_by_joint` writes them.
+        The arrays that `brakes_by_joint` writes.
     until : ndarray, shape (n,)
-        Seconds since each brake began until which it rests, if they are more than it takes.
+        Times, in seconds since each brake began, until which the robot rests after the brake; a time before the end of
+        the brake has no effect.
     courses : ndarray, shape (n, degree + 1, dof)
-        Control points, which are written; of degrees as in `courses_of_brakes`.
+        Receives control points, with the degrees of `courses_of_brakes`.
     off : ndarray, shape (n, dof)
-        Bounds on the deviation of each value, which are written.
+        Receives bounds on the deviation of each value.
     """
     degree = courses.shape[1] - 1
     for n in range(len(counts)):

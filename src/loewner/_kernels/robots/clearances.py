@@ -1,9 +1,9 @@
-"""A smooth lower bound on a robot's distance from contact and its gradient, at many configurations; other gradients.
+"""A smooth lower bound on a robot's distance from contact, and its gradient; gradients of the distances of pairs.
 
-The bound is a soft minimum, -softness log Σ exp(-gap/softness), of the gaps of the outer ellipsoids of all pairs of
-pieces along the contact normals; it is below the least gap. Eight configurations are processed side by side, and pairs
-of pieces in runs; the previous sum is scaled when a run has a smaller gap. A pair whose gap exceeds the least by more
-than FAR times the softness is ignored: its share would be lost in rounding.
+The bound is a soft minimum, -softness log Σ exp(-gap/softness), of the gaps along the contact normals between the outer
+ellipsoids of all pairs of pieces; it is below the least gap. Eight configurations are processed side by side, and pairs
+of pieces in runs. If a run has a smaller gap, the previous sum is scaled. A pair whose gap exceeds the least gap by
+more than FAR times the softness is ignored, because its term would be lost in rounding.
 """
 
 import math
@@ -60,13 +60,16 @@ FAR = 40.0
 # rounding errors are far smaller.
 CAREFUL = 1e-9
 
-RUN = 1024  # pairs of pieces in a run
+RUN = 1024  # A run has up to RUN pairs of pieces.
 
-_ROW = 10  # numbers of an ellipsoid: center, shape matrix, lengths from which they are computed
-_BODY = 7  # numbers of a body: middle of its ellipsoids' centers, their distance from it, extreme semi-axes, reach
-_MIDDLE = 4  # vectors of a body: this middle in the world, and the lengths from which it is computed
-_ENTRY = 2  # vectors of a pair of pieces in a run: gap, and the s at the maximum of F
-_WHICH = 4  # integers of a pair: bodies and pieces
+# An ellipsoid takes _ROW numbers: its center, its shape matrix, and the sum of the lengths that determine both.
+_ROW = 10
+# A body takes _BODY numbers: the middle of its ellipsoids' centers, the largest distance of a center from this middle,
+# the extreme semi-axes, and the reach.
+_BODY = 7
+_MIDDLE = 4  # A body takes _MIDDLE vectors: this middle in the world, and the sum of the lengths that determine it.
+_ENTRY = 2  # A pair of pieces in a run takes _ENTRY vectors: the gap, and the s at the maximum of F.
+_WHICH = 4  # A pair of pieces takes _WHICH integers: its bodies and its pieces.
 _LEAST, _SUM, _TOTALS = 0, LANES, 2 * LANES
 
 
@@ -120,7 +123,7 @@ def _center_of(hot, piece):
 
 
 class _Ellipsoids(NamedTuple):
-    """Ellipsoids of a piece at eight configurations, in the world; `size` is the lengths that determine the center."""
+    """Ellipsoids of a piece at eight configurations, in the world; `size` is the sum of lengths for the center."""
 
     center: Any
     shape: Any
@@ -198,7 +201,7 @@ def _stand(pack, problem_handle, memory, dof):
 def _place_links(problem, to, Q, first, last):
     """Compute the poses of the links at the configurations first .. last, at most eight."""
     for lane in range(LANES):
-        to.rows[lane] = min(first + lane, last)  # padded with repeats of the last configuration
+        to.rows[lane] = min(first + lane, last)  # Repeats of the last configuration pad the rows.
     place_links(problem.tree, Q, to.rows, 0, to.links)
 
 
@@ -228,10 +231,10 @@ def _place(pack, problem_handle, memory, Q, first, last):
 
 @inline
 def _all_far(growth, thinnest, lengths, cut):
-    """Whether gaps are above the cut at all eight configurations, given the growth at which the ellipsoids touch.
+    """Return whether gaps exceed the cut at all eight configurations, given the growth at which ellipsoids touch.
 
-    The gap is the sum of both widths along the normal times the growth minus one, and no width is below a semi-axis.
-    This decides nothing for ellipsoids that may overlap.
+    A gap is the sum of both widths along the normal, times the growth minus one, and no width is below a semi-axis. For
+    ellipsoids that may overlap, the growth decides nothing.
     """
     gap = (growth - 1.0) * (thinnest * (1.0 - CAREFUL))
     return movemask((gap > cut + CAREFUL * lengths) & (gap > CAREFUL * lengths)) == ALL
@@ -239,7 +242,7 @@ def _all_far(growth, thinnest, lengths, cut):
 
 @inline
 def _bodies_far(to, a, b, cut):
-    """Whether all gaps between the pieces of two bodies are above the cut at all eight configurations."""
+    """Return whether all gaps between the pieces of two bodies exceed the cut at all eight configurations."""
     at, of = a * (_MIDDLE * LANES), b * (_MIDDLE * LANES)
     r = minus(_three_vectors(to.middles, of), _three_vectors(to.middles, at))
     lengths = load(to.middles, at + 3 * LANES) + load(to.middles, of + 3 * LANES)
@@ -252,9 +255,9 @@ def _bodies_far(to, a, b, cut):
 
 @inline
 def _pieces_far(a, b, r, thinnest, cut):
-    """Whether the gaps of two pieces are above the cut at all eight configurations.
+    """Return whether the gaps of two pieces exceed the cut at all eight configurations.
 
-    They touch at a growth of at least |r| over their widths along r (Cauchy-Schwarz).
+    Two ellipsoids touch at a growth of at least |r| over their widths along r (Cauchy-Schwarz).
     """
     widths = sqrt(dot(apply_symmetric(a.shape, r), r)) + sqrt(dot(apply_symmetric(b.shape, r), r))
     return _all_far(dot(r, r) / widths, thinnest, a.size + b.size, cut)
@@ -271,7 +274,7 @@ def _sum_up(count, gradient, softness, pack, problem_handle, memory, dof):
     for k in range(count):
         least = minimum(load(to.entries, k * (_ENTRY * LANES)), least)
     store(to.totals, _LEAST, least)
-    scale = decays((least - before) / softness)  # the previous sum is relative to the previous least gap
+    scale = decays((least - before) / softness)  # The previous sum is relative to the previous least gap.
     total = load(to.totals, _SUM) * scale
     if gradient:
         for k in range(WRENCH * problem.tree.parent.size):
@@ -308,14 +311,14 @@ def clearances(gradient, softness, start, stop, Q, pack, problem_handle, memory,
     gradient : bool
         Whether `slopes` is written.
     softness : float
-        In metres, positive.
+        Softness in metres; positive.
     Q : ndarray, shape (N, dof)
     pack, problem_handle : int
-        As for `configurations.check_configurations`, with at least one pair.
+        Documented in `configurations.check_configurations`; at least one pair is required.
     memory : int
-        Address of `memory_of_clearances` scratch bytes; one thread uses them at a time.
+        Address of `memory_of_clearances()` scratch bytes; only one thread may use them at a time.
     lower : ndarray, shape (N,)
-        Not finite where positions overflow.
+        Receives the bounds, which are not finite where positions overflow.
     slopes : ndarray, shape (N, dof)
     """
     dof = Q.shape[1]
@@ -339,8 +342,8 @@ def clearances(gradient, softness, start, stop, Q, pack, problem_handle, memory,
                 continue
             for i in range(piece_start[one], piece_start[one + 1]):
                 for j in range(piece_start[other], piece_start[other + 1]):
-                    # Excluded pairs count towards a run's RUN pairs, so that runs end at the same pairs even though the
-                    # other configurations affect which pairs are excluded.
+                    # Excluded pairs count towards the RUN pairs of a run. Runs then end at the same pairs, even though
+                    # the configurations of a group determine together which pairs are excluded.
                     if passed // RUN > run:
                         _sum_up(count, gradient, softness, pack, problem_handle, memory, dof)
                         count, run = 0, passed // RUN
@@ -363,7 +366,7 @@ def clearances(gradient, softness, start, stop, Q, pack, problem_handle, memory,
             powers(problem.tree, to.links, to.wrenches, dof, to.slopes)
         for lane in range(last + 1 - first):
             total = to.totals[_SUM + lane]
-            # This is at most the least gap, because a sum that contains a term of 1 has no negative logarithm.
+            # The result is at most the least gap: the sum contains a term of 1, so that its logarithm is not negative.
             lower[first + lane] = to.totals[_LEAST + lane] - softness * logarithm(total)
             if gradient:
                 for k in range(dof):
@@ -378,11 +381,11 @@ def pair_gradients(start, stop, Q, pack, problem_handle, memory, bodies, force, 
     ----------
     Q : ndarray, shape (N, dof)
     pack, problem_handle, memory : int
-        As for `clearances`.
+        Documented in `clearances`.
     bodies : ndarray of int64, shape (N, 2)
         Indices of the pair's bodies.
     force, point : ndarray, shape (N, 3)
-        The gradient for a motion of the second body: a force, at a point, in the world.
+        The gradient for a motion of the second body, as a force at a point in the world.
     slopes : ndarray, shape (N, dof)
     """
     dof, problem = Q.shape[1], problem_of(problem_handle)

@@ -1,19 +1,19 @@
-"""Decide whether a robot is free: blocks of configurations go through all pairs of bodies side by side.
+"""Decide whether configurations of a robot are free: blocks of them pass through all pairs of bodies side by side.
 
 The steps for a block, cheapest first:
 
 place
-    the links by forward kinematics, and the ellipsoids of each moving piece in world coordinates, so that no pair has
-    to rotate them again (`placement`).
+    Forward kinematics places the links. The ellipsoids of each moving piece are computed in world coordinates, so that
+    no pair has to rotate them again (`placement`).
 cull
-    bounding spheres and boxes of each pair of bodies, sixteen configurations at a time.
+    Bounding spheres and boxes of each pair of bodies are compared, sixteen configurations at a time.
 certify
-    the ellipsoids of the remaining piece pairs, by `narrow.certificate`, across configurations.
+    `narrow.certificate` tests the ellipsoids of the remaining piece pairs, across configurations.
 search
-    the pairs that are then open, exactly and one by one.
+    Exact searches settle the pairs that are then open, one by one.
 
-A configuration that was found colliding is skipped from then on, and a motion ends at its first collision. Pairs are
-processed in an order that the caller chooses: the pairs that collide most often come first.
+A configuration that was found colliding is skipped from then on, and a motion ends at its first collision. The caller
+chooses the order of the pairs: the pairs that collide most often come first.
 """
 
 from typing import Any, NamedTuple
@@ -64,35 +64,37 @@ from loewner._kernels.simd.vectors import LANES, SINGLE_LANES, lowest_bit
 from loewner._kernels.tolerances import UP
 from loewner._kernels.trees import piece_tree
 
-WAITING = 512  # piece pairs that may wait for the exact search
+WAITING = 512  # Up to WAITING piece pairs may wait for the exact search.
 
-GROUPS = MOST // SINGLE_LANES  # groups of sixteen configurations in a block
+GROUPS = MOST // SINGLE_LANES  # A block has GROUPS groups of sixteen configurations.
 
-# How many pairs of bodies are culled together. Small batches start with a group of FIRST pairs: these usually collide,
+# TOGETHER pairs of bodies are culled together. Small batches start with a group of FIRST pairs: these usually collide,
 # and the other pairs are then skipped.
 TOGETHER, FIRST = 64, 4
 
 
 MEMORY = Arena(
-    listed=pair_list.arena(BLOCK),  # `pair` is MOST p + s (pair, configuration); the rest are rows of the placement
-    pieces_a=integers(BLOCK),  # rows of the listed pieces in the packed pieces
+    # The field `pair` is MOST p + s for pair p at configuration s; the other fields are rows of the placement.
+    listed=pair_list.arena(BLOCK),
+    pieces_a=integers(BLOCK),  # Rows of the listed pieces in the packed pieces.
     pieces_b=integers(BLOCK),
-    found_a=integers(BLOCK),  # pieces found in trees
+    found_a=integers(BLOCK),  # Pieces found in trees.
     found_b=integers(BLOCK),
-    tier=small_integers(BLOCK),  # the certificate's result for each listed pair
-    normals=floats(3 * BLOCK),  # contact normals that the certificate writes
-    waiting=pair_list.arena(WAITING),  # pairs that wait for the exact search, by their rows in the packed pieces
-    directions=floats(WAITING, 3),  # normals of the waiting pairs
-    live=integers(GROUPS),  # configurations that may still be free, as bits
-    verdicts=small_integers(MOST),  # verdicts of the configurations
-    tiers=small_integers(MOST),  # tiers that settled the configurations
+    tier=small_integers(BLOCK),  # The result of the certificate for each listed pair.
+    normals=floats(3 * BLOCK),  # Contact normals that the certificate writes.
+    waiting=pair_list.arena(WAITING),  # Pairs that wait for the exact search, by their rows in the packed pieces.
+    directions=floats(WAITING, 3),  # Contact normals of the waiting pairs.
+    live=integers(GROUPS),  # Bits of the configurations that may still be free.
+    verdicts=small_integers(MOST),  # Verdicts of the configurations.
+    tiers=small_integers(MOST),  # Tiers that settled the configurations.
     steps=integers(piece_tree.STEPS),
     numbers=floats(piece_tree.NUMBERS),
     exact=raw(exact.SIZE),
-    codes=integers(TOGETHER * GROUPS),  # pairs that bounds leave open, with the first of their sixteen configurations
-    masks=integers(TOGETHER * GROUPS),  # as bits, which of the sixteen configurations they leave open
-    way=floats(MOST, DOF),  # configurations of a motion
-    placed=integers(MOVING),  # whether moving bodies are placed
+    # Pairs that the bounds leave open, each with the first of sixteen configurations.
+    codes=integers(TOGETHER * GROUPS),
+    masks=integers(TOGETHER * GROUPS),  # Bits of the configurations among these sixteen that the bounds leave open.
+    way=floats(MOST, DOF),  # Configurations of a motion.
+    placed=integers(MOVING),  # For each moving body, whether it is placed.
     placement=PLACEMENT,
 )
 _listed_of, _pieces_a_of, _pieces_b_of, _found_a_of, _found_b_of, _tier_of, _normals_of, _waiting_of = MEMORY.accessors(
@@ -129,13 +131,13 @@ class Query(NamedTuple):
 
 @inline
 def _pair(code):
-    """The pair of bodies of an entry of a list."""
+    """Return the pair of bodies of an entry in a list."""
     return code // MOST
 
 
 @inline
 def _configuration(code):
-    """The configuration of an entry of a list."""
+    """Return the configuration of an entry in a list."""
     return code % MOST
 
 
@@ -153,14 +155,14 @@ def _hit(query, s, pair, tier):
 
 @inline
 def _mark_open(query, s):
-    """Mark a configuration, unless it collides, as having an unsettled pair."""
+    """Mark a configuration as having an unsettled pair, unless the configuration collides."""
     _verdicts_of(query.work)[s] = AMBIGUOUS
     _tiers_of(query.work)[s] = OPEN
 
 
 @inline
 def _ended(query):
-    """Whether no configuration is left to check."""
+    """Return whether no configuration is left to check."""
     live, rest = _live_of(query.work), 0
     for group in range(GROUPS):
         rest |= live[group]
@@ -169,7 +171,7 @@ def _ended(query):
 
 @njit()
 def _improve(query, held):
-    """Certify the waiting pairs again, at the best s in double precision, with margin 0."""
+    """Certify the waiting pairs again, at the best s in double precision, for margin 0."""
     work = query.work
     pieces = pieces_of(query.pack)
     hot, poses = pieces.hot, _placement_of(query).poses
@@ -216,7 +218,7 @@ def _search(query, held):
         margin, shift = margins[p], shift_between(A, B)
         widest = max(abs(shift[0]), abs(shift[1]), abs(shift[2]))
         if widest - rounding_error(A, B, shift) > reach(A) + reach(B) + margin:
-            # The pieces are apart. The search is skipped, since its squares may exceed the range of single precision.
+            # The pieces are apart. The search is skipped, because its squares may exceed the range of single precision.
             tiers[s] = max(tiers[s], BY_OUTER)
             continue
         verdict, tier, _ = exact_piece_pair(
@@ -267,7 +269,7 @@ def _certify(query, keep, count, held):
         if not certificate.certify_best(
             count, keep, pieces.hot, poses, True, pieces.hot, poses, True, listed, tier, normals
         ):
-            tier[:count] = OPEN  # an overflow made the pose of a link non-rigid, so no pair of the list is proven
+            tier[:count] = OPEN  # An overflow made the pose of a link non-rigid, so that no pair of the list is proven.
     refined = query.mode == CERTIFY and has_parts(pieces)
     for lane in range(count):
         code = listed.pair[lane]
@@ -295,7 +297,7 @@ def _certify(query, keep, count, held):
             _mark_open(query, s)
     if _ended(query):
         return 0
-    # Settle waiting pairs last, since this writes its own lists to `listed`.
+    # Waiting pairs are settled last, because settling them writes other lists to `listed`.
     if held > WAITING - BLOCK:
         held = _settle_waiting(query, held)
     return held
@@ -303,7 +305,7 @@ def _certify(query, keep, count, held):
 
 @inline
 def _list(work, count, code, i, j, S, moving_pieces, pose_a, pose_b):
-    """List pieces i and j; i moves."""
+    """List piece i, which moves, and piece j."""
     s = _configuration(code)
     row_b = j * S + s if j < moving_pieces else moving_pieces * (MOST - 1) + j
     pair_list.put(_listed_of(work), count, code, i * S + s, row_b, pose_a, pose_b)
@@ -313,7 +315,7 @@ def _list(work, count, code, i, j, S, moving_pieces, pose_a, pose_b):
 
 @inline
 def _place_few(query, body, S, alone):
-    """Place a moving body, unless it is placed, at one configuration or at eight."""
+    """Place a moving body at one configuration or at eight, unless it is already placed."""
     placed, address = _placed_of(query), _placement_at(query)
     if placed[body] == 0:
         placed[body] = 1
@@ -325,7 +327,7 @@ def _place_few(query, body, S, alone):
 
 @njit()
 def _place_next(query, start, stop, S, alone):
-    """Place the bodies of the first pairs of the order, start .. stop, or all bodies that are left."""
+    """Place the bodies of the pairs start .. stop of the order if `start` is 0, otherwise all bodies that are left."""
     problem, moving = problem_of(query.problem), query.counts.moving
     if start > 0:
         for body in range(moving):
@@ -340,7 +342,7 @@ def _place_next(query, start, stop, S, alone):
 
 @inline
 def _cull(query, start, stop, groups, S):
-    """List the pairs start .. stop of the order that the bounds leave, without branches; return their number."""
+    """List the pairs start .. stop of the order that the bounds leave open, without branches; return their number."""
     problem, counts = problem_of(query.problem), query.counts
     bounds, live = _placement_of(query).bounds, _live_of(query.work)
     codes, masks = _codes_of(query), _masks_of(query)
@@ -364,7 +366,7 @@ def _cull(query, start, stop, groups, S):
 
 @inline
 def _cull_once(query, start, stop, S):
-    """As `_cull`, at the first configuration only."""
+    """Do the work of `_cull` at the first configuration only."""
     problem, moving = problem_of(query.problem), query.counts.moving
     bounds, standing, codes, masks = _placement_of(query).bounds, problem.standing, _codes_of(query), _masks_of(query)
     order, pairs, margins = problem.order.ctypes.data, problem.pairs.ctypes.data, problem.margins
@@ -387,7 +389,7 @@ def _cull_once(query, start, stop, S):
 def _settle_block(query, Q, first, last, S):
     """Settle the configurations in the rows first .. last of Q, at most S of them, into `verdicts` and `tiers`.
 
-    Both entries use this function, so that it is compiled once.
+    Both entry points use this function, so that it is compiled only once.
     """
     work, counts, pieces, problem = query.work, query.counts, pieces_of(query.pack), problem_of(query.problem)
     placement = _placement_of(query)
@@ -395,7 +397,7 @@ def _settle_block(query, Q, first, last, S):
     moving, moving_pieces, live = counts.moving, counts.moving_pieces, _live_of(work)
     codes, masks = _codes_of(work), _masks_of(work)
     verdicts = _verdicts_of(work)
-    # If there are few configurations, first place the bodies of the first pairs, and settle these pairs.
+    # If the block has few configurations, first place the bodies of the first pairs, and settle these pairs.
     few, alone = last - first < LANES, last == first
     if few:
         place_joints(problem, Q, first, last, placement)
@@ -461,7 +463,7 @@ def _settle_block(query, Q, first, last, S):
 
 @njit()
 def _walk(query, keep, code, one, other, pose_a, pose_b, S, count, held):
-    """List the piece pairs that the trees of two bodies leave at a configuration; return `count` and `held`."""
+    """List the piece pairs that the trees of two bodies leave open at a configuration; return `count` and `held`."""
     work, counts, pieces = query.work, query.counts, pieces_of(query.pack)
     poses, verdicts, s = _placement_of(query).poses, _verdicts_of(work), _configuration(code)
     steps, numbers, found_a, found_b = _steps_of(work), _numbers_of(work), _found_a_of(work), _found_b_of(work)
@@ -481,7 +483,7 @@ def _walk(query, keep, code, one, other, pose_a, pose_b, S, count, held):
 
 @njit()
 def memory_size(pack, problem_handle, dof):
-    """Number of scratch bytes for the two entries below."""
+    """Number of scratch bytes for `check_configurations` and `check_motion`."""
     return _size(counts_of(pieces_of(pack), problem_of(problem_handle), dof))
 
 
@@ -495,18 +497,19 @@ def check_configurations(mode, start, stop, Q, pack, problem_handle, out, tiers_
         CERTIFY or EXACT.
     Q : ndarray, shape (N, dof)
     pack : int
-        Handle of the packed bodies, see `pieces.pack`: moving bodies, each in the frame of its link, then the others.
+        Handle of the packed bodies, see `pieces.pack`: moving bodies, each in the frame of its link, then static
+        bodies.
     problem_handle : int
         Handle of the problem, see `pack.problem_of`.
     out : ndarray of int8, shape (N,)
         Receives verdicts; AMBIGUOUS in mode EXACT means that the search did not settle a configuration.
     tiers_out : ndarray of int8, shape (N,)
-        Receives the tier that settled a configuration: the costliest that any pair needed if it is free, otherwise the
-        one that found the collision.
+        Receives the tier that settled each configuration. For a free configuration, it is the costliest tier that any
+        pair needed; otherwise, it is the tier that found the collision.
     hits : ndarray of int64, shape (pairs,)
-        Collisions found are added here, by pair.
+        The number of collisions found is added here, by pair.
     memory : int
-        Address of `memory_size` scratch bytes; one thread uses them at a time.
+        Address of `memory_size()` scratch bytes; only one thread may use them at a time.
     """
     pieces, problem = pieces_of(pack), problem_of(problem_handle)
     counts = counts_of(pieces, problem, Q.shape[1])
@@ -530,16 +533,16 @@ def check_motion(start, end, fractions, pack, problem_handle, out, hits, memory)
     ----------
     start, end : ndarray, shape (dof,)
     fractions : ndarray, shape (N,)
-        Fractions of the configurations: 0 is the start, 1 the end.
+        Fractions of the motion at which its configurations lie: 0 is the start, 1 the end.
     pack, problem_handle, hits, memory
-        As for `check_configurations`.
+        Documented in `check_configurations`.
     out : ndarray of int8, shape (N,)
-        Receives FREE, or AMBIGUOUS if the search did not settle a configuration; only if there is no collision.
+        If there is no collision, receives FREE, or AMBIGUOUS where the search did not settle a configuration.
 
     Returns
     -------
     verdict : int
-        COLLIDING if one configuration collides, FREE if all are free, AMBIGUOUS if no collision was found and some are
+        COLLIDING if a configuration collides, FREE if all are free, AMBIGUOUS if no collision was found but some are
         unsettled.
     settled : int
         Number of configurations checked.

@@ -1,4 +1,4 @@
-"""Code shared by planners: random numbers, and whether a straight motion is free, proven or sampled."""
+"""Code that planners share: random numbers, and whether a straight motion is free, proven or sampled."""
 
 from typing import Any, NamedTuple
 
@@ -14,8 +14,8 @@ from loewner._kernels.robots.lines import keeps_axis
 from loewner._kernels.robots.motions import STEPS_LEFT, certified, make_ready
 from loewner._kernels.simd.memory import Arena, Place, floats, integers, sizes_of, small_integers
 
-# Orientations count as half a turn apart if the cosine of half the angle between them is at most NEARLY_HALF_TURN:
-# rounding then decides the direction of `Robot.between`.
+# Orientations count as half a turn apart if the cosine of half the angle between them is at most NEARLY_HALF_TURN,
+# because rounding then decides the direction of `Robot.between`.
 NEARLY_HALF_TURN = 1e-9
 
 # Constants of splitmix64, which passes the usual tests of randomness and has one word of state.
@@ -28,13 +28,13 @@ class Judge(NamedTuple):
 
     Attributes
     ----------
-    pack, problem, tables : handles, as for `motions.certify_motions`
-    memory : address of the bytes that both kernels write to
-    tolerance : m, as for `motions.certify_motions`
-    resolution : largest distance of two samples; 0 if motions are proven instead
-    samples : Place of memory for as many samples as the longest motion takes
-    error : address of the deviation of each value that a proof allows for; 0 for none
-    kept : handle of a `records.KeptAxis`; 0 for none
+    pack, problem, tables : handles, see `motions.certify_motions`
+    memory : address of the memory for the kernels that prove or sample motions
+    tolerance : m, see `motions.certify_motions`
+    resolution : largest distance between two samples; 0 if motions are proven instead
+    samples : Place of memory for the samples of the longest motion
+    error : address of the deviations of values that a proof allows for; 0 for no deviation
+    kept : handle of a `records.KeptAxis`; 0 if no axis is kept
     """
 
     pack: Any
@@ -49,7 +49,7 @@ class Judge(NamedTuple):
 
 
 class Counts(NamedTuple):
-    """Samples of the longest motion, and pairs of bodies."""
+    """Number of samples of the longest motion, and number of pairs of bodies."""
 
     samples: Any
     pairs: Any
@@ -68,7 +68,7 @@ def _counts_of(handles):
 
 @inline
 def sample_memory(handles):
-    """Bytes for `judge_of`, which have to live as long as the judge."""
+    """Make the bytes for `judge_of`, which must live as long as the judge."""
     return np.empty(_size(_counts_of(handles)), np.uint8)
 
 
@@ -79,12 +79,13 @@ def judge_of(handles, lengths, dof, samples):
     Parameters
     ----------
     handles : ndarray of int64, shape (7,)
-        Packed bodies, problem, tables, memory: see `Judge`; how many samples the longest motion takes; `error`, `kept`.
+        Handles of the packed bodies, the problem, the tables and the memory, see `Judge`; the number of samples of the
+        longest motion; then `error` and `kept`.
     lengths : ndarray, shape (2,)
         Tolerance and resolution.
     dof : int
     samples : int
-        Address of `sample_memory`.
+        Address of the bytes that `sample_memory` made.
     """
     pack, problem, tables, memory = handles[0], handles[1], handles[2], handles[3]
     if lengths[1] == 0.0:
@@ -105,7 +106,7 @@ def random(state):
 
 @inline
 def _coarse_first(parts, fractions):
-    """Write the fractions of samples: 0, 1, the middle, quarters and so on, as `coarse_first` in `edges`."""
+    """Write the fractions of samples in the order of `coarse_first` in `edges`: 0, 1, the middle, quarters, etc."""
     fractions[0], fractions[1] = 0.0, 1.0
     digits, count = 1, 2
     while (parts - 1) >> digits != 0:
@@ -122,7 +123,7 @@ def _coarse_first(parts, fractions):
 
 @njit()
 def _looks_free(judge, ends):
-    """Whether all sampled configurations are free."""
+    """Return whether all sampled configurations are free."""
     squares = 0.0
     for c in range(ends.shape[1]):
         squares += (ends[1, c] - ends[0, c]) * (ends[1, c] - ends[0, c])
@@ -139,7 +140,7 @@ def _looks_free(judge, ends):
 
 @inline
 def turns_clearly(tree, ends):
-    """Give quaternions the sign that `Robot.between` uses; return False if rounding decides it."""
+    """Give quaternions the sign that `Robot.between` uses; return False if rounding decides the sign."""
     clear = True
     for link in range(tree.kind.size):
         at, cosine = quaternion_of(tree, link), 0.0
@@ -155,14 +156,14 @@ def turns_clearly(tree, ends):
 
 @apart
 def is_free(judge, ends, tally):
-    """Whether the straight motion between two configurations is free; an unsettled one is not.
+    """Return whether the straight motion between two configurations is free; an unsettled motion is not.
 
     Parameters
     ----------
     judge : Judge
     ends : ndarray, shape (2, dof)
     tally : ndarray of int64, shape (3,)
-        As for `motions.certified`; proofs take as many steps as they need.
+        Documented in `motions.certified`; proofs may take any number of steps.
     """
     if judge.kept != 0 and not keeps_axis(judge.kept, ends):
         return False

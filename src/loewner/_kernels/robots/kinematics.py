@@ -1,25 +1,26 @@
 """Forward kinematics: the poses of a robot's links at eight configurations side by side.
 
-A robot is a tree of links, each attached to its parent by one joint. Kernels get it as a record of arrays, a
-`pack.Tree`, with an entry or a row per link, parents first:
+A robot is a tree of links, each attached to its parent by one joint. Kernels receive it as a record of arrays, a
+`records.Tree`, with one entry or row per link, parents first:
 
 parent : ndarray of int64, shape (L,)
-    The link from which this link's pose is computed, -1 for the world. Rigidly joined links form one moving group, so
-    this is the first link of the group to which the joint is attached.
+    The link from which this link's pose is computed; -1 for the world. Rigidly joined links form one moving group, so
+    that this is the first link of the group to which the joint is attached.
 kind : ndarray of int64, shape (L,)
     FIXED, REVOLUTE, PRISMATIC, PLANAR, FLOATING or BALL.
 column : ndarray of int64, shape (L,)
     First column of the joint's values in a configuration; 0 for fixed joints, which read none.
 multiplier, offset : ndarray, shape (L,)
-    A joint with one value moves by multiplier * value + offset; they are 1 and 0 unless it mimics another joint.
+    A joint with one value moves by multiplier * value + offset. Unless the joint mimics another joint, these are 1 and
+    0.
 constants : ndarray, shape (L, CONSTANTS)
-    ROTATION, 9 entries by rows, and TRANSLATION [m], 3 entries, are the pose in `parent` of the link that the joint
-    moves. A turning joint's rotation is ROTATION + sin q SINE + cos q COSINE, with 9 entries each. ACROSS and ALONG, 3
-    entries each, are unit vectors along which a planar joint slides by its first two values; a prismatic one slides
-    along ACROSS.
+    ROTATION (9 entries, by rows) and TRANSLATION [m] (3 entries) are the pose in `parent` of the link that the joint
+    moves. The rotation of a turning joint is ROTATION + sin q SINE + cos q COSINE, with 9 entries each. ACROSS and
+    ALONG (3 entries each) are unit vectors along which a planar joint slides by its first two values; a prismatic joint
+    slides along ACROSS.
 
-Eight poses are twelve vectors per link in a flat array W of float64: W[(12 link + r) * 8 + lane], r = 0 .. 8 the
-rotation by rows, 9 .. 11 the translation.
+Eight poses are twelve vectors per link in a flat array W of float64: W[(12 link + r) * 8 + lane], where r = 0 .. 8 is
+the rotation by rows, and r = 9 .. 11 the translation.
 """
 
 from typing import Any
@@ -45,19 +46,19 @@ from loewner._kernels.records import Tree
 from loewner._kernels.simd.trig import sine_cosine
 from loewner._kernels.simd.vectors import LANES, broadcast, load, scatter_transpose, store
 
-POSE = 12  # vectors per link in W
+POSE = 12  # A link takes POSE vectors in W.
 
 
 @inline
 def quaternion_of(tree, link):
-    """First column of a joint's quaternion; -1 if it has none."""
+    """Return the first column of a joint's quaternion; -1 if the joint has none."""
     if tree.kind[link] == FLOATING:
         return tree.column[link] + 3
     return tree.column[link] if tree.kind[link] == BALL else -1
 
 
 def link_entries(links: Any, dof: Any) -> Any:
-    """Entries that `place_links` needs in W: the poses of all links, then eight configurations by columns."""
+    """Number of entries that `place_links` needs in W: the poses of all links, then eight configurations by columns."""
     return (links * POSE + dof) * LANES
 
 
@@ -66,13 +67,13 @@ workspace_size = inline(link_entries)
 
 @inline
 def triple_of(constants, link, k):
-    """Three constants of a link, from column k on."""
+    """Three constants of a link, starting at column k."""
     return broadcast(constants[link, k]), broadcast(constants[link, k + 1]), broadcast(constants[link, k + 2])
 
 
 @inline
 def nine(constants, link, k):
-    """Nine constants of a link, from column k on."""
+    """Nine constants of a link, starting at column k."""
     return triple_of(constants, link, k) + triple_of(constants, link, k + 3) + triple_of(constants, link, k + 6)
 
 
@@ -101,7 +102,7 @@ def turned_by(constants, link, angle):
 
 @inline
 def by_quaternion(w, x, y, z):
-    """Rotations of eight quaternions, of any length except 0."""
+    """Rotations for eight quaternions of any length except 0."""
     scale = 2.0 / (w * w + x * x + y * y + z * z)
     sx, sy, sz = scale * x, scale * y, scale * z
     wx, wy, wz, xx, xy, xz, yy, yz, zz = w * sx, w * sy, w * sz, x * sx, x * sy, x * sz, y * sy, y * sz, z * sz
@@ -157,12 +158,12 @@ def place_links(tree, Q, rows, at, W):
     ----------
     tree : Tree
     Q : ndarray, shape (N, dof)
-        In C order, validated by the caller (quaternions have norm 1). NaN gives poses of NaN.
+        Configurations in C order, validated by the caller (quaternions have norm 1). NaN leads to poses of NaN.
     rows : ndarray of int64
-        Row numbers of Q; entries at .. at + 8 are used, which may repeat.
+        Row numbers of Q, which may repeat; only the entries at .. at + 8 are used.
     at : int64
     W : ndarray, shape (workspace_size(links, dof),) or longer
-        Entries after the poses are scratch.
+        Receives the poses; the entries after the poses are scratch.
     """
     columns = columns_of(tree, W)
     for lane in range(LANES):
@@ -174,13 +175,13 @@ def place_links(tree, Q, rows, at, W):
 
 @inline
 def columns_of(tree, W):
-    """The part of W in which `place_columns` expects the values of eight configurations, by columns."""
+    """Return the part of W in which `place_columns` expects the values of eight configurations, by columns."""
     return borrowed(W)[tree.parent.size * (POSE * LANES) :]
 
 
 @apart
 def place_columns(tree, W):
-    """As `place_links`, for configurations that are in W already."""
+    """Do the work of `place_links` for configurations that are already in W."""
     parent, kind, column = borrowed(tree.parent), borrowed(tree.kind), borrowed(tree.column)
     multiplier, offset, constants = borrowed(tree.multiplier), borrowed(tree.offset), borrowed(tree.constants)
     links = parent.size
@@ -216,7 +217,7 @@ def place_columns(tree, W):
 def link_poses(parent, kind, column, multiplier, offset, constants, Q, start, stop, out):
     """Write the poses of all links of the configurations start .. stop to out, shape (N, L, 4, 4).
 
-    The tree is passed as its six arrays: a record would cost each call from Python a microsecond.
+    The tree is passed as its six arrays, because a record would cost each call from Python a microsecond.
     """
     tree = Tree(parent, kind, column, multiplier, offset, constants)
     links = parent.size
@@ -226,7 +227,7 @@ def link_poses(parent, kind, column, multiplier, offset, constants, Q, start, st
     zero, one = broadcast(0.0), broadcast(1.0)
     for first in range(start, stop, LANES):
         for lane in range(LANES):
-            rows[lane] = min(first + lane, last)  # pad the last block with repeats
+            rows[lane] = min(first + lane, last)  # Repeats of the last configuration pad the last block.
         place_links(tree, Q, rows, 0, W)
         for link in range(links):
             R, t = rotation_of_link(W, link), translation_of_link(W, link)

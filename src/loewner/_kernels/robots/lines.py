@@ -1,8 +1,8 @@
-"""Follow a straight line with a link: joint motions whose bound on the deviation from the line is within a tolerance.
+"""Follow a straight line with a link, by joint motions that are proven to stay within a tolerance of the line.
 
 The chain of joints is described in `reach`. Eight configurations on the line are sought at a time, at equal steps, and
-the eight motions that lead to them are bounded (B55 of docs/certified.md). The motions before the first one that fails
-are kept; the bounds also determine the next step.
+the deviations of the eight motions that lead to them are bounded (B55 of docs/certified.md). The motions before the
+first failure are kept. The bounds also determine the next step.
 """
 
 from typing import Any, NamedTuple
@@ -51,28 +51,29 @@ from loewner._kernels.simd.vectors import (
 )
 from loewner._kernels.tolerances import UNIT_ROUNDOFF
 
-# Rounding error of a deviation, in units of n (1 + D² + θ²) q, times L for positions, with the letters of certified.md.
+# Rounding error of a deviation, in units of n (1 + D² + θ²) q, times L for positions; certified.md explains the
+# letters.
 LINE_ROUNDINGS = 256.0 * UNIT_ROUNDOFF  # certified.md B55
 
-SPARE = 1e-9  # relative allowance for the rounding of third derivatives and of lengths, see docs/certified.md
+SPARE = 1e-9  # Relative allowance for the rounding of third derivatives and of lengths, see docs/certified.md.
 
-MIDDLE = 0.125  # largest value of s (1 - s) / 2; times a second derivative, it bounds the distance from the chord
+MIDDLE = 0.125  # Largest value of s (1 - s) / 2. Times a second derivative, it bounds the distance from the chord.
 
 # Largest number of Newton steps towards a configuration; a good guess needs three.
 STEPS = 32
 
-# An axis counts as brought back if it is within 1 + NEARLY times the tolerance.
+# An axis counts as brought back if it is within (1 + NEARLY) times the tolerance.
 NEARLY = 0.01
 
-# Fraction of the tolerance that the next motions may use, and limits on the factors by which motions become longer or
-# shorter.
+# The next motions may use the fraction SHARE of the tolerance. GROWTH and SHRINKING limit the factors by which motions
+# become longer or shorter.
 SHARE, GROWTH, SHRINKING = 0.85, 4.0, 64.0
 
-# The shortest motion, as a fraction of the line; and the longest line [m], on which the shortest motions are about 0.15
-# m long.
+# LEAST_MOTION is the shortest motion, as a fraction of the line. LONGEST is the longest line [m]; its shortest motions
+# are about 0.15 m long.
 LEAST_MOTION, LONGEST = 2.0**-16, 1e4
 
-# The largest angle of a line [rad]: at half a turn, rounding would decide which way around is shorter.
+# Largest angle of a line [rad]. At half a turn, rounding would decide which way around is shorter.
 LARGEST_ANGLE = np.pi - 1e-6
 
 
@@ -92,31 +93,31 @@ class Line(NamedTuple):
 
 
 class Wanted(NamedTuple):
-    """Tolerances: on the position [m], on rotation matrices in the Frobenius norm, and on the cosine of a kept axis."""
+    """Tolerances of the position [m], of rotation matrices in the Frobenius norm, and of the cosine of a kept axis."""
 
     position: Any
     rotation: Any
     cosine: Any
-    axis: Any  # axis of the link
-    direction: Any  # direction in the world
+    axis: Any  # Axis of the link.
+    direction: Any  # Direction in the world.
 
 
 class Moved(NamedTuple):
-    """A point of the chain at eight configurations that move, with derivatives by the fraction of the motion."""
+    """A point of the chain at eight moving configurations, with derivatives by the fraction of the motion."""
 
     t: Any
-    turn: Any  # angular velocity
-    bend: Any  # derivative of the angular velocity
-    pull: Any  # second derivative of the position
-    third: Any  # bound on the third derivative of the position over the whole motion
-    angle: Any  # sum of the turns of all joints
-    length: Any  # sum of all lengths
+    turn: Any  # Angular velocity.
+    bend: Any  # Derivative of the angular velocity.
+    pull: Any  # Second derivative of the position.
+    third: Any  # Bound on the third derivative of the position over the whole motion.
+    angle: Any  # Sum of the turns of all joints.
+    length: Any  # Sum of all lengths.
 
 
 class Strays(NamedTuple):
     """Bounds on eight motions: largest deviations, the least cosine, and the share of the tolerance that each takes.
 
-    The shares are proportional to the square (`bends`) and the cube (`twists`) of a motion's length.
+    The shares proportional to the square and the cube of a motion's length are `bends` and `twists`.
     """
 
     position: Any
@@ -128,7 +129,7 @@ class Strays(NamedTuple):
 
 @inline
 def _carried(m, r, size):
-    """Go on by a vector r that is fixed in the current frame and is at most `size` long."""
+    """Advance the point by a vector r that is fixed in the current frame and at most `size` long."""
     pull = plus(plus(m.pull, cross(m.bend, r)), cross(m.turn, cross(m.turn, r)))
     third = m.third + size * (m.angle * m.angle * m.angle)
     return Moved(plus(m.t, r), m.turn, m.bend, pull, third, m.angle, m.length + size)
@@ -136,7 +137,7 @@ def _carried(m, r, size):
 
 @inline
 def _slid(m, direction, value, rate, size):
-    """Go on by a slide."""
+    """Advance the point by a slide."""
     m = _carried(m, scaled(value, direction), size)
     pull = plus(m.pull, scaled(2.0 * rate, cross(m.turn, direction)))
     third = m.third + 3.0 * absolute(rate) * (m.angle * m.angle)
@@ -145,7 +146,7 @@ def _slid(m, direction, value, rate, size):
 
 @inline
 def _swung(m, axis, rate):
-    """Go on by a turn."""
+    """Advance the point by a turn."""
     b = scaled(rate, axis)
     bend = plus(m.bend, cross(m.turn, b))
     return Moved(m.t, plus(m.turn, b), bend, m.pull, m.third, m.angle + absolute(rate), m.length)
@@ -153,7 +154,7 @@ def _swung(m, axis, rate):
 
 @apart
 def _followed(chain, constants, q, d):
-    """The rotation and the motion of the link at eight configurations q that move at the rates d, both by columns."""
+    """Rotation and motion of the link at eight configurations q that move at the rates d, both by columns."""
     zero, one = broadcast(0.0), broadcast(1.0)
     nothing = zero, zero, zero
     R = one, zero, zero, zero, one, zero, zero, zero, one
@@ -191,25 +192,25 @@ def _followed(chain, constants, q, d):
 
 @inline
 def _less(M, N):
-    """M - N of matrices."""
+    """Difference M - N of two matrices."""
     return minus(M[:3], N[:3]) + minus(M[3:6], N[3:6]) + minus(M[6:], N[6:])
 
 
 @inline
 def _times(t, M):
-    """t M of a matrix."""
+    """Product t M of a number and a matrix."""
     return scaled(t, M[:3]) + scaled(t, M[3:6]) + scaled(t, M[6:])
 
 
 @inline
 def _norm(M):
-    """Frobenius norm."""
+    """Frobenius norm of a matrix."""
     return sqrt(dot(M[:3], M[:3]) + dot(M[3:6], M[3:6]) + dot(M[6:], M[6:]))
 
 
 @inline
 def line_between(R0, t0, R1, t1):
-    """The line between two poses of floats, by the shorter way around."""
+    """Line between two poses of floats, by the shorter way around."""
     rows, images = (R0[:3], R0[3:6], R0[6:]), (R1[:3], R1[3:6], R1[6:])
     xx, yy, zz = dot(images[0], rows[0]), dot(images[1], rows[1]), dot(images[2], rows[2])
     xy, yx = dot(images[0], rows[1]), dot(images[1], rows[0])
@@ -218,7 +219,7 @@ def line_between(R0, t0, R1, t1):
     axis = 0.5 * (zy - yz), 0.5 * (xz - zx), 0.5 * (yx - xy)
     sine, cosine = np.sqrt(dot(axis, axis)), 0.5 * (xx + yy + zz - 1.0)
     angle = arc_tangent(sine, cosine)
-    if cosine < 0.0:  # near half a turn, this axis is short and the columns of E + Eᵀ - 2 cos are long
+    if cosine < 0.0:  # Near half a turn, this axis is short, and the columns of E + Eᵀ - 2 cos are long.
         if xx >= yy and xx >= zz:
             column, sign = (2.0 * (xx - cosine), xy + yx, xz + zx), axis[0]
         elif yy >= zz:
@@ -270,7 +271,7 @@ def _bent(R, m):
 
 @inline
 def _rounding(chain, constants, q, d, squares):
-    """Bound the rounding of rotations, B55; `squares` are one plus the squares of the turns."""
+    """Bound the rounding of rotations (B55); `squares` is one plus the sum of squared turns."""
     largest = broadcast(1.0)
     for column in range(q.size // LANES):
         largest = maximum(largest, absolute(load(q, column * LANES)) + 0.5 * absolute(load(d, column * LANES)))
@@ -282,7 +283,7 @@ def _rounding(chain, constants, q, d, squares):
 
 @inline
 def gaps_of(chain, constants, line, wanted, u, q, still):
-    """How far the link is from the line at eight configurations: of its position and rotation; and its cosine.
+    """Deviations of the link's position and rotation from the line at eight configurations, and the axis's cosine.
 
     Parameters
     ----------
@@ -290,9 +291,9 @@ def gaps_of(chain, constants, line, wanted, u, q, still):
     line : Line
     wanted : Wanted
     u : vector
-        Fractions.
+        Fractions of the line.
     q, still : ndarray
-        Configurations by columns, and as many zeros.
+        Configurations by columns, and an array of zeros with the same shape.
     """
     R, m = _followed(chain, constants, q, still)
     off = minus(m.t, _position_at(line, u))
@@ -301,7 +302,7 @@ def gaps_of(chain, constants, line, wanted, u, q, still):
 
 @inline
 def strays_of(chain, constants, line, wanted, before, after, u0, u1, q, d):
-    """Bound how far the link strays from the line on eight motions; derived in docs/certified.md.
+    """Bound how far the link strays from the line on eight motions; docs/certified.md derives the bounds.
 
     Parameters
     ----------
@@ -309,11 +310,11 @@ def strays_of(chain, constants, line, wanted, before, after, u0, u1, q, d):
     line : Line
     wanted : Wanted
     before, after : tuple of 3 vector
-        `gaps_of` the ends.
+        Results of `gaps_of` at the beginning and at the end of the motions.
     u0, u1 : vector
-        Fractions of the ends.
+        Fractions of the line at the beginning and at the end of the motions.
     q, d : ndarray
-        The configurations in the middle and the differences of the ends, by columns.
+        Configurations in the middle of the motions, and differences between their ends, by columns.
 
     Returns
     -------
@@ -372,7 +373,7 @@ def _approached(chain, constants, ranges, line, u, q, work):
 
 @inline
 def _with_room(rows):
-    """The rows in an array with room for as many more."""
+    """Copy the rows to an array with twice as many rows."""
     wide = np.empty((2 * len(rows), rows.shape[1]))
     for row in range(len(rows)):
         for column in range(rows.shape[1]):
@@ -382,31 +383,31 @@ def _with_room(rows):
 
 @njit()
 def follow_line(chain, constants, ranges, start, target, wanted):
-    """Follow the line from the pose of the link at a configuration to a target.
+    """Follow the line from the pose of the link at a configuration to a target pose.
 
     Parameters
     ----------
     chain, constants, ranges : ndarray
-        See `reach`; quaternions are held.
+        Documented in `reach`; quaternions are held.
     start : ndarray, shape (K,)
     target : ndarray, shape (4, 4)
     wanted : ndarray, shape (9,)
-        Tolerances of the position and the rotation, the least cosine, the axis and its direction: see `Wanted`.
+        Tolerances of the position and the rotation, the least cosine, the axis and its direction, see `Wanted`.
 
     Returns
     -------
     int
-        FOLLOWED; HALF_TURN or TOO_FAR, for lines that cannot be followed; or, if the motion to the last row is not
-        within the tolerances, TILTED if only the cosine is too small, and STOPPED otherwise.
+        FOLLOWED if the line was followed; HALF_TURN or TOO_FAR if it cannot be followed. If the motion to the last row
+        is not within the tolerances, TILTED if only the cosine is too small, otherwise STOPPED.
     ndarray, shape (n, 2 + K)
-        For each configuration the fraction of the line, the cosine, and the values.
+        For each configuration: the fraction of the line, the cosine, and the values.
     """
     values = ranges.shape[1]
     work = np.empty(values * FAULTS * LANES), np.empty(21 * LANES), np.zeros(FAULTS)
     q, middle, d, still = (
         np.empty(values * LANES), np.empty(values * LANES), np.empty(values * LANES), np.zeros(values * LANES)
     )  # fmt: skip
-    # Fractions and gaps at nine configurations.
+    # Fractions and gaps at nine configurations: the last one kept, and eight new ones.
     u, off, turned, cosines = np.zeros(LANES + 1), np.zeros(LANES + 1), np.zeros(LANES + 1), np.zeros(LANES + 1)
     bounds, rows = np.empty(3 * LANES), np.empty((64, 2 + values))
     need = Wanted(
@@ -478,7 +479,7 @@ def follow_line(chain, constants, ranges, start, target, wanted):
             if arrived >> lane & 1 == 0:
                 break
             wish = 1.0 + np.sqrt(bounds[lane])
-            for _ in range(4):  # wish² = bends + twists / wish
+            for _ in range(4):  # This iteration solves wish² = bends + twists / wish.
                 wish = np.sqrt(bounds[lane] + bounds[LANES + lane] / wish + 1e-9)
             longest = max(longest, min(wish, SHRINKING))
             if near & kept & 1 << lane == 0:
@@ -497,9 +498,9 @@ def follow_line(chain, constants, ranges, start, target, wanted):
 
 @inline
 def least_cosine(chain, constants, axis, direction, q, d):
-    """Bound the cosine between a kept axis and its direction from below, on eight motions given as in `strays_of`.
+    """Lower bound on the cosine between a kept axis and its direction, on eight motions given as in `strays_of`.
 
-    The bound is Taylor's series about the middle.
+    The bound is the Taylor series about the middle, with a bound on its remainder.
     """
     R, m = _followed(chain, constants, q, d)
     a, cube = apply(R, axis), m.angle * m.angle * m.angle
@@ -510,7 +511,7 @@ def least_cosine(chain, constants, axis, direction, q, d):
 
 @njit()
 def keeps_axis(handle, ends):
-    """Whether a motion provably keeps an axis: by bounds on eight equal parts of it.
+    """Return whether a motion provably keeps an axis, by bounds on eight equal parts of the motion.
 
     Parameters
     ----------
@@ -532,7 +533,7 @@ def keeps_axis(handle, ends):
 
 @njit()
 def bring_back(handle, row):
-    """Move a configuration, shape (dof,), until its axis is near the direction; return whether that worked."""
+    """Move a configuration, shape (dof,), until its axis is near the direction; return whether this succeeded."""
     kept = kept_axis_of(handle)
     values = kept.columns.size
     twists, matrix, tolerance = np.empty(values * FAULTS * LANES), np.empty(21 * LANES), np.empty(FAULTS)

@@ -1,14 +1,14 @@
 """Bounds on the speed and the curvature of points on a course, and on their rounding, all rounded outward.
 
-Relative to one body, the points of another one are moved by the joints between the two. Let w be the rates of turning
-joints, s the rates of sliding joints and R the largest distance of the body from a joint's axis. A point's speed is
-then at most the sum of all w R and s, and its second derivative at most
+Relative to one body, the points of another body are moved by the joints between the two bodies. Let w be the rates of
+turning joints, s the rates of sliding joints, and R the largest distance of the body from a joint's axis. The speed of
+a point is then at most the sum of all w R and s, and its second derivative is at most
 
     A = sum over turning joints j of R_j (w_j (w_j + 2 W_j) + w'_j) + sum over sliding joints j of 2 s_j W_j + s'_j
 
 where W_j is the sum of the rates of the turning joints between j and the reference body, and w' and s' are the largest
-second derivatives of joint values, which are zero on straight motions. A planar joint is a sliding joint followed by a
-turning one, seen from its parent; a floating joint likewise, with a ball joint as its turning part. See
+second derivatives of joint values, which are zero on straight motions. Seen from its parent, a planar joint is a
+sliding joint followed by a turning joint, and a floating joint is a sliding joint followed by a ball joint. See
 docs/certified.md, "Motions".
 """
 
@@ -31,33 +31,34 @@ VALUE_ROUNDINGS = 16.0 * UNIT_ROUNDOFF  # certified.md B25
 # Error of the control points of a part of a course, in the same units as the error of a joint value.
 PART_ROUNDINGS = 8.0 * UNIT_ROUNDOFF  # certified.md B50
 
-# Factor from an angle to its effect on the entries of a rotation, in the Frobenius norm.
+# Factor by which an angle is multiplied to bound its effect on the entries of a rotation, in the Frobenius norm.
 TURN = 1.5  # certified.md B26
 
-# Angle errors [rad] of an interpolated quaternion: from rounding, and per unit of the ends' deviation from norm 1.
+# Errors [rad] of the angle of an interpolated quaternion: from rounding, and per unit of the ends' deviation from norm
+# 1.
 SLERP_ROUNDINGS = 256.0 * UNIT_ROUNDOFF  # certified.md B27
 NORM_SHARE = 16.0  # certified.md B28
 
 UPWARD = 1.0 + STRETCH
 
-SMALLEST_TURN = 1e-15  # rad; larger than the error of the angle between two equal quaternions
+SMALLEST_TURN = 1e-15  # SMALLEST_TURN [rad] exceeds the error of the angle between two equal quaternions.
 
 
-# All control points of a quaternion must extend along the first one by at least LEAST_NORM times their largest norm;
-# otherwise, the orientation might turn arbitrarily fast. Any two points of such a course then form an acute angle,
-# which is all that is required of the course's parts.
+# All control points of a quaternion must extend along the first one by at least LEAST_NORM times their largest norm.
+# Otherwise, the orientation might turn arbitrarily fast. Any two points of such a course form an acute angle, which is
+# all that is required of the parts of the course.
 LEAST_NORM = 0.75
 
 
 class Rates(NamedTuple):
-    """Bounds on the motions of joints on a course, or on a part of it: arrays with an entry per link.
+    """Bounds on the motions of joints on a course, or on a part of it: each array has one entry per link.
 
     Attributes
     ----------
     turn : angular velocity, rad over the whole course
     slide : velocity, m over the whole course
-    far : distance from 0, m, of joints that slide
-    turning, sliding : second derivatives
+    far : distance from 0, m, of sliding joints
+    turning, sliding : second derivatives of the angle and of the slide
     """
 
     turn: Any
@@ -74,7 +75,7 @@ class Ways(NamedTuple):
     ----------
     bend : norm of the second derivative
     speed : norm of the first derivative
-    turn, turning : sums of the angular velocities and accelerations of the joints between the two
+    turn, turning : sums of the angular velocities and accelerations of the joints between the two bodies
     travel : sum of the distances of sliding joints from 0
     """
 
@@ -86,7 +87,7 @@ class Ways(NamedTuple):
 
 
 class _Derivatives(NamedTuple):
-    """Largest norms of some columns of a course and of their first and second derivatives; 0 <= t <= 1."""
+    """Largest norms, for 0 <= t <= 1, of several columns of a course and of their first and second derivatives."""
 
     size: Any
     first: Any
@@ -95,7 +96,7 @@ class _Derivatives(NamedTuple):
 
 @inline
 def _derivatives(course, at, count, width):
-    """Bound columns at .. at + count of a part of a course, `width` of the whole."""
+    """Bound the columns at .. at + count of a part of a course; the part is `width` times the whole course."""
     degree = course.shape[0] - 1
     sizes, firsts, seconds = 0.0, 0.0, 0.0
     for k in range(degree + 1):
@@ -127,7 +128,7 @@ def _derivatives_of_value(course, c, width):
 
 @inline
 def _of_course(degree, width, size, first, second):
-    """Derivatives from the largest differences of control points of a part, which may be rounded."""
+    """Make `_Derivatives` of the largest differences of a part's control points, which may be rounded."""
     if degree == 1:
         return _Derivatives(size, first, 0.0)
     off = PART_ROUNDINGS * degree * size if width < 1.0 and first > 0.0 else 0.0
@@ -159,16 +160,16 @@ def _arc(ends, at):
 
 @inline
 def _orientation(course, at, width):
-    """Bounds on angular velocity and acceleration of the orientation in columns at .. at + 4, and its rounding [rad].
+    """Bounds on the angular velocity and acceleration of the orientation in columns at .. at + 4, and its rounding.
 
-    The derivative of a quaternion p / |p| is at most p' / |p|, and p'' / |p| + 2 (p' / |p|)² bounds the turning part of
-    its second derivative; angles are twice as large.
+    The derivative of the unit quaternion p / |p| is at most p' / |p|, and p'' / |p| + 2 (p' / |p|)² bounds the turning
+    part of its second derivative. Angles are twice as large. The rounding is in rad.
     """
     if course.shape[0] == 2:
         turn, astray = _arc(course, at)
         return turn, 0.0, SLERP_ROUNDINGS + NORM_SHARE * astray
     p = _derivatives(course, at, 4, width)
-    # All control points extend at least this far along the first one, and so do all points of the curve.
+    # Every control point extends along the first one by at least `least`, and so does every point of the curve.
     least = np.inf
     for k in range(course.shape[0]):
         reached = 0.0
@@ -186,7 +187,7 @@ def _orientation(course, at, width):
 def _angle_off(off, at):
     """Largest angle error [rad] of a rotation whose quaternion has the errors in columns at .. at + 4."""
     w, x, y, z = off[at], off[at + 1], off[at + 2], off[at + 3]
-    # Normalisation doubles the error, and a chord c of unit quaternions is an angle of at most π c.
+    # Normalisation doubles the error, and a chord c between unit quaternions is an angle of at most π c.
     return 2.0 * np.pi * np.sqrt(w * w + x * x + y * y + z * z)
 
 
@@ -199,8 +200,8 @@ def rates_of(tree, course, width, rates):
     tree : Tree
     course : ndarray, shape (degree + 1, dof)
     width : float
-        Share of the whole course, to whose fractions derivatives refer: 1 for the whole course, whose control points
-        are exact.
+        Share of the whole course, to whose fractions derivatives refer. The share is 1 for the whole course, whose
+        control points are exact.
     rates : Rates
 
     Returns
@@ -248,7 +249,7 @@ def rates_of(tree, course, width, rates):
 
 @njit()
 def write_strays(tree, off, rates, strays):
-    """Write the allowed deviations of joints from a motion, as `Rates`.
+    """Write how far joints may deviate from a motion, as `Rates`.
 
     Parameters
     ----------
@@ -258,8 +259,8 @@ def write_strays(tree, off, rates, strays):
     rates : Rates
         Rates of the course.
     strays : Rates
-        Receives the amounts by which joints may turn and slide away from it, at a constant rate; `far` also holds in
-        between.
+        Receives the amounts by which joints may turn and slide away from the course, at a constant rate. `far` also
+        holds for all states in between.
 
     Returns
     -------
@@ -295,7 +296,7 @@ def write_strays(tree, off, rates, strays):
 
 @inline
 def uncertainty(tables, travel, angles, places):
-    """Largest distance of a computed point of the robot from its position on the real motion [m].
+    """Largest distance [m] between a computed point of the robot and the point on the real motion.
 
     Returns
     -------
@@ -303,7 +304,7 @@ def uncertainty(tables, travel, angles, places):
     length : float
         Length of the chain [m].
     turned : float
-        Relative error of lengths that computed rotations turn.
+        Relative error of lengths to which computed rotations are applied.
     """
     length = tables.chain[1] + travel
     turned = JOINT_ROUNDINGS * tables.chain[0] + TURN * angles
@@ -312,7 +313,7 @@ def uncertainty(tables, travel, angles, places):
 
 @inline
 def shared_joints(tables, a, b):
-    """Number of joints, from the world on, that the paths of two links share."""
+    """Number of joints, counted from the world, that the paths to two links share."""
     start_a, start_b = tables.path_start[a], tables.path_start[b]
     most = min(tables.path_start[a + 1] - start_a, tables.path_start[b + 1] - start_b)
     k = 0
@@ -332,7 +333,7 @@ def ways_between(tables, rates, body, link, fixed):
     body : int
         The moving body.
     link, fixed : int
-        Its link, and the reference link; -1 is the world.
+        The link of the body, and the reference link; -1 is the world.
 
     Returns
     -------
@@ -344,7 +345,7 @@ def ways_between(tables, rates, body, link, fixed):
     down_from = tables.path_start[fixed] + shared if fixed >= 0 else 0
     down_to = tables.path_start[fixed + 1] if fixed >= 0 else 0
     reach = tables.reach
-    every = turning = 0.0  # rates of the turning joints between here and the reference body
+    every = turning = 0.0  # Sums of the rates of the turning joints between the current joint and the reference body.
     for k in range(up_from, up_to):
         every += rates.turn[tables.path_link[k]]
         turning += rates.turning[tables.path_link[k]]
@@ -364,7 +365,7 @@ def ways_between(tables, rates, body, link, fixed):
     for k in range(down_from, down_to):
         joint = tables.path_link[k]
         turn, slide = rates.turn[joint], rates.slide[joint]
-        # On this side, a joint slides before it turns, so its own turn counts as well.
+        # On this side, a joint slides before it turns, so that its own turn counts as well.
         bend += 2.0 * slide * rest
         rest = max(rest - turn, 0.0)
         travel += rates.far[joint]
@@ -388,7 +389,8 @@ def course_bounds(problem_handle, tables_handle, courses, off, bounds):
         Allowed deviation of each value from the course at the same fraction.
     bounds : ndarray, shape (N, bodies, 4)
         Receives the norm of the second derivative [m], the angular velocity [rad], the distance by which points may
-        deviate [m], and the error of computed positions [m]; infinite if an orientation may turn arbitrarily fast.
+        deviate [m], and the error of computed positions [m]. The bounds are infinite if an orientation may turn
+        arbitrarily fast.
     """
     problem, tables = problem_of(problem_handle), motion_tables_of(tables_handle)
     memory = np.zeros((10, len(problem.tree.kind)))

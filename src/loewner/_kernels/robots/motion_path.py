@@ -1,4 +1,4 @@
-"""Courses: the configurations that a motion passes, and the parts of a course.
+"""Courses: the configurations through which a motion passes, and the parts of a course.
 
 A course of degree d is an array of shape (d + 1, dof), the control points of a Bézier curve over the fractions from 0
 to 1. A straight motion has degree 1: its values change linearly, and its orientations turn at a constant rate. On a
@@ -14,14 +14,14 @@ from loewner._kernels.robots.kinematics import quaternion_of
 from loewner._kernels.simd.trig import sine_of
 from loewner._kernels.simd.vectors import LANES, load, rounded_product, select, sqrt, store
 
-SMALL_ANGLE = 1e-6  # rad; for smaller angles, the chord equals the arc
-SMALL_COSINE = 1.0 - 4e-13  # cosine of an angle that is certainly below SMALL_ANGLE
+SMALL_ANGLE = 1e-6  # For angles below SMALL_ANGLE [rad], the chord equals the arc.
+SMALL_COSINE = 1.0 - 4e-13  # SMALL_COSINE is the cosine of an angle that is certainly below SMALL_ANGLE.
 SMALLEST_SINE = 1e-12
 
 
 @inline
 def _value(course, c, t):
-    """Value of a column at a fraction, or at eight; polynomials by Horner's scheme for the Bernstein form."""
+    """Value of a column at one or eight fractions; polynomials by Horner's scheme for the Bernstein form."""
     degree = course.shape[0] - 1
     if degree == 1:
         a, b = course[0, c], course[1, c]
@@ -37,7 +37,7 @@ def _value(course, c, t):
 
 @inline
 def _quaternion(course, at, t):
-    """Unit quaternion at a fraction, or at eight: on the arc between two (at most a right angle), or a polynomial."""
+    """Unit quaternion at one or eight fractions: a polynomial, or on the arc between two (at most a right angle)."""
     if course.shape[0] == 2:
         cosine = 0.0
         for k in range(at, at + 4):
@@ -65,7 +65,8 @@ def configuration_at(tree, course, t, Q, row):
     ----------
     tree : Tree
     course : ndarray, shape (degree + 1, dof)
-        Among q and -q, which are the same orientation, a quaternion is the one nearer to the previous row.
+        Control points of the course. The quaternions q and -q are the same orientation; each quaternion must be nearer
+        to the quaternion of the previous row than its negative.
     t : float
         From 0 to 1.
     Q : ndarray, shape (N, dof)
@@ -81,7 +82,7 @@ def configuration_at(tree, course, t, Q, row):
 
 @apart
 def configurations_at(tree, course, times, first, columns):
-    """Write the configurations at eight fractions of a course, times[first : first + 8], to a flat array by columns."""
+    """Write the configurations at the fractions times[first : first + 8] of a course to a flat array by columns."""
     t = load(times, first)
     for c in range(course.shape[1]):
         store(columns, c * LANES, _value(course, c, t))
@@ -103,10 +104,10 @@ def write_part(course, low, high, scratch, part):
     ----------
     course : ndarray, shape (degree + 1, dof)
     low, high : float
-        The fractions at which the part begins and ends.
+        Fractions at which the part begins and ends.
     scratch : ndarray, shape (degree + 1,)
     part : ndarray, shape (degree + 1, dof)
-        Receives them.
+        Receives the control points of the part.
     """
     degree = course.shape[0] - 1
     for c in range(course.shape[1]):

@@ -1,27 +1,28 @@
 """Prove that a motion is free at every one of its configurations, by planes and not by samples.
 
-A motion is cut into intervals, seven at a time. Over an interval of width w every point of a body, relative to another
-one, stays within A w² / 8 of its chord (`motion_bounds`). So a plane fixed in the frame of one body, with the other
-body beyond it at both ends by more than the margin and A w² / 8, proves the pair for the whole interval.
+A motion is cut into intervals, seven at a time. Over an interval of width w, every point of a body, relative to another
+body, stays within A w² / 8 of its chord (`motion_bounds`). Let a plane be fixed in the frame of one body. If at both
+ends the other body is beyond the plane by more than the margin plus A w² / 8, the plane proves the pair for the whole
+interval.
 
 cull
-    boxes about bodies in a whole block, then balls and boxes about swept bodies, boxes of trees over many pieces, and
-    planes between ellipsoids, seven intervals at a time (`sweeps`). Pieces whose ellipsoids are deep in each other are
-    tested at once.
+    Boxes about bodies in a whole block are compared first. Balls and boxes about swept bodies, boxes of trees over many
+    pieces, and planes between ellipsoids follow, seven intervals at a time (`sweeps`). Pieces whose ellipsoids are deep
+    in each other are tested at once.
 search
-    a plane between the pieces themselves (`narrow.gjk_swept`), for each remaining piece pair; a plane that proves one
-    interval is tried on the others (`planes`).
+    `narrow.gjk_swept` searches for a plane between the pieces themselves, for each remaining piece pair. A plane that
+    proves one interval is tried on the other intervals (`planes`).
 test
-    the exact answer at both ends of an interval that is not proven.
+    The exact answer is computed at both ends of an interval that is not proven.
 halve
-    intervals that are still undecided, until there is a plane, a collision, or no difference beyond the tolerance. The
-    plane that is best at both ends is tested at eight configurations in between. There the bound is a 49th of the one
-    above, and where joints may stray, only their motion along the normal counts (`strays`).
+    Intervals that are still undecided are halved, until a plane or a collision is found, or no difference exceeds the
+    tolerance. The plane that is best at both ends is tested at eight configurations in between. There, the bound is a
+    49th of the bound above, and where joints may stray, only their motion along the normal counts (`strays`).
 
-All of it counts its steps in a *tally*: placements, comparisons and searches. Every loop that is not bounded by a
+All stages count their steps in a *tally*: placements, comparisons and searches. Every loop that is not bounded by a
 constant, or by the numbers of bodies, ends when no steps are left.
 
-docs/certified.md, "Motions", derives the bounds, and proves that this ends.
+docs/certified.md, "Motions", derives the bounds, and proves that the search ends.
 """
 
 from typing import Any, NamedTuple
@@ -90,62 +91,62 @@ from loewner._kernels.tolerances import UNIT_ROUNDOFF
 from loewner._kernels.trees.boxes import LEVELS
 from loewner._kernels.trees.piece_tree import open_group, reach_of
 
-# Largest deviation [m] of points from their chords in the first intervals. This is a choice, not a bound.
+# Largest deviation [m] of points from their chords in the first intervals. FIRST_OFF is a choice, not a bound.
 FIRST_OFF = 0.02
 MOST_BLOCKS = MOST_INTERVALS // 7
 
-# Slightly more than the distance (in rounding errors) at which `collide` may report contact, so that `collide` does not
-# report contact at any configuration of a free motion.
+# CLEAR_ROUNDINGS is slightly more than the distance (in rounding errors) at which `collide` may report contact, so that
+# `collide` does not report contact at any configuration of a free motion.
 CLEAR_ROUNDINGS = TOUCH_ROUNDINGS + 64.0  # certified.md B32
 
-# An interval that fails is AMBIGUOUS once its points move by less than DECIDED times the tolerance; the rest of the
+# An interval that fails is AMBIGUOUS once its points move by less than DECIDED times the tolerance. The rest of the
 # tolerance is left for the convergence of the search.
 DECIDED = 0.5
 
-# If joints may stray, intervals are settled once points move by less than SETTLED_STRAY times V(δ) of certified.md.
+# If joints may stray, intervals are settled once points move by less than SETTLED_STRAY times V(δ), see certified.md.
 SETTLED_STRAY = 0.125
 
-# Strays count as rounding if they move no point by more than ROUNDED_STRAY times the tolerance, as is the case for
+# Strays count as rounding if they move no point by more than ROUNDED_STRAY times the tolerance. This is the case for
 # bodies that follow a motion.
 ROUNDED_STRAY = 1e-3
 
-# Capacity for unproven intervals of a block that are waiting to be halved. If there are more, they are halved at once.
+# Up to WAITING unproven intervals of a block wait to be halved. When the list is full, all of them are halved.
 WAITING = 256
 
-# Capacity for piece pairs of a block that are waiting to be searched, and how many numbers each pair has, scalars
-# first.
+# Up to LISTED piece pairs of a block wait to be searched. Each pair has LISTED_WAYS numbers, scalars first.
 LISTED = 128
 LISTED_WAYS = 6 * LANES
 _NORMALS = LANES
 
-# Number of pairs of surfaces in a block whose answers are kept for other parts of the same surfaces, and number of
+# The answers for ANSWERS pairs of surfaces in a block are kept for other parts of the same surfaces, with ANSWER
 # integers for each pair.
 ANSWERS, ANSWER = 64, 5
 
-# Number of pairs that are tested before the bounds for whole blocks are compared; planners put pairs that often collide
-# first.
+# FIRST_PAIRS pairs are tested before the bounds for whole blocks are compared, because planners put pairs that often
+# collide first.
 FIRST_PAIRS = 4
 
 # If the ellipsoids of two pieces are nearer to each other than DEEP times the distance at which they touch, the pieces
-# are tested at once at their nearest configuration, since most such pieces collide.
+# are tested at once at their nearest configuration, because most such pieces collide.
 DEEP = 0.7
 
-PARTS = 8  # parts into which an interval is cut at once
+PARTS = 8  # An interval is cut into PARTS parts at once.
 
-# Factors by which the work for triangles may grow: MORE after one cut, MOST_MORE after two or if no cut follows.
+# The work for triangles may grow by the factor MORE after one cut, and by MOST_MORE after two cuts or if no cut
+# follows.
 MORE, MOST_MORE = 8, 64
 
-# A cut divides a width by eight, and fractions of 1 have 53 bits, so an interval can be too narrow for another cut
-# after seventeen cuts.
+# A cut divides a width by eight, and fractions of 1 have 53 bits, so that after seventeen cuts an interval can be too
+# narrow for another cut.
 DEPTH = 19
-STACK = 4 * DEPTH  # each cut is three halvings, and each halving leaves one part waiting
+STACK = 4 * DEPTH  # Each cut is three halvings, and each halving leaves one part waiting.
 
 _POSES = 2 * (PARTS + 1)
 
 # Entries of a tally: placed configurations, searches, and remaining steps. Each placed configuration and each search is
-# a step. In a block, steps also count moving bodies, groups of static bodies, pairs of bodies that come near, placed
-# pieces, pairs of pieces, groups of boxes over pieces, and the boxes, triangles and points that walks through surfaces
-# meet.
+# a step. In a block, the steps also include moving bodies, groups of static bodies, pairs of bodies that come near,
+# placed pieces, pairs of pieces, groups of boxes over pieces, and the boxes, triangles and points that walks through
+# surfaces meet.
 POSES, SEARCHES, STEPS_LEFT = 0, 1, 2
 
 
@@ -157,7 +158,7 @@ class Motion(NamedTuple):
     pack, problem, tables : handles of the pieces, the problem and `records.MotionTables`
     tolerance : m
     rounding : errors of computed poses, and rounding of the positions of the robot's points [m]
-    skew : relative error of turned lengths, which is also added for a pair's margin
+    skew : relative error of turned lengths, which also enlarges the margin of a pair
     strays : whether values may deviate from the course; pairs then keep a larger distance
     clear : distance that pairs must keep in addition to their margins [m]
     as_given : whether COLLIDING refers to the given places of bodies, however far their points may be off
@@ -188,11 +189,11 @@ class Near(NamedTuple):
     pair : number of the pair of bodies
     i, j : the pieces; i moves
     bend, speed : `Ways` of i relative to j
-    margin, rise : m that they must keep at the start of the motion, and by how much that grows until its end
-    slack : bound on rounding [m], and on what joints may stray from the course
-    stray : share of the latter
-    lever, wave, rest : `longest_lever`, and the errors of strays along a normal: less than wave w² + rest. 0 if joints
-        do not stray, and until they are first needed.
+    margin, rise : distance that the pieces must keep at the start of the motion, and its growth until the end [m]
+    slack : bound on rounding and on how far joints may stray from the course [m]
+    stray : the part of `slack` that is due to joints that stray
+    lever, wave, rest : `longest_lever`, and the errors of strays along a normal: less than wave w² + rest. All are 0
+        if joints do not stray, and until they are first needed.
     """
 
     pair: Any
@@ -217,44 +218,46 @@ _LINK_ENTRIES = link_entries(LINKS, DOF)
 _RATES = Arena(Rates, **{name: floats(LINKS) for name in Rates._fields})
 
 MEMORY = Arena(
-    times=floats(LANES),  # times of the block
-    scratch=floats(PIECE),  # a piece relative to another body
-    box=floats(6),  # numbers of a piece in a block, in the frame of another body
-    tree_stack=integers(LEVELS * WIDE),  # groups of a tree over pieces, and pieces, that remain to be compared
-    near_pairs=integers(PAIRS),  # 1 for pairs that may be near each other within a block
-    listed=integers(LISTED, 5),  # piece pairs to search: pair, i, j, intervals, tested configurations
-    listed_ways=floats(LISTED * LISTED_WAYS),  # the other numbers of `Near`, and the result of `sweeps.near_piece`
-    answers=integers(ANSWERS, ANSWER),  # see `_row_of_answers`
-    relative=floats(4, 4, 4),  # the identity, and two poses of a body relative to another one
-    waiting=integers(WAITING, 3),  # intervals to halve: row in the list of piece pairs, number, whether undecided
+    times=floats(LANES),  # Times of the block.
+    scratch=floats(PIECE),  # A piece relative to another body.
+    box=floats(6),  # The box of a piece in a block, in the frame of another body.
+    tree_stack=integers(LEVELS * WIDE),  # Groups of a tree over pieces, and pieces, that remain to be compared.
+    near_pairs=integers(PAIRS),  # The entry is 1 for pairs that may be near each other within a block.
+    listed=integers(LISTED, 5),  # Piece pairs to search: pair, i, j, intervals, tested configurations.
+    listed_ways=floats(LISTED * LISTED_WAYS),  # The other numbers of `Near`, and the result of `sweeps.near_piece`.
+    answers=integers(ANSWERS, ANSWER),  # See `_row_of_answers`.
+    relative=floats(4, 4, 4),  # The identity, and two poses of a body relative to another body.
+    waiting=integers(WAITING, 3),  # Intervals to halve: row in the list of piece pairs, number, and whether undecided.
     waiting_normals=floats(WAITING, 3),
-    cut_times=floats(DEPTH, PARTS + 1),  # times at which intervals are cut, by depth
-    cut_poses=floats(DEPTH * _POSES, 4, 4),  # by depth, the poses at these times: first of one body, then of the other
-    ends=floats(4, 4, 4),  # poses at both ends of an interval that is halved: first of one body, then of the other
-    stack=integers(STACK, 3),  # intervals to halve: depth, first and last time
+    cut_times=floats(DEPTH, PARTS + 1),  # Times at which intervals are cut, by depth.
+    # Poses at the times of `cut_times`, by depth: first of one body, then of the other.
+    cut_poses=floats(DEPTH * _POSES, 4, 4),
+    ends=floats(4, 4, 4),  # Poses at both ends of an interval to be halved: first of one body, then of the other.
+    stack=integers(STACK, 3),  # Parts to halve: depth, first and last time.
     stack_normals=floats(STACK, 3),
     gjk=gjk_fast.MEMORY,
     exact=raw(exact.SIZE),
-    vectors=floats(3, 4),  # for the careful search, like the next field
+    vectors=floats(3, 4),  # The careful search uses this field and the next one.
     simplex=floats(4, 9),
     course=raw(8 * MOST_POINTS * DOF),
-    part=raw(8 * MOST_POINTS * DOF),  # control points of the course, for a block
-    scratch_points=floats(MOST_POINTS),  # for `write_part`
-    part_times=floats(LANES),  # eight fractions; `gaps` holds the gaps there
+    part=raw(8 * MOST_POINTS * DOF),  # Control points of the course in a block.
+    scratch_points=floats(MOST_POINTS),  # Scratch for `write_part`.
+    part_times=floats(LANES),  # Eight fractions; `gaps` holds the gaps at these fractions.
     gaps=floats(4 * LANES),
-    planes=floats((2 + 4 * LINKS) * LANES),  # see `strays`
-    cut_links=floats(_LINK_ENTRIES),  # links in an interval that is cut, see `kinematics`
+    planes=floats((2 + 4 * LINKS) * LANES),  # See `strays`.
+    cut_links=floats(_LINK_ENTRIES),  # Links in an interval that is cut, see `kinematics`.
     rates=_RATES,
-    ways=floats(MOVING, 3),  # bend, speed and V(δ) of moving bodies, relative to the world
+    ways=floats(MOVING, 3),  # `bend`, `speed` and V(δ) of moving bodies, relative to the world.
     swept=Arena(
         Swept, poses=floats(LANES * MOVING, 4, 4), bodies=floats(BODY * MOVING), pieces=floats(PIECE * MOVING_PIECES),
         done=integers(MOVING), links=floats(_LINK_ENTRIES), numbers=integers(LANES),
-    ),  # placement of a block
-    order=integers(PAIRS),  # order of the pairs
-    off=floats(DOF),  # allowed deviations of the values from the motion
-    strays=_RATES,  # the resulting deviations of joints
-    growth=floats(MOVING + STANDING, 2),  # how far bodies' points may be off at the start [m], and how fast this grows
-    most_growth=floats(3),  # likewise for all static bodies, and then whether any body may be off
+    ),  # Placement of a block.
+    order=integers(PAIRS),  # Order of the pairs.
+    off=floats(DOF),  # Allowed deviations of the values from the motion.
+    strays=_RATES,  # Deviations of the joints, computed from `off`.
+    # How far points of bodies may be off at the start [m], and how fast this distance grows.
+    growth=floats(MOVING + STANDING, 2),
+    most_growth=floats(3),  # Largest entries of `growth` for static bodies, and whether any body may be off.
 )  # fmt: skip
 _times_of, _scratch_of, _relative_of, _waiting_of, _waiting_normals_of = MEMORY.accessors(
     "times scratch relative waiting waiting_normals"
@@ -297,13 +300,13 @@ def motion_memory(pack, problem_handle, dof):
 
 @inline
 def _standing_poses(problem):
-    """Poses of static bodies, as an array like the others."""
+    """Poses of static bodies, as an array with the shape of other poses."""
     return floats_at(problem.standing_poses.ctypes.data, (len(problem.standing_poses), 4, 4))
 
 
 @inline
 def _relative(frames, fixed, poses, row, to, k):
-    """Write the pose in a row of `poses` relative to the one in row `fixed` of `frames` to row k of `to`."""
+    """Write to row k of `to` the pose in a row of `poses`, relative to the pose in row `fixed` of `frames`."""
     for r in range(3):
         for c in range(3):
             to[k, r, c] = (
@@ -320,7 +323,7 @@ def _relative(frames, fixed, poses, row, to, k):
 
 @apart
 def _proven_standing(motion, i, poses, first, last, j, still, row, least, keep, n):
-    """Whether piece i, at two poses, is apart from the static piece j, as by `separated`; n is from j to i."""
+    """Apply `separated` to piece i at two poses and the static piece j; n is from j to i."""
     pieces, tables = pieces_of(motion.pack), motion_tables_of(motion.tables)
     return separated(
         placed(pieces, j, still, row), placed(pieces, i, poses, first), placed(pieces, i, poses, last), n, least, keep,
@@ -330,7 +333,7 @@ def _proven_standing(motion, i, poses, first, last, j, still, row, least, keep, 
 
 @njit()
 def _proven_moving(motion, i, j, poses, fixed_first, first, fixed_last, last, least, keep, n):
-    """As `_proven_standing` for two moving pieces, relative to the body of j."""
+    """Apply `separated` to two moving pieces, relative to the body of j; n is from j to i."""
     to = _relative_of(motion)
     _relative(poses, fixed_first, poses, first, to, 1)
     _relative(poses, fixed_last, poses, last, to, 2)
@@ -339,11 +342,12 @@ def _proven_moving(motion, i, j, poses, fixed_first, first, fixed_last, last, le
 
 @inline
 def _row_of_answers(motion, near):
-    """Row of `answers` for two pieces, -1 if neither is a surface.
+    """Return the row of `answers` for two pieces; -1 if neither is a surface.
 
-    All parts of a surface have the same answers, since these are sought with all its triangles. A row has the pair of
-    bodies, the two surfaces or pieces, the intervals of the block that are settled, and the configurations that have
-    been tested, the latter two as bits. A further bit of the intervals marks that all have been tried as one.
+    All parts of a surface have the same answers, because these are computed with all triangles of the surface. A row
+    holds the pair of bodies, the two surfaces or pieces, the intervals of the block that are settled (as bits), and the
+    configurations that have been tested (as bits). A further bit of the intervals marks that all intervals have been
+    tried as one.
     """
     layout = pieces_of(motion.pack).layout
     i_is, j_is = layout[near.i, KIND] <= SURFACE, layout[near.j, KIND] <= SURFACE
@@ -366,7 +370,7 @@ def _row_of_answers(motion, near):
 def _triangles_apart(
     motion, near, back, margin, width, times, poses, first, last, still, fixed_first, fixed_last, tally
 ):
-    """Whether two pieces, if one of them is a surface or a part of one, are proven apart in an interval.
+    """Return whether two pieces are proven apart in an interval, if one of them is a surface or a part of a surface.
 
     Parameters
     ----------
@@ -374,22 +378,22 @@ def _triangles_apart(
     back : Ways
         `Ways` of j relative to i.
     margin, width : float
-        The pair's `_margin_within` the interval, and its length.
+        The pair's `_margin_within` the interval, and the interval's length.
     times : int
-        As for `triangles_apart`.
+        Documented in `triangles_apart`.
     poses, first, last :
-        Poses in the world, and the rows with the pose of the body of i at both ends.
+        Poses in the world, and the rows with the poses of i's body at both ends.
     still, fixed_first, fixed_last :
-        Likewise for j.
+        Poses in the world, and the rows with the poses of j's body at both ends.
     """
     pieces, i, j, to = pieces_of(motion.pack), near.i, near.j, _relative_of(motion)
     bend, speed, stands = near.bend, near.speed, problem_of(motion.problem).pairs[near.pair, 1] >= motion.counts.moving
-    if pieces.layout[j, KIND] > SURFACE:  # work in the frame of the surface
+    if pieces.layout[j, KIND] > SURFACE:  # Work in the frame of the surface.
         if pieces.layout[i, KIND] > SURFACE:
             return False
         i, j, bend, speed, stands = j, i, back.bend, back.speed, False
         poses, first, last, still, fixed_first, fixed_last = still, fixed_first, fixed_last, poses, first, last
-    if not stands:  # the frame of a static body might not be orthonormal
+    if not stands:  # The frame of a static body might not be orthonormal.
         _relative(still, fixed_first, poses, first, to, 1)
         _relative(still, fixed_last, poses, last, to, 2)
         poses, first, last, still, fixed_first = to, 1, 2, to, 0
@@ -404,9 +408,9 @@ def _triangles_apart(
 
 @apart
 def _collides(motion, i, poses, row, j, others, other_row, margin, n, tally):
-    """Whether two pieces are within the margin, at poses in the world; n is from i to j.
+    """Decide whether two pieces are within the margin, at poses in the world; n is from i to j.
 
-    FREE, which proves nothing, COLLIDING, or BY_CARE if only the careful search finds them touching.
+    Returns COLLIDING, BY_CARE if only the careful search finds the pieces touching, or FREE, which proves nothing.
     """
     _count(tally, SEARCHES, 1)
     verdict, _, taken = exact_piece_pair(
@@ -425,7 +429,7 @@ def _collides(motion, i, poses, row, j, others, other_row, margin, n, tally):
 
 @apart
 def _hits(motion, near, t, poses, row, others, other_row, n, tally):
-    """As `_collides`, with the margin at t; MAY_BE_HIT if only bodies off their given places collide."""
+    """Test two pieces as `_collides` does, with the margin at t; MAY_BE_HIT if only bodies off their places collide."""
     margin, own = _margin_at(near, t), problem_of(motion.problem).margins[near.pair] + motion.clear
     hit = _collides(motion, near.i, poses, row, near.j, others, other_row, margin, n, tally)
     if hit != FREE and motion.as_given and margin > own:
@@ -436,14 +440,14 @@ def _hits(motion, near, t, poses, row, others, other_row, n, tally):
 
 @inline
 def _count(tally, entry, number):
-    """Count poses or searches."""
+    """Count placed configurations or searches."""
     tally[entry] += number
     tally[STEPS_LEFT] -= number
 
 
 @inline
 def _allowed(tally):
-    """How many steps a walk may take; one more than are left, so that none are left after a walk that had too few."""
+    """Number of steps that a walk may take: one more than are left, so that a walk with too few steps uses up all."""
     return max(tally[STEPS_LEFT] + 1, 0)
 
 
@@ -469,7 +473,7 @@ def _to_body(poses, row, n):
 
 @inline
 def _off_together(motion, pair):
-    """How far points of two bodies may be off [m]: at the start of the motion, and by how much this grows."""
+    """How far points of two bodies may be off [m]: at the start of the motion, and by how much the distance grows."""
     problem, growth = problem_of(motion.problem), _growth_of(motion)
     one, other = problem.pairs[pair, 0], problem.pairs[pair, 1]
     return growth[one, 0] + growth[other, 0], growth[one, 1] + growth[other, 1]
@@ -496,7 +500,7 @@ def _margin_within(near, low, high):
 
 @inline
 def _enough(motion, near):
-    """Largest motion of points in an interval that counts as settled [m]; see docs/certified.md."""
+    """Largest motion of points [m] in an interval that counts as settled; see docs/certified.md."""
     slack = near.slack - near.stray
     return DECIDED * max(motion.tolerance - slack, slack, SETTLED_STRAY * near.stray)
 
@@ -509,13 +513,13 @@ def _off(near, width):
 
 @inline
 def _needed(near, margin, width):
-    """Gap along a normal, less strays along it, that proves an interval in which this margin is kept [m]."""
+    """Gap [m] along a normal, less strays along it, that proves an interval in which the pair keeps this margin."""
     return margin + (near.slack - near.stray) + _off(near, width) + (near.wave * width * width + near.rest)
 
 
 @inline
 def _kept(near, low, high):
-    """Gap without strays along its normal that proves an interval, and the least that is of use in seven parts [m]."""
+    """Gap that proves an interval for strays in all directions, and the least gap that is of use in seven parts [m]."""
     keep = _margin_within(near, low, high) + near.slack + _off(near, high - low)
     least = near.margin + min(near.rise * low, near.rise * high)
     return keep, min(_needed(near, least, (high - low) / INTERVALS), keep)
@@ -523,13 +527,13 @@ def _kept(near, low, high):
 
 @inline
 def _moved(near, width):
-    """Largest distance of the hull of both ends from the piece in the middle, and how much its margin grows."""
+    """Largest distance of the hull of both ends from the piece in the middle, plus the growth of its margin."""
     return near.speed * width / 2.0 + _off(near, width) + abs(near.rise) * width
 
 
 @inline
 def _write_gaps(motion, near, W, n, directed):
-    """Write gaps along n at the eight configurations of W, less strays along n if `directed`."""
+    """Write the gaps along n at the eight configurations of W, less strays along n if `directed`."""
     pieces, problem, tables = pieces_of(motion.pack), problem_of(motion.problem), motion_tables_of(motion.tables)
     one, other, moving = problem.pairs[near.pair, 0], problem.pairs[near.pair, 1], motion.counts.moving
     still, link, fixed, row = _standing_poses(problem), problem.link[one], -1, other - moving
@@ -546,7 +550,7 @@ def _write_gaps(motion, near, W, n, directed):
 
 @apart
 def _open_parts(motion, near, W, times, n, directed):
-    """The intervals between eight configurations, as bits, that a plane with the normal n does not prove.
+    """Bits of the intervals between eight configurations that a plane with the normal n does not prove.
 
     The normal is in the frame of j's body; `directed` is explained at `_write_gaps`.
     """
@@ -561,7 +565,7 @@ def _open_parts(motion, near, W, times, n, directed):
 
 @njit()
 def _open_between(motion, near, low, high, n):
-    """The parts of an interval cut into seven, as bits, that a plane with the normal n does not prove."""
+    """Bits of the parts, when an interval is cut into seven, that a plane with the normal n does not prove."""
     W, times = _cut_links_of(motion), _part_times_of(motion)
     _place_between(motion, low, high, times, W)
     return _open_parts(motion, near, W, times, n, near.stray > 0.0)
@@ -569,7 +573,7 @@ def _open_between(motion, near, low, high, n):
 
 @apart
 def _place_between(motion, low, high, times, W):
-    """Place the links at eight times from `low` to `high`, and write these; return the longest interval."""
+    """Place the links at eight times from `low` to `high`, and write the times; return the longest interval."""
     widest = 0.0
     for k in range(LANES):
         times[k] = low + (high - low) * (k / INTERVALS) if k < INTERVALS else high
@@ -581,14 +585,14 @@ def _place_between(motion, low, high, times, W):
 
 @apart
 def _ways(motion, astray, body, link, fixed):
-    """`Ways` of a body relative to a link on the course; or on the way to deviations from it, if `astray`."""
+    """`Ways` of a body relative to a link: on the course, or on the way to deviations from it if `astray`."""
     tables = motion_tables_of(motion.tables)
     return ways_between(tables, _strays_of(motion) if astray else _rates_of(motion), body, link, fixed)
 
 
 @apart
 def _place_at(motion, times, first, W):
-    """Place the links at eight times, from entry `first` on."""
+    """Place the links at eight times, starting at entry `first`."""
     tree = problem_of(motion.problem).tree
     configurations_at(tree, _course_of(motion), times, first, columns_of(tree, W))
     place_columns(tree, W)
@@ -596,7 +600,7 @@ def _place_at(motion, times, first, W):
 
 @inline
 def _copy_pose(W, link, lane, poses, row):
-    """Write a link's pose in one lane to a row."""
+    """Copy a link's pose from one lane to a row."""
     at = link * 12 * LANES + lane
     for r in range(3):
         for c in range(3):
@@ -606,7 +610,7 @@ def _copy_pose(W, link, lane, poses, row):
 
 @njit()
 def _copy_pair(motion, near, W, lane, poses, row, other_row):
-    """Write the poses of a pair's bodies in one lane to two rows."""
+    """Copy the poses of a pair's bodies from one lane to two rows."""
     problem = problem_of(motion.problem)
     other = problem.pairs[near.pair, 1]
     _copy_pose(W, problem.link[problem.pairs[near.pair, 0]], lane, poses, row)
@@ -619,7 +623,7 @@ def _copy_pair(motion, near, W, lane, poses, row, other_row):
 
 @apart
 def _sweep(motion, body):
-    """Bound a moving body in a block."""
+    """Write the bounds of a moving body in a block."""
     sweep(problem_of(motion.problem), pieces_of(motion.pack), body, _swept_of(motion))
 
 
@@ -640,7 +644,7 @@ def _place_body(motion, body):
 
 @njit()
 def _cut(motion, near, depth, low, high, poses, row_low, row_high, others, other_low, other_high):
-    """Write times and poses of an interval in eight parts to a depth; the ones at its ends are copied."""
+    """Write, at a depth, the times and poses that cut an interval into eight parts; the end poses are copied."""
     times, to, W = _cut_times_of(motion)[depth], _cut_poses_of(motion), _cut_links_of(motion)
     for k in range(PARTS):
         times[k] = low + (high - low) * (k / PARTS)
@@ -668,9 +672,10 @@ def _write_ends(motion, near, W, first, last):
 
 @apart
 def _test_middle(motion, near, t, width, poses, row, other_row, toward, tally):
-    """Test two pieces exactly at t, in the middle of an interval: FREE, or the verdict for it.
+    """Test two pieces exactly at t, in the middle of an interval; return FREE, or the verdict for the interval.
 
-    The verdict is AMBIGUOUS if they come within the tolerance and points move by less than the tolerance.
+    The verdict is AMBIGUOUS if the pieces come within the tolerance and points stay within the tolerance of their
+    chords.
     """
     hit = _hits(motion, near, t, poses, row, poses, other_row, toward, tally)
     if hit == FREE and _off(near, width) <= motion.tolerance:
@@ -682,7 +687,7 @@ def _test_middle(motion, near, t, width, poses, row, other_row, toward, tally):
 
 @njit()
 def _halve(motion, near, back, low, high, n, tally):
-    """Settle an interval, whose poses at both ends have been written, which no plane between its ends proves.
+    """Settle an interval that no plane between its ends proves; the poses at both ends must have been written.
 
     Parameters
     ----------
@@ -698,9 +703,9 @@ def _halve(motion, near, back, low, high, n, tally):
     -------
     verdict : int
     t : float
-        Fraction at which it is COLLIDING, AMBIGUOUS or UNFINISHED.
+        Fraction at which the interval is COLLIDING, AMBIGUOUS or UNFINISHED.
     by_triangles : bool
-        Whether it is FREE because all triangles of the surfaces are apart, including their other parts.
+        Whether the interval is FREE because all triangles of the surfaces, including their other parts, are apart.
     """
     problem, by_triangles, has_surface = problem_of(motion.problem), True, _row_of_answers(motion, near) >= 0
     stands = problem.pairs[near.pair, 1] >= motion.counts.moving
@@ -723,7 +728,7 @@ def _halve(motion, near, back, low, high, n, tally):
         if last - first == 1:
             a, b = times[depth, first], times[depth, last]
             if depth + 1 >= DEPTH or not (a < a + (b - a) / PARTS < a + (b - a) * (1.0 - 1.0 / PARTS) < b):
-                return AMBIGUOUS, a, False  # there is no room for eight parts between the two times
+                return AMBIGUOUS, a, False  # The two times are too close together for eight parts.
             at = depth * _POSES
             both = at + PARTS + 1
             _cut(motion, near, depth + 1, a, b, poses, at + first, at + last, poses, both + first, both + last)
@@ -734,7 +739,8 @@ def _halve(motion, near, back, low, high, n, tally):
         middle = (first + last) // 2
         t, width = times[depth, middle], times[depth, last] - times[depth, first]
         toward = negated(n if stands else _to_world(poses, both + middle, n))
-        # The exact test of surfaces takes longer than tests with planes, so it is tried only after they have failed.
+        # The exact test of surfaces takes longer than tests with planes, so that it is run only after the planes have
+        # failed.
         waits = has_surface
         if not waits:
             hit = _test_middle(motion, near, t, width, poses, at + middle, both + middle, toward, tally)
@@ -760,7 +766,7 @@ def _halve(motion, near, back, low, high, n, tally):
             if proven or left == 0:
                 by_triangles = False
                 continue
-            # Try a plane that turns with the other body.
+            # Try a plane that is fixed to the other body and turns with it.
             within = _margin_within(near, times[depth, a], times[depth, b])
             keep = within + near.slack + back.bend * w * w / 8.0
             world = m if stands else _to_world(poses, both + a, m)
@@ -800,7 +806,7 @@ def _halve(motion, near, back, low, high, n, tally):
 
 
 class Found(NamedTuple):
-    """The worst result for a motion so far: verdict, fraction, and pair of bodies."""
+    """The worst result for a motion so far: its verdict, fraction, and pair of bodies."""
 
     verdict: Any
     t: Any
@@ -809,7 +815,7 @@ class Found(NamedTuple):
 
 @inline
 def _worse(found, verdict, t, pair):
-    """Merge another verdict into the worst so far; on a tie the earlier one stays."""
+    """Merge another verdict into the worst result so far; on a tie, the earlier result stays."""
     if verdict == FREE or found.verdict == verdict or (verdict == AMBIGUOUS and found.verdict != FREE):
         return found
     return Found(verdict, t, pair)
@@ -817,13 +823,13 @@ def _worse(found, verdict, t, pair):
 
 @inline
 def _hit(found):
-    """Whether the search ends: no worse result is possible, no steps are left, or the block is begun again."""
+    """Return whether the search ends: no result is worse, no steps are left, or the block is begun again."""
     return not (found.verdict == FREE or found.verdict == AMBIGUOUS)
 
 
 @inline
 def _open_verdict(motion):
-    """Verdict for an interval that is not proven and in which nothing collides."""
+    """Verdict for an interval that is not proven and in which no collision was found."""
     return MAY_BE_HIT if motion.as_given and _most_growth_of(motion)[2] != 0.0 else AMBIGUOUS
 
 
@@ -847,7 +853,7 @@ def _halve_waiting(motion, count, found, tally):
         n = normals[e, 0], normals[e, 1], normals[e, 2]
         keep, least = _kept(near, times[k], times[k + 1])
         proven, undecided = False, waiting[e, 2] != 0
-        if near.stray == 0.0:  # with strays, the best plane has already been found
+        if near.stray == 0.0:  # With strays, the best plane has already been found.
             _count(tally, SEARCHES, 1)
             proven, n, undecided = _proven(motion, near, swept, k, k + 1, least, keep, n)
         left = EVERY
@@ -882,9 +888,9 @@ def _halve_waiting(motion, count, found, tally):
 
 @apart
 def _settled_by_triangles(motion, near, k, is_first, tally):
-    """The intervals of the block, as bits, in which the triangles of two pieces are proven apart: all of them, or k.
+    """Bits of the block's intervals in which the triangles of two pieces are proven apart: all intervals, or only k.
 
-    All intervals are tried as a single one if `is_first`, and this is marked by a further bit.
+    If `is_first`, all intervals are first tried as a single one, which a further bit marks.
     """
     mark = 1 << INTERVALS if is_first else 0
     if is_first and _apart_in_block(motion, near, 0, INTERVALS, 1, tally):
@@ -894,7 +900,7 @@ def _settled_by_triangles(motion, near, k, is_first, tally):
 
 @inline
 def _apart_in_block(motion, near, first, last, more, tally):
-    """`_triangles_apart` between two configurations of the block."""
+    """Call `_triangles_apart` between two configurations of the block."""
     problem, swept, times = problem_of(motion.problem), _swept_of(motion), _times_of(motion)
     one, other = problem.pairs[near.pair, 0], problem.pairs[near.pair, 1]
     moves = other < motion.counts.moving
@@ -910,7 +916,7 @@ def _apart_in_block(motion, near, first, last, more, tally):
 
 @inline
 def _proven(motion, near, swept, first, last, least, keep, n):
-    """As `_proven_standing` for the configurations `first` and `last` of the block."""
+    """Call `_proven_standing` or `_proven_moving` for the configurations `first` and `last` of the block."""
     problem = problem_of(motion.problem)
     one, other = problem.pairs[near.pair, 0], problem.pairs[near.pair, 1]
     a, b = one * LANES + first, one * LANES + last
@@ -923,7 +929,7 @@ def _proven(motion, near, swept, first, last, least, keep, n):
 
 @inline
 def _collides_in_block(motion, near, swept, k, n, tally):
-    """Whether two pieces collide at configuration k of the block; n is from j to i, in j's frame."""
+    """Test whether two pieces collide at configuration k of the block; n is from j to i, in j's frame."""
     problem = problem_of(motion.problem)
     one, other = problem.pairs[near.pair, 0], problem.pairs[near.pair, 1]
     a, t = one * LANES + k, _times_of(motion)[k]
@@ -937,13 +943,13 @@ def _collides_in_block(motion, near, swept, k, n, tally):
 
 @inline
 def _test(motion, near, swept, k, n, found, tested, tally):
-    """Test once whether two pieces collide at configuration k of the block; n is from j to i, in j's frame.
+    """Test only once whether two pieces collide at configuration k of the block; n is from j to i, in j's frame.
 
     Returns
     -------
     found : Found
     tested : int
-        Configurations that were tested, as bits.
+        Bits of the configurations that were tested.
     """
     if (tested >> k) & 1 == 0:
         tested |= 1 << k
@@ -953,7 +959,7 @@ def _test(motion, near, swept, k, n, found, tested, tally):
 
 @njit()
 def _search(motion, e, found, waiting_count, tally):
-    """Prove the intervals of a listed piece pair by planes; the remaining ones wait.
+    """Prove the intervals of a listed piece pair by planes; the remaining intervals wait to be halved.
 
     Returns
     -------
@@ -972,7 +978,7 @@ def _search(motion, e, found, waiting_count, tally):
         live &= ~answers[row, 3]
         tested |= answers[row, 4]
     while live != 0:
-        # Go backward from the end: most of a planner's colliding motions collide there.
+        # Go backward from the end, because most colliding motions of a planner collide there.
         k = highest_bit(live)
         if tally[STEPS_LEFT] < 0:
             return Found(UNFINISHED, times[k], near.pair), waiting_count
@@ -1017,7 +1023,7 @@ def _search(motion, e, found, waiting_count, tally):
 
 @inline
 def _listed_pair(motion, e):
-    """The piece pair in row e of the list."""
+    """Read the piece pair in row e of the list."""
     listed, ways, at = _listed_of(motion), _listed_ways_of(motion), e * LISTED_WAYS
     pair = listed[e, 0]
     margin, rise = _margin(motion, pair)
@@ -1029,7 +1035,7 @@ def _listed_pair(motion, e):
 
 @inline
 def _with_errors(motion, e):
-    """A listed pair with its `lever`, `wave` and `rest`, which are computed when first needed."""
+    """Read a listed pair; compute its `lever`, `wave` and `rest` when they are first needed."""
     if motion.strays and _listed_ways_of(motion)[e * LISTED_WAYS + 4] == 0.0:
         _write_errors(motion, e)
     return _listed_pair(motion, e)
@@ -1074,7 +1080,7 @@ def _margin_in_block(motion, pair):
 
 @apart
 def _begin_tree(motion, i, other):
-    """Begin the walk through the tree of a body near piece i, seen from the body; return the height of the stack."""
+    """Begin the walk through a body's tree near piece i, in the body's frame; return the height of the stack."""
     pieces, problem, moving, scratch = (
         pieces_of(motion.pack), problem_of(motion.problem), motion.counts.moving, _scratch_of(motion),
     )  # fmt: skip
@@ -1087,7 +1093,7 @@ def _begin_tree(motion, i, other):
 
 @apart
 def _open_group(motion, keep, height):
-    """Replace the group on top of the stack by its boxes that are near; return the height of the stack."""
+    """Replace the group on top of the stack with its boxes that are near; return the height of the stack."""
     stack = _tree_stack_of(motion)
     return open_group(pieces_of(motion.pack), stack[height], _box_of(motion), keep * WIDER, stack, height)
 
@@ -1100,7 +1106,7 @@ def _list_pair(motion, pair, live, bend, speed, slack, stray, found, count, tall
     -------
     found : Found
     count : int
-        Number of listed piece pairs; a full list has been settled.
+        Number of listed piece pairs; whenever the list is full, it is settled.
     """
     pieces, problem, tables = pieces_of(motion.pack), problem_of(motion.problem), motion_tables_of(motion.tables)
     swept, scratch, times = _swept_of(motion), _scratch_of(motion), _times_of(motion)
@@ -1159,7 +1165,7 @@ def _list_pair(motion, pair, live, bend, speed, slack, stray, found, count, tall
                 n = ways[to + deepest], ways[to + LANES + deepest], ways[to + 2 * LANES + deepest]
                 near = _listed_pair(motion, count)
                 row = _row_of_answers(motion, near)
-                if row < 0 or answers[row, 4] == 0:  # for parts of surfaces, only the first pair is tested
+                if row < 0 or answers[row, 4] == 0:  # For parts of surfaces, only the first pair is tested.
                     found, listed[count, 4] = _test(motion, near, swept, deepest + end, n, found, 0, tally)
                     if _hit(found):
                         return found, count
@@ -1175,14 +1181,14 @@ def _list_pair(motion, pair, live, bend, speed, slack, stray, found, count, tall
 
 @njit()
 def _measure(motion, course, width):
-    """Write rates and ways on the course, or on a part, `width` of the whole.
+    """Write rates and ways on the course, or on a part that is `width` times the whole course.
 
     Returns
     -------
     most : float
-        The largest second derivative, relative to the world.
+        Largest second derivative of points, relative to the world.
     travel, angles, places
-        As for `rates_of`.
+        Documented in `rates_of`.
     """
     problem, tables, rates = problem_of(motion.problem), motion_tables_of(motion.tables), _rates_of(motion)
     ways, most = _ways_of(motion), 0.0
@@ -1196,7 +1202,7 @@ def _measure(motion, course, width):
 
 @njit()
 def _find_near_pairs(motion, widest):
-    """Find the pairs with static bodies that may be near each other in a block, and bound all bodies."""
+    """Bound all moving bodies in a block, and find the pairs with static bodies that may be near each other."""
     tables, swept, ways, near_pairs = (
         motion_tables_of(motion.tables), _swept_of(motion), _ways_of(motion), _near_pairs_of(motion),
     )  # fmt: skip
@@ -1238,7 +1244,7 @@ def _settle_block(motion, low, high, found, tally):
 
 @apart
 def _settle_pairs(motion, low, widest, found, tally):
-    """Settle all pairs in a block, which begins at the time `low` and whose links are placed."""
+    """Settle all pairs in a block that begins at the time `low`, and whose links are placed."""
     problem, tables, swept, moving = (
         problem_of(motion.problem), motion_tables_of(motion.tables), _swept_of(motion), motion.counts.moving,
     )  # fmt: skip
@@ -1270,20 +1276,21 @@ def _settle_pairs(motion, low, widest, found, tally):
             slack += CLEAR_ROUNDINGS * position_error(tables.sizes[k], UNIT_ROUNDOFF)
             live = near_standing(problem, one, k, margin + slack + bend * widest * widest / 8.0, swept)
         else:
-            # First compare in the world, with each body on its own path; this is cheap and leaves few pairs.
+            # First compare the bodies in the world, each on its own path. This comparison is cheap and leaves few
+            # pairs.
             bend, stray = ways[one, 0] + ways[other, 0], stray + ways[other, 2]
             live = near_in_world(problem, one, other, margin + slack + stray + bend * widest * widest / 8.0, swept)
             if live == 0:
                 continue
             if motion.strays:
-                # Both values bound how much nearer to each other strays can bring the two bodies.
+                # Each of the two values bounds how much nearer to each other strays can bring the two bodies.
                 stray = min(stray, _stray(motion, one, problem.link[one], problem.link[other]))
                 slack += stray
             seen = _ways(motion, False, one, problem.link[one], problem.link[other])
             bend, speed = seen.bend, seen.speed
             live &= near_moving(problem, one, other, margin + slack + bend * widest * widest / 8.0, swept, scratch)
         if speed == 0.0 and _margin(motion, pair)[1] == 0.0:
-            live &= 1  # the two bodies do not move relative to each other
+            live &= 1  # The two bodies do not move relative to each other.
         if live != 0:
             found, count = _list_pair(motion, pair, live, bend, speed, slack, stray, found, count, tally)
             if _hit(found):
@@ -1305,7 +1312,8 @@ def _certify(motion, tally):
     rounding = 8.0 * off + 4.0 * tables.chain[2] * length
     rounding += CLEAR_ROUNDINGS * position_error(4.0 * length, UNIT_ROUNDOFF)
     skew = 2.0 * turned + 2.0 * tables.chain[2]
-    astray = 2.0 * (1.0 + skew) * (turns * length + slides)  # for all joints together and any two bodies
+    # The bound holds for all joints together and any two bodies.
+    astray = 2.0 * (1.0 + skew) * (turns * length + slides)
     if astray < ROUNDED_STRAY * motion.tolerance:
         rounding, strays = rounding + astray, False
     motion = Motion(
@@ -1313,7 +1321,7 @@ def _certify(motion, tally):
         motion.as_given, motion.points, motion.counts, motion.work,
     )  # fmt: skip
     if not rounding < np.inf:
-        return Found(TOO_LONG, np.nan, -1)  # an orientation may turn arbitrarily fast
+        return Found(TOO_LONG, np.nan, -1)  # An orientation may turn arbitrarily fast.
     for body in range(motion.counts.moving):
         link = problem.link[body]
         _ways_of(motion)[body, 2] = _stray(motion, body, link, -1) if motion.strays else 0.0
@@ -1324,7 +1332,8 @@ def _certify(motion, tally):
             return Found(TOO_LONG, np.nan, -1)
     found = Found(FREE, np.nan, -1)
     for number in range(blocks):
-        # Take the first block, then the middle one, then the others in the order of their numbers with reversed bits.
+        # Take the first block, then the middle one, then the other blocks in the order of their numbers with reversed
+        # bits.
         block, bit, rest = 0, blocks // 2, number
         while rest != 0:
             block += bit * (rest & 1)
@@ -1345,7 +1354,7 @@ def _certify(motion, tally):
 
 @inline
 def _motion(pack, problem_handle, tables_handle, tolerance, strays, clear, as_given, points, dof, memory):
-    """A motion in prepared memory, whose course has yet to be written."""
+    """Make a motion in prepared memory; its course has yet to be written."""
     counts = counts_of(pieces_of(pack), problem_of(problem_handle), dof)
     return Motion(
         pack, problem_handle, tables_handle, tolerance, 0.0, 0.0, strays, clear, as_given, points, counts, memory
@@ -1354,7 +1363,7 @@ def _motion(pack, problem_handle, tables_handle, tolerance, strays, clear, as_gi
 
 @njit()
 def make_ready(pack, problem_handle, tables_handle, dof, memory):
-    """Write the data shared by all motions to the memory."""
+    """Write the data that all motions share to the memory."""
     motion = _motion(pack, problem_handle, tables_handle, 0.0, False, 0.0, False, 2, dof, memory)
     order, first = _order_of(motion), motion_tables_of(tables_handle).order
     for k in range(len(order)):
@@ -1372,7 +1381,7 @@ def make_ready(pack, problem_handle, tables_handle, dof, memory):
 
 @njit()
 def _write_growth(motion, off):
-    """Write how far points of bodies may be off on a motion, from the argument of `certify_motions`."""
+    """Write how far points of bodies may be off on a motion, from the argument `off` of `certify_motions`."""
     growth, most, start, end, any_off = _growth_of(motion), _most_growth_of(motion), 0.0, 0.0, False
     for at in range(motion.counts.dof, len(off), 3):
         body = int(off[at])
@@ -1409,32 +1418,31 @@ def certify_motions(
         See `motion_path`.
     off : ndarray, shape (N, dof + 3 growing) or (0, dof)
         Allowed deviation of each value from the course at the same fraction: FREE holds for all such configurations,
-        and COLLIDING for one on the course itself. Without rows, there is no deviation. Three more numbers follow for
-        each body whose points may be off: its number, and how far they may be off at the start and at the end, in
-        metres; in between, this changes linearly. A negative number of a body means that there is none.
+        and COLLIDING for a configuration on the course itself. An array without rows allows no deviation. Three more
+        numbers follow for each body whose points may be off: its number, and how far they may be off [m] at the start
+        and at the end; in between, this distance changes linearly. A negative number stands for no body.
     clear : ndarray, shape (N,) or (0,)
-        Distances in metres that all pairs must keep on a motion in addition to their margins; none without rows.
+        Distances [m] that all pairs must keep on a motion in addition to their margins; an array without rows adds
+        none.
     tolerance : float
-        In metres; a motion that comes within the margin plus this may be AMBIGUOUS.
+        Tolerance in metres: a motion on which bodies come within the margin plus the tolerance may be AMBIGUOUS.
     pack : int
-        Handle of the packed bodies, as for `configurations.check_configurations`.
+        Handle of the packed bodies, see `configurations.check_configurations`.
     problem_handle, tables_handle : int
         Handles of the problem and the tables, see `pack.problem_of` and `pack.motion_tables_of`.
     out : ndarray of int8, shape (N,)
-        Receives FREE, COLLIDING, AMBIGUOUS, TOO_LONG or BY_CARE. On entry, it contains 0 where COLLIDING refers to
-        margins enlarged by how far points may be off, and 1 where it refers to the margins alone. In the latter case, a
-        motion on which a body may be hit is AMBIGUOUS where this is first found, and the search continues for a
-        collision.
+        Receives FREE, COLLIDING, AMBIGUOUS, TOO_LONG or BY_CARE. On entry, 0 means that COLLIDING refers to margins
+        enlarged by how far points may be off, and 1 that it refers to the margins alone. With 1, a motion on which a
+        body may be hit is AMBIGUOUS where this is first found, and the search continues for a collision.
     t_out : ndarray, shape (N,)
-        Receives fractions at which a motion is colliding or ambiguous; NaN for the others.
+        Receives the fraction at which a motion is colliding or ambiguous; NaN for the other motions.
     pair_out : ndarray of int64, shape (N,)
-        Receives the number of the colliding or ambiguous pair; -1 for the others.
+        Receives the number of the colliding or ambiguous pair; -1 for the other motions.
     tallies : ndarray of int64, shape (N, 3)
-        Receives the numbers of configurations placed, of searches, and of steps. On entry, the last one contains how
-        many steps a motion may take before it is given up as AMBIGUOUS; -1 stands for as many as the previous motion
-        left.
+        Receives the numbers of placed configurations, of searches, and of steps. On entry, the last entry is the number
+        of steps after which a motion is given up as AMBIGUOUS; -1 stands for the number that the previous motion left.
     memory : int
-        Address of `motion_memory` scratch bytes; one thread uses them at a time.
+        Address of `motion_memory()` scratch bytes; only one thread may use them at a time.
     """
     _, points, dof = courses.shape
     make_ready(pack, problem_handle, tables_handle, dof, memory)
@@ -1461,12 +1469,12 @@ def certify_motions(
 
 @njit()
 def certified(pack, problem_handle, tables_handle, tolerance, error, ends, tally, memory):
-    """Whether one motion is FREE, as in `certify_motions`, with prepared memory.
+    """Return whether one motion is FREE, see `certify_motions`, with prepared memory.
 
-    FREE covers all configurations whose values deviate by no more than the numbers at the address `error`, shape
-    (dof,), if it is not 0. The work is added to `tally`, shape (3,): configurations placed and searches; the last entry
-    is the number of remaining steps, which is reduced. A pair that is found not to be free is moved forward, so that
-    pairs that collide most often come first.
+    FREE covers all configurations whose values deviate by at most the numbers at the address `error`, shape (dof,),
+    unless the address is 0. The placed configurations and searches are added to `tally`, shape (3,); its last entry,
+    the number of remaining steps, is reduced. A pair that is not free is moved forward, so that pairs that collide most
+    often come first.
     """
     dof = ends.shape[1]
     motion = _motion(pack, problem_handle, tables_handle, tolerance, error != 0, 0.0, False, 2, dof, memory)
@@ -1475,7 +1483,7 @@ def certified(pack, problem_handle, tables_handle, tolerance, error, ends, tally
         course[0, c], course[1, c] = ends[0, c], ends[1, c]
     if motion.strays:
         allowed, off = floats_at(error, (dof,)), _off_of(motion)
-        for c in range(dof):  # rounded as in `loewner.robots.proofs.proofs.deviations`
+        for c in range(dof):  # The sum is rounded as in `loewner.robots.proofs.proofs.deviations`.
             off[c] = allowed[c] + 2.0 * VALUE_ROUNDINGS * max(abs(ends[0, c]), abs(ends[1, c]))
     found = _certify(motion, tally)
     if found.pair >= 0:
@@ -1493,20 +1501,20 @@ def certified(pack, problem_handle, tables_handle, tolerance, error, ends, tally
 def free_motions(
     prepared, start, stop, courses, error, tolerance, pack, problem_handle, tables_handle, tallies, out, memory
 ):
-    """Find out which of the straight motions start .. stop are FREE, as `certified` does, for validators of motions.
+    """Find which of the straight motions start .. stop are FREE, as `certified` does, for validators of motions.
 
     Parameters
     ----------
     prepared : int
-        0 in the first call with a memory, which then keeps the order of the pairs from call to call.
+        0 in the first call with a memory. The memory keeps the order of the pairs from call to call.
     courses, tolerance, pack, problem_handle, tables_handle, memory
-        As for `certify_motions`; courses of two points.
+        Documented in `certify_motions`; courses have two points.
     error : int
-        As for `certified`.
+        Documented in `certified`.
     tallies : ndarray of int64, shape (N, 3)
-        As for `certify_motions`, with a number of steps for each motion.
+        Documented in `certify_motions`, with a number of steps for each motion.
     out : ndarray of int8, shape (N,)
-        Receives 1 for motions that are free, 0 for the others.
+        Receives 1 for motions that are free, and 0 for the other motions.
     """
     if prepared == 0:
         make_ready(pack, problem_handle, tables_handle, courses.shape[2], memory)

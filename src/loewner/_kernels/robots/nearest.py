@@ -53,15 +53,15 @@ from loewner._kernels.simd.vectors import (
 from loewner._kernels.tolerances import SINGLE_ROUNDOFF, UP
 from loewner._kernels.trees import piece_tree
 
-S = SINGLE_LANES  # configurations of a block
+S = SINGLE_LANES  # A block has S configurations.
 
-# Factor that lowers a lower bound in single precision by more than its roundings.
+# The factor DOWN lowers a lower bound in single precision by more than its roundings.
 DOWN = 1.0 - 16.0 * SINGLE_ROUNDOFF  # certified.md B43
 
 MEMORY = Arena(
     distances=distances.MEMORY,
-    bodies=integers(QUEUED),  # the pair of bodies of each queued piece pair
-    seeds=floats(S),  # at each configuration, the pair with the least bound
+    bodies=integers(QUEUED),  # The pair of bodies of each queued piece pair.
+    seeds=floats(S),  # The pair with the least bound at each configuration.
     low=floats(S),
     high=floats(S),
     exact=Arena(
@@ -70,7 +70,7 @@ MEMORY = Arena(
     ),
     steps=integers(piece_tree.STEPS),
     numbers=floats(piece_tree.NUMBERS),
-    least=floats(S * PAIRS),  # lower bounds for the pairs
+    least=floats(S * PAIRS),  # Lower bounds for the pairs.
     placement=PLACEMENT,
 )  # fmt: skip
 _distances_of, _bodies_of, _seeds_of, _low_of, _high_of, _exact_of, _steps_of, _numbers_of, _least_of, _placement_of = (
@@ -89,7 +89,7 @@ def memory_of_nearest(pack, problem_handle, dof):
 def _least_distances(a, b):
     """Lower bounds on the signed distance of two bodies at sixteen configurations, by their balls and boxes.
 
-    The bound is -inf where squares overflow: the bodies are then far from each other, but not infinitely far.
+    The bound is -inf where squares overflow, because the bodies are then far from each other but not infinitely far.
     """
     r, up, down, nought = minus(b.center, a.center), np.float32(UP), np.float32(DOWN), np.float32(0.0)
     balls = sqrt(dot(r, r)) * down - (a.radius + b.radius) * up
@@ -104,7 +104,7 @@ def _least_distances(a, b):
 
 @inline
 def _may_be_nearer(least, p, upper, live):
-    """Configurations, as bits, at which a pair may be as near as the upper bounds."""
+    """Bits of the configurations at which a pair may be as near as the upper bounds."""
     cut = load_rounded(upper, 0)
     return live & ~movemask(load_rounded(least, p * S) > cut + absolute(cut) * np.float32(1e-6))
 
@@ -116,10 +116,10 @@ def _pose_row(body, s, moving):
 
 @njit()
 def _bound(count, operands, place):
-    """Bounds of queued piece pairs, merged into those of their configurations.
+    """Bound the queued piece pairs, and merge the bounds into the results of their configurations.
 
-    If balls and boxes give better bounds than ellipsoids, these are used: a pair that would be left out in another
-    order of pairs, because it is farther than `upper`, then does not lower the result here either.
+    Where balls and boxes give better bounds than ellipsoids, their bounds are used. A pair that would be skipped in
+    another order of pairs, because it is farther than `upper`, then does not lower the result here either.
     """
     write_bounds(count, operands, queued_at(_distances_of(place)))
     queue, bodies = queue_of(queued_at(_distances_of(place))), _bodies_of(place)
@@ -132,7 +132,7 @@ def _bound(count, operands, place):
 
 @njit()
 def _measure(count, operands, place):
-    """Exact distances of queued piece pairs, merged into those of their configurations."""
+    """Measure the queued piece pairs exactly, and merge the distances into the results of their configurations."""
     work, exact = _distances_of(place), _exact_of(place)
     write_bounds(count, operands, queued_at(work))
     late = measure_near(count, operands, work, exact)
@@ -152,7 +152,7 @@ def _take(turn, count, operands, place):
 
 @njit()
 def _walk(turn, p, s, body_a, row_a, body_b, row_b, operands, place):
-    """The piece pairs of two bodies, one of many pieces, that may be the nearest at a configuration."""
+    """Measure the piece pairs of two bodies that may be the nearest at a configuration; one body has many pieces."""
     pieces = pieces_of(operands.a)
     queued, steps, numbers = queued_at(_distances_of(place)), _steps_of(place), _numbers_of(place)
     upper, distance = _high_of(place), _exact_of(place).distance
@@ -171,25 +171,25 @@ def _walk(turn, p, s, body_a, row_a, body_b, row_b, operands, place):
 
 @njit()
 def nearest_pairs(wanted, start, stop, Q, pack, problem_handle, memory, numbers, vectors, pieces_out, status):
-    """Bounds on the least distance of all pairs at the configurations start .. stop, and the exact one.
+    """Bound the least distance of all pairs at the configurations start .. stop, and measure it exactly on request.
 
     Parameters
     ----------
     wanted : bool
-        Whether the exact distance is; only then are it and the last three arrays written.
+        Whether the exact distance is requested; if not, it and the last three arrays are not written.
     Q : ndarray, shape (N, dof)
     pack, problem_handle : int
-        As for `configurations.check_configurations`.
+        Documented in `configurations.check_configurations`.
     memory : int
-        Address of `memory_of_nearest` bytes to write to; one thread uses them at a time.
+        Address of `memory_of_nearest()` bytes to write to; only one thread may use them at a time.
     numbers : ndarray, shape (3, N), or (2, N) without exact distances
-        Lower bounds, upper bounds and exact distances.
+        Receives lower bounds, upper bounds and exact distances.
     vectors : ndarray, shape (3, N, 3)
-        Witnesses of a and of b, and normals, see `distances.Exact`.
+        Receives the witnesses on a and on b, and the normals, see `distances.Exact`.
     pieces_out : ndarray of int64, shape (N, 2)
-        Rows of the nearest pieces.
+        Receives the rows of the nearest pieces.
     status : ndarray of int8, shape (N,)
-        SETTLED_DISTANCE or NOT_SETTLED.
+        Receives SETTLED_DISTANCE or NOT_SETTLED.
     """
     pieces, problem = pieces_of(pack), problem_of(problem_handle)
     counts = counts_of(pieces, problem, Q.shape[1])
@@ -255,19 +255,19 @@ def nearest_pairs(wanted, start, stop, Q, pack, problem_handle, memory, numbers,
 
 @njit()
 def near_pairs(within, start, stop, Q, pack, problem_handle, memory, listed, count):
-    """List the pairs of bodies that may be within a distance by balls and boxes at the configurations start .. stop.
+    """List the pairs of bodies that, by balls and boxes, may be within a distance at configurations start .. stop.
 
     Parameters
     ----------
     within : float
     listed : ndarray of int64, shape (room, 2)
-        Receives rows of a configuration and a pair, from row `count` on, as many as fit.
-    Others as for `nearest_pairs`.
+        Receives the rows of a configuration and a pair, starting at row `count`; only the rows that fit are listed.
+    The other parameters are documented in `nearest_pairs`.
 
     Returns
     -------
     count : int
-        Number of rows found so far; only as many as fit are listed.
+        Number of rows found so far; only the rows that fit are listed.
     """
     problem = problem_of(problem_handle)
     counts = counts_of(pieces_of(pack), problem, Q.shape[1])

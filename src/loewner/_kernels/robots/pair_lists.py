@@ -1,8 +1,9 @@
-"""List the pairs of bodies to check, and make the tables that kernels take besides bodies and poses, for Python and C.
+"""For Python and C: list the pairs of bodies to check, and make the tables that kernels take besides bodies and poses.
 
 `list_pairs` applies the rules of a scene. `lay_out` divides memory into the arrays of `records.Problem` and
-`records.MotionTables`, and writes what depends neither on poses of static bodies nor on values of joints: paths and
-lengths of links, balls about moving bodies, groups of pairs, and the order in which proofs of motions take them.
+`records.MotionTables`. `lay_out` also writes the entries that depend neither on poses of static bodies nor on values of
+joints: paths and lengths of links, balls about moving bodies, groups of pairs, and the order in which proofs of motions
+take the pairs.
 """
 
 import math
@@ -36,7 +37,7 @@ BALL, STANDING, STANDING_ROWS, STANDING_POSES = (
 PATH_START, PATH_LINK, REACHES, EXACT_ROWS, SIZES, ORDER, GROUP_START, GROUP_PAIRS, GROUPS, CHAIN = MOTION_ROWS.values()
 
 # Cosines of eighths of a turn, at which a joint's rotation is compared with an orthonormal one. The difference is a sum
-# of waves in the angle and in twice the angle, so its maximum is less than twice the largest of eight samples.
+# of waves in the angle and in twice the angle, so that its maximum is less than twice the largest of eight samples.
 _DIAGONAL = math.sqrt(0.5)
 COSINES = 1.0, _DIAGONAL, 0.0, -_DIAGONAL, -1.0, -_DIAGONAL, 0.0, _DIAGONAL
 
@@ -46,32 +47,33 @@ COSINES = 1.0, _DIAGONAL, 0.0, -_DIAGONAL, -1.0, -_DIAGONAL, 0.0, _DIAGONAL
 
 @njit()
 def list_pairs(parent, kind, link, marks, own, least, rules, rule_margins, pairs, margins):
-    """List the pairs of bodies that can meet but may not touch, and their margins, as `Scene.margin_of` has them.
+    """List the pairs of bodies that can meet but may not touch, and their margins, see `Scene.margin_of`.
 
     Parameters
     ----------
     parent, kind : ndarray of int64
         See `records.Tree`: bodies on links that are rigidly joined cannot meet.
     link : ndarray of int64, shape (moving bodies,)
-        The links of the moving bodies, which come first; pairs of others are not listed.
+        Links of the moving bodies, which come first; pairs without a moving body are not listed.
     marks : ndarray of int64, shape (bodies, 3)
-        Whether a body belongs to the robot, and whether its margins in `own` override the ones in `least`.
+        Whether a body belongs to the robot, and whether each of its two margins in `own` overrides the margins in
+        `least`.
     own : ndarray, shape (bodies, 2)
-        Margins of a body against any other, and against bodies of the robot.
+        Margins of a body against any other body, and against bodies of the robot.
     least : ndarray, shape (2,)
-        Margins of all pairs, and of pairs of bodies of the robot.
+        Margins of all pairs, and of pairs within the robot.
     rules : ndarray of int64, shape (rules, 4)
-        Two bodies, -1 for an absent one; 1 if they may touch, 0 if not, -1 if the rule is about their margin only; and
-        whether this margin overrides all others. Later rules override earlier ones.
+        Two bodies, -1 for an absent body; 1 if they may touch, 0 if they may not, -1 if the rule concerns only their
+        margin; and whether this margin overrides all other margins. Later rules override earlier ones.
     rule_margins : ndarray, shape (rules,)
-        Margins of the pairs with rules; negative if a rule has none.
+        Margins of the pairs with rules; negative if a rule has no margin.
     pairs, margins : ndarray, shapes (most, 2) and (most,)
         Receive the pairs, in ascending order, and have room for all pairs with a moving body.
 
     Returns
     -------
     int
-        The number of pairs.
+        Number of pairs.
     """
     moving, bodies, count, kept = len(link), len(own), 0, 0
     for a in range(moving):
@@ -117,21 +119,21 @@ def _margin(marks, own, least, a, b):
 
 @njit()
 def lay_out(pack, handle, lasting, block):
-    """Complete the table of a problem, with its arrays in memory of the caller; static bodies are not placed yet.
+    """Complete the table of a problem, with its arrays in the caller's memory; static bodies are not placed yet.
 
     Parameters
     ----------
     pack, handle : int
         Handles of the bodies, and of a `records.Problem` with its tree, `link`, `pairs`, `margins` and `order`.
     lasting, block : ndarray
-        Memory for the arrays that depend on no pose, and memory that begins, at its first cache line, with the tables
-        of the problem and its `records.MotionTables`, see `standing.place_static`. Without memory, only sizes are
+        Memory for the arrays that depend on no pose; and memory that begins, at its first cache line, with the tables
+        of the problem and of its `records.MotionTables`, see `standing.place_static`. Without memory, only sizes are
         computed.
 
     Returns
     -------
     lasting_words, block_words : int
-        Sizes of the memory.
+        Sizes of the two memories in words.
     made : int
         Handle of the problem in the block.
     """
@@ -165,7 +167,7 @@ def lay_out(pack, handle, lasting, block):
         for k in range(TABLE):
             integers_at(made, (TABLE,))[k] = table[k]
         problem, tables = problem_of(made), motion_tables_of(made + MOTIONS)
-        problem.standing_poses[:] = np.nan  # NaN differs from all poses
+        problem.standing_poses[:] = np.nan  # NaN differs from all poses.
         _write_paths(tree, tables)
         _write_order(depths, problem, tables)
         _write_group_pairs(counts, pairs, tables)
@@ -178,9 +180,10 @@ def lay_out(pack, handle, lasting, block):
 
 @inline
 def _divide(table, at, shapes):
-    """Write the table rows of arrays stored one after another from an address on; return the words that they take.
+    """Write the table rows of arrays that are stored one after another; return the number of words that they take.
 
-    A shape has the number of the row, rows, columns, and the bytes of an entry.
+    The arrays begin at the address `at`. A shape holds the number of the table row, the array's rows and columns, and
+    the bytes of an entry.
     """
     words = 0
     for row, rows, columns, size in shapes:
@@ -207,7 +210,7 @@ def _write_paths(tree, tables):
 
 @njit()
 def _write_order(depths, problem, tables):
-    """Order the pairs, stably, by their bodies' depths: bodies far out on the robot move most, and collide most."""
+    """Sort the pairs, stably, by their bodies' depths: bodies far out on the robot move most, and collide most."""
     at = 0
     for depth in range(len(depths), -1, -1):
         for k in range(len(problem.pairs)):
@@ -218,12 +221,12 @@ def _write_order(depths, problem, tables):
 
 @njit()
 def _write_group_pairs(counts, pairs, tables):
-    """Put each body's pairs with static bodies in groups of eight, the last one filled up with repeats."""
+    """Put each body's pairs with static bodies in groups of eight; repeats fill the last group."""
     moving, start = len(counts), tables.group_start
     start[0] = 0
     for body in range(moving):
         start[body + 1] = start[body] + (counts[body] + LANES - 1) // LANES
-        counts[body] = LANES * start[body]  # from here on, the place of the next pair
+        counts[body] = LANES * start[body]  # From here on, `counts` holds the place of the next pair.
     for k in range(len(pairs)):
         body = pairs[k, 0]
         if pairs[k, 1] >= moving:
@@ -256,7 +259,7 @@ def _write_chain(depths, pieces, problem, chain):
 
 @njit()
 def _bend(tree, link):
-    """The largest departure of a link's rotation from orthonormality, at eighths of a turn."""
+    """Largest deviation of a link's rotation from orthonormality, at eighths of a turn."""
     turns, worst, R = tree.kind[link] in (REVOLUTE, PLANAR), 0.0, np.empty(9)
     for step in range(8):
         sine, cosine, squares = (COSINES[(step + 6) % 8], COSINES[step], 0.0) if turns else (0.0, 0.0, 0.0)

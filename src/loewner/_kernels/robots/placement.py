@@ -1,8 +1,8 @@
 """Placement of a robot and its scene in a block of configurations: poses, ellipsoids, bounds.
 
-In a block of S configurations, with S a multiple of sixteen and at most MOST, a moving body b has its pose at
-configuration s in row b S + s, and a piece p its ellipsoids in row p S + s. Static bodies have one row each, after as
-many rows as S = MOST takes, so they stay in place when S changes.
+A block has S configurations, where S is a multiple of sixteen and at most MOST. Row b S + s holds the pose of the
+moving body b at configuration s, and row p S + s the ellipsoids of the piece p. Static bodies have one row each. Their
+rows follow the rows that S = MOST would take, so that static bodies stay in place when S changes.
 """
 
 from typing import Any, NamedTuple
@@ -40,9 +40,9 @@ from loewner._kernels.simd.vectors import (
 )
 from loewner._kernels.tolerances import LEAST, OFF, SHAPE_ROUNDINGS, SINGLE_ROUNDOFF, UP
 
-MOST = 64  # configurations in a block
+MOST = 64  # A block has up to MOST configurations.
 
-# Columns of a body's bounds: center, radius of a sphere around it, half widths.
+# Columns of a body's bounds: the center, the radius of a sphere around it, and the half widths of a box.
 X, Y, Z, WIDE, HALF_X, HALF_Y, HALF_Z = 0, 1, 2, 3, 4, 5, 6
 
 
@@ -56,11 +56,11 @@ class Placement(NamedTuple):
     ellipsoids : ndarray of float32, shape (rows, HOT)
         Ellipsoids of all pieces, in world coordinates.
     bounds : ndarray of float32
-        Bounds of the moving bodies: BOUNDS rows of S numbers each.
+        Bounds of the moving bodies: BOUNDS rows of S numbers for each.
     links : ndarray
         Output of the kinematics, see `kinematics`.
     numbers : ndarray of int64, shape (8,)
-        Row numbers of a vector's lanes.
+        Row numbers of the lanes of a vector.
     """
 
     poses: Any
@@ -164,13 +164,13 @@ def _write_one(hot, p, found, S, at, to):
 def place_joints(problem, Q, first, last, to):
     """Compute the links' poses at the configurations first .. last, at most eight, for `place_body`."""
     for lane in range(LANES):
-        to.numbers[lane] = min(first + lane, last)  # padded with repeats of the last configuration
+        to.numbers[lane] = min(first + lane, last)  # Repeats of the last configuration pad the rows.
     place_links(problem.tree, Q, to.numbers, 0, to.links)
 
 
 @inline
 def _place_pieces(pieces, ball, body, R, t, S, at, to, write):
-    """Place the pieces of a body whose link is at R, t, and bound them: center, radius and half widths."""
+    """Place the pieces of a body whose link is at the pose R, t, and bound them: center, radius and half widths."""
     piece_start, hot = pieces.piece_start, pieces.hot
     p = piece_start[body]
     found = _ellipsoids(hot, p, R, t)
@@ -178,7 +178,8 @@ def _place_pieces(pieces, ball, body, R, t, S, at, to, write):
     center, half = found.outer, _half_widths(found)
     wide = (OFF * found.length + LEAST) + ball[body, 3] * UP
     if piece_start[body + 1] - p > 1:
-        # This box around the ball's center contains the pieces' boxes if there are few pieces, and the ball otherwise.
+        # This box around the ball's center contains the boxes of the pieces if there are few pieces, and otherwise the
+        # ball.
         center = plus(apply(R, (ball[body, 0], ball[body, 1], ball[body, 2])), t)
         length = (absolute(t[0]) + absolute(t[1]) + absolute(t[2]) + ball[body, 4]) * UP
         wide = wide + OFF * length
@@ -207,8 +208,8 @@ def _half_widths(found):
 def place_body(pack, problem_handle, address, counts, body, S, at):
     """Place a moving body at the configurations at .. at + 8 of a block, from the last output of `place_joints`.
 
-    It takes handles, since it is compiled separately from its callers and a record's arrays would be copied for each
-    call.
+    The function takes handles, because it is compiled separately from its callers, and each call would copy the arrays
+    of a record.
     """
     pieces, problem, to = pieces_of(pack), problem_of(problem_handle), placement_of(Place(address, counts))
     W, numbers, bounds = to.links, to.numbers, to.bounds
@@ -232,7 +233,7 @@ def place_body(pack, problem_handle, address, counts, body, S, at):
 
 @njit()
 def place_body_once(pack, problem_handle, address, counts, body, S):
-    """As `place_body`, at the first configuration of a block only, in a quarter of the time."""
+    """Place a moving body at the first configuration of a block only, in a quarter of the time of `place_body`."""
     pieces, problem, to = pieces_of(pack), problem_of(problem_handle), placement_of(Place(address, counts))
     W, bounds, pose = to.links, to.bounds, to.poses[body * S]
     first = problem.link[body] * (12 * LANES)
@@ -261,7 +262,7 @@ def _around(middle, center, half):
 
 @inline
 def _wider(x, y):
-    """The larger width; NaN if either is NaN, or if x overflowed: such a box bounds nothing."""
+    """The larger width; NaN if either is NaN, or if x overflowed, because such a box bounds nothing."""
     return maximum(x, y) + 0.0 * x
 
 
@@ -280,7 +281,7 @@ def stand(problem, counts, to):
 
 
 class Bounds(NamedTuple):
-    """Bounds of one body at sixteen configurations: center of a ball and a box about it, radius, half widths."""
+    """Bounds of one body at sixteen configurations: common center of a ball and a box, radius, half widths."""
 
     center: Any
     radius: Any
@@ -289,14 +290,14 @@ class Bounds(NamedTuple):
 
 @inline
 def _balls_apart(r, radius_a, radius_b, keep):
-    """Where balls whose centers differ by r are apart by `keep`."""
+    """Mask of lanes in which balls whose centers differ by r are apart by `keep`."""
     far = ((radius_a + radius_b) + keep) * np.float32(UP)
     return dot(r, r) * np.float32(1.0 - 16.0 * SINGLE_ROUNDOFF) > far * far
 
 
 @inline
 def _boxes_apart(r, a, b, keep):
-    """Where boxes with half widths a and b, whose centers differ by r, are apart by `keep`."""
+    """Mask of lanes in which boxes with half widths a and b, whose centers differ by r, are apart by `keep`."""
     up = np.float32(UP)
     clear = absolute(r[0]) > ((a[0] + b[0]) + keep) * up
     clear = clear | (absolute(r[1]) > ((a[1] + b[1]) + keep) * up)
@@ -305,9 +306,9 @@ def _boxes_apart(r, a, b, keep):
 
 @inline
 def near(a, b, keep, live):
-    """The configurations among `live`, as bits, at which the bounds of two bodies are not apart by `keep`.
+    """Bits of the configurations among `live` at which the bounds of two bodies are not apart by `keep`.
 
-    Balls and boxes are always both computed: a branch between them would be mispredicted.
+    Balls and boxes are always both compared, because a branch between them would be mispredicted.
     """
     r = minus(b.center, a.center)
     clear = _balls_apart(r, a.radius, b.radius, keep) | _boxes_apart(r, a.half, b.half, keep)
@@ -316,9 +317,9 @@ def near(a, b, keep, live):
 
 @inline
 def near_once(bounds, body, S, others, other, other_S, keep):
-    """As `near`, at the first configuration of a block, for rows of two tables; static bodies are a block of one.
+    """Do the work of `near` at a block's first configuration, for rows of two tables; static bodies are a block of one.
 
-    Most pairs of bodies are far apart, so that the branch after the balls is mostly predicted.
+    Most pairs of bodies are far apart, so that the branch after the balls is usually predicted.
     """
     a, b = bounds.ctypes.data, others.ctypes.data
     i, j = body * BOUNDS * S, other * BOUNDS * other_S
@@ -352,7 +353,7 @@ def bounds_at(bounds, at, S):
 
 @inline
 def bounds_standing(standing, k):
-    """Bounds of a static body, at all configurations."""
+    """Bounds of a static body, repeated for all configurations."""
     return Bounds(
         (broadcast(standing[k, X]), broadcast(standing[k, Y]), broadcast(standing[k, Z])),
         broadcast(standing[k, WIDE]),

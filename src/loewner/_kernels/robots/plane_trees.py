@@ -1,8 +1,8 @@
-"""Planes that separate all pairs of bodies all along a motion: the trees of a proof, see docs/proof-format.md.
+"""Trees of planes that separate all pairs of bodies along a whole motion: see docs/proof-format.md.
 
-A tree is searched depth first. Normals are fixed to one body of a pair, the lower one, and point to the other, the
-upper one. A plane is accepted if the gaps at both ends of its interval, computed in double precision, exceed the bound
-of the format by some room for rounding. The program that verifies the proof decides.
+A tree is searched depth first. A normal is fixed to one body of a pair, the lower body, and points to the other body,
+the upper body. A plane is accepted if the gaps at both ends of its interval, computed in double precision, exceed the
+bound of the format by some room for rounding. The final decision is made by the program that verifies the proof.
 """
 
 from typing import Any, NamedTuple
@@ -22,18 +22,20 @@ from loewner._kernels.simd.memory import held
 from loewner._kernels.simd.vectors import LANES, broadcast, entry_at_highest, load, numbers_from, select
 from loewner._kernels.tolerances import UNIT_ROUNDOFF
 
-# Columns of clusters and of pieces: kind, radius, center and the nine numbers of the factor.
+# Columns of clusters are in the first line. Columns of pieces: the kind, then the radius, the center and the nine
+# numbers of the factor.
 FIRST, LAST, LEFT_HALF, RIGHT_HALF, BEGIN, END, CURVED = 0, 1, 2, 3, 4, 5, 6
 RADIUS, CENTER, FACTOR = 1, 2, 5
 
 # Columns of boxes: the center, the half-edges, and a point inside the pieces.
 HALF, INSIDE = 3, 6
 
-# Columns of bodies: the link in the model, the robot's link that has its pose, and the cluster of all its pieces.
+# Columns of bodies: the link in the model, the link of the robot with the same pose, and the cluster of all pieces of
+# the body.
 LINK, PLACED_BY, ROOT = 0, 1, 2
 
-# Columns of joints: how they move, the norm of a sliding joint's axis vector, rotation, translation and unit axis.
-# Integer columns: the link above, and the number of links above. The columns of speeds on a motion come last.
+# Columns of joints: how they move, the norm of a sliding joint's axis vector, rotation, translation and unit axis. The
+# integer columns are the link above, and the number of links above. The columns of speeds on a motion come last.
 TURNS = 1.0
 MOVES, LENGTH, TURN, SHIFT, AXIS = 0, 1, 2, 11, 14
 ABOVE, DEPTH = 0, 1
@@ -42,46 +44,47 @@ RATE, BEND, OFF, FAR = 0, 1, 2, 3
 # Tokens of the trees.
 HALVED, FIRST_DIVIDED, SECOND_DIVIDED, SAME, AXES, NORMAL, DOUBLES = 0, 1, 2, 3, 4, 16, 18
 
-# Largest depth of a tree, which limits the digits of an interval's ends; checkers allow 64 levels.
+# DEEPEST is the largest depth of a tree, which limits the digits of an interval's ends. Checkers allow 64 levels.
 DEEPEST = 40
 
-# Factor that enlarges the required gaps, as room for checkers that compute with enclosures.
+# The required gaps are enlarged by the factor SHARE, as room for checkers that compute with enclosures.
 SHARE = 1.0 + 2e-9
 
-# The entries of a normal are rounded to integers of at most LARGEST. Rounding turns the normal, so SCALES scales are
-# tried, and the best one is kept. On level DEEP and below it, and for bodies that do not move, normals in doubles are
-# also tried without rounding.
+# The entries of a normal are rounded to integers of at most LARGEST. Rounding turns the normal, so that SCALES scales
+# are tried, and the best one is kept. On level DEEP and below it, and for bodies that do not move, the normal is also
+# tried in doubles, without rounding.
 LARGEST, SCALES, DEEP = 32767.0, 3, 10
 
-# Boxes are compared first. They must be apart by BOX_ROOM times the model's size, since poses may bend slightly.
+# Boxes are compared first. The boxes must be apart by BOX_ROOM times the model's size, because poses may bend slightly.
 BOX_ROOM = 4e-6
 
-# A search ends once gaps exceed the required ones by ROUNDED times the model's size, so that a gap remains for a
-# rounded normal.
+# A search ends once gaps exceed the required gaps by ROUNDED times the model's size, so that a gap remains after the
+# normal is rounded.
 ROUNDED = 4e-5
 
-# How many of the best axes are tried after the boxes.
+# After the boxes, the BEST_AXES best axes are tried.
 BEST_AXES = 3
 
-# Poses of links are kept at multiples of 1 / KEPT. At other times, they are kept only for the middle of one interval on
-# each level: the search is depth first, so both halves of an interval are finished before its level gets another
-# middle.
+# Poses of links are stored at multiples of 1 / KEPT. At other times, poses are stored only for the middle of one
+# interval on each level: the search is depth first, so that both halves of an interval are finished before another
+# interval on the same level is cut.
 LEVELS = 6
 KEPT = 1 << LEVELS
 SLOTS = KEPT + 1 + DEEPEST
 
-# For each pair, `state` holds the side and the normal that a search found last (RECENT), the token and the plane that
-# were named last (NAMED), and given sides and normals (GIVEN). GJK finds no normal if pieces touch or overlap.
+# In a pair's row of `state`, RECENT is the column of the side and the normal that the last search found. NAMED is the
+# column of the token and the plane that were written last. GIVEN is the first column of given sides and normals, which
+# take EACH columns per normal. Given normals help where pieces touch or overlap, because GJK finds no normal there.
 RECENT, NAMED, GIVEN, EACH = 0, 4, 8, 4
 
 
 class _Sides(NamedTuple):
-    """The poses of one body's link in the frame of the other's, at both ends of an interval; for either as the lower.
+    """Poses of one body's link in the frame of the other body's link, at both ends of an interval, for each side.
 
     Attributes
     ----------
     turns, shifts : tuples
-        By side and end: of the second body in the frame of the first one, and the other way round.
+        By side and end: the second body in the frame of the first body, and vice versa.
     """
 
     turns: Any
@@ -89,7 +92,7 @@ class _Sides(NamedTuple):
 
 
 class _Pair(NamedTuple):
-    """A pair of bodies, with its margin, and with A and V of the format by side."""
+    """A pair of bodies, with its margin, and with A and V of the proof format by side."""
 
     pair: Any
     bodies: Any
@@ -99,10 +102,10 @@ class _Pair(NamedTuple):
 
 
 class _Limits(NamedTuple):
-    """Lengths that depend on the size of the model: room for rounding, for boxes, for rounded normals, and errors.
+    """Lengths that depend on the size of the model: room for rounding, for boxes and for rounded normals, and errors.
 
-    A search cannot find planes between pieces that are nearer than a few errors. `pair_proofs` has another way for
-    bodies that do not move; between others, the room for rounding is larger.
+    A search cannot find planes between pieces that are nearer to each other than a few errors. For bodies that do not
+    move, `pair_proofs` has another way; for other bodies, the room for rounding is larger.
     """
 
     room: Any
@@ -163,7 +166,7 @@ def support(model, cluster, n):
 
 @inline
 def _supports(model, clusters, poses, W, ends, n):
-    """Points of the lower cluster, and of the upper one at one or two poses, whose difference is least along n."""
+    """Find points of the lower cluster, and of the upper one at one or two poses, whose difference is least along n."""
     turns, shifts = poses
     a = support(model, clusters[0], negated(n))
     b = image(turns[0], shifts[0], support(model, clusters[1], apply_transposed(turns[0], n)))
@@ -179,17 +182,17 @@ _WORDS = MEMORY.size() // 8
 
 @apart
 def _direction(model, clusters, poses, ends, n, least, far, error, memory):
-    """A direction along which clusters are farther apart than `far`, or else as far as possible.
+    """Find a direction along which clusters are farther apart than `far`, or else as far as possible.
 
     Parameters
     ----------
     ends : int
-        1, to take the upper cluster at the first of the poses only, or 2.
+        1 to use the upper cluster only at the first pose, or 2 to use it at both poses.
 
     Returns
     -------
     near : bool
-        Whether they are within `least` of each other, so that there is no such plane.
+        Whether the clusters are within `least` of each other, so that no such plane exists.
     n : tuple of 3 float
     """
     W, result = vertices_of(memory), result_of(memory)
@@ -222,7 +225,7 @@ def _write_boxes(model):
 
 @inline
 def _ball_of(model, column, piece):
-    """The ball that stands for a corner, or for a curved piece, in the ball around a body."""
+    """The ball that represents a corner, or a curved piece, in the ball around a body."""
     if column >= 0:
         k = 4 * (column & ~(LANES - 1)) + (column & (LANES - 1))
         return (model.points[k], model.points[k + LANES], model.points[k + 2 * LANES]), model.points[k + 3 * LANES]
@@ -236,7 +239,7 @@ def _ball_of(model, column, piece):
 
 @njit()
 def _write_balls(model):
-    """Write the balls around bodies, as the format defines them."""
+    """Write the balls around bodies, see docs/proof-format.md."""
     for body in range(len(model.bodies)):
         root = model.bodies[body, ROOT]
         begin, corners = model.clusters[root, BEGIN], model.clusters[root, END] - model.clusters[root, BEGIN]
@@ -276,9 +279,9 @@ def _size(model, speeds):
 
 @njit()
 def _bends(model, speeds, lower, upper, chain, levers):
-    """A and V of the format, for the motion of the upper body as seen from the lower one.
+    """A and V of the proof format, for the motion of the upper body as seen from the lower body.
 
-    `chain` and `levers` are scratch: the joints from the upper body to the lower one, and the distances R.
+    `chain` and `levers` are scratch: the joints from the upper body to the lower body, and the distances R.
     """
     x, y = model.bodies[upper, LINK], model.bodies[lower, LINK]
     while x != y:
@@ -315,7 +318,7 @@ def _bends(model, speeds, lower, upper, chain, levers):
         if k < up:
             c = image(F, t, c)
     curvature, deviation, turned = 0.0, 0.0, 0.0
-    for k in range(count - 1, -1, -1):  # from the lower body to the upper one
+    for k in range(count - 1, -1, -1):  # Go from the lower body to the upper body.
         j = chain[k]
         rate = speeds[j, RATE]
         squares = 2.0 * rate * turned + speeds[j, BEND]
@@ -332,7 +335,7 @@ def _bends(model, speeds, lower, upper, chain, levers):
 
 @njit()
 def _place(tree, course, times, slots, count, frames, memory):
-    """Write the poses of all links at some times, at most eight, to their slots."""
+    """Write the poses of all links at `count` times, at most eight, to their slots."""
     links, dof = len(tree.parent), course.shape[1]
     if links == 0:
         return
@@ -342,7 +345,7 @@ def _place(tree, course, times, slots, count, frames, memory):
         t = times[min(lane, count - 1)]
         for k in range(dof):
             value, share = 0.0, 1.0
-            for p in range(degree + 1):  # binomials, in order
+            for p in range(degree + 1):  # The factor `share` runs through the binomial coefficients in order.
                 value += share * t**p * (1.0 - t) ** (degree - p) * course[p, k]
                 share = share * (degree - p) / (p + 1)
             Q[lane, k] = value
@@ -355,7 +358,7 @@ def _place(tree, course, times, slots, count, frames, memory):
 
 @njit()
 def _slot_between(low, high, level, tree, course, known, frames, memory):
-    """The slot of the middle of an interval, where its poses are written if they are not known."""
+    """Return the slot of the middle of an interval; poses that are not stored yet are written to it."""
     times, slots = np.empty(LANES), np.empty(LANES, dtype=np.int64)
     width = high - low
     if level >= LEVELS:
@@ -396,7 +399,7 @@ def _between(frames, low, high, a, b):
 
 @njit()
 def _compare_boxes(model, bodies, a, b, sides, need, scores):
-    """By how much the gaps of boxes along twelve axes, in the order of tokens, exceed those needed; the largest."""
+    """Write by how much gaps of boxes along twelve axes, in the order of tokens, exceed the need; return the best."""
     M, N = _nine(model.turns, bodies[0], 0), _nine(model.turns, bodies[1], 0)
     c, d = _three(model.boxes, a, 0), _three(model.boxes, b, 0)
     for k in range(12):
@@ -420,7 +423,7 @@ def _compare_boxes(model, bodies, a, b, sides, need, scores):
 
 @njit(forceinline=False)
 def _gaps(model, pair, clusters, sides, side, N):
-    """The gaps at both ends along a normal N in the frame of the lower body."""
+    """Gaps at both ends along a normal N in the frame of the lower body."""
     n = apply(_nine(model.turns, pair.bodies[side], 0), N)
     length = np.sqrt(dot(n, n))
     if not length > 0.0:
@@ -435,14 +438,14 @@ def _gaps(model, pair, clusters, sides, side, N):
 
 @inline
 def _axis(k):
-    """The normal of token AXES + k."""
+    """Return the normal of token AXES + k."""
     sign = 1.0 if k % 6 < 3 else -1.0
     return sign * (k % 3 == 0), sign * (k % 3 == 1), sign * (k % 3 == 2)
 
 
 @njit()
 def rounded(n):
-    """A direction in integers: of some multiples, the one that is turned least by rounding."""
+    """Round a direction to integers: of several multiples, take the one that rounding turns least."""
     most = max(abs(n[0]), abs(n[1]), abs(n[2]))
     n = scaled(1.0 / max(most, 1e-300), n)
     unit = scaled(1.0 / max(np.sqrt(dot(n, n)), 1e-300), n)
@@ -460,14 +463,14 @@ def rounded(n):
 
 @inline
 def _is_short(N):
-    """Whether a normal is written in 16 bits a coordinate."""
+    """Return whether a normal is written with 16 bits per coordinate."""
     most = max(abs(N[0]), abs(N[1]), abs(N[2]))
     return most <= LARGEST and N[0] == np.rint(N[0]) and N[1] == np.rint(N[1]) and N[2] == np.rint(N[2])
 
 
 @njit()
 def _by_axes(model, pair, clusters, sides, need, room, scores):
-    """Try the most promising axes; returns the token, or -1, and by how much gaps exceeded margins and deviations."""
+    """Try the best axes; return the token, or -1, and by how much gaps exceeded margins and deviations."""
     spare = -np.inf, -np.inf
     for _ in range(BEST_AXES):
         k = scores.argmax()
@@ -483,7 +486,7 @@ def _by_axes(model, pair, clusters, sides, need, room, scores):
 
 @inline
 def _several(model, clusters):
-    """Whether one of two clusters has several pieces."""
+    """Return whether one of two clusters has several pieces."""
     return model.clusters[clusters[0], LEFT_HALF] >= 0 or model.clusters[clusters[1], LEFT_HALF] >= 0
 
 
@@ -494,10 +497,10 @@ def _search(model, pair, clusters, sides, need, limits, deep, state, spare, memo
     Returns
     -------
     token : int
-        -1 if none was found.
+        Token of the plane; -1 if no plane was found.
     N : tuple of 3 float
     spare : tuple of 2 float
-        By how much the gaps at both ends exceeded margins and deviations, at most.
+        The largest amounts by which the gaps at both ends exceeded margins and deviations.
     near : bool
         Whether no plane can separate these pieces at one of the ends.
     """
@@ -536,7 +539,7 @@ def _search(model, pair, clusters, sides, need, limits, deep, state, spare, memo
                 state[row, RECENT] = side
                 return (DOUBLES if doubles else NORMAL) + side, N, spare, False
             spare = max(spare[0], first - keep), max(spare[1], last - keep)
-    # No plane was found for the interval, but there may be one at each end. Single pieces are not divided.
+    # No plane was found for the interval, but a plane may exist at each end. Single pieces are not divided.
     if not (deep or _several(model, clusters)):
         return -1, old, spare, False
     side = 0 if pair.deviation[0] <= pair.deviation[1] else 1
@@ -545,7 +548,7 @@ def _search(model, pair, clusters, sides, need, limits, deep, state, spare, memo
     for end in range(2):
         if spare[end] > limits.room:
             continue
-        # The first pose belongs to the end in question.
+        # The first pose is the pose at this end.
         poses = ((turns[end], turns[end]), (shifts[end], shifts[end]))
         near, n = _direction(
             model, (clusters[side], clusters[1 - side]), poses, 1, shifts[end], keep - limits.of_boxes,
@@ -560,7 +563,7 @@ def _search(model, pair, clusters, sides, need, limits, deep, state, spare, memo
 
 @inline
 def _divided(model, clusters, limits, deep, still, spare, near):
-    """How an interval without a plane is divided; -1 if that would not help."""
+    """Return how to divide an interval without a plane; -1 if that would not help."""
     counts = (
         model.clusters[clusters[0], LAST] - model.clusters[clusters[0], FIRST],
         model.clusters[clusters[1], LAST] - model.clusters[clusters[1], FIRST],
@@ -576,7 +579,7 @@ def _divided(model, clusters, limits, deep, still, spare, near):
 
 @njit()
 def _settled(model, pair, clusters, sides, width, limits, deep, still, state, scores, memory):
-    """Find a plane for an interval, or how it is divided: the token, or -1, and the normal."""
+    """Find a plane for an interval, or decide how to divide it: return the token, or -1, and the normal."""
     square = width * width / 8.0
     need = (
         SHARE * (pair.margin + pair.deviation[0] + pair.curvature[0] * square),
@@ -624,23 +627,23 @@ def plane_trees(handle, tree_handle, course, speeds, room, state, tokens, normal
     course : ndarray, shape (degree + 1, dof)
         Control points.
     speeds : ndarray, shape (joints, 4)
-        Bounds on the joints' first and second derivatives, their deviations, and how far they slide.
+        Bounds on the joints' first and second derivatives, on their deviations, and on how far they slide.
     room : float
-        What gaps must exceed, as a share of the size of the model.
+        Room by which gaps must exceed the required gaps, as a share of the size of the model.
     state : ndarray, shape (pairs, 8 + 4 k)
-        The last normal of each pair and the last plane that was named for it, which is kept from motion to motion; then
-        k normals to try, each behind the side of the body in whose frame it is. Margins may be negative, which allows
-        overlaps that are less deep.
+        For each pair, the last normal and the plane that was written last, which are kept from motion to motion; then k
+        normals to try, each preceded by the side of the body in whose frame it is. Margins may be negative, which
+        allows overlaps that are less deep.
     tokens : ndarray of uint8
     normals : ndarray, shape (N, 3)
-        Receive the tokens, and the normals of all planes whose token is NORMAL or higher.
+        `tokens` and `normals` receive the tokens, and the normals of all planes whose token is NORMAL or higher.
 
     Returns
     -------
     nodes, planes : int
-        How many tokens and normals were written.
+        Numbers of tokens and normals that were written.
     pair : int
-        -1, or a pair for which there is no tree, from the fraction `low` to `high` of the motion.
+        A pair for which no tree was found, from the fraction `low` to `high` of the motion; -1 if all trees were found.
     low, high : float
     """
     model, tree = plane_model_of(handle), tree_of(tree_handle)
@@ -696,7 +699,7 @@ def plane_trees(handle, tree_handle, course, speeds, room, state, tokens, normal
                 middle = first
                 if token == HALVED:
                     middle = _slot_between(low, high, level, tree, course, known, frames, scratch)
-                for part in range(1, -1, -1):  # the first part is taken next
+                for part in range(1, -1, -1):  # The first part is pushed last, so that it is taken next.
                     ends[count, 0], ends[count, 1] = low, high
                     stack[count, 0], stack[count, 1] = clusters
                     stack[count, 2], stack[count, 3] = first, last

@@ -1,7 +1,7 @@
 """Gaps between a plane and a moving piece at eight configurations side by side.
 
-The plane is fixed to another body. A plane that parts two pieces in one interval of a motion often parts them in the
-neighbouring ones, and this finds out for less than a search.
+The plane is fixed to another body. A plane that parts two pieces in one interval of a motion often parts them in
+neighbouring intervals as well, and testing it takes less time than a search.
 """
 
 import numpy as np
@@ -21,7 +21,7 @@ from loewner._kernels.tolerances import UNIT_ROUNDOFF
 
 @inline
 def seen_by(W, fixed, n):
-    """A direction in the frame of a link, or of the world, in the axes of the world."""
+    """A direction, given in the frame of a link or of the world, in world axes."""
     n = broadcast(n[0]), broadcast(n[1]), broadcast(n[2])
     return apply(rotation_of_link(W, fixed), n) if fixed >= 0 else n
 
@@ -39,7 +39,7 @@ def _strayed(strays, count, x):
 
 @inline
 def _lows(A, m, out):
-    """The least products of a piece's core, in the frame of its body, with eight directions."""
+    """Least products of a piece's core, in the frame of its body, with eight directions."""
     for k in range(3):
         store(out, (1 + k) * LANES, m[k])
     for lane in range(LANES):
@@ -50,7 +50,7 @@ def _lows(A, m, out):
 
 @inline
 def write_gaps(pieces, W, link, fixed, poses, row, i, j, n, strays, count, out):
-    """Write lower bounds on the gaps between two pieces along n at eight configurations, less what joints may stray.
+    """Write lower bounds on the gaps between two pieces along n at eight configurations, less the strays of joints.
 
     Parameters
     ----------
@@ -58,7 +58,7 @@ def write_gaps(pieces, W, link, fixed, poses, row, i, j, n, strays, count, out):
     W : ndarray
         Poses of the links.
     link, fixed : int
-        The links of pieces i and j; `fixed` is -1 if j is static.
+        Links of pieces i and j; `fixed` is -1 if j is static.
     poses, row :
         Poses of static bodies, and the row of j's body if it is static.
     i, j : int
@@ -66,11 +66,11 @@ def write_gaps(pieces, W, link, fixed, poses, row, i, j, n, strays, count, out):
     n : tuple of 3 float
         Unit direction from j to i, in the frame of j's link or of the world.
     strays : ndarray
-        What `strays.write_strays_along` wrote.
+        Output of `strays.write_strays_along`.
     count : int
-        Its result; -1 if joints do not stray.
+        Result of `strays.write_strays_along`; -1 if joints do not stray.
     out : ndarray, shape (32,)
-        Receives them in its first eight entries.
+        Receives the bounds in its first eight entries.
     """
     A, B = placed(pieces, i, poses, 0), placed(pieces, j, poses, row)
     R, t = rotation_of_link(W, link), translation_of_link(W, link)

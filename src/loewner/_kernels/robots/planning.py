@@ -1,23 +1,23 @@
 """RRT-Connect: two trees of free motions, from the start and from the goals, that grow until they meet.
 
-A tree grows by a motion towards a drawn configuration. From its new node it then continues towards the other tree, as
-far as motions are free [1]. A node from which a motion failed is extended only towards configurations nearby, in its
+A tree grows by a motion towards a drawn configuration. From its new node, it then continues towards the other tree, as
+far as motions are free [1]. A node from which a motion failed is extended only towards nearby configurations, in its
 dynamic domain [2]. Trees are stored column by column, so that the search for the nearest configuration runs in lanes;
 most trees are small.
 
-It differs from the papers in these points:
+The method differs from the papers in these points:
 
 1. The smaller tree grows, whereas [1] alternates between the trees.
 2. Configurations are drawn from a sequence of low discrepancy, not at random.
-3. The way to the other tree leads straight to one of its nodes, the nearest one at first, in at most `MOST_STEPS` equal
-   steps.
-4. Before anything is drawn, the straight way from the start to the nearest goal is tried. All goals are roots of one
+3. The path to the other tree leads straight to one of its nodes, the nearest one at first, in at most `MOST_STEPS`
+   equal steps.
+4. Before the first draw, the straight path from the start to the nearest goal is tried. All goals are roots of one
    tree.
 5. The radius of a dynamic domain changes a little with every failure and success.
 6. Differences of joints without limits are taken modulo whole turns.
-7. If a path must cost less than a bound, configurations are drawn from the ellipsoids of all paths that do [3], one for
-   each goal.
-8. If an axis of a link has to stay near a direction, every new node is moved until it does.
+7. If a path must cost less than a bound, configurations are drawn from the ellipsoids of all such paths [3], with one
+   ellipsoid for each goal.
+8. If an axis of a link has to stay near a direction, every new node is moved until its axis is near the direction.
 
 [1] Kuffner, LaValle: RRT-Connect: An efficient approach to single-query path planning. ICRA 2000.
 [2] Yershova, Jaillet, Siméon, LaValle: Dynamic-domain RRTs. ICRA 2005.
@@ -38,14 +38,15 @@ from loewner._kernels.robots.lines import bring_back
 from loewner._kernels.simd.memory import floats_at, held, integers_at, reader, record_kind
 from loewner._kernels.simd.vectors import rounded_product
 
-# The longest motion of a tree (its range), as a fraction of the diagonal of the limits: 1 rad for a typical arm.
+# The longest motion of a tree (the range), as a fraction of the diagonal of the limits: 1 rad for a typical arm.
 SHARE = 1 / 12
 
-# Radius of a node's dynamic domain, in units of the range, after the first failure of a motion from the node; the least
-# radius; and the fraction by which a failure reduces the radius and a success enlarges it.
+# FIRST_DOMAIN is the radius of a node's dynamic domain, in units of the range, after the first failure of a motion from
+# the node, and LEAST_DOMAIN is the least radius. A failure reduces the radius by the fraction CHANGE, and a success
+# enlarges it.
 FIRST_DOMAIN, LEAST_DOMAIN, CHANGE = 4.0, 1.0, 1e-4
 
-# Maximum number of steps by which a tree is led to the other one before the next sample is drawn.
+# Largest number of steps by which a tree is led to the other tree before the next draw.
 MOST_STEPS = 64
 
 TURN = 2.0 * np.pi
@@ -54,18 +55,19 @@ _search_of = reader(record_kind(Search, "I1 F1 I1 I1 F1 F1 F1 F1 F1 F1 I1 F1 F2"
 
 
 class Trees(NamedTuple):
-    """Two trees; row 0 is the start's, row 1 the goals'.
+    """Two trees: row 0 is the tree of the start, and row 1 the tree of the goals.
 
     Attributes
     ----------
     nodes : ndarray, shape (2, joints, capacity)
         Values of the joints that move.
     domains : ndarray, shape (2, capacity)
-        How near a drawn configuration must be for the node to be extended; infinite until a motion from it fails.
+        Largest distance of a drawn configuration at which the node is extended; infinite until a motion from the node
+        fails.
     parents : ndarray of int64, shape (2, capacity)
-        -1 for roots.
+        Parent of each node; -1 for roots.
     squares : ndarray, shape (capacity,)
-        Memory for distances.
+        Scratch memory for squared distances.
     """
 
     nodes: Any
@@ -110,7 +112,7 @@ def _trees_of(search):
 
 @inline
 def _turns(search, c, way):
-    """Number of whole turns to leave out of a difference."""
+    """Number of whole turns to subtract from a difference."""
     return np.rint(way / TURN) if search.turning[c] != 0 else 0.0
 
 
@@ -139,7 +141,7 @@ def _nearest(search, nodes, count, q, squares):
 
 @inline
 def _free(work, a, b):
-    """Whether the motion between two settings of the moving joints is free."""
+    """Return whether the motion between two settings of the moving joints is free."""
     columns, ends, state = work.search.columns, work.ends, work.search.state
     for c in range(len(a)):
         ends[0, columns[c]] = a[c]
@@ -150,7 +152,7 @@ def _free(work, a, b):
 
 @inline
 def _brought_back(work, q):
-    """Move q until it keeps the axis, if there is one to keep; return whether this succeeded."""
+    """Move q until it keeps the axis, if an axis must be kept; return whether this succeeded."""
     columns, row = work.search.columns, work.ends[1]
     if work.judge.kept == 0:
         return True
@@ -165,7 +167,7 @@ def _brought_back(work, q):
 
 @inline
 def _add(trees, tree, count, q, parent):
-    """Make q a node."""
+    """Add q to a tree as a node."""
     for c in range(len(q)):
         trees.nodes[tree, c, count] = q[c]
     trees.parents[tree, count] = parent
@@ -174,7 +176,7 @@ def _add(trees, tree, count, q, parent):
 
 @inline
 def _way(search, nodes, goal, q, axis):
-    """Write the straight way from the start to a goal to `axis`; return its length and that through q."""
+    """Write the straight path from the start to a goal to `axis`; return its length, and the length through q."""
     straight = before = after = 0.0
     for c in range(len(q)):
         weight, way = search.weights[c], nodes[1, c, goal] - nodes[0, c, 0]
@@ -188,11 +190,11 @@ def _way(search, nodes, goal, q, axis):
 
 @njit()
 def _draw_within(search, nodes, roots, drawn, axis):
-    """Draw from an ellipsoid about the start and a goal, which holds all ways that cost less than a bound.
+    """Draw from an ellipsoid about the start and a goal that holds all paths that cost less than a bound.
 
-    Nothing is drawn if the configuration lies in one of the ellipsoids already. The coordinates of a direction are sums
-    of four uniform numbers, which are nearly normal. A radius is the largest of as many uniform numbers as there are
-    joints, so it is distributed as in a ball.
+    A configuration that already lies in one of the ellipsoids is kept. The coordinates of a direction are sums of four
+    uniform numbers, which are nearly normal. The radius is the largest of several uniform numbers, one for each joint,
+    so that it is distributed as in a ball.
     """
     state, start, bound = search.state, nodes[0], search.reach[BOUND]
     for goal in range(roots):
@@ -224,7 +226,7 @@ def _draw_within(search, nodes, roots, drawn, axis):
 
 @inline
 def _rows(trees, tree, node):
-    """Number of nodes from a node to its root, both included."""
+    """Number of nodes from a node to its root, including both."""
     count = 0
     while node >= 0:
         count += 1
@@ -234,7 +236,7 @@ def _rows(trees, tree, node):
 
 @njit()
 def _iterate(work, roots):
-    """Grow one tree and lead it to the other; return MET if they meet, otherwise SPENT."""
+    """Grow one tree and lead it to the other; return MET if the trees meet, otherwise SPENT."""
     search, trees, points = work.search, work.trees, work.points
     state, longest, joints = search.state, search.reach[STEP], len(search.columns)
     drawn, here, there = points[0], points[1], points[2]
@@ -268,7 +270,7 @@ def _iterate(work, roots):
 
 @njit()
 def _lead(work, tree, last):
-    """Extend a tree from its last node straight to the nearest node of the other, as far as motions are free."""
+    """Extend a tree from its last node straight to the other tree's nearest node, as far as motions are free."""
     search, trees, points = work.search, work.trees, work.points
     state, reach, joints = search.state, search.reach, len(search.columns)
     count, other = last + 1, 1 - tree
@@ -277,7 +279,8 @@ def _lead(work, tree, last):
         first[c] = trees.nodes[tree, c, last]
         here[c] = first[c]
     aim, distance = _nearest(search, trees.nodes[other], state[STARTS + other], first, trees.squares)
-    share = distance / reach[STEP]  # NaN if squares overflow; the trees then do not meet, as if they were far apart
+    # If squares overflow, the share is NaN, and the trees do not meet, as if they were far apart.
+    share = distance / reach[STEP]
     steps = np.int64(np.ceil(max(share, 1.0))) if share <= MOST_STEPS else MOST_STEPS + 1
     met = steps <= MOST_STEPS
     for step in range(1, min(steps, MOST_STEPS) + 1):
@@ -311,7 +314,7 @@ def _lead(work, tree, last):
 
 @njit()
 def begin_search(search, goals, seed):
-    """Begin a search anew: trees that have only roots, the range, and the sequence of draws.
+    """Begin a new search: trees that have only roots, the range, and the sequence of draws.
 
     Parameters
     ----------
@@ -352,9 +355,9 @@ def connect_trees(search, most):
     Parameters
     ----------
     search : int
-        Handle of a `records.Search` that has begun. A later call continues where this one ends.
+        Handle of a `records.Search` that has begun. A later call continues where the previous call ended.
     most : int
-        Number of iterations, including earlier calls.
+        Limit on the number of iterations, including the iterations of earlier calls.
 
     Returns
     -------

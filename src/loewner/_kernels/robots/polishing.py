@@ -1,14 +1,14 @@
-"""Polish paths: move their corners and single joints wherever that costs less and all new motions are free.
+"""Polish paths: move corners and single joints wherever this lowers the cost and all new motions are free.
 
 The cost of a path is its length, with a weight for each joint. A step does one of three things:
 
 cut
-    as in `shortening`.
+    Cut from one point of the path to another, see `shortening`.
 move
-    A corner moves towards the straight way between its neighbours, and at random; the distance adapts to the share of
+    Move a corner towards the straight path between its neighbours, and at random; the distance adapts to the share of
     moves that succeed [1].
 straighten
-    One joint runs evenly from one row to another, while all other joints keep their values [2].
+    Let one joint run evenly from one row to another, while all other joints keep their values [2].
 
 [1] Rechenberg: Evolutionsstrategie. Frommann-Holzboog 1973 (the rule of one success in five).
 [2] Geraerts, Overmars: Creating high-quality paths for motion planning. Int. Journal of Robotics Research 26, 2007.
@@ -24,14 +24,15 @@ from loewner._kernels.robots.free_motions import judge_of, random, sample_memory
 from loewner._kernels.robots.shortening import cut, motion_is_free, skip_corners
 from loewner._kernels.simd.memory import held
 
-# Fractions of the steps that cut and that move a corner; all other steps straighten a joint.
+# CUTS is the fraction of the steps that cut, and MOVES the fraction that move a corner; all other steps straighten a
+# joint.
 CUTS, MOVES = 0.2, 0.6
 
-# Before every SKIP_EVERY-th step, corners are left out where possible.
+# Before every SKIP_EVERY-th step, corners are skipped where possible.
 SKIP_EVERY = 32
 
-# Size of a move, as a fraction of the corner's distance from the straight path: lower and upper limits, and factors
-# after a success and after a failure, which balance if about one step in five succeeds.
+# LEAST_SIZE and MOST_SIZE limit the size of a move, as a fraction of the corner's distance from the straight path. A
+# success multiplies the size by LARGER, and a failure by SMALLER; the two balance if about one step in five succeeds.
 LEAST_SIZE, MOST_SIZE = 1e-4, 1.0
 LARGER, SMALLER = 1.5, 0.9
 
@@ -52,9 +53,9 @@ class Work(NamedTuple):
     size : ndarray, shape (1,)
         Size of the moves.
     ends : ndarray, shape (2, dof)
-        Memory.
+        Scratch memory.
     points : ndarray, shape (capacity, dof)
-        Memory.
+        Scratch memory.
     """
 
     judge: Any
@@ -146,11 +147,11 @@ def polish_path(count, most, handles, lengths, path, box, state, size, ends, poi
     count : int
         Number of configurations of the path.
     most : int
-        Steps in all, including the steps of earlier calls.
+        Limit on the steps, including the steps of earlier calls.
     handles, lengths
         See `free_motions.judge_of`.
     path : ndarray, shape (capacity, dof)
-        Its first rows are the path, and are changed; the ends stay.
+        The path is in the first rows, which are changed; the ends stay.
     box, state, size, ends, points
         See `Work`.
 

@@ -1,27 +1,27 @@
-"""Poses of bodies that follow motions in time: positions change linearly, orientations turn at a constant rate."""
+"""Poses of bodies that follow motions in time: positions change linearly, and orientations turn at a constant rate."""
 
 import numpy as np
 
 from loewner._kernels._jit import njit
 from loewner._kernels.simd.trig import sine_of
 
-SMALL_ARC = 1e-6  # rad; for smaller angles, the chord equals the arc
+SMALL_ARC = 1e-6  # For angles below SMALL_ARC [rad], the chord equals the arc.
 
 
 @njit()
 def pose_values(start, times, rows, arcs, periods, t, out):
-    """Write positions and quaternions of all bodies at times.
+    """Write the positions and quaternions of all bodies at given times.
 
     Parameters
     ----------
     start : ndarray of int64, shape (bodies + 1,)
-        Where each body's rows begin.
+        First row of each body, followed by the number of all rows.
     times, rows, arcs : ndarray, shape (n,), (n, 7) and (n,)
         Times [s], positions [m] with quaternions, and angles from each quaternion to the next [rad].
     periods : ndarray, shape (bodies,)
-        Time after which a motion repeats; 0 if it does not.
+        Time [s] after which a motion repeats; 0 if it does not repeat.
     t : ndarray, shape (N,)
-        Seconds.
+        Times in seconds.
     out : ndarray, shape (N, bodies, 7)
     """
     for body in range(len(periods)):

@@ -1,24 +1,25 @@
 """Inverse kinematics: configurations at which a link has a given pose, by damped Newton steps from eight seeds at once.
 
-The kernel gets the chain of joints from the root to the link, as rows of two tables:
+The kernel takes the chain of joints from the root to the link as rows of two tables:
 
 chain : ndarray of int64, shape (L, 3)
-    MOVES_OF_LINK, 1 if the joint may move; KIND_OF_LINK; and COLUMN_OF_LINK, the first of the joint's values among
-    the K values that the chain reads.
+    MOVES_OF_LINK, 1 if the joint may move; KIND_OF_LINK, its kind; and COLUMN_OF_LINK, the first of the joint's values
+    among the K values that the chain reads.
 constants : ndarray, shape (L, CHAIN_CONSTANTS)
-    The constants of `kinematics`, then MULTIPLIER, OFFSET, and AXIS: the axis of a turning joint in the frame that it
+    The constants of `kinematics`, then MULTIPLIER, OFFSET, and AXIS, the axis of a turning joint in the frame that it
     moves.
 ranges : ndarray, shape (3, K)
-    LEAST and MOST, the limits, and HOW a value moves: HELD at the start's value; WRAPS, an angle that means the same
-    after a whole turn; FAR, a length without limits, whose seeds are multiples of the distance from the start to the
-    target; TURNS, the first entry of a quaternion, which REST follow; otherwise PLAIN.
+    LEAST and MOST are the limits, and HOW is the way in which a value moves. HELD keeps the value of the start. WRAPS
+    is an angle that is the same after a whole turn. FAR is a length without limits, whose seeds are multiples of the
+    distance from the start to the target. TURNS is the first entry of a quaternion, and REST its other entries. All
+    other values are PLAIN.
 
-Everything is expressed in the frame of the target. The link's deviation has six coordinates: three of its
-origin, then three of its rotation E = S Z, which is a turn Z about the z axis (spin) followed by the smallest turn S
-that takes the z axis to its image c (tilt). With the half angles these coordinates are algebraic: the tilt is
-(-c_y, c_x) √(2 / (1 + c_z)), of length 2 sin(tilt / 2), and the spin is 2 sin(spin / 2). If the link turns with ω, the
-image c moves with ω × c, and the spin grows with ω · (z + c) / (1 + c_z), because S turns perpendicular to z + c. A
-coordinate counts by its excess over the tolerance; within the tolerance, it is left alone.
+All quantities are in the frame of the target. The link's deviation has six coordinates: three of its origin, then three
+of its rotation E = S Z. Here, Z is a turn about the z axis (spin), and S is the smallest turn that takes the z axis to
+its image c (tilt). With half angles, these coordinates are algebraic: the tilt is (-c_y, c_x) √(2 / (1 + c_z)), of
+length 2 sin(tilt / 2), and the spin is 2 sin(spin / 2). If the link turns with ω, the image c moves with ω × c, and the
+spin grows with ω · (z + c) / (1 + c_z), because S turns perpendicular to z + c. A coordinate counts by its excess over
+the tolerance; within the tolerance, it does not count.
 
 References
 ----------
@@ -71,14 +72,14 @@ from loewner._kernels.simd.vectors import (
     store,
 )
 
-# A link has reached its target if its deviation, in metres and radians, is at most REACHED times one plus the target's
-# distance from the origin in metres; rounding is far smaller.
+# A link has reached its target if its angle is off by at most REACHED [rad] and its position by at most REACHED (1 + d)
+# [m], where d is the sum of the target's absolute coordinates. Rounding errors are far smaller.
 REACHED = 1e-10
 
 # Squared damping, as a fraction of the squared error, and its minimum. Fractions from 0.01 to 0.1 suited five arms.
 DAMPING, LEAST_DAMPING = 0.02, 1e-24
 
-LONGEST = 1.0  # rad; the largest turn of a joint in a step
+LONGEST = 1.0  # Largest turn of a joint in a step [rad].
 
 # After every PATIENCE steps, a seed is abandoned unless its squared error has fallen below GAIN times the previous one.
 PATIENCE, GAIN = 6, 0.7
@@ -86,13 +87,13 @@ PATIENCE, GAIN = 6, 0.7
 # Two solutions count as the same if they differ by less than SAME in every value [rad or m].
 SAME = 1e-4
 
-FAULTS = 6  # coordinates of a link's deviation from its target
+FAULTS = 6  # A link's deviation from its target has FAULTS coordinates.
 TWO_PI = 2.0 * np.pi
 
 
 @inline
 def _add_twist(twists, column, turn, shift):
-    """Add a motion of the link to the motion of a value: its angular velocity, and its velocity at the origin."""
+    """Add a motion of the link to the twist of a value: its angular velocity, and its velocity at the origin."""
     at = column * (FAULTS * LANES)
     for r in range(3):
         store(twists, at + r * LANES, load(twists, at + r * LANES) + shift[r])
@@ -101,7 +102,7 @@ def _add_twist(twists, column, turn, shift):
 
 @apart
 def follow(chain, constants, base, q, twists):
-    """The pose of the link at eight configurations in the frame of the target, and the twists of the moving values."""
+    """Pose of the link at eight configurations in the frame of the target, and twists of the moving values."""
     nothing = broadcast(0.0), broadcast(0.0), broadcast(0.0)
     R, t = base
     for k in range(twists.size // LANES):
@@ -140,7 +141,8 @@ def follow(chain, constants, base, q, twists):
                     _add_twist(twists, column + 1, nothing, (R[1], R[4], R[7]))
                     _add_twist(twists, column + 2, nothing, (R[2], R[5], R[8]))
                 at, column = at + 3 * LANES, column + 3
-            if moves:  # a quaternion counts as three values here: turns about the axes of the frame that holds it
+            # A quaternion counts as three values here: turns about the axes of the frame that holds the quaternion.
+            if moves:
                 x, y, z = (R[0], R[3], R[6]), (R[1], R[4], R[7]), (R[2], R[5], R[8])
                 _add_twist(twists, column, x, cross(t, x))
                 _add_twist(twists, column + 1, y, cross(t, y))
@@ -154,7 +156,7 @@ def follow(chain, constants, base, q, twists):
 
 @inline
 def _fault(x, tolerance):
-    """Excess of a coordinate over its tolerance, and 1 if it counts, as NaN does."""
+    """Excess of a coordinate over its tolerance, and 1 if the coordinate counts; NaN counts."""
     within = absolute(x) < tolerance
     beyond = x - select(x > 0.0, broadcast(tolerance), broadcast(-tolerance))
     return select(within, 0.0, beyond), select(within, broadcast(0.0), broadcast(1.0))
@@ -162,14 +164,14 @@ def _fault(x, tolerance):
 
 @inline
 def deviation_of(R, t, tolerance):
-    """How far eight poses are from the target: six coordinates, which of them count, and the rows that turn them."""
+    """Deviations of eight poses from the target: six coordinates, which of them count, and rows that turn twists."""
     one = broadcast(1.0)
     x, y, z = R[2], R[5], R[8]
     opposite = 1.0 + z < 1e-6
     height = maximum(1.0 + z, 1e-6)
     g = sqrt(2.0 / height)
     k = 0.5 * g / height
-    # If the axis points the opposite way, all ways back are equally short.
+    # If the axis points in the opposite direction, all ways to turn it back are equally short.
     first, second = select(opposite, 2.0, -(y * g)), x * g
     cosine, sine = (R[0] + R[4]) / height, (R[3] - R[1]) / height
     half = maximum(0.5 + 0.5 * cosine, 1e-12)
@@ -211,13 +213,13 @@ def _to_rows(ranges, t, fault, counts, rows, q, twists):
 
 @inline
 def _factor_entry(matrix, r, c):
-    """Offset of an entry of a lower triangle by rows."""
+    """Offset of an entry in a lower triangle that is stored by rows."""
     return (r * (r + 1) // 2 + c) * LANES
 
 
 @inline
 def _solved(columns, twists, fault, damping, matrix):
-    """The y with (J Jᵀ + damping) y = -fault, by L D Lᵀ."""
+    """Solve (J Jᵀ + damping) y = -fault by L D Lᵀ."""
     for r in range(FAULTS):
         for c in range(r + 1):
             total = broadcast(0.0)
@@ -261,7 +263,7 @@ def _solved(columns, twists, fault, damping, matrix):
 
 @inline
 def _step(ranges, y, q, twists):
-    """Move eight configurations by Jᵀ y, shortened so that nothing turns too far, and within the limits."""
+    """Move eight configurations by Jᵀ y, shortened so that no joint turns too far, and kept within the limits."""
     most = broadcast(LONGEST)
     for column in range(ranges.shape[1]):
         at = column * (FAULTS * LANES)
@@ -309,7 +311,7 @@ def _turn(q, at, scale, twists):
 
 @inline
 def _seeded(ranges, start, seeds, row, far, q, lane):
-    """Begin a lane at a seed; the seeds of angles that wrap, and of lengths without limits, are offsets."""
+    """Begin a lane at a seed; for angles that wrap, and for lengths without limits, seeds are offsets."""
     for column in range(ranges.shape[1]):
         how, value = ranges[HOW, column], seeds[row, column]
         if how == HELD:
@@ -329,7 +331,7 @@ def _seeded(ranges, start, seeds, row, far, q, lane):
 
 @inline
 def _unwound(ranges, start, q, lane, out):
-    """Write the configuration of a lane: angles that wrap as near to the start as the limits allow."""
+    """Write the configuration of a lane, with angles that wrap as near to the start as the limits allow."""
     sign = 1.0
     for column in range(ranges.shape[1]):
         how, value = ranges[HOW, column], q[column * LANES + lane]
@@ -351,7 +353,7 @@ def _unwound(ranges, start, q, lane, out):
 
 @inline
 def _is_new(ranges, found, count):
-    """Whether the last of the configurations that were found differs from all before it."""
+    """Return whether the last configuration found differs from all configurations before it."""
     for other in range(count):
         same = True
         for column in range(ranges.shape[1]):
@@ -387,7 +389,8 @@ def _one_pose(pose, chained, chain, constants, ranges, tolerance, targets, start
     R, t = follow(chain, constants, base, q, twists)
     store(squares, 0, sqrt(dot(t, t)))
     far = 1.0 + squares[0]
-    # The first seed is the start. The second one is the answer for the previous pose, if this chain of poses has one.
+    # The first seed is the start. The second seed is the answer for the previous pose, if that pose is in the same
+    # chain of poses and has an answer.
     follows = pose % chained > 0 and counts[pose - 1] > 0
     if follows:
         for column in range(values):
@@ -426,7 +429,7 @@ def _one_pose(pose, chained, chain, constants, ranges, tolerance, targets, start
             store(squares, 3 * LANES, error)
             fresh = reached
             if step % PATIENCE == 0:
-                # This form also abandons a seed whose error is not finite.
+                # Written in this form, the test also abandons a seed whose error is not finite.
                 fresh = live & (~movemask(error < GAIN * load(marks, 0)) | reached)
                 store(marks, 0, error)
             left = fresh
@@ -457,22 +460,22 @@ def reach_poses(
     Parameters
     ----------
     chain, constants, ranges : ndarray
-        See above.
+        Described at the beginning of this module.
     tolerance : ndarray, shape (6,)
-        For the coordinates.
+        Tolerances of the six coordinates.
     targets : ndarray, shape (n, 4, 4)
     starts : ndarray, shape (n, K)
     seeds : ndarray, shape (s, K)
     chained, first, last : int64
-        A pose starts from the answer for the one before it, unless it is the first of this many; so the answers do not
-        depend on `first` and `last` if these are multiples of it.
+        A pose starts from the answer for the previous pose, except that every `chained`-th pose begins a new chain. The
+        answers do not depend on `first` and `last` if these are multiples of `chained`.
     found : ndarray, shape (n, most, K)
-        Receives distinct solutions; the search ends when there are `most`.
+        Receives distinct solutions; the search for a pose ends when it has `most` solutions.
     counts : ndarray of int64, shape (n,)
-        Receives their number.
+        Receives the number of solutions for each pose.
     nearest : ndarray, shape (n, K + 3)
-        Receives the first solution, or else the configuration that came nearest; then its excess over the tolerance: in
-        metres, and 2 sin(angle / 2) of tilt and of spin.
+        Receives the first solution, or else the configuration that came nearest. The last three entries are its excess
+        over the tolerance: in metres for the position, and 2 sin(angle / 2) for tilt and for spin.
     """
     values = ranges.shape[1]
     work = (

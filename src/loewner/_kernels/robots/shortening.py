@@ -15,7 +15,7 @@ from loewner._kernels.simd.memory import held
 
 @inline
 def motion_is_free(judge, ends, a, b, state):
-    """Whether the motion between two configurations is free."""
+    """Return whether the motion between two configurations is free."""
     for c in range(len(a)):
         ends[0, c], ends[1, c] = a[c], b[c]
     state[MOTIONS] += 1
@@ -24,7 +24,7 @@ def motion_is_free(judge, ends, a, b, state):
 
 @inline
 def _move(path, first, count, by):
-    """Move the rows first .. count of a path."""
+    """Move the rows first .. count of a path by a number of rows."""
     if by < 0:
         for k in range(first, count):
             for c in range(path.shape[1]):
@@ -37,7 +37,7 @@ def _move(path, first, count, by):
 
 @njit()
 def skip_corners(judge, path, count, ends, state):
-    """Skip the rows between two configurations of a path; the farthest are tried first, then ones half as far."""
+    """Skip the rows between two rows joined by a free motion; the farthest are tried first, then rows half as far."""
     k = 0
     while k < count - 2:
         ahead = count - 1 - k
@@ -62,7 +62,7 @@ def _length(path, k):
 
 @inline
 def _at(path, count, way):
-    """The motion of a path that contains the point at a distance along it, and the fraction of this motion."""
+    """Find the motion of a path that contains the point at a distance along the path, and the fraction there."""
     k, length = 0, _length(path, 0)
     while k < count - 2 and way > length:
         way -= length
@@ -73,7 +73,7 @@ def _at(path, count, way):
 
 @inline
 def _point(judge, path, k, t, ends, points, row):
-    """Write a point of a path's motion k."""
+    """Write a point on motion k of a path."""
     for c in range(path.shape[1]):
         ends[0, c], ends[1, c] = path[k, c], path[k + 1, c]
     tree = problem_of(judge.problem).tree
@@ -85,7 +85,7 @@ def _point(judge, path, k, t, ends, points, row):
 def cut(judge, path, count, ends, points, state):
     """Cut from one random point of a path to another, if the straight motion and the rest of both motions are free.
 
-    The rest is checked anew, since rounded points are not exactly on their motions.
+    The rest of both motions is checked again, because rounded points are not exactly on their motions.
     """
     whole = 0.0
     for k in range(count - 1):
@@ -110,24 +110,24 @@ def cut(judge, path, count, ends, points, state):
 
 @njit()
 def shorten_path(count, most, handles, lengths, path, state, ends, points):
-    """Shorten a path, for at most so many cuts; corners are left out before the first and after the last.
+    """Shorten a path by a limited number of cuts; corners are skipped before the first cut and after the last.
 
     Parameters
     ----------
     count : int
         Number of configurations of the path.
     most : int
-        Cuts to try in all, those of earlier calls included.
+        Limit on the cuts to try, including the cuts of earlier calls.
     handles, lengths
         See `free_motions.judge_of`.
     path : ndarray, shape (capacity, dof)
-        Its first rows are the path, and are changed; the ends stay. Cuts for which there is no room are not made.
+        The path is in the first rows, which are changed; the ends stay. Cuts for which no room is left are not made.
     state : ndarray of int64, shape (columns.STATE,)
-        State of the work, see `columns`, from which it continues.
+        State of the work, see `columns`; the work continues from it.
     ends : ndarray, shape (2, dof)
-        Memory.
+        Scratch memory.
     points : ndarray, shape (2, dof)
-        Memory.
+        Scratch memory.
 
     Returns
     -------

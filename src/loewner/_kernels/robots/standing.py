@@ -1,11 +1,11 @@
-"""Preparation of bodies for `configurations` and `motions`: balls about moving ones, bounds and rows of static ones.
+"""Prepare bodies for `configurations` and `motions`: balls about moving bodies, bounds and rows of static ones.
 
 A static body is placed again only if its pose has changed.
 
 For proofs of motions, a ball about each body is carried along the tree of joints, starting at the joint next to the
 body. A joint that turns sweeps the ball around its axis, and a ball about the swept region is carried on to the next
-joint. Sliding joints are at 0 here; their travel is added for each motion (`motion_bounds`). Derived in
-docs/certified.md, "Motions".
+joint. Sliding joints are at 0 here; `motion_bounds` adds their travel for each motion. docs/certified.md, "Motions",
+derives the bounds.
 """
 
 from typing import Any, NamedTuple
@@ -44,11 +44,11 @@ from loewner._kernels.simd.memory import held, integers_at
 from loewner._kernels.simd.vectors import LANES, broadcast, highest, load, lowest, maximum, minimum
 from loewner._kernels.tolerances import CHAIN_STRETCH, LEAST, OFF, ROTATION_TOLERANCE, SHAPE_ROUNDINGS, UP
 
-# An allowance for rounding, and for the stretching of lengths by a pose that is accepted as rigid. Reaches are also
-# stretched by the pose of a base.
+# The factor STRETCH allows for rounding, and for lengths that a pose accepted as rigid stretches. The pose of a base
+# also stretches reaches.
 STRETCH = 1.0 + 4.0 * ROTATION_TOLERANCE
 
-LINE = CACHE_LINE // 8  # words
+LINE = CACHE_LINE // 8  # A cache line has LINE words.
 
 
 class _Box(NamedTuple):
@@ -92,7 +92,7 @@ def _is_polytope(pieces, piece):
 
 @inline
 def _placed_block(points, column, R, t):
-    """Eight points from a column on, placed."""
+    """Eight points of a piece, starting at a column, placed by a pose."""
     at = 3 * column
     return plus(apply(R, (load(points, at), load(points, at + BLOCK), load(points, at + 2 * BLOCK))), t)
 
@@ -113,7 +113,7 @@ def _box_of_corners(pieces, piece, R, t):
 
 @njit()
 def _farthest(pieces, first, last, R, t, center):
-    """Bound from above, up to rounding, the distance from a point to the farthest point of placed pieces."""
+    """Upper bound, up to rounding, on the distance from a point to the farthest point of placed pieces."""
     squared, reached = broadcast(0.0), 0.0
     for piece in range(first, last):
         if _is_polytope(pieces, piece):
@@ -128,7 +128,7 @@ def _farthest(pieces, first, last, R, t, center):
 
 @inline
 def _joint(tree, link):
-    """Rotation and translation of a joint at 0, and its unit axis in the frame that it moves; 0 for any axis."""
+    """Rotation and translation of a joint at 0, and its unit axis in the frame that it moves (0 for any axis)."""
     fixed, cosine = _nine(tree.constants, link, ROTATION), _nine(tree.constants, link, COSINE)
     R = (
         fixed[0] + cosine[0], fixed[1] + cosine[1], fixed[2] + cosine[2], fixed[3] + cosine[3], fixed[4] + cosine[4],
@@ -137,7 +137,7 @@ def _joint(tree, link):
     axis = 0.0, 0.0, 0.0
     if tree.kind[link] == REVOLUTE or tree.kind[link] == PLANAR:
         largest = 0.0
-        for row in range(3):  # rows of R axis axisᵀ, the component along the axis
+        for row in range(3):  # The vectors v are rows of R axis axisᵀ, the component along the axis.
             v = _three(tree.constants, link, ROTATION + 3 * row)
             if dot(v, v) > largest:
                 largest, axis = dot(v, v), v
@@ -147,10 +147,10 @@ def _joint(tree, link):
 
 @inline
 def _swept(kind, center, radius, axis):
-    """The farthest reach of a ball from a joint's axis, and the ball about the region swept as the joint turns."""
+    """Farthest reach of a ball from a joint's axis, and a ball about the region swept as the joint turns."""
     if kind in (FIXED, PRISMATIC):
         return 0.0, center, radius
-    # A floating or ball joint may turn about any axis through its origin, so its `axis` is 0 here.
+    # The axis of a floating or ball joint is 0 here, because the joint may turn about any axis through its origin.
     onto = scaled(dot(axis, center), axis)
     r = minus(center, onto)
     far = np.sqrt(dot(r, r)) + radius
@@ -164,9 +164,9 @@ def _write_reaches(tree, link, center, radius, reach, body, balls):
     Parameters
     ----------
     link : int
-        Frame of the ball; -1 is the world.
+        Link in whose frame the ball is given; -1 is the world.
     balls : ndarray, shape (L + 1, 4)
-        Scratch: the ball in the frame of each link, with the world last.
+        Scratch: the ball in the frame of each link; the world comes last.
     """
     links = len(tree.parent)
     for k in range(links + 1):
@@ -176,14 +176,14 @@ def _write_reaches(tree, link, center, radius, reach, body, balls):
     at = link if link >= 0 else links
     _write(balls, at, 0, center)
     balls[at, 3] = radius
-    while at < links:  # up: from each link to its parent
+    while at < links:  # Go up, from each link to its parent.
         R, t, axis = _joint(tree, at)
         far, c, r = _swept(tree.kind[at], _three(balls, at, 0), balls[at, 3], axis)
         reach[body, at] = far * CHAIN_STRETCH
         at = tree.parent[at] if tree.parent[at] >= 0 else links
         _write(balls, at, 0, image(R, t, c))
         balls[at, 3] = r
-    for k in range(links):  # down: from each link to its children
+    for k in range(links):  # Go down, from each link to its children.
         above = tree.parent[k] if tree.parent[k] >= 0 else links
         if balls[k, 3] == balls[k, 3] or balls[above, 3] != balls[above, 3]:
             continue
@@ -218,22 +218,22 @@ def measure_moving(pack, problem_handle, tables_handle):
 
 @njit()
 def place_static(pack, handle, block, poses):
-    """Copy a problem's block of memory, and place the static bodies whose poses differ from the poses in it.
+    """Copy a problem's block of memory, and place the static bodies whose poses differ from the poses in the block.
 
     Parameters
     ----------
     pack, handle : int
-        Handles of the bodies and of the problem. A block begins there: with the tables of `records.Problem` and
-        `records.MotionTables`, which are followed by all arrays that depend on poses.
+        Handles of the bodies and of the problem. The handle of the problem is the start of a block: the tables of
+        `records.Problem` and `records.MotionTables`, followed by all arrays that depend on poses.
     block : ndarray
-        Receives the new block, from the first cache line on. If the old one begins there, it is changed in place, which
-        takes no longer for many bodies that stay where they are.
+        Receives the new block, starting at the first cache line. If the old block begins there, it is changed in place.
+        Bodies that stay where they are take no time.
     poses : ndarray, shape (static bodies, 16)
 
     Returns
     -------
     int
-        The handle of the new problem.
+        Handle of the new problem.
     """
     words, made = len(block) - LINE, np.int64(block.ctypes.data)
     made += -made % CACHE_LINE
@@ -249,7 +249,8 @@ def place_static(pack, handle, block, poses):
     for k in range(len(poses)):
         moved = False
         for entry in range(16):
-            moved |= poses[k, entry] != problem.standing_poses[k, entry]  # NaN for a body that has not been placed yet
+            # The stored pose is NaN for a body that has not been placed yet.
+            moved |= poses[k, entry] != problem.standing_poses[k, entry]
         if moved:
             for entry in range(16):
                 problem.standing_poses[k, entry] = poses[k, entry]
@@ -263,7 +264,7 @@ def place_static(pack, handle, block, poses):
 
 @njit()
 def _place(pieces, problem, tables, moving, k, balls):
-    """Write rows, bounds and reaches of one static body."""
+    """Write the rows, bounds and reaches of one static body."""
     T, rows, hot = problem.standing_poses, tables.standing_rows, pieces.hot
     R = T[k, 0], T[k, 1], T[k, 2], T[k, 4], T[k, 5], T[k, 6], T[k, 8], T[k, 9], T[k, 10]
     t = T[k, 3], T[k, 7], T[k, 11]
@@ -284,7 +285,7 @@ def _place(pieces, problem, tables, moving, k, balls):
         rows[row, REACH] = (hot[piece, REACH] + away) * UP
         rows[row, OUTER_RADIUS] *= UP
         rows[row, INVERSE_INNER_SIGMA] *= UP
-        for column in range(HOT):  # numbers that are too large become infinite and certify nothing
+        for column in range(HOT):  # Numbers that are too large become infinite and certify nothing.
             problem.standing_rows[row, column] = rows[row, column]
         # A piece lies in the box of its ellipsoid and, if it is a polytope, in the box of its corners.
         more = SHAPE_ROUNDINGS * (shape[0] + shape[3] + shape[5])

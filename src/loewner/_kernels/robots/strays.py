@@ -1,8 +1,8 @@
-"""How far a piece moves towards another body along a normal, at most, if joints deviate from a course.
+"""How far, at most, a piece moves towards another body along a normal if joints deviate from a course.
 
-The bound V of `motion_bounds` adds up what all joints do in all directions. To first order, only the motion along the
-normal n counts: |n · (z × (x - o))| for a turn about the axis z through o. It is known wherever a configuration has
-been placed. See docs/certified.md, "Joint errors along a normal".
+The bound V of `motion_bounds` adds up the motions of all joints in all directions. To first order, only the motion
+along the normal n counts: |n · (z × (x - o))| for a turn about the axis z through o. The motion along n is known
+wherever a configuration has been placed. See docs/certified.md, "Joint errors along a normal".
 """
 
 from loewner._kernels._jit import inline, njit
@@ -15,19 +15,20 @@ from loewner._kernels.robots.planes import seen_by
 from loewner._kernels.robots.sweeps import outer_center, outer_shape
 from loewner._kernels.simd.vectors import LANES, absolute, broadcast, store
 
-# Relative errors of the first-order terms, from rounding and from rotations that are accepted as orthonormal.
+# Bound on the relative errors of the first-order terms, from rounding and from rotations that are accepted as
+# orthonormal.
 TERMS = 1e-4  # certified.md B52
 
 
 @inline
 def longest_lever(tables, ways, astray):
-    """Bound the distances of a body's points from all joints between it and another body."""
+    """Upper bound on the distances of a body's points from all joints between it and another body."""
     return 2.0 * tables.chain[1] + ways.travel + astray.travel
 
 
 @inline
 def error_of_strays(ways, astray, lever, width):
-    """Bound what `write_strays_along` leaves out in an interval of this width: second derivatives, and rounding."""
+    """Bound the terms that `write_strays_along` omits in an interval of this width: second derivatives, rounding."""
     squares = ways.turn * ways.turn + ways.turning
     moved = astray.turn * lever + astray.speed
     between = moved * squares + astray.turn * (2.0 * ways.turn * ways.speed + ways.bend)
@@ -36,10 +37,10 @@ def error_of_strays(ways, astray, lever, width):
 
 @njit()
 def write_strays_along(tree, tables, hot, W, strays, lever, link, fixed, piece, n, planes):
-    """Write how far the points of a piece move along n, to first order, if joints deviate from eight configurations.
+    """Write how far a piece's points move along n, to first order, if joints deviate from eight configurations.
 
-    That is the sum of absolute values of functions that are linear in the point, one for each joint that turns, and of
-    a rest that is the same for all points.
+    The distance is a sum of absolute values of functions that are linear in the point, one for each joint that turns,
+    plus a rest that is the same for all points.
 
     Parameters
     ----------
@@ -52,15 +53,15 @@ def write_strays_along(tree, tables, hot, W, strays, lever, link, fixed, piece, 
     strays : Rates
         Deviations of joints, see `motion_bounds.write_strays`.
     lever : float
-        `longest_lever`.
+        Result of `longest_lever`.
     link, fixed : int
-        The links of the piece and of the other body, -1 if the latter is static.
+        Links of the piece and of the other body; -1 if the other body is static.
     piece : int
     n : tuple of 3 float
         Unit normal in the other body's frame.
     planes : ndarray
-        Receives vectors: the rest, a bound on the whole for all points of the outer ellipsoid, and the functions, each
-        as three coefficients of a point in the frame of its body and a constant.
+        Receives vectors: first the rest, then a bound on the sum for all points of the outer ellipsoid, then the
+        functions. Each function has three coefficients of a point in the frame of its body, and a constant.
 
     Returns
     -------

@@ -1,10 +1,10 @@
-"""Seven intervals of a motion side by side: bodies at eight configurations, and pairs certainly apart in between.
+"""Seven intervals of a motion side by side: bounds of bodies, and pairs that are certainly apart in between.
 
-In each interval a point stays within `grow` of its chord. So a body stays within the hull of its bounds at both ends,
-widened by this: a ball about a segment, a box, or a half-space that contains both ellipsoids.
+In each interval, a point stays within `grow` of its chord. A body therefore stays within the hull of its bounds at both
+ends, widened by `grow`: a ball about a segment, a box, or a half-space that contains both ellipsoids.
 
-In rows of vectors a quantity at the eight configurations takes STRIDE numbers, and the first eight count; reading from
-the second one on gives the later end of each interval, with the last lane unused.
+In a row of vectors, a quantity at the eight configurations takes STRIDE numbers; the first eight count. Reading from
+the second number on yields the later end of each interval, with the last lane unused.
 """
 
 from typing import Any, NamedTuple
@@ -42,16 +42,16 @@ EVERY = (1 << INTERVALS) - 1
 
 STRIDE = 2 * LANES
 
-# Numbers of a body: at the configurations, its center and half-widths; for the intervals, the middle and half the
-# length of the center's chord, and the middle and half-widths of a box; and for all intervals together, the middle and
-# half-widths of a box.
+# Numbers of a body. At each configuration: the center and half-widths of its box. For each interval: the middle and
+# half the length of the center's chord, and the middle and half-widths of a box. For all intervals together: the middle
+# and half-widths of a box.
 _MIDDLE = 6 * STRIDE
 _HALF_CHORD = _MIDDLE + 3 * LANES
 _BOX = _HALF_CHORD + LANES
 _WHOLE = _BOX + 6 * LANES
 BODY = _WHOLE + LANES
 
-SWEPT, PLACED_PIECES, PLACED = 1, 2, 4  # bits for the parts of a body that are done: bounds, pieces, poses
+SWEPT, PLACED_PIECES, PLACED = 1, 2, 4  # Bits for the parts of a body that are done: bounds, pieces, poses.
 
 # Numbers of a group of static bodies, see `records.MotionTables`.
 _MARGIN = 6 * LANES
@@ -62,7 +62,8 @@ GROUP = 8 * LANES
 _SHAPE = 3 * STRIDE
 PIECE = 9 * STRIDE
 
-# Radii and half-widths are widened by the fraction STRETCH, since accepted poses stretch them, and for rounding.
+# Radii and half-widths are widened by the fraction STRETCH, because accepted poses stretch them, and because of
+# rounding.
 STRETCH = 1e-5  # certified.md B31
 WIDER = 1.0 + STRETCH
 
@@ -78,7 +79,7 @@ class Swept(NamedTuple):
     bodies : ndarray, BODY numbers per body
     pieces : ndarray, PIECE numbers per piece
     done : ndarray of int64, an entry per body
-        The parts that have been written, as bits; to be set to 0 for each block.
+        Bits of the parts that have been written; the caller sets them to 0 for each block.
     links : ndarray
         Output of the kinematics.
     numbers : ndarray of int64, shape (LANES,)
@@ -130,7 +131,7 @@ def outer_center(table, p):
 
 @inline
 def _place_piece(hot, p, R, t, rows):
-    """Write center and shape of a piece, and return both."""
+    """Write the center and the shape of a piece; return both."""
     center = plus(apply(R, outer_center(hot, p)), t)
     Q = rotated_shape(R, outer_shape(hot, p))
     _store_three(rows, p * PIECE, center)
@@ -140,7 +141,7 @@ def _place_piece(hot, p, R, t, rows):
 
 @inline
 def place_pieces(problem, pieces, body, to):
-    """Write centers and shapes of all pieces of a body."""
+    """Write the centers and shapes of all pieces of a body."""
     to.done[body] |= PLACED_PIECES
     link = problem.link[body]
     R, t = rotation_of_link(to.links, link), translation_of_link(to.links, link)
@@ -197,9 +198,10 @@ def sweep(problem, pieces, body, to):
 
 @inline
 def near_group(groups, g, body, keep, skew, clear, to):
-    """The static bodies of a group, as bits, that a moving one may come near in any interval.
+    """Bits of the static bodies of a group that a moving body may come near in any interval.
 
-    They are to be farther apart than `keep`, their margins times 1 + skew, and an error of positions times `clear`.
+    Bodies must be farther apart than the sum of `keep`, their margins times 1 + skew, and an error of positions times
+    `clear`.
     """
     k, at = g * GROUP, body * BODY + _WHOLE
     keep = (1.0 + skew) * load(groups, k + _MARGIN) + keep
@@ -216,7 +218,7 @@ def near_group(groups, g, body, keep, skew, clear, to):
 
 @inline
 def near_standing(problem, body, k, keep, to):
-    """Intervals, as bits, in which a moving body may come within `keep` of the static one in row k."""
+    """Bits of the intervals in which a moving body may come within `keep` of the static body in row k."""
     at, still = body * BODY, problem.standing
     r = minus(_middle(to, at), (np.float64(still[k, X]), np.float64(still[k, Y]), np.float64(still[k, Z])))
     far = load(to.bodies, at + _HALF_CHORD) + (problem.ball[body, 3] + np.float64(still[k, WIDE]) + keep)
@@ -244,7 +246,7 @@ def _middle(to, at):
 
 @inline
 def near_in_world(problem, body, other, keep, to):
-    """Intervals, as bits, in which two moving bodies may come within `keep` of each other, relative to the world."""
+    """Bits of the intervals in which two moving bodies may come within `keep` of each other, seen from the world."""
     a, b = body * BODY, other * BODY
     for k in range(_WHOLE, _WHOLE + 3):
         wide = to.bodies[a + k + 3] + to.bodies[b + k + 3]
@@ -258,7 +260,7 @@ def near_in_world(problem, body, other, keep, to):
 
 @inline
 def _near_balls(rows, at, center, radii, keep):
-    """Intervals in which a ball, with its center in the rows from `at` on, may come within `keep` of a static one."""
+    """Bits of intervals in which a ball, its center in the rows from `at`, may come within `keep` of a static one."""
     first, last = _load_three(rows, at), _load_three(rows, at + 1)
     way = minus(last, first)
     r = 0.5 * (first[0] + last[0]), 0.5 * (first[1] + last[1]), 0.5 * (first[2] + last[2])
@@ -269,7 +271,7 @@ def _near_balls(rows, at, center, radii, keep):
 
 @inline
 def near_moving(problem, body, other, keep, to, scratch):
-    """Intervals in which two moving bodies may come within `keep` of each other, relative to the second one."""
+    """Bits of the intervals in which two moving bodies may come within `keep` of each other, seen by the second one."""
     ball, link = problem.ball, problem.link[other]
     R, t = rotation_of_link(to.links, link), translation_of_link(to.links, link)
     _store_three(scratch, 0, apply_transposed(R, minus(_load_three(to.bodies, body * BODY), t)))
@@ -279,14 +281,14 @@ def near_moving(problem, body, other, keep, to, scratch):
 
 @inline
 def see_piece(problem, p, other, to, scratch):
-    """Write center and shape of a moving piece p relative to the body `other`, which also moves."""
+    """Write the center and the shape of a moving piece p relative to the body `other`, which also moves."""
     link = problem.link[other]
     _see_piece(p, rotation_of_link(to.links, link), translation_of_link(to.links, link), to, scratch)
 
 
 @inline
 def see_piece_standing(problem, p, k, to, scratch):
-    """As `see_piece`, relative to the static body in row k."""
+    """Write the center and the shape of a moving piece p relative to the static body in row k."""
     T = problem.standing_poses
     R = T[k, 0], T[k, 1], T[k, 2], T[k, 4], T[k, 5], T[k, 6], T[k, 8], T[k, 9], T[k, 10]
     _see_piece(p, R, (T[k, 3], T[k, 7], T[k, 11]), to, scratch)
@@ -301,10 +303,10 @@ def _see_piece(p, R, t, to, scratch):
 
 @inline
 def write_box(rows, at, reach, box):
-    """Write lower and upper bounds of a piece at all eight configurations, as a body of this reach sees it.
+    """Write lower and upper bounds of a piece at all eight configurations, seen from a body with this reach.
 
-    Center and shape of the piece, from entry `at` on, are relative to the body. The body's own points may be as far
-    from their places as an accepted pose moves them.
+    The center and the shape of the piece, starting at entry `at`, are relative to the body. The points of the body may
+    be off by as much as an accepted pose moves them.
     """
     center, Q = _load_three(rows, at), _load_six(rows, at + _SHAPE)
     slack, size = SHAPE_ROUNDINGS * trace(Q), reach
@@ -319,24 +321,25 @@ def write_box(rows, at, reach, box):
 
 @inline
 def near_piece(rows, at, radius, table, q, keep, nearer, live, out, to):
-    """The intervals among `live` in which two ellipsoids may come within `keep` of each other.
+    """Bits of the intervals among `live` in which two ellipsoids may come within `keep` of each other.
 
     Parameters
     ----------
     rows, at :
-        Center and shape of the moving piece, from entry `at` on.
+        Center and shape of the moving piece, starting at entry `at`.
     radius : float
-        Radius of a ball about it.
+        Radius of a ball about the moving piece.
     table, q :
-        Row of the static piece, in a table like `Pieces.hot`.
+        The static piece is row q of a table like `Pieces.hot`.
     keep : float
     nearer : vector
-        How much nearer to each other they may be than they are given, at the configurations.
+        By how much nearer to each other the pieces may be than given, at each configuration.
     live : int
-        As bits.
+        Bits of the intervals to test.
     out, to :
-        Receives, from entry `to` on, directions from the static piece to the moving one; and how far apart the
-        ellipsoids may be along them at both ends, as shares of the distance at which they touch.
+        Receives, starting at entry `to`, directions from the static piece to the moving piece. The further entries
+        receive how far apart the ellipsoids may be along these directions at both ends, as shares of the distance at
+        which they touch.
     """
     center = outer_center(table, q)
     live &= _near_balls(rows, at, center, radius + table[q, OUTER_RADIUS], keep)

@@ -1,9 +1,9 @@
 """Effects of wrenches on a robot's links on its joints, at eight configurations side by side.
 
-A wrench is a force and its moment about the world's origin, both in the world's axes; it is the gradient of a quantity
+A wrench is a force and its moment about the world's origin, both in world axes. A wrench is the gradient of a quantity
 with respect to the motion of a link. The gradient with respect to a value of the configuration is the power of the
-wrenches on all links that the value moves, along the twist with which it moves them. The power of unit wrenches on one
-link is its Jacobian.
+wrenches on all links that the value moves, along the twist with which it moves them. The powers of unit wrenches on one
+link form its Jacobian.
 
 References
 ----------
@@ -37,7 +37,7 @@ from loewner._kernels.robots.kinematics import (
 )
 from loewner._kernels.simd.vectors import LANES, broadcast, load, store
 
-WRENCH = 6  # vectors per link: force, moment
+WRENCH = 6  # Each link takes WRENCH vectors: a force and a moment.
 
 
 @inline
@@ -74,9 +74,9 @@ def powers(tree, W, wrenches, dof, slopes):
     ----------
     tree : Tree
     W : ndarray
-        Poses of the links, and then the configurations: the output of `kinematics.place_links`.
+        Poses of the links, followed by the configurations: the output of `kinematics.place_links`.
     wrenches : ndarray
-        WRENCH vectors per link. Wrenches on the links below a link are added to its own.
+        WRENCH vectors per link. The wrenches on the links below a link are added to the link's own wrench.
     slopes : ndarray
         Receives a vector for each of the `dof` values of a configuration.
     """
@@ -91,7 +91,7 @@ def powers(tree, W, wrenches, dof, slopes):
         what, above = kind[link], parent[link]
         if what != FIXED:
             q = column[link] * LANES
-            # The moment about the link's own origin, which does not move when the link turns.
+            # The torque is the moment about the link's own origin, which does not move when the link turns.
             torque = minus(moment, cross(translation_of_link(W, link), force))
             seen = force
             if above >= 0:
@@ -139,7 +139,7 @@ def _by_quaternion(slopes, q, turn, W, at):
 def link_jacobians(parent, kind, column, multiplier, offset, constants, Q, start, stop, link, point, out):
     """Write the Jacobians of a point of a link at the configurations start .. stop to out, shape (N, 6, dof).
 
-    The tree is passed as its six arrays, as in `kinematics.link_poses`. Rows are the velocity of the point and the
+    The tree is passed as its six arrays, as in `kinematics.link_poses`. The rows are the velocity of the point and the
     angular velocity of the link: the powers of unit forces at the point, and of unit moments.
     """
     tree = Tree(parent, kind, column, multiplier, offset, constants)
@@ -148,7 +148,7 @@ def link_jacobians(parent, kind, column, multiplier, offset, constants, Q, start
     wrenches, slopes = np.empty(WRENCH * LANES * links), np.empty(LANES * dof)
     for first in range(start, stop, LANES):
         for lane in range(LANES):
-            rows[lane] = min(first + lane, stop - 1)  # padded with repeats of the last configuration
+            rows[lane] = min(first + lane, stop - 1)  # Repeats of the last configuration pad the rows.
         place_links(tree, Q, rows, 0, W)
         at = image(rotation_of_link(W, link), translation_of_link(W, link), (point[0], point[1], point[2]))
         for row in range(6):

@@ -1,10 +1,10 @@
 """Memory by address: arrays for kernels in memory that Python owns.
 
-A call from Python costs 150 ns for every array that it passes and 20 ns for a number, and an array that a kernel makes
-itself costs an allocation. So Python owns the memory, passes its address, and keeps it alive.
+A call from Python takes 150 ns for every array that it passes and 20 ns for a number, and an array that a kernel makes
+itself takes an allocation. Therefore, Python owns the memory, passes its address, and keeps it alive.
 
-An `Arena` divides such memory into named fields. Its accessors write LLVM's code themselves, which costs next to no
-time; functions in Python would cost Numba 5 ms a line.
+An `Arena` divides such memory into named fields. The accessors of an arena write LLVM's code themselves, which takes
+almost no time; functions in Python would take Numba 5 ms a line.
 """
 
 from collections.abc import Callable, Iterator
@@ -30,7 +30,7 @@ _INT64 = ir.IntType(64)
 
 
 def _array(context: Any, builder: Any, kind: Any, address: Any, shape: Any) -> Any:
-    """Numba's array over memory that it does not own; the address and the lengths of the axes are int64."""
+    """Make Numba's array over memory that it does not own; the address and the lengths of the axes are int64."""
     strides = [_INT64(kind.dtype.bitwidth // 8)]
     for length in reversed(shape[1:]):
         strides.insert(0, builder.mul(strides[0], length))
@@ -59,7 +59,7 @@ integers_at, floats_at = _arrays_of(types.int64), _arrays_of(types.float64)
 
 @inline
 def held(array):
-    """Keep an array alive up to here, for a callee that received its address: Numba frees it after its last use."""
+    """Keep an array alive until here for a callee that received its address: Numba frees it after its last use."""
     return array.size
 
 
@@ -71,8 +71,8 @@ _ENTRIES = {"F": types.float64, "I": types.int64, "S": types.float32}
 def record_kind(record: Any, *parts: Any) -> Any:
     """Numba's type of a record of arrays.
 
-    Parts are the types of inner records, or words for arrays as in `entries`: a letter, which here may also be S for
-    float32, and the number of axes.
+    Parts are the types of inner records, or words for arrays as in `entries`: a letter (here also S for float32), and
+    the number of axes.
     """
     kinds = []
     for part in parts:
@@ -82,7 +82,7 @@ def record_kind(record: Any, *parts: Any) -> Any:
 
 
 def reader(kind: Any) -> Any:
-    """The function for kernels that makes a record of this type from its handle, see `records`."""
+    """Make the function for kernels that reads a record of this type from its handle, see `records`."""
 
     @intrinsic
     def record_of(typingctx, handle):
@@ -97,7 +97,7 @@ def reader(kind: Any) -> Any:
 
 
 def _record(context: Any, builder: Any, kind: Any, rows: Iterator[Any]) -> Any:
-    """A record, or an array of it, from the next rows of a table."""
+    """Read a record, or an array of it, from the next rows of a table."""
     if isinstance(kind, types.Array):
         row = next(rows)
         address, *shape = [builder.load(builder.gep(row, [_INT64(at)])) for at in range(1 + kind.ndim)]
@@ -109,7 +109,7 @@ def _record(context: Any, builder: Any, kind: Any, rows: Iterator[Any]) -> Any:
 
 
 class _Size:
-    """A size that depends on a record of counts: one of its fields, or a sum or product of sizes."""
+    """A size that depends on a record of counts: a field of the record, or a sum or product of sizes."""
 
     def __init__(self, of: Callable[[Any], Any]) -> None:
         self.of = of
@@ -173,16 +173,16 @@ singles, small_integers = partial(_Field, types.float32), partial(_Field, types.
 
 
 class Arena:
-    """Memory of named fields, each of which begins at a cache line.
+    """Memory of named fields; each field begins at a cache line.
 
-    Sizes are numbers, or come from `sizes_of` a record of counts. An arena can be a field of another one.
+    Sizes are numbers, or come from `sizes_of` a record of counts. An arena can be a field of another arena.
 
     Parameters
     ----------
     record : named tuple class, optional
-        The type of the whole arena in kernels, with its fields; without it, kernels get the address.
+        The type that the whole arena has in kernels, with its fields; without a type, kernels get the address.
     fields : by name, in the order of memory
-        Arrays by their shape, such as `floats(2, DOF)`, arenas, or a number of bytes, `raw(size)`.
+        Arrays with their shapes, such as `floats(2, DOF)`, other arenas, or a number of bytes, `raw(size)`.
     """
 
     def __init__(self, record: Any = None, **fields: Any) -> None:
@@ -192,7 +192,7 @@ class Arena:
             self.kind = types.BaseTuple.from_types([fields[name].kind for name in record._fields], record)
 
     def _starts(self, counts: Any) -> Iterator[tuple[str | None, Any]]:
-        """Yield the fields and their offsets, then None and the end of the last one."""
+        """Yield the fields and their offsets, then None and the end of the last field."""
         end = 0
         for name, field in self._fields.items():
             start = _whole_lines(end)
@@ -204,7 +204,7 @@ class Arena:
         return next(start for other, start in self._starts(counts) if other == name)
 
     def size(self, counts: Any = None) -> Any:
-        """Bytes of the arena."""
+        """Number of bytes of the arena."""
         return self._start(None, counts)
 
     def read(self, context: Any, builder: Any, address: Any, counts: Any) -> Any:
@@ -218,23 +218,23 @@ class Arena:
         return context.make_tuple(builder, self.kind, found)
 
     def accessors(self, names: str) -> Any:
-        """Functions for kernels that return the named fields; the names are words of one string.
+        """Make functions for kernels that return the named fields; the names are words of one string.
 
-        Each takes the address of the arena; where sizes depend on counts, a record that has both as `work` and
-        `counts`.
+        Each function takes the address of the arena. If sizes depend on counts, it takes a record that has the address
+        as `work` and the counts as `counts`.
         """
         return [_accessor(self._fields[name], partial(self._start, name)) for name in names.split()]
 
     def addresses(self, names: str) -> Any:
-        """Such functions that return the addresses of fields."""
+        """Make functions for kernels that return the addresses of the named fields."""
         return [_accessor(Arena(), partial(self._start, name)) for name in names.split()]
 
     def whole(self) -> Any:
-        """The function for kernels that returns the arena as a whole."""
+        """Make the function for kernels that returns the whole arena."""
         return _accessor(self, lambda counts: 0)
 
     def sizing(self) -> Any:
-        """The function for kernels that returns the bytes of the arena from counts."""
+        """Make the function for kernels that computes the number of bytes of the arena from counts."""
 
         @intrinsic
         def size(typingctx, counts):
@@ -252,7 +252,7 @@ def raw(size: Any) -> Any:
 
 
 class Place(NamedTuple):
-    """Address of an arena whose sizes depend on counts, with these counts."""
+    """Address of an arena whose sizes depend on counts, and these counts."""
 
     work: Any
     counts: Any
@@ -275,10 +275,10 @@ def _accessor(field: Any, start: Any) -> Any:
 
 
 def _numbers(builder: Any, kind: Any, record: Any) -> Any:
-    """A record of counts, each of them int64."""
+    """Read a record of int64 counts."""
     return kind.instance_class(*[_Number(builder, builder.extract_value(record, at)) for at in range(len(kind))])
 
 
 def _whole_lines(size: Any) -> Any:
-    """Bytes of whole cache lines that hold `size` bytes."""
+    """Number of bytes of the whole cache lines that hold `size` bytes."""
     return (size + (CACHE_LINE - 1)) & -CACHE_LINE

@@ -1,7 +1,7 @@
 """Reads and writes of a GPU thread: numbers at addresses, one lane at a time.
 
-The same functions compile for the CPU, where a loop over the threads' numbers replaces the GPU's parallel threads.
-Memory is given by an address and the index of an entry: an array of Numba would add its shape and reference count.
+The same functions compile for the CPU, where a loop over the threads' numbers replaces the GPU's parallel threads. An
+address and the index of an entry specify memory, because a Numba array would add its shape and reference count.
 """
 
 from llvmlite import ir
@@ -41,7 +41,7 @@ word_at = _reader(_WORD, types.int64, False, "int64")
 
 @intrinsic
 def eight_at(typingctx, address, at):
-    """Eight float32 from the entry `at` on, which must be aligned to sixteen bytes."""
+    """Read eight float32 that start at entry `at`, which must be aligned to sixteen bytes."""
 
     def generate(context, builder, sig, args):
         four, found = ir.VectorType(ir.FloatType(), 4), []
@@ -100,7 +100,7 @@ add_to, raise_to = _atomic("add", "Add to"), _atomic("max", "Raise to at least a
 
 @intrinsic
 def lane_of(typingctx, x):
-    """A float as one lane: rounded to single precision."""
+    """Convert a float to one lane, rounded to single precision."""
 
     def generate(context, builder, sig, args):
         return builder.fptrunc(args[0], ir.FloatType())
@@ -110,7 +110,7 @@ def lane_of(typingctx, x):
 
 @intrinsic
 def lane_of_integer(typingctx, x):
-    """An integer below 2^24 as one lane."""
+    """Convert an integer below 2^24 to one lane."""
 
     def generate(context, builder, sig, args):
         return builder.sitofp(builder.trunc(args[0], _HALF), ir.FloatType())
@@ -120,7 +120,7 @@ def lane_of_integer(typingctx, x):
 
 @intrinsic
 def holds(typingctx, condition):
-    """Whether a comparison of single lanes holds."""
+    """Return whether a comparison of single lanes holds."""
 
     def generate(context, builder, sig, args):
         return args[0]

@@ -1,16 +1,17 @@
-"""Sine and cosine of a number or of eight, within two units in the last place, and of a float on one lane."""
+"""Sine and cosine of one number or of eight, within two units in the last place, and of a float on one lane."""
 
 from loewner._kernels._jit import inline
 from loewner._kernels.simd.vectors import absolute, cosines, everywhere, floor, round_to_even, select, sines
 
-# π/2 as a sum of three doubles (Cody and Waite). The first two have 33 significant bits, so their products with an
-# integer below 2^20 are exact; the error of the sum is below 2^-119.
+# QUARTER_TURN is π/2 as a sum of three doubles (Cody and Waite). The first two doubles have 33 significant bits, so
+# that their products with an integer below 2^20 are exact. The error of the sum is below 2^-119.
 QUARTER_TURN = (
     float.fromhex("0x1.921fb544p+0"),
     float.fromhex("0x1.0b4611a6p-34"),
     float.fromhex("0x1.3198a2e037073p-69"),
 )
-TURNS_PER_RADIAN = 0.6366197723675814  # 2/π, in quarter turns per radian; rounding moves the borders between quadrants
+# TURNS_PER_RADIAN is 2/π, in quarter turns per radian. Rounding 2/π only moves the borders between quadrants.
+TURNS_PER_RADIAN = 0.6366197723675814
 
 # Largest angle [rad] for which the number of quarter turns has at most 20 bits.
 LARGEST = 1e6
@@ -26,7 +27,7 @@ def sine_cosine(x):
     Parameters
     ----------
     x : float or vector
-        Angles [rad]; beyond ±1e6 the C library computes them, whose last bits differ between systems.
+        Angles [rad]. Beyond ±1e6, the C library computes the results, whose last bits differ between systems.
 
     Returns
     -------
@@ -40,7 +41,7 @@ def sine_cosine(x):
     r = most - second
     r = r + (((most - r) - second) - k * QUARTER_TURN[2])
     z = r * r
-    p = 1.0 / 355687428096000.0 * z - 1.0 / 1307674368000.0  # 1/17!, 1/15!, ...
+    p = 1.0 / 355687428096000.0 * z - 1.0 / 1307674368000.0  # The coefficients are 1/17!, 1/15!, and so on.
     p = p * z + 1.0 / 6227020800.0
     p = p * z - 1.0 / 39916800.0
     p = p * z + 1.0 / 362880.0
@@ -48,7 +49,7 @@ def sine_cosine(x):
     p = p * z + 1.0 / 120.0
     p = p * z - 1.0 / 6.0
     s = r + r * z * p
-    p = 1.0 / 20922789888000.0 * z - 1.0 / 87178291200.0  # 1/16!, 1/14!, ...
+    p = 1.0 / 20922789888000.0 * z - 1.0 / 87178291200.0  # The coefficients are 1/16!, 1/14!, and so on.
     p = p * z + 1.0 / 479001600.0
     p = p * z - 1.0 / 3628800.0
     p = p * z + 1.0 / 40320.0
@@ -58,7 +59,7 @@ def sine_cosine(x):
     rough = 1.0 - half
     c = rough + (((1.0 - rough) - half) + z * z * p)
     quadrant = k - 4.0 * floor(0.25 * k)
-    crossed = absolute(absolute(quadrant - 2.0) - 1.0) < 0.5  # quadrant 1 or 3
+    crossed = absolute(absolute(quadrant - 2.0) - 1.0) < 0.5  # The angle is in quadrant 1 or 3.
     sine, cosine = select(crossed, c, s), select(crossed, s, c)
     sine = select(quadrant > 1.5, -sine, sine)
     return sine, select(absolute(quadrant - 1.5) < 1.0, -cosine, cosine)
@@ -70,18 +71,18 @@ def sine_of(x):
     return sine_cosine(x)[0]
 
 
-# π/2 as a sum of three floats. The first two have twelve bits, so their products with an integer below 2^12 are
-# exact. The error of the sum is below 2^-57.
+# SINGLE_QUARTER_TURN is π/2 as a sum of three floats. The first two floats have twelve bits, so that their products
+# with an integer below 2^12 are exact. The error of the sum is below 2^-57.
 SINGLE_QUARTER_TURN = float.fromhex("0x1.922p+0"), float.fromhex("-0x1.2aep-18"), float.fromhex("-0x1.de973ep-31")
 
-SINGLE_LARGEST = 1000.0  # rad; the number of quarter turns is below 2^10
+SINGLE_LARGEST = 1000.0  # Largest angle [rad]; it has fewer than 2^10 quarter turns.
 
 
 @inline
 def sine_cosine_single(x):
     """Sine and cosine of a float on one lane, within 5 · 2^-24 of the exact values (docs/certified.md).
 
-    Beyond ±1000 rad the results are meaningless, which the caller has to check.
+    Beyond ±1000 rad, the results are meaningless; the caller has to check this.
 
     Parameters
     ----------
@@ -95,16 +96,16 @@ def sine_cosine_single(x):
     k = round_to_even(x * TURNS_PER_RADIAN)
     r = ((x - k * SINGLE_QUARTER_TURN[0]) - k * SINGLE_QUARTER_TURN[1]) - k * SINGLE_QUARTER_TURN[2]
     z = r * r
-    p = 1.0 / 362880.0 * z - 1.0 / 5040.0  # 1/9!, 1/7!, ...
+    p = 1.0 / 362880.0 * z - 1.0 / 5040.0  # The coefficients are 1/9!, 1/7!, and so on.
     p = p * z + 1.0 / 120.0
     p = p * z - 1.0 / 6.0
     s = r + (r * z) * p
-    p = 1.0 / 40320.0 - 1.0 / 3628800.0 * z  # 1/8!, 1/10!, ...
+    p = 1.0 / 40320.0 - 1.0 / 3628800.0 * z  # The coefficients are 1/8!, 1/10!, and so on.
     p = p * z - 1.0 / 720.0
     p = p * z + 1.0 / 24.0
     c = (1.0 - 0.5 * z) + (z * z) * p
     quadrant = k - 4.0 * floor(0.25 * k)
-    crossed = absolute(absolute(quadrant - 2.0) - 1.0) < 0.5  # quadrant 1 or 3
+    crossed = absolute(absolute(quadrant - 2.0) - 1.0) < 0.5  # The angle is in quadrant 1 or 3.
     sine, cosine = select(crossed, c, s), select(crossed, s, c)
     sine = select(quadrant > 1.5, -sine, sine)
     return sine, select(absolute(quadrant - 1.5) < 1.0, -cosine, cosine)

@@ -1,14 +1,14 @@
-"""Eight doubles, eight or sixteen floats or one as one number: Numba types whose arithmetic is vector instructions.
+"""Numba types for eight doubles, or for one, eight or sixteen floats, whose arithmetic is vector instructions.
 
-A formula written once on scalars runs unchanged on many piece pairs: +, -, *, / and the functions below take both
-floats and vectors, and a float counts as the required number of copies. LLVM maps ``<8 x double>`` and ``<16 x float>``
-to one AVX-512 register, two of AVX2 or four of SSE2 and NEON, so nothing depends on its vectorisation of loops.
-Comparisons give masks; there are no branches on vectors.
+A formula written once for scalars runs unchanged on many piece pairs. The operators +, -, *, / and the functions below
+take both floats and vectors, and a float counts as the required number of copies. LLVM maps ``<8 x double>`` and ``<16
+x float>`` to one AVX-512 register, two of AVX2 or four of SSE2 and NEON, so that nothing depends on its vectorisation
+of loops. Comparisons yield masks, because vectors cannot branch.
 
-The third type is one lane of single precision, for a GPU thread: unlike with Numba's float32, a literal combined with
-it is rounded to single precision, as with vectors. `simd.scalars` has its memory access.
+The third type is one lane of single precision, for a GPU thread. Unlike with Numba's float32, a literal combined with a
+lane is rounded to single precision, as it is with vectors. `simd.scalars` accesses memory for lanes.
 
-As everywhere in this package, contraction is the only freedom given to the compiler.
+Contraction is the only freedom that the compiler has, as everywhere in this package.
 """
 
 import operator
@@ -22,13 +22,13 @@ from loewner._kernels._numba import AbstractTemplate, cgutils, errors, infer_glo
 from loewner._kernels.columns import CACHE_LINE
 
 LANES, SINGLE_LANES = 8, 16
-ALL, SINGLE_ALL = 2**LANES - 1, 2**SINGLE_LANES - 1  # the bits of a mask that is true everywhere
+ALL, SINGLE_ALL = 2**LANES - 1, 2**SINGLE_LANES - 1  # The bits of a mask that is true in all lanes.
 
 _CONTRACT = ("contract",)
 
 
 class Lanes(types.Type):
-    """Numba type of several values in a register; for LLVM a single one is not a vector."""
+    """Numba type of several values in a register; for LLVM, a single value is not a vector."""
 
     def __init__(self, name, entry, count):
         super().__init__(name)
@@ -67,7 +67,7 @@ def _indices(numbers):
 
 
 def _spread(builder, value, kind, wanted):
-    """Copies of a float, or a vector unchanged."""
+    """Copies of a float, or an unchanged vector."""
     if kind == wanted:
         return value
     if wanted != vector and value.type == ir.DoubleType():
@@ -76,7 +76,7 @@ def _spread(builder, value, kind, wanted):
 
 
 def _joint(args):
-    """The only vector type among the arguments, if all others are floats; otherwise None."""
+    """The only vector type among the arguments, if all other arguments are floats; otherwise None."""
     kinds = {a for a in args if not isinstance(a, types.Float)}
     return kinds.pop() if len(kinds) == 1 and kinds <= set(_VECTORS) else None
 
@@ -242,7 +242,7 @@ def _both(builder, sig, args):
 def rounded_product(typingctx, x, y):
     """x * y, rounded separately and never fused with an addition, so that it equals NumPy's product.
 
-    Numba marks all products of a function as ones that may be fused; the fence keeps the sum from seeing this one.
+    Numba marks all products of a function as ones that may be fused; the fence hides this product from the sum.
     """
 
     def generate(context, builder, sig, args):
@@ -253,7 +253,7 @@ def rounded_product(typingctx, x, y):
 
 @intrinsic
 def maximum(typingctx, x, y):
-    """x if x > y, else y: a NaN in x gives y, one in y stays."""
+    """x if x > y, otherwise y: a NaN in x gives y, and a NaN in y stays."""
 
     def generate(context, builder, sig, args):
         return _choice(builder, ">", *_both(builder, sig, args))
@@ -263,7 +263,7 @@ def maximum(typingctx, x, y):
 
 @intrinsic
 def minimum(typingctx, x, y):
-    """x if x < y, else y: a NaN in x gives y, one in y stays."""
+    """x if x < y, otherwise y: a NaN in x gives y, and a NaN in y stays."""
 
     def generate(context, builder, sig, args):
         return _choice(builder, "<", *_both(builder, sig, args))
@@ -301,8 +301,9 @@ lowest, highest = _reduction("lowest", "<", "least"), _reduction("highest", ">",
 
 @intrinsic
 def entry_at_highest(typingctx, x, y):
-    """Entry of y, a vector of `numbers`, in the lane where x is largest; x has no NaN. Equal values always give the
-    same one."""
+    """Entry of y, a vector of `numbers`, in the lane where x is largest; x has no NaN. Equal values of x always give
+    the same entry.
+    """
 
     def generate(context, builder, sig, args):
         x, y = args
@@ -317,7 +318,7 @@ def entry_at_highest(typingctx, x, y):
 
 @intrinsic
 def halves_swapped(typingctx, x):
-    """The last four lanes of a vector, then its first four."""
+    """The last four lanes of a vector, followed by its first four lanes."""
 
     def generate(context, builder, sig, args):
         return builder.shuffle_vector(args[0], args[0], _indices([lane ^ 4 for lane in range(LANES)]))
@@ -327,7 +328,7 @@ def halves_swapped(typingctx, x):
 
 @intrinsic
 def next_lanes(typingctx, x):
-    """The lanes of a vector from the second one on, the last one twice."""
+    """The lanes of a vector from the second lane on; the last lane appears twice."""
 
     def generate(context, builder, sig, args):
         return builder.shuffle_vector(args[0], args[0], _indices([min(lane + 1, LANES - 1) for lane in range(LANES)]))
@@ -337,7 +338,7 @@ def next_lanes(typingctx, x):
 
 @intrinsic
 def numbers_from(typingctx, first):
-    """An integer and the seven after it, as `numbers`."""
+    """An integer and the seven integers after it, as `numbers`."""
 
     def generate(context, builder, sig, args):
         return builder.add(_repeat(builder, args[0], LANES), ir.Constant(numbers.llvm, list(range(LANES))))
@@ -371,8 +372,8 @@ def broadcast(typingctx, x):
 def share_of_roots(typingctx, x, y):
     """√x / (√x + √y) of two numbers > 0, as 1 / (1 + √(y/x)): a guess, with its root in single precision.
 
-    Single precision computes eight square roots in the time of two in double precision. Beyond its range the guess is 0
-    or 1.
+    Single precision computes eight square roots in the time of two in double precision. Beyond the range of single
+    precision, the guess is 0 or 1.
     """
 
     def generate(context, builder, sig, args):
@@ -388,7 +389,7 @@ def share_of_roots(typingctx, x, y):
     return signature(x, x, y), generate
 
 
-# After this is added to an integer, the lowest bits contain the integer plus the bias of exponents.
+# After _TO_EXPONENT is added to an integer, the lowest bits contain the integer plus the bias of exponents.
 _TO_EXPONENT = 1.5 * 2.0**52 + 1023.0
 
 
@@ -409,7 +410,7 @@ def power_of_two(typingctx, k):
 
 @intrinsic
 def everywhere(typingctx, m):
-    """Whether a comparison holds, in all lanes of vectors."""
+    """Return whether a comparison holds; for vectors, in all lanes."""
 
     def generate(context, builder, sig, args):
         if m == types.boolean:
@@ -457,7 +458,7 @@ def masked_store(typingctx, array, at, m, code):
 
 
 def _address(context, builder, array_type, array, offset):
-    if array_type.layout != "C":  # strides are ignored, so another layout would give wrong entries
+    if array_type.layout != "C":  # Strides are ignored, so that another layout would give wrong entries.
         raise errors.LoweringError(f"expected an array in C order, found {array_type}")
     data = context.make_array(array_type)(context, builder, array).data
     return builder.gep(data, [offset])
@@ -465,7 +466,7 @@ def _address(context, builder, array_type, array, offset):
 
 @intrinsic
 def store(typingctx, array, offset, x):
-    """Write a vector to a flat array of float64 from `offset` on."""
+    """Write a vector to a flat array of float64, starting at `offset`."""
 
     def generate(context, builder, sig, args):
         address = _address(context, builder, sig.args[0], args[0], args[1])
@@ -480,7 +481,7 @@ def store(typingctx, array, offset, x):
 
 @intrinsic
 def load(typingctx, array, offset):
-    """Read eight numbers from a flat array of float64 or float32 from `offset` on."""
+    """Read eight numbers from a flat array of float64 or float32, starting at `offset`."""
     kind = eight_singles if array.dtype == types.float32 else vector
 
     def generate(context, builder, sig, args):
@@ -507,7 +508,7 @@ def _columns_of(builder, rows):
 
 
 def _load_rows(context, builder, sig, args, count):
-    """Eight entries of each of `count` rows."""
+    """Load eight entries of each of `count` rows."""
     array, wide, numbers, at, column = args
     entry = ir.FloatType() if sig.args[0].dtype == types.float32 else ir.DoubleType()
     eight = ir.VectorType(entry, 8)
@@ -531,7 +532,7 @@ def gather_transpose(typingctx, table, width, rows, at, column):
     width : int
         Number of entries per row.
     rows : ndarray of int64
-        Row numbers; entries at .. at + 8 are used.
+        Row numbers; only the entries at .. at + 8 are used.
     at, column : int
     """
 
@@ -545,7 +546,7 @@ def gather_transpose(typingctx, table, width, rows, at, column):
 
 @intrinsic
 def spread_row(typingctx, table, width, rows, at, column):
-    """The vectors of `gather_transpose` if all eight rows are the one at `at`."""
+    """The vectors of `gather_transpose` if all eight rows are the row at `at`."""
 
     def generate(context, builder, sig, args):
         (row,) = _load_rows(context, builder, sig, args, 1)
@@ -558,7 +559,7 @@ def spread_row(typingctx, table, width, rows, at, column):
 
 @intrinsic
 def scatter_transpose(typingctx, table, width, rows, at, column, eight):
-    """Write eight vectors to eight consecutive columns of eight rows: the reverse of `columns`."""
+    """Write eight vectors to eight consecutive columns of eight rows: the reverse of `gather_transpose`."""
 
     def generate(context, builder, sig, args):
         table, width, rows, at, column, eight = args
@@ -595,7 +596,7 @@ _FIRST_LEVEL, _SECOND_LEVEL = 3, 2
 
 
 def _prefetch(builder, address, level):
-    """Prefetch a cache line: never faults, never waits."""
+    """Prefetch a cache line, which never faults and never waits."""
     byte, half = ir.IntType(8).as_pointer(), ir.IntType(32)
     function = builder.module.declare_intrinsic(
         "llvm.prefetch", [byte], ir.FunctionType(ir.VoidType(), [byte, half, half, half])
@@ -618,7 +619,8 @@ def _prefetching_line(level):
     return prefetch
 
 
-# Prefetch into the first-level cache for use soon, or into the second for use about a thousand instructions later.
+# Prefetch into the first-level cache for use soon, or into the second-level cache for use about a thousand instructions
+# later.
 prefetch, prefetch_far = _prefetching_line(_FIRST_LEVEL), _prefetching_line(_SECOND_LEVEL)
 
 
@@ -652,7 +654,7 @@ prefetch_rows, prefetch_rows_single = _prefetching_rows(LANES), _prefetching_row
 
 @intrinsic
 def load_single(typingctx, array, offset):
-    """Read sixteen floats from a flat array of float32 from `offset` on."""
+    """Read sixteen floats from a flat array of float32, starting at `offset`."""
 
     def generate(context, builder, sig, args):
         address = _address(context, builder, sig.args[0], args[0], args[1])
@@ -679,7 +681,7 @@ def store_strided(typingctx, array, offset, step, eight):
 
 @intrinsic
 def load_rounded(typingctx, array, offset):
-    """Read sixteen doubles from a flat array from `offset` on, in single precision."""
+    """Read sixteen doubles from a flat array, starting at `offset`, in single precision."""
 
     def generate(context, builder, sig, args):
         address = _address(context, builder, sig.args[0], args[0], args[1])
@@ -691,7 +693,7 @@ def load_rounded(typingctx, array, offset):
 
 @intrinsic
 def gather_single(typingctx, table, width, rows, at, column):
-    """One column of sixteen rows of a table of float32; parameters as for `columns`."""
+    """One column of sixteen rows of a table of float32; the parameters are documented in `gather_transpose`."""
 
     def generate(context, builder, sig, args):
         array, wide, numbers, at, column = args
@@ -710,7 +712,7 @@ def gather_single(typingctx, table, width, rows, at, column):
 
 @intrinsic
 def store_rounded(typingctx, array, offset, x):
-    """Write eight doubles to a flat array of float32 from `offset` on."""
+    """Write eight doubles to a flat array of float32, starting at `offset`."""
 
     def generate(context, builder, sig, args):
         address = _address(context, builder, sig.args[0], args[0], args[1])
@@ -764,7 +766,7 @@ def lowest_bit(typingctx, x):
 
 @intrinsic
 def bits_set(typingctx, x):
-    """How many bits of an integer are set."""
+    """Number of bits that are set in an integer."""
 
     def generate(context, builder, sig, args):
         return builder.ctpop(args[0])
@@ -774,5 +776,5 @@ def bits_set(typingctx, x):
 
 @inline
 def next_lane(bits):
-    """The lowest bit set of an integer other than 0, and the other bits: one round of a loop over lanes."""
+    """The lowest bit set of an integer other than 0, and the remaining bits: one round of a loop over lanes."""
     return lowest_bit(bits), bits & (bits - 1)

@@ -1,22 +1,23 @@
-"""Configurations of a robot in tiles of thousands, one thread per configuration, body, pair of bodies or survivor.
+"""Configurations of a robot in tiles of thousands: one thread per configuration, body, pair of bodies or survivor.
 
-Each step of a tile is a separate kernel, since a thread that did all of them would need too many registers:
+Each step of a tile is a separate kernel, because a thread that took all steps would need too many registers:
 
 place_links
-    forward kinematics, with bounds on the error of each link's rotation and translation.
+    Forward kinematics, with bounds on the error of each link's rotation and translation.
 place_body
-    a ball and a box about each moving body.
+    A ball and a box about each moving body.
 cull_pair
-    lists the pairs of bodies whose bounds are not apart.
+    The list of the pairs of bodies whose bounds are not apart.
 certify_survivor
-    the ellipsoids of the pieces of a listed pair; lists the pieces that they leave open.
+    The ellipsoids of the pieces of a listed pair, and the list of the pieces that they leave open.
 search_survivor
-    the exact search on two such pieces.
+    The exact search on two such pieces.
 conclude
-    verdicts; open configurations go to a list for the CPU.
+    The verdicts; open configurations go to a list for the CPU.
 
-Numbers of a tile of S configurations, with S a power of two, lie side by side: entry r of link l at configuration s is
-at ``(l * LINK_NUMBERS + r) * S + s``, and entry r of body b at ``(b * BOUNDS + r) * S + s``.
+In a tile of S configurations, with S a power of two, the same number of all configurations lies side by side: entry r
+of link l at configuration s is at ``(l * LINK_NUMBERS + r) * S + s``, and entry r of body b at ``(b * BOUNDS + r) * S +
+s``.
 """
 
 from typing import Any, NamedTuple
@@ -85,13 +86,13 @@ ASTRAY = 7
 # Error of a pose in the frame of another link, in roundings times the lengths.
 COMPOSED = 24.0  # certified.md B63
 
-# Errors that a joint and its value add to a rotation (spectral norm), in roundings; and error that a joint adds to a
-# translation, in roundings times the lengths from which the translation is computed.
+# Errors, in roundings, that a joint and its value add to a rotation (spectral norm); and the error that a joint adds to
+# a translation, in roundings times the lengths from which the translation is computed.
 JOINT_TURN = 40.0  # certified.md B45
 VALUE_TURN = 8.0  # certified.md B46
 JOINT_SHIFT = 20.0  # certified.md B47
 
-# State of a configuration: a number that never decreases.
+# The state of a configuration is a number that never decreases.
 SO_FAR_FREE, LEFT_OPEN, HIT = 0, 1, 2
 
 
@@ -107,7 +108,7 @@ def _nine(constants, k):
 
 @inline
 def _rotation_at(placed, row, S, s):
-    """Nine numbers of a tile, by rows."""
+    """Load nine numbers of a tile, by rows."""
     at = row * S + s
     return (
         number_at(placed, at), number_at(placed, at + S), number_at(placed, at + 2 * S), number_at(placed, at + 3 * S),
@@ -118,7 +119,7 @@ def _rotation_at(placed, row, S, s):
 
 @inline
 def _vector_at(placed, row, S, s):
-    """Three numbers of a tile."""
+    """Load three numbers of a tile."""
     at = row * S + s
     return number_at(placed, at), number_at(placed, at + S), number_at(placed, at + 2 * S)
 
@@ -145,22 +146,24 @@ def _put_link(placed, link, S, s, R, t, turn_off, shift_off):
 
 @njit()
 def place_links(thread, S, Q, spans, dof, links, joints, constants, placed):
-    """Place the links at one configuration, and bound the rounding of this (docs/certified.md, B45 to B47).
+    """Place the links at one configuration, and bound the rounding errors (docs/certified.md, B45 to B47).
 
     Parameters
     ----------
     thread : int
-        The configuration, a row of Q.
+        The configuration: a row of Q.
     S : int
         Number of configurations per tile.
     Q : float32, shape (n, dof)
-        The configurations, rounded to single precision if they came in double.
+        The configurations, rounded to single precision if the caller passed doubles.
     spans : float32, shape (n, dof), or the address 0
         `motions.SPAN` times the largest magnitudes from which values were interpolated (B64).
     joints : int32, shape (links, LINK_INTEGERS)
-        Parent, kind and column of each link, see `robots.kinematics`. The only kinds are FIXED, REVOLUTE and PRISMATIC.
+        Parent, kind and column of each link, see `robots.kinematics`. Only the kinds FIXED, REVOLUTE and PRISMATIC are
+        allowed.
     constants : float32, shape (links, LINK_CONSTANTS)
-        In column BENT of the first links, in roundings, how far the rotations of the robot are from orthonormal ones.
+        The constants of each link. Column BENT of the first links holds, in roundings, the deviation of the robot's
+        rotations from orthonormal ones.
     placed : float32
         Receives the links of the tile.
     """
@@ -180,7 +183,7 @@ def place_links(thread, S, Q, spans, dof, links, joints, constants, placed):
             if kind == REVOLUTE:
                 sine, cosine = sine_cosine_single(value)
                 R = turned(R, sine, _nine(c, SINE), cosine, _nine(c, COSINE))
-                # If an angle is too large or not a number, the error is unknown, so it counts as infinite.
+                # If an angle is too large or not a number, its error is unknown, so that it counts as infinite.
                 turn_off = turn_off + select(values < SINGLE_LARGEST, VALUE_TURN * values, lane_of(np.inf))
             else:
                 t = along(t, value, _three(c, ACROSS))
@@ -190,7 +193,7 @@ def place_links(thread, S, Q, spans, dof, links, joints, constants, placed):
             A = _rotation_at(placed, above * LINK_NUMBERS, S, thread)
             b = _vector_at(placed, above * LINK_NUMBERS + LINK_AT, S, thread)
             off = number_at(placed, (above * LINK_NUMBERS + TURN_OFF) * S + thread)
-            # An infinite error stays infinite even if the length is 0.
+            # LEAST keeps an infinite error infinite even if the length is 0.
             shift_off = number_at(placed, (above * LINK_NUMBERS + SHIFT_OFF) * S + thread) + off * (lengths + LEAST)
             lengths = lengths + one_norm(b)
             turn_off = turn_off + off
@@ -227,13 +230,13 @@ def place_body(thread, S, log_S, placed, bodies, balls, rows, bounds):
     Parameters
     ----------
     thread : int
-        The body times S plus the configuration; S is 2 ** log_S.
+        The body times S plus the configuration, where S is 2 ** log_S.
     placed : float32
         The links of the tile.
     bodies : int32, shape (moving bodies, BODY_INTEGERS)
-        Link, first piece and the one after the last.
+        Link, first piece, and the piece after the last.
     balls : float32, shape (moving bodies, BALL_NUMBERS)
-        See `records.Problem`; radius and reach are rounded up.
+        Documented in `records.Problem`; radius and reach are rounded up.
     rows : float32, shape (pieces, HOT)
         Rows in the frames of their links.
     bounds : float32
@@ -279,7 +282,7 @@ def _narrower(x, y):
 
 @inline
 def bounds_of(bounds, row, step):
-    """Bounds whose numbers begin at `row` and are `step` apart."""
+    """Read bounds whose numbers begin at `row` and are `step` apart."""
     return Bounds(
         (
             number_at(bounds, row + X * step), number_at(bounds, row + Y * step), number_at(bounds, row + Z * step)
@@ -299,22 +302,22 @@ def cull_pair(thread, S, log_S, total, moving, pairs, margins, bounds, standing,
     Parameters
     ----------
     thread : int
-        The pair times S plus the configuration; S is 2 ** log_S.
+        The pair times S plus the configuration, where S is 2 ** log_S.
     total : int
-        Number of configurations in the tile that are requested.
+        Number of requested configurations in the tile.
     moving : int
         Number of moving bodies.
     pairs : int32, shape (pairs, 2)
-        Indices of two bodies; the first one moves.
+        Indices of two bodies; the first body moves.
     margins : float32, shape (pairs,)
-        Rounded up.
+        Margins, rounded up.
     bounds : float32
         Bounds of the moving bodies in the tile.
     standing : float32, shape (static bodies, BOUNDS)
     state : int32, shape (S,)
-        A configuration for whose pairs the list is too short is left to the CPU.
+        State of each configuration. If the list has no room for a pair, the configuration is left to the CPU.
     survivors : int32, shape (1 + capacity,)
-        Receives numbers of threads, after how many there are, which may be more than `capacity`.
+        Receives the number of listed threads, which may be more than `capacity`, followed by the threads' numbers.
     """
     p, s = thread >> log_S, thread & (S - 1)
     if s >= total:
@@ -336,7 +339,7 @@ def cull_pair(thread, S, log_S, total, moving, pairs, margins, bounds, standing,
 
 @inline
 def pieces_of(bodies, body):
-    """First piece of a body, and the one after its last."""
+    """First piece of a body, and the piece after its last."""
     row = BODY_INTEGERS * body
     return integer_at(bodies, row + FIRST_PIECE), integer_at(bodies, row + LAST_PIECE)
 
@@ -358,7 +361,7 @@ def _identity():
 @inline
 def list_piece_pair(code, i, j, searches, capacity):
     """Append two pieces of a listed pair of bodies to the searches; return whether there was room."""
-    # Stop counting when the list is full: an int32 may be too small for the number of piece pairs.
+    # Stop counting when the list is full, because an int32 may be too small for the number of piece pairs.
     if integer_at(searches, 0) >= capacity:
         return False
     at = add_to(searches, 0, 1)
@@ -378,16 +381,16 @@ def certify_survivor(
     Parameters
     ----------
     thread : int
-        Place in the list.
+        Place in the list of survivors.
     moving, pairs, margins, placed, bounds, state, survivors, capacity
-        As for `cull_pair` and `place_body`.
+        Documented in `cull_pair` and `place_body`.
     bodies : int32, shape (bodies, BODY_INTEGERS)
-        As for `place_body`; static bodies follow.
+        Documented in `place_body`; static bodies follow the moving bodies.
     rows : float32, shape (pieces, HOT)
-        Rows in the frames of their links, or in the world for static bodies.
+        Rows of the pieces in the frames of their links, or in the world for static bodies.
     searches : int32, shape (1 + 3 capacity,)
-        Receives the survivor and two pieces for each search, after how many there are. A configuration for which the
-        list is too short is left to the CPU.
+        Receives the number of searches, followed by the survivor and two pieces for each search. If the list has no
+        room for a search, the configuration is left to the CPU.
     """
     if thread >= min(integer_at(survivors, 0), capacity):
         return
@@ -403,7 +406,7 @@ def certify_survivor(
     if other < moving:
         b = _pose_of_body(placed, integer_at(bodies, BODY_INTEGERS * other + LINK_OF_BODY), S, s)
         astray = astray + number_at(bounds, (other * BOUNDS + ASTRAY) * S + s)
-    more = astray * (UP / OFF)  # the length for which positions have this slack
+    more = astray * (UP / OFF)  # With this additional length, positions have a slack of `astray`.
     i, last_a = pieces_of(bodies, one)
     first_b, last_b = pieces_of(bodies, other)
     found = SO_FAR_FREE
@@ -414,7 +417,7 @@ def certify_survivor(
         j = first_b
         while j < last_b and found != HIT:
             tier = OPEN
-            if not with_margin:  # with a margin, the near points need the best s, in double precision
+            if not with_margin:  # With a margin, the near points need the best s, in double precision.
                 tier = tier_of_one(a, rows + 4 * HOT * i, b, rows + 4 * HOT * j, more)
             if tier == BY_INNER:
                 found = HIT
@@ -427,19 +430,19 @@ def certify_survivor(
 
 
 class Cell(NamedTuple):
-    """What searches and motions take of a robot and its scene: the number of moving bodies, and addresses.
+    """The data of a robot and its scene that searches and motions take: the number of moving bodies, and addresses.
 
     Attributes
     ----------
     moving, bodies, balls, pairs, margins, rows
-        As for the functions above.
+        Documented in the functions above.
     cores, numbers, vertices
-        As for `searches.core_at`.
+        Documented in `searches.core_at`.
     roles : int32, shape (pairs, ROLES)
-        For each pair the moving body, the one to whose frame planes are fixed, and its row of `chain_start`.
+        For each pair: the moving body, the body to whose frame planes are fixed, and the pair's row of `chain_start`.
     chain_start : int32, shape (chains + 1,)
-        The joints between the bodies of a chain are rows chain_start[k] .. chain_start[k + 1] of the next two. The
-        first chains are those between each moving body and the world.
+        The joints between the bodies of chain k are rows chain_start[k] .. chain_start[k + 1] of `joints` and `levers`.
+        The first chains lie between each moving body and the world.
     joints : int32, shape (n, CHAIN_INTEGERS)
     levers : float32, shape (n, CHAIN_NUMBERS)
         Multiplier, offset, and lever, rounded up.
@@ -462,7 +465,7 @@ class Cell(NamedTuple):
 
 @inline
 def cell_at(table):
-    """The record of a table of int64."""
+    """Read the record from a table of int64."""
     return Cell(
         word_at(table, 0), word_at(table, 1), word_at(table, 2), word_at(table, 3), word_at(table, 4),
         word_at(table, 5), word_at(table, 6), word_at(table, 7), word_at(table, 8), word_at(table, 9),
@@ -472,13 +475,13 @@ def cell_at(table):
 
 @inline
 def pose_in(cell, placed, upper, lower, margin, S, s):
-    """Pose of a moving body in the frame of another one, or in the world, to compare distances with a margin.
+    """Pose of a moving body in the frame of another body, or in the world, for comparing distances with a margin.
 
     Returns
     -------
     R, t : tuple
     off : float
-        Error of the body's points that comes from the kinematics, in metres (docs/certified.md, B63).
+        Error of the body's points that is due to the kinematics, in metres (docs/certified.md, B63).
     """
     link = integer_at(cell.bodies, BODY_INTEGERS * upper + LINK_OF_BODY) * LINK_NUMBERS
     R, t = _rotation_at(placed, link, S, s), _vector_at(placed, link + LINK_AT, S, s)
@@ -498,22 +501,22 @@ def pose_in(cell, placed, upper, lower, margin, S, s):
 
 @inline
 def from_lower(cell, i, j, R, t):
-    """Vector between the centers of two pieces, from piece j to piece i at a pose in its frame."""
+    """Vector from the center of piece j to the center of piece i, which is at a pose in j's frame."""
     return minus(_placed_center(cell.rows, i, OUTER_CENTER, R, t), _three(cell.rows, HOT * j + OUTER_CENTER))
 
 
 @njit()
 def search_survivor(thread, S, log_S, table, placed, state, searches, capacity):
-    """Search two listed pieces at one configuration, and raise its state accordingly.
+    """Search two listed pieces at one configuration, and raise the state of the configuration accordingly.
 
     Parameters
     ----------
     thread : int
-        Place in the list.
+        Place in the list of searches.
     table : int64
         See `cell_at`.
     placed, state, searches, capacity
-        As for `certify_survivor`.
+        Documented in `certify_survivor`.
     """
     if thread >= min(integer_at(searches, 0), capacity):
         return
@@ -542,7 +545,7 @@ def conclude(thread, first, state, dof, Q0, Q1, verdicts, left):
     ----------
     thread : int
     Q0, Q1 : float32, shape (n, dof)
-        Its ends. If a number is not finite, the CPU refuses it, even if it does not matter.
+        Ends of the motion. If a number is not finite, the CPU refuses the motion, even if the number does not matter.
     """
     found = integer_at(state, thread)
     k = 0

@@ -3,25 +3,25 @@
 Each step is a separate kernel:
 
 bound_motion
-    curvature of the paths of bodies' points, for one chain of joints.
+    The curvature of the paths of bodies' points, for one chain of joints.
 list_probe, strike_motion
-    find motions that collide at one of four configurations.
+    The motions that collide at one of four configurations.
 begin_motion
-    lists the first intervals of another motion.
+    The list of the first intervals of the remaining motions.
 place_end
-    values at an end of an interval, for `configurations.place_links`; `configurations.place_body` follows.
+    The values at an end of an interval, for `configurations.place_links`, which `configurations.place_body` follows.
 cull_interval
-    lists the pairs of bodies whose bounds are not apart in an interval.
+    The list of the pairs of bodies whose bounds are not apart in an interval.
 certify_interval
-    a plane between the outer ellipsoids of the pieces; lists the pieces that it leaves open.
+    A plane between the outer ellipsoids of the pieces, and the list of the pieces that it leaves open.
 search_interval
-    the search for a plane, or for contact at an end of the interval.
+    The search for a plane, or for contact at an end of the interval.
 halve_interval
-    lists the two halves of an interval that was not proven.
+    The list of the two halves of an interval that was not proven.
 
-An interval is numbered as a node of a binary tree: the whole motion is 1, and the halves of n are 2 n and 2 n + 1. Its
-ends are two neighbouring configurations of the tile. The proofs are derived in docs/certified.md, "Motions" and "On a
-GPU".
+An interval has the number of a node of a binary tree: the whole motion is 1, and the halves of n are 2 n and 2 n + 1.
+The ends of an interval are two neighbouring configurations of the tile. docs/certified.md derives the proofs under
+"Motions" and "On a GPU".
 """
 
 from typing import Any, NamedTuple
@@ -74,15 +74,15 @@ from loewner._kernels.threads.pairs import MOST_PIECE_PAIRS
 from loewner._kernels.threads.searches import core_at, search
 from loewner._kernels.tolerances import OFF, SINGLE_ROUNDOFF, UP
 
-# The first intervals of a motion are so short that points deviate from their chords by at most FIRST_BEND [m], but
-# there are at most 2 ** MOST_HALVINGS of them. An interval that was halved DEEPEST times is left to the CPU.
+# The first intervals of a motion are so short that points deviate from their chords by at most FIRST_BEND [m], but a
+# motion has at most 2 ** MOST_HALVINGS first intervals. An interval that was halved DEEPEST times is left to the CPU.
 FIRST_BEND, MOST_HALVINGS, DEEPEST = 0.05, 6, 10
 
 # Error of a value between the ends of a motion, in units of `configurations.VALUE_TURN` times the largest magnitude.
 SPAN = 2.0  # certified.md B64
 
-# Allowance for roundings in a bound on curvature, for up to a thousand joints; and error per joint of the difference
-# between sums of rates, in roundings of the sum.
+# STRETCH allows for roundings in a bound on curvature, for up to a thousand joints. REST_ERROR is the error per joint
+# of the difference between sums of rates, in roundings of the sum.
 STRETCH = 1e-3  # certified.md B65
 REST_ERROR = 4.0  # certified.md B66
 
@@ -92,7 +92,7 @@ CHORD_ERROR = 8.0  # certified.md B67
 
 @inline
 def _interval_at(items, i):
-    """Motion of an interval, its number in the tree, the fraction where it begins, and its width."""
+    """Motion of an interval, its number in the tree, the fraction at which it begins, and its width."""
     motion, node = integer_at(items, 2 * i), integer_at(items, 2 * i + 1)
     parts = 1
     while 2 * parts <= node:
@@ -112,7 +112,7 @@ def bound_motion(thread, most, total, dof, Q0, Q1, table, bends):
     total : int
         Number of motions.
     Q0, Q1 : float32, shape (n, dof)
-        Ends, rounded to single precision if they came in double.
+        Ends of the motions, rounded to single precision if the caller passed doubles.
     table : int64
         See `configurations.cell_at`.
     bends : float32, shape (chains, most)
@@ -125,8 +125,8 @@ def bound_motion(thread, most, total, dof, Q0, Q1, table, bends):
     cell = cell_at(table)
     first, last = integer_at(cell.chain_start, chain), integer_at(cell.chain_start, chain + 1)
     every, bend, travel, speed = lane_of(0.0), lane_of(0.0), lane_of(0.0), lane_of(0.0)
-    # Take the joints from the upper body to the lower one, as in `motion_bounds.ways_between`. The turns between a
-    # joint and the lower body come after the joint, so the sum first runs backward.
+    # Take the joints from the upper body to the lower one, like `motion_bounds.ways_between`. The turns between a joint
+    # and the lower body come after the joint, so that the sum runs backward first.
     k = last - 1
     while k >= first:
         turn, slide, _ = _rates(cell, k, motion, dof, Q0, Q1)
@@ -149,7 +149,7 @@ def bound_motion(thread, most, total, dof, Q0, Q1, table, bends):
 
 @inline
 def _rates(cell, k, motion, dof, Q0, Q1):
-    """Angle and way of a joint on a motion, and its largest distance from 0 if it slides."""
+    """Turn and slide of a joint on a motion, and the joint's largest distance from 0 if it slides."""
     at = motion * dof + integer_at(cell.joints, CHAIN_INTEGERS * k)
     by, offset = absolute(number_at(cell.levers, CHAIN_NUMBERS * k)), number_at(cell.levers, CHAIN_NUMBERS * k + 1)
     first, last = number_at(Q0, at), number_at(Q1, at)
@@ -163,7 +163,7 @@ def _rates(cell, k, motion, dof, Q0, Q1):
 
 @njit()
 def list_probe(thread, items):
-    """List the second and the last quarter of a motion, for a check of its configurations at all four quarters.
+    """List the second and the last quarter of a motion, so that its configurations at all four quarters are checked.
 
     Parameters
     ----------
@@ -192,9 +192,9 @@ def begin_motion(thread, most, moving, bends, state, items, capacity):
     thread : int
         The motion.
     state : int32
-        State of each motion; one for whose intervals the list is too short is left to the CPU.
+        State of each motion. If the list has no room for the intervals of a motion, the motion is left to the CPU.
     items : int32, shape (1 + 2 capacity,)
-        Receives the motion and the node for each interval, after how many there are.
+        Receives the number of intervals, followed by the motion and the node of each interval.
     """
     if integer_at(state, thread) == HIT:
         return
@@ -209,7 +209,7 @@ def begin_motion(thread, most, moving, bends, state, items, capacity):
     at = add_to(items, 0, parts)
     if at + parts > capacity:
         raise_to(state, thread, LEFT_OPEN)
-        # Write as many intervals as fit, since every listed interval is read.
+        # Write as many intervals as fit, because every listed interval is read.
         parts = max(0, min(parts, capacity - at))
     k = 0
     while k < parts:
@@ -227,7 +227,7 @@ def place_end(thread, dof, Q0, Q1, items, Q, spans):
     thread : int
         The configuration times `dof` plus the value; the ends of interval i are configurations 2 i and 2 i + 1.
     items : int32
-        The motion and the node for each interval of the tile.
+        The motion and the node of each interval of the tile.
     """
     slot = np.int64(np.uint32(thread) // np.uint32(dof))
     motion, _, begin, width = _interval_at(items, slot >> 1)
@@ -240,7 +240,7 @@ def place_end(thread, dof, Q0, Q1, items, Q, spans):
 
 @inline
 def _bend_of(bends, most, chain, motion, width):
-    """How far the points of a chain's body depart from their chords in an interval."""
+    """How far the points of a chain's body deviate from their chords in an interval."""
     return 0.125 * (width * width) * number_at(bends, chain * most + motion)
 
 
@@ -248,7 +248,7 @@ def _bend_of(bends, most, chain, motion, width):
 def cull_interval(
     thread, S, log_S, most, total, table, items, bounds, standing, bends, state, survivors, capacity, flags
 ):  # fmt: skip
-    """List a pair of bodies in an interval unless their bounds are apart in all of it.
+    """List a pair of bodies in an interval unless their bounds are apart during the whole interval.
 
     Parameters
     ----------
@@ -259,9 +259,9 @@ def cull_interval(
     total : int
         Number of intervals in the tile.
     bounds, `standing`, survivors, capacity
-        As for `configurations.cull_pair`.
+        Documented in `configurations.cull_pair`.
     state, flags : int32
-        States of motions; and whether an interval is open. An interval for which the list is too short is open.
+        States of motions, and whether each interval is open. If the list has no room for a pair, the interval is open.
     """
     p, i = thread >> (log_S - 1), thread & ((S >> 1) - 1)
     if i >= total:
@@ -292,14 +292,14 @@ def cull_interval(
 
 @inline
 def _beyond(x0, h0, x1, h1, keep):
-    """Whether boxes are apart along an axis at both ends, on the same side."""
+    """Return whether boxes are apart along an axis at both ends, on the same side."""
     least0, least1 = (h0 + keep) * UP, (h1 + keep) * UP
     return ((x0 > least0) & (x1 > least1)) | ((-x0 > least0) & (-x1 > least1))
 
 
 @inline
 def _apart_between(a0, b0, a1, b1, keep):
-    """Whether bounds are apart by `keep` while their centers move along chords."""
+    """Return whether bounds are apart by `keep` while their centers move along chords."""
     r0, r1 = minus(b0.center, a0.center), minus(b1.center, a1.center)
     h0, h1 = plus(b0.half, a0.half), plus(b1.half, a1.half)
     apart = _beyond(r0[0], h0[0], r1[0], h1[0], keep)
@@ -325,7 +325,7 @@ class _Asked(NamedTuple):
 
 @inline
 def _asked(cell, code, log_S, most, items, bends):
-    """The record of a listed pair."""
+    """Read the record of a listed pair."""
     p, i = code >> (log_S - 1), code & ((1 << (log_S - 1)) - 1)
     motion, node, _, width = _interval_at(items, i)
     roles = cell.roles + 4 * ROLES * p
@@ -337,7 +337,7 @@ def _asked(cell, code, log_S, most, items, bends):
 
 @inline
 def _ends_of(cell, asked, placed, S):
-    """Poses of the upper body in the frame of the lower one at both ends, and the larger one of their errors."""
+    """Poses of the upper body in the frame of the lower body at both ends, and the larger error of the two poses."""
     R0, t0, off0 = pose_in(cell, placed, asked.upper, asked.lower, asked.margin, S, 2 * asked.i)
     R1, t1, off1 = pose_in(cell, placed, asked.upper, asked.lower, asked.margin, S, 2 * asked.i + 1)
     return (R0, t0), (R1, t1), maximum(off0, off1)
@@ -347,14 +347,14 @@ def _ends_of(cell, asked, placed, S):
 def certify_interval(
     thread, S, log_S, most, table, items, placed, bends, state, survivors, searches, capacity, flags
 ):  # fmt: skip
-    """Look for planes between the outer ellipsoids of a listed pair of bodies, and list the pieces that stay open.
+    """Test planes between the outer ellipsoids of a listed pair of bodies, and list the pieces that stay open.
 
     Parameters
     ----------
     thread : int
-        Place in the list.
+        Place in the list of survivors.
     placed, survivors, searches, capacity
-        As for `configurations.certify_survivor`.
+        Documented in `configurations.certify_survivor`.
     """
     if thread >= min(integer_at(survivors, 0), capacity):
         return
@@ -387,7 +387,7 @@ def _reach(cell, piece):
 
 @inline
 def _ellipsoids_apart(cell, j, k, first, last, keep):
-    """Whether a plane separates the outer ellipsoids of piece k and of piece j at both poses."""
+    """Return whether a plane separates the outer ellipsoids of piece k and of piece j at both poses."""
     shape, still = eight_at(cell.rows, HOT * j + OUTER_SHAPE), eight_at(cell.rows, HOT * k + OUTER_SHAPE)
     P = shape[0], shape[1], shape[2], shape[3], shape[4], shape[5]
     Q = still[0], still[1], still[2], still[3], still[4], still[5]
@@ -406,23 +406,23 @@ def _ellipsoids_apart(cell, j, k, first, last, keep):
 
 @inline
 def _width(P, n, squared):
-    """As `contact.outward_width`, in single precision."""
+    """Compute `contact.outward_width` in single precision."""
     square = maximum(dot(apply_symmetric(P, n), n), lane_of(0.0)) + SHAPE_ERROR * SINGLE_ROUNDOFF * trace(P) * squared
     return sqrt(square) * (1.0 + 4.0 * SINGLE_ROUNDOFF)
 
 
 @njit()
 def search_interval(thread, S, log_S, most, table, items, placed, bends, state, searches, capacity, flags):
-    """Search for a plane between two listed pieces in an interval, and otherwise for contact at its ends.
+    """Search for a plane between two listed pieces in an interval; if none is found, test contact at the ends.
 
     Parameters
     ----------
     thread : int
-        Place in the list.
+        Place in the list of searches.
     placed, searches, capacity
-        As for `configurations.certify_survivor`.
+        Documented in `configurations.certify_survivor`.
     state, flags : int32
-        A motion with contact collides; an interval with neither is open.
+        A motion with contact collides; an interval with neither a plane nor contact is open.
     """
     if thread >= min(integer_at(searches, 0), capacity):
         return
@@ -453,14 +453,14 @@ def search_interval(thread, S, log_S, most, table, items, placed, bends, state, 
 
 @njit()
 def halve_interval(thread, items, state, flags, halves, capacity):
-    """List the halves of an interval that is open, unless its motion collides; too short ones are left to the CPU.
+    """List the halves of an open interval, unless its motion collides; intervals that are too short go to the CPU.
 
     Parameters
     ----------
     thread : int
         The interval.
     halves : int32, shape (1 + 2 capacity,)
-        Receives the motion and the node for each half, after how many there are.
+        Receives the number of halves, followed by the motion and the node of each half.
     """
     motion, node = integer_at(items, 2 * thread), integer_at(items, 2 * thread + 1)
     if integer_at(flags, thread) == 0 or integer_at(state, motion) != SO_FAR_FREE:

@@ -1,7 +1,7 @@
-"""One pair of bodies for each thread: the certificate in single precision, margin 0.
+"""One pair of bodies for each thread: the certificate in single precision, for margin 0.
 
-Pairs that single precision cannot decide are marked as AMBIGUOUS, which claims nothing, and their numbers go to a list
-for the CPU.
+Pairs that single precision cannot decide become AMBIGUOUS, which claims nothing, and their numbers go to a list for the
+CPU.
 """
 
 import numpy as np
@@ -23,15 +23,15 @@ from loewner._kernels.simd.scalars import (
     put_number,
 )
 
-ROW = 4 * HOT  # bytes of a piece
+ROW = 4 * HOT  # The row of a piece takes ROW bytes.
 
-# Limit on the piece pairs of a thread. Bodies with more pieces have trees, which the CPU searches.
+# A thread takes at most MOST_PIECE_PAIRS piece pairs. Bodies with more pieces have trees, which the CPU searches.
 MOST_PIECE_PAIRS = 1024
 
 
 @inline
 def _with(verdict, of_piece_pair):
-    """Combined verdict of several piece pairs and another one: COLLIDING if any is, then LEFT, AMBIGUOUS, FREE."""
+    """Combine the verdicts of several piece pairs: COLLIDING if any pair has it, otherwise LEFT, AMBIGUOUS, FREE."""
     if verdict == COLLIDING or of_piece_pair == COLLIDING:
         return COLLIDING
     return max(verdict, of_piece_pair)
@@ -39,7 +39,7 @@ def _with(verdict, of_piece_pair):
 
 @inline
 def _verdict_of(tier, of_open):
-    """Verdict of a piece pair by its tier; `of_open` is the verdict of OPEN ones."""
+    """Verdict of a piece pair by its tier; `of_open` is the verdict of an OPEN pair."""
     if tier in (BY_SPHERE, BY_OUTER):
         return FREE
     if tier == BY_INNER:
@@ -49,7 +49,7 @@ def _verdict_of(tier, of_open):
 
 @inline
 def _pose_at(poses, row):
-    """A pose from an array of poses, shape (n, 4, 4)."""
+    """Read a pose from an array of poses, shape (n, 4, 4)."""
     p, q = eight_at(poses, 16 * row), eight_at(poses, 16 * row + 8)
     R, t = (p[0], p[1], p[2], p[4], p[5], p[6], q[0], q[1], q[2]), (p[3], p[7], q[3])
     return Pose(R, t, holds(is_rigid_single(p, q)))
@@ -57,7 +57,7 @@ def _pose_at(poses, row):
 
 @inline
 def _row_of(k, plan, axes, operand):
-    """Row that an operand contributes to pair k: `pipeline.verdicts.row_of`, for a plan of int32."""
+    """Row that an operand contributes to pair k, as in `pipeline.verdicts.row_of`, for a plan of int32."""
     row = 0
     axis = axes - 1
     while axis > 0:
@@ -86,7 +86,7 @@ def _rows_of_pair(k, plan, axes, rows, total):
 
 @inline
 def append(listed, number):
-    """Append a number to a list, whose first entry counts the others."""
+    """Append a number to a list whose first entry is the count of the other entries."""
     put_integer(listed, 1 + add_to(listed, 0, 1), number)
 
 
@@ -100,24 +100,24 @@ def _tell(k, verdict, verdicts, left):
 
 @njit()
 def classify_pieces(thread, plan, axes, rows, total, packed_a, Ta, packed_b, Tb, of_open, verdicts, left):
-    """Certify one pair of bodies of one piece each, margin 0.
+    """Certify one pair of bodies with one piece each, for margin 0.
 
     Parameters
     ----------
     thread : int
         Number of the pair.
     plan : int32, shape (5, axes)
-        Batch shape, and the strides of a, Ta, b and Tb along its axes, in rows: `pipeline.verdicts.settle_range`.
+        Batch shape, and the strides of a, Ta, b and Tb along its axes, in rows, see `pipeline.verdicts.settle_range`.
     rows : int32, shape (2, total), or the address 0
-        Rows of a and b for each pair, instead of its number; `total` is the number of pairs.
+        Rows of a and b for each pair, in place of the pair's number; `total` is the number of pairs.
     packed_a, packed_b : float32, shape (pieces, HOT)
     Ta, Tb : float32, shape (n, 4, 4)
     of_open : int
-        AMBIGUOUS, or LEFT if the CPU can decide more than the ellipsoids.
+        AMBIGUOUS, or LEFT if the CPU can decide more than the ellipsoids can.
     verdicts : int8
         Receives the verdict.
     left : int32
-        Receives the number of each pair that the CPU has to settle, in any order, after how many there are.
+        Receives the number of pairs that the CPU has to settle, followed by the pairs' numbers in any order.
     """
     i, pose_a, j, pose_b = _rows_of_pair(thread, plan, axes, rows, total)
     a, b = _pose_at(Ta, pose_a), _pose_at(Tb, pose_b)
@@ -131,10 +131,10 @@ def classify_pieces(thread, plan, axes, rows, total, packed_a, Ta, packed_b, Tb,
 def classify_bodies(
     thread, plan, axes, rows, total, packed_a, start_a, Ta, packed_b, start_b, Tb, of_open, verdicts, left
 ):  # fmt: skip
-    """Certify one pair of bodies of any number of pieces, margin 0.
+    """Certify one pair of bodies with any number of pieces, for margin 0.
 
-    Parameters are as for `classify_pieces`, plus the starts of the bodies' pieces, int32: body i has the pieces
-    start[i] .. start[i + 1].
+    The parameters are documented in `classify_pieces`, except for the starts of the bodies' pieces, int32: body i has
+    the pieces start[i] .. start[i + 1].
     """
     body_a, pose_a, body_b, pose_b = _rows_of_pair(thread, plan, axes, rows, total)
     a, b = _pose_at(Ta, pose_a), _pose_at(Tb, pose_b)
@@ -164,7 +164,7 @@ def gather_rows(thread, width, rows, table, gathered):
     width : int
         Number of entries per row.
     rows : int32
-        Numbers of rows; the n-th one becomes the n-th row of `gathered`.
+        Numbers of rows; row `rows[n]` of the table becomes row n of `gathered`.
     """
     row = np.int64(np.uint32(thread) // np.uint32(width))
     put_number(gathered, thread, number_at(table, integer_at(rows, row) * width + thread - row * width))
@@ -172,5 +172,5 @@ def gather_rows(thread, width, rows, table, gathered):
 
 @njit()
 def scatter_bytes(thread, rows, values, bytes_of_all):
-    """Write one of the int32 values to the byte given by `rows`."""
+    """Write one of the int32 values to the byte at the place in `rows`."""
     put_byte(bytes_of_all, integer_at(rows, thread), integer_at(values, thread))

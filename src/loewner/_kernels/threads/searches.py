@@ -1,7 +1,7 @@
-"""The walk of GJK by one thread: a piece at one or two poses, and another one at rest.
+"""The GJK search of one thread: a piece at one or two poses, and a static piece.
 
-`narrow.gjk_batch` has the formulas of the walk. Here there are more kinds of pieces: besides vertices, curved cores,
-and balls about cores, which are added to the points of the difference. Pairs that the walk does not settle stay
+`narrow.gjk_batch` has the formulas of the walk. This module handles more kinds of pieces: besides vertices, curved
+cores, and balls about cores, which are added to the points of the difference. Pairs that the walk does not settle stay
 UNSETTLED, which claims nothing.
 """
 
@@ -48,7 +48,7 @@ from loewner._kernels.simd.scalars import eight_at, holds, integer_at, lane_of, 
 from loewner._kernels.simd.vectors import maximum, select, signed_one, sqrt
 from loewner._kernels.tolerances import SINGLE_ROUNDOFF
 
-ROUNDS = 12  # nine in ten pairs need six rounds, and 99 in 100 need ten
+ROUNDS = 12  # Nine in ten pairs need six rounds, and 99 in 100 need ten.
 
 # Errors of the height of a support plane and of a point of the difference, in roundings times the lengths.
 PLANE_ERROR = 128.0  # certified.md B61
@@ -56,7 +56,7 @@ POINT_ERROR = 32.0  # certified.md B62
 
 
 class Core(NamedTuple):
-    """A piece in its frame: its kind, and where its vertices or numbers are."""
+    """A piece in its frame: its kind, and the places of its vertices or numbers."""
 
     kind: Any
     start: Any
@@ -67,16 +67,16 @@ class Core(NamedTuple):
 
 @inline
 def core_at(integers, numbers, vertices, piece):
-    """The record of a piece.
+    """Read the record of a piece.
 
     Parameters
     ----------
     integers : int32, shape (pieces, CORE_INTEGERS)
-        Kind, and first and last + 1 vertex.
+        Kind, first vertex, and the vertex after the last.
     numbers : float32, shape (pieces, CORE_NUMBERS)
-        Center and factor of a curved core, radius of the ball that is added, and reach, rounded up.
+        Center and factor of a curved core, radius of the added ball, and reach, rounded up.
     vertices : float32, shape (vertices, 4)
-        Each row ends with an unused number; each piece has a multiple of four rows.
+        Vertices; the fourth number of each row is unused, and each piece has a multiple of four rows.
     """
     at = CORE_INTEGERS * piece
     return Core(
@@ -93,7 +93,7 @@ def _better(product, number, best, at):
 
 @inline
 def _farthest_vertex(core, n):
-    """Farthest vertex, by four searches side by side, since each step of a search depends on its previous step."""
+    """Find the farthest vertex by four searches side by side, because each step depends on its previous step."""
     least = lane_of(-np.inf)
     b0, b1, b2, b3 = least, least, least, least
     k0 = k1 = k2 = k3 = core.start
@@ -113,7 +113,7 @@ def _farthest_vertex(core, n):
 
 @inline
 def _farthest_of_curve(core, n):
-    """As `shapes.core_support`."""
+    """Find the farthest point of a curved core, as `shapes.core_support` does."""
     x = core.numbers
     center = (
         number_at(x, CORE_CENTER), number_at(x, CORE_CENTER + 1), number_at(x, CORE_CENTER + 2)
@@ -134,11 +134,12 @@ def _farthest_of_curve(core, n):
     elif core.kind == CYLINDER or core.kind == CONE:
         length = sqrt(maximum(m[0] * m[0] + m[1] * m[1], tiny))
         around = 1.0 / length
-        if core.kind == CONE:  # compare the cone's base circle with its apex: |xy| - z against z
+        if core.kind == CONE:  # Compare the cone's base circle with its apex: |xy| - z with z.
             apex = m[2] > length - m[2]
             around, along = select(apex, nought, around), select(apex, lane_of(1.0), lane_of(-1.0))
     elif core.kind != SEGMENT:
-        along = lane_of(np.nan)  # a kind without a branch: the search proves nothing, and the CPU settles the pair
+        # This kind has no branch: with NaN, the search proves nothing, and the CPU settles the pair.
+        along = lane_of(np.nan)
     return image(F, center, (around * m[0], around * m[1], along))
 
 
@@ -152,27 +153,27 @@ def _farthest(core, n):
 
 @inline
 def _slack(normal, off, rounding):
-    """How far the volume below a face with this normal must be from zero, with points that may be `off`."""
+    """How far the volume below a face with this normal must be from zero if points may be `off`."""
     return off * sqrt(dot(normal, normal)) + rounding
 
 
 @inline
 def search(upper, first, last, swept, lower, n, keep, off):
-    """Walk towards the origin in the difference of two pieces; the proofs are derived in docs/certified.md, "On a GPU".
+    """Walk towards the origin in the difference of two pieces; docs/certified.md, "On a GPU", derives the proofs.
 
     Parameters
     ----------
     upper, lower : Core
     first, last : tuple
-        Rotation and translation of the upper piece in the frame of the lower one, at both ends.
+        Rotation and translation of the upper piece in the frame of the lower piece, at both ends.
     swept : bool
-        Whether `last` counts: the upper piece is then the convex hull of itself at both ends.
+        Whether `last` counts. If it does, the upper piece is the convex hull of itself at both ends.
     n : tuple of 3
-        First direction, from the lower piece to the upper one; any is valid.
+        First direction, from the lower piece to the upper piece; any direction is valid.
     keep : float
         The distance within which pieces count as touching, rounded up.
     off : float
-        Bound on the errors of the upper piece's points that come from its poses, in metres.
+        Bound on the errors of the upper piece's points that its poses cause, in metres.
 
     Returns
     -------
@@ -196,7 +197,7 @@ def search(upper, first, last, swept, lower, n, keep, off):
     r = 0
     while r < ROUNDS:
         squared = dot(n, n)
-        if not holds(squared > SHORT):  # the square may have lost some or all digits
+        if not holds(squared > SHORT):  # The square may have lost some or all digits.
             return UNSETTLED
         n = scaled(1.0 / sqrt(squared), n)
         back = negated(n)
@@ -230,6 +231,6 @@ def search(upper, first, last, swept, lower, n, keep, off):
 
 @inline
 def relative(R, t, S, s):
-    """Pose (R, t) in the frame of a pose (S, s), whose rotation may deviate from a rotation by rounding."""
+    """Pose (R, t) in the frame of a pose (S, s), whose rotation S may be inexact by rounding."""
     back = S[0], S[3], S[6], S[1], S[4], S[7], S[2], S[5], S[8]
     return product(back, R), apply(back, minus(t, s))

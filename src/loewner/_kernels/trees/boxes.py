@@ -1,8 +1,8 @@
-"""Find boxes of a crowd that meet, by a tree of axis-aligned boxes in groups of eight.
+"""Find the boxes of a crowd that meet, by a tree of axis-aligned boxes in groups of eight.
 
-Bodies are ordered along a space-filling curve, large ones before small ones. The tree is then implicit: node q of a
+Bodies are ordered along a space-filling curve, large bodies before small ones. The tree is then implicit: node q of a
 level has the nodes 8q .. 8q+7 of the level below, without pointers. A group of eight boxes is contiguous in memory, as
-six rows of eight numbers (lower x, y, z, upper x, y, z), so one box is compared with eight in six vector comparisons.
+six rows of eight numbers (lower x, y, z, upper x, y, z), so that six vector comparisons compare one box with eight.
 
 Every rounding is outward: if the search finds boxes apart, their bodies are apart by more than the margin.
 
@@ -23,18 +23,18 @@ from loewner._kernels.pieces.pack import pieces_of
 from loewner._kernels.simd.vectors import next_lane
 from loewner._kernels.tolerances import UNIT_ROUNDOFF
 
-ROWS = 6 * WIDE  # numbers in a group
-LEVELS = 22  # 8^22 > 2^63: more levels than any index can need
+ROWS = 6 * WIDE  # A group takes ROWS numbers.
+LEVELS = 22  # As 8^22 > 2^63, no index needs more than LEVELS levels.
 
 # The curve has 2^20 steps along each axis; the size class takes the next four bits.
 STEPS = np.uint64(20)
 SIZE_CLASSES = 16
-SIZE_RATIO = 0.25  # ratio between the size limits of successive classes
+SIZE_RATIO = 0.25  # Ratio between the size limits of successive classes.
 
-DIGIT = np.uint64(11)  # bits per pass of the radix sort
+DIGIT = np.uint64(11)  # Number of bits that the radix sort takes in each pass.
 PASSES = 6
 
-# The largest bound of a box. Boxes that pad a group start at infinity, so they meet no box.
+# MOST is the largest bound of a box. Boxes that pad a group start at infinity, so that they meet no box.
 MOST = 1.7e308
 
 
@@ -120,24 +120,24 @@ def lowered(bound, by):
 
 @inline
 def raised(bound, by):
-    """Move an upper bound outward, as `lowered`."""
+    """Move an upper bound outward, as `lowered` moves a lower bound."""
     moved = (bound + by) + 4.0 * UNIT_ROUNDOFF * (abs(bound) + by)
     return moved if moved < MOST else MOST
 
 
 @njit()
 def body_boxes(first, last, body_step, pose_step, pack, T, lower, upper):
-    """Boxes around the outer ellipsoids of the bodies first .. last, in world coordinates.
+    """Write boxes around the outer ellipsoids of the bodies first .. last, in world coordinates.
 
     Parameters
     ----------
     body_step, pose_step : int
-        1 if each body has its own pieces, or its own pose; 0 if all share one.
+        1 if each body has its own pieces, or its own pose; 0 if all bodies share one.
     pack : int
         Handle of packed pieces, see `pieces.pack`.
     T : ndarray, shape (..., 4, 4), one batch axis
     lower, upper : ndarray, shape (n, 3)
-        Receive the corners, in metres.
+        Receive the corners in metres.
     """
     pieces = pieces_of(pack)
     hot, start = pieces.hot, pieces.piece_start
@@ -166,7 +166,7 @@ def body_boxes(first, last, body_step, pose_step, pack, T, lower, upper):
 
 @inline
 def _spread(x):
-    """Move the bits of a number of `STEPS` bits three places apart."""
+    """Spread the bits of a number of `STEPS` bits to every third place."""
     x = (x | x << np.uint64(32)) & np.uint64(0x1F00000000FFFF)
     x = (x | x << np.uint64(16)) & np.uint64(0x1F0000FF0000FF)
     x = (x | x << np.uint64(8)) & np.uint64(0x100F00F00F00F00F)
@@ -186,9 +186,9 @@ def _extent(lower, upper, i):
 
 @njit()
 def curve_order(lower, upper):
-    """Order of the boxes in the tree: by size class, large ones first, then along a Morton curve through the middles.
+    """Order the boxes of the tree by size class, large boxes first, then along a Morton curve through their middles.
 
-    Large boxes among small ones would widen every group that contains them. The order only affects the speed of the
+    Large boxes among small ones would widen every group that contains them. The order affects only the speed of the
     search.
     """
     n = lower.shape[0]
@@ -218,7 +218,7 @@ def curve_order(lower, upper):
         code = np.uint64(0)
         for axis in range(3):
             step = (_middle(lower, upper, i, axis) - corner[axis]) * scale
-            # A NaN from an overflow compares false and goes to the end of the curve.
+            # A NaN from an overflow compares false, and goes to the end of the curve.
             code |= _spread(np.uint64(step if step < top else top)) << np.uint64(axis)
         keys[i] = key << (np.uint64(3) * STEPS) | code
     return _sorted_by(keys)
@@ -226,7 +226,7 @@ def curve_order(lower, upper):
 
 @njit()
 def _sorted_by(keys):
-    """Stable order of 64-bit keys, by radix sort; digits in which no two keys differ cost nothing."""
+    """Stable order of 64-bit keys, by radix sort; digits in which no two keys differ take no time."""
     n = keys.shape[0]
     buckets = 1 << DIGIT
     last = np.uint64(buckets - 1)
@@ -264,7 +264,7 @@ def box_tree(lower, upper, order):
     Returns
     -------
     boxes : ndarray
-        Groups of all levels, leaves first, `ROWS` numbers each.
+        Groups of all levels, leaves first, with `ROWS` numbers each.
     level_start : ndarray of int64
         First group of each level; the last level is a single group.
     """
@@ -279,7 +279,7 @@ def box_tree(lower, upper, order):
         total += groups
         levels += 1
     boxes = np.empty(total * ROWS)
-    # Padding of the last group of a level meets no box.
+    # The padding of the last group of a level meets no box.
     for at in range(0, total * ROWS, ROWS):
         for c in range(3 * WIDE):
             boxes[at + c] = np.inf
@@ -321,9 +321,10 @@ def _query(boxes, group, lane, margin):
 
 @njit()
 def _later_leaves(leaf, margin, boxes, level_start, stack, depth, near, numbers):
-    """Collect the leaf groups after `leaf` whose boxes are within `margin` of its own.
+    """Collect the leaf groups after `leaf` whose boxes are within `margin` of the box of `leaf`.
 
-    Their boxes go to `near`, in groups as in `boxes`, and their numbers to `numbers`; returns their count.
+    The boxes of the groups are written to `near`, in groups as in `boxes`, and their numbers to `numbers`; returns the
+    count of the groups.
     """
     count = 0
     if level_start.shape[0] == 1:
@@ -367,7 +368,7 @@ def _later_leaves(leaf, margin, boxes, level_start, stack, depth, near, numbers)
 
 @inline
 def _note(body, leaf, mask, order, rows_a, rows_b, count):
-    """Write a body's pairs with the bodies of a leaf group that are in a mask."""
+    """Write the pairs of a body with the bodies of a leaf group that are in a mask."""
     while mask != 0:
         lane, mask = next_lane(mask)
         other = order[leaf * WIDE + lane]
@@ -378,22 +379,22 @@ def _note(body, leaf, mask, order, rows_a, rows_b, count):
 
 @njit()
 def meeting_boxes(first, last, margin, boxes, level_start, order, rows_a, rows_b):
-    """Pairs of boxes within `margin` of each other: one from a leaf group first .. last, and a later one.
+    """Find pairs of boxes within `margin` of each other: one box from a leaf group first .. last, and a later one.
 
-    The tree is searched once for all eight boxes of a leaf group; each of them is then compared with the results.
+    The tree is searched once for all eight boxes of a leaf group, and each box is then compared with the results.
 
     Parameters
     ----------
     first, last : int
         Leaf groups.
-    boxes, level_start : as from `box_tree`
+    boxes, level_start : see `box_tree`
     rows_a, rows_b : ndarray of int64
-        Receive the pairs, the smaller number in `rows_a`; at least `WIDE` times as long as `order`.
+        Receive the pairs, with the smaller number in `rows_a`; at least `WIDE` times as long as `order`.
 
     Returns
     -------
     leaf, count : int
-        Leaf at which to continue (the buffers may be full before `last`), and the number of pairs written.
+        The leaf at which to continue (the buffers may be full before `last`), and the number of pairs written.
     """
     n = order.shape[0]
     leaves = (n + WIDE - 1) // WIDE

@@ -1,14 +1,14 @@
-"""Surfaces cut into parts, with a box and an ellipsoid around each: proofs of motions replace a surface by its parts.
+"""Surfaces cut into parts, with a box and an ellipsoid around each part: proofs of motions use the parts.
 
-The part whose box has the most empty space is cut next, across an axis of its box, where the boxes of its halves are
-smallest. At most about five hundred of its items suggest the place: they are sorted into bins along each axis, and only
-the items next to the best boundary are sorted one by one. Between two walls, the cut is halfway between the items on
-either side.
+The part whose box has the most empty space is cut next, across an axis of the box, where the boxes of both halves are
+smallest. At most about five hundred items of the part suggest the place. These items are sorted into bins along each
+axis, and only the items next to the best boundary are sorted one by one. Between two walls, the cut is halfway between
+the items on either side.
 
-Corners are stored by coordinate, and all corners of a part one after the other, so that eight are processed at a time.
+Corners are stored by coordinate, and all corners of a part are consecutive, so that eight are processed at a time.
 
-An item is a triangle if its part is a single flat face, and otherwise a face. It has a row of eight numbers: the lower
-corner of its box along the axes, the upper one negated, and two zeros.
+An item is a triangle if its part is a single flat face, and otherwise a face. An item has a row of eight numbers: the
+lower corner of its box along the axes, the negated upper corner, and two zeros.
 """
 
 import numpy as np
@@ -19,38 +19,37 @@ from loewner._kernels.simd.trig import sine_cosine
 from loewner._kernels.simd.vectors import LANES, broadcast, highest, load, lowest, maximum, minimum, movemask, store
 from loewner._kernels.trees.triangle_tree import principal, put_range
 
-# Assumed thickness of a flat part, relative to the whole; of a flat box, relative to its longest side, so that the
-# shorter of two boxes with equal areas is chosen; and of a flat ellipsoid, relative to its longest side and to the
-# coordinates.
+# THICKNESS is the assumed thickness of a flat part, relative to the whole. FLAT_BOX is the thickness of a flat box,
+# relative to its longest side, so that the shorter of two boxes with equal areas is chosen. FLAT_OVAL and DIGITS are
+# the thickness of a flat ellipsoid, relative to its longest side and to the coordinates.
 THICKNESS, FLAT_BOX, FLAT_OVAL, DIGITS = 0.01, 0.01, 1e-4, 1e-8
 
 # Each side of a cut gets at least one in LEAST_SHARE items. With 16 instead, each cut would often leave three quarters
 # of a part on one side, without proving more.
 LEAST_SHARE = 4
 
-# Largest number of triangles that suggest axes; number of directions in which points of a hull are sought; and number
-# of the hull's longest edges along which a box is tried.
+# At most MOST_ASKED triangles suggest axes. Points of a hull are sought in LOOKS directions, and a box is tried along
+# the MOST_EDGES longest edges of the hull.
 MOST_ASKED, LOOKS, MOST_EDGES = 128, 64, 8
 
-# Bins along each axis; largest number of items that are sorted without bins; and half the number of items that suggest
-# a cut.
+# Each axis has BINS bins. Up to FEW items are sorted without bins, and at most twice MANY items suggest a cut.
 BINS, FEW, MANY = 128, 32, 512
 
 # Bound on the rounding error of rotating, and rotating back, by a matrix that is orthonormal up to a few roundings.
 TURN_ROUNDINGS = 128 * 2.0**-53
 
-# Number of rounds in the search for a small ellipsoid, least semi-axis of the ellipsoid relative to the box, and an
-# allowance for rounding, since coordinates relative to the box are off by at most 1e-7.
+# ROUNDS is the number of rounds in the search for a small ellipsoid, and LEAST_AXIS its least semi-axis relative to the
+# box. WIDER allows for rounding, because coordinates relative to the box are off by at most 1e-7.
 ROUNDS, LEAST_AXIS, WIDER = 24, 1e-2, 1.0 + 1e-3
 
 # Least factor by which the ellipsoid's shape is scaled, for parts whose points all coincide.
 LEAST_OVAL = 1e-3
 
-# Directions in which the extreme points determine the ellipsoid.
+# The extreme points in these directions determine the ellipsoid.
 _WAYS = np.array([(x, y, z) for x in (0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1) if (x, y, z) > (0, 0, 0)], float)
 
 ROW = 8
-NUMBERS = 16  # numbers of a part: turn, lower corner, upper corner, empty space
+NUMBERS = 16  # A part has NUMBERS numbers: turn, lower corner, upper corner, empty space.
 
 
 @njit()
@@ -60,8 +59,9 @@ def cut_up(corners, faces, radius, most, order, start, boxes, centers, shapes):
     Parameters
     ----------
     corners : ndarray, shape (3 n,) or (9 n,)
-        All x of n points, then all y, then all z; of triangles, the coordinates of the first corners, then of the
-        others. Sorted by face; receives them in the order of the parts.
+        All x of n points, then all y, then all z; for triangles, the coordinates of the first corners, then the
+        coordinates of the second and third corners. On entry, they are sorted by face; the array receives them in the
+        order of the parts.
     faces : ndarray of int64, shape (n,)
         Face of each triangle. A face is cut only if it is alone in its part.
     radius : float
@@ -136,7 +136,7 @@ def _corner(corners, n, triangle, corner):
 
 @inline
 def _eight(corners, n, triangle, first, last, corner):
-    """A corner of eight triangles of a part, from one on or its last eight; if it has fewer, eight copies of one."""
+    """Load a corner of eight triangles of a part: from one triangle on, or the last eight; repeats if it has fewer."""
     if last - first < LANES:
         x, y, z = _corner(corners, n, triangle, corner)
         return broadcast(x), broadcast(y), broadcast(z)
@@ -167,7 +167,7 @@ def _frame(a, b):
 
 @njit()
 def _box(corners, n, first, last, turn):
-    """Corners of the box around some triangles, along the axes of a turn."""
+    """Corners of the box around triangles, along the axes of a turn."""
     least = broadcast(np.inf), broadcast(np.inf), broadcast(np.inf)
     most = broadcast(-np.inf), broadcast(-np.inf), broadcast(-np.inf)
     each = len(corners) // (3 * n)
@@ -183,7 +183,7 @@ def _box(corners, n, first, last, turn):
 
 @njit()
 def _area(some, count, turn):
-    """Half the surface area of a box around some triangles, along the axes of a turn."""
+    """Half the surface area of a box around triangles, along the axes of a turn."""
     low, high = _box(some, count, 0, count, turn)
     x, y, z = high[0] - low[0], high[1] - low[1], high[2] - low[2]
     flat = FLAT_BOX * max(x, max(y, z))
@@ -193,7 +193,7 @@ def _area(some, count, turn):
 
 @njit()
 def _measure(corners, n, part, thick, grown, numbers):
-    """Write axes with little area of the box around a part, the box, and its empty space."""
+    """Write the axes of a box with little area around a part, the box, and its empty space."""
     first, last, width = part[0], part[1], len(corners) // n
     step = (last - first + MOST_ASKED - 1) // MOST_ASKED
     count = (last - first + step - 1) // step
@@ -224,7 +224,8 @@ def _measure(corners, n, part, thick, grown, numbers):
         best = _along_faces(some, count, middle, least, best)
         for k in range(first, last):
             v = _normal(corners, n, k)
-            # Count triangles as thin slabs: a flat box then has a volume, too, and triangles far apart do not fill it.
+            # Count triangles as thin slabs: a flat box then has a volume, too, and triangles that are far apart do not
+            # fill it.
             filled += thick * 0.5 * np.sqrt(dot(v, v))
     low, high = _box(corners, n, first, last, best)
     for c in range(9):
@@ -243,11 +244,11 @@ def _normal(corners, n, triangle):
 
 @njit()
 def _along_faces(some, count, middle, least, best):
-    """Axes of a box with less area along the largest triangle and edges of the outline as seen along its normal.
+    """Axes of a box with less area, along the largest triangle and an edge of the outline seen along its normal.
 
     The smallest rectangle around points in a plane has a side along an edge of their hull (Freeman and Shapira:
-    Determining the minimum-area encasing rectangle for an arbitrary closed curve, 1975). The hull is approximated by
-    the farthest points in some directions.
+    Determining the minimum-area encasing rectangle for an arbitrary closed curve, 1975). The farthest points in several
+    directions approximate the hull.
     """
     normal, squared = (0.0, 0.0, 0.0), 0.0
     for k in range(count):
@@ -293,7 +294,7 @@ def _along_faces(some, count, middle, least, best):
 
 @inline
 def _volume(box, grown):
-    """Volume of a row, grown along each axis."""
+    """Volume of the box of a row, grown along each axis."""
     return (grown - box[3] - box[0]) * (grown - box[4] - box[1]) * (grown - box[5] - box[2])
 
 
@@ -305,7 +306,7 @@ def _middle(rows, item, axis):
 
 @njit()
 def _items(faces, order, first, last, begin):
-    """Write where the items of a part begin, and the end; return their number."""
+    """Write the beginnings of a part's items, and the end; return the number of items."""
     if faces[order[first]] == faces[order[last - 1]]:
         for k in range(first, last + 1):
             begin[k - first] = k
@@ -321,14 +322,14 @@ def _items(faces, order, first, last, begin):
 
 @njit()
 def _place_of_cut(corners, n, begin, items, numbers, grown, rows, listed, bins, held):
-    """Axis across which a part is cut, and twice the place on it: items whose middles are before it come first.
+    """Find the axis across which a part is cut, and twice the place: items with smaller middles come first.
 
     Parameters
     ----------
     numbers : ndarray
-        The part's numbers.
+        Numbers of the part.
     rows, listed, bins, held : ndarray
-        Memory.
+        Scratch memory.
     """
     nothing, step = broadcast(np.inf), max(items // MANY, 1)
     asked = (items + step - 1) // step
@@ -383,7 +384,7 @@ def _place_of_cut(corners, n, begin, items, numbers, grown, rows, listed, bins, 
 
 @inline
 def _between(rows, listed, rank, count, axis, left, right):
-    """Twice the place halfway between a listed item and the one before it; `left` and `right` replace missing ones."""
+    """Twice the place halfway between a listed item and the previous one; `left` and `right` replace missing items."""
     left = _middle(rows, listed[rank - 1], axis) if rank > 0 else left
     right = _middle(rows, listed[rank], axis) if rank < count else right
     return 0.5 * (left + right)
@@ -391,23 +392,22 @@ def _between(rows, listed, rank, count, axis, left, right):
 
 @njit()
 def _divided(corners, n, order, begin, items, along, key, rest, lists):
-    """Reorder a part's triangles so that the items before a place along an axis come first; return where
-    the others begin.
+    """Reorder a part's triangles: items before a place along an axis come first; return where the others begin.
 
     Parameters
     ----------
     begin : ndarray
-        Where items begin; overwritten.
+        Beginnings of items; overwritten.
     key : float
-        Twice the place.
+        Twice the place along the axis.
     rest, lists : ndarray
-        Memory.
+        Scratch memory.
     """
     first, middle, last = begin[0], begin[items // 2], begin[items]
     ahead, behind = lists[0], lists[1]
     kept, count, one, start, n = np.uint64(0), np.uint64(0), np.uint64(1), np.uint64(first), np.uint64(n)
     if len(corners) == 3 * n:
-        for k in range(start, np.uint64(last)):  # write to both lists, since no processor can predict the right one
+        for k in range(start, np.uint64(last)):  # Write to both lists, because no processor can predict the right one.
             ahead[kept] = behind[count] = np.int64(k)
             is_first = np.uint64(dot(along, (corners[k], corners[k + n], corners[k + n + n])) < 0.5 * key)
             kept, count = kept + is_first, count + one - is_first
@@ -436,13 +436,14 @@ def _divided(corners, n, order, begin, items, along, key, rest, lists):
         order[start + k] = order[np.uint64(ahead[k])]
     for k in range(count):
         order[start + kept + k] = begin[k]
-    # If items are equal, or their centers differ by rounding, all may be on one side; any other cut is then as good.
+    # If items are equal, or their centers differ only by rounding, all may be on one side; any other cut is then as
+    # good.
     return first + np.int64(kept) if kept > 0 and count > 0 else middle
 
 
 @njit()
 def _boundary(rows, items, least, grown, bins, held):
-    """Axis and bin before which a cut leaves the smallest boxes; -1 if there is none. Also the bins along that axis."""
+    """Find the axis and bin before which a cut leaves the smallest boxes (-1 if none does), and the bins there."""
     low, scale = np.empty(3), np.empty(3)
     for axis in range(3):
         least_middle = most_middle = _middle(rows, 0, axis)
@@ -484,7 +485,7 @@ def _boundary(rows, items, least, grown, bins, held):
 
 @njit()
 def _sort(rows, axis, listed, count):
-    """Sort items by their middles along an axis, and equal ones by number: Shell's sort."""
+    """Sort items by their middles along an axis, and equal items by number (Shell's sort)."""
     gap = 1
     while gap < count // 3:
         gap = 3 * gap + 1
@@ -505,9 +506,10 @@ def _sort(rows, axis, listed, count):
 
 @njit()
 def _sweep(rows, listed, count, before, items, least, grown, bins, ahead, behind):
-    """Volume and number of items before the cut that leaves the smallest boxes, among the sorted items listed; or 0.
+    """Volume and number of items before the cut that leaves the smallest boxes, among the sorted listed items; or 0.
 
-    `before` items come before these, in the box in row `ahead` of `bins`, and the rest are in the box in row `behind`.
+    `before` items come before the listed items; the box around them is in row `ahead` of `bins`. The box around the
+    remaining items is in row `behind`.
     """
     volumes, around = np.empty(count + 1), np.empty(ROW)
     box = load(bins, ROW * behind)
@@ -533,7 +535,7 @@ def _sweep(rows, listed, count, before, items, least, grown, bins, ahead, behind
 
 @njit()
 def _enclose(corners, n, part, numbers, box, center, shape):
-    """Write the corners of the box around a part, and an ellipsoid around it."""
+    """Write the corners of the box around a part, and an ellipsoid around the part."""
     first, last, each = part[0], part[1], len(corners) // (3 * n)
     low, high = _box(corners, n, first, last, (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0))
     largest = max(max(-low[0], high[0]), max(max(-low[1], high[1]), max(-low[2], high[2])))
@@ -564,7 +566,8 @@ def _enclose(corners, n, part, numbers, box, center, shape):
             p = _relative(numbers, _eight(corners, n, k, first, last, corner), middle, per)
             for way in range(ways):
                 along = _along(way, p)
-                if movemask((along < load(ends[way], 0)) | (along > load(ends[way], LANES))) > 0:  # rare
+                # This branch is rarely taken.
+                if movemask((along < load(ends[way], 0)) | (along > load(ends[way], LANES))) > 0:
                     _extend(corners, n, min(k, last - step), step, corner, numbers, middle, per, way, points, ends)
     c, Q, inverse = _around(points)
     farthest = broadcast(0.0)
@@ -594,7 +597,7 @@ def _along(way, p):
 
 @njit()
 def _extend(corners, n, first, count, corner, numbers, middle, per, way, points, ends):
-    """Keep the farthest of some corners in a direction and its opposite, if they are farther than the ones before."""
+    """Store the farthest of eight corners in a direction and its opposite, if they are farther than the stored ones."""
     for k in range(first, first + count):
         p = _relative(numbers, _corner(corners, n, k, corner), middle, per)
         along = _along(way, p)
@@ -613,7 +616,7 @@ def _relative(numbers, p, middle, per):
 
 @inline
 def _form(Q, r):
-    """r · Q r for a symmetric matrix."""
+    """The form r · Q r for a symmetric matrix Q."""
     return dot(r, apply_symmetric(Q, r))
 
 

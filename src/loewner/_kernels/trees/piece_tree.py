@@ -1,13 +1,13 @@
-"""Trees over the pieces of a body, and the walk through two of them to find piece pairs that could meet.
+"""Trees over the pieces of a body, and the walk through two trees to find piece pairs that could meet.
 
-A tree is as in `boxes`, over the boxes of the outer ellipsoids in the body's own frame, but with explicit links: child
-c of group g is ``children[8 g + c]``, a group if not negative, otherwise ~piece. ``roots`` holds the top group of each
-body, or -1 for a body with few pieces, which has no tree: all its pieces are tried.
+A tree is built as in `boxes`, over the boxes of the outer ellipsoids in the body's own frame, but with explicit links:
+child c of group g is ``children[8 g + c]``, a group if not negative, otherwise ~piece. ``roots`` holds the top group of
+each body, or -1 for a body with few pieces. Such a body has no tree: all its pieces are tried.
 
-The walk takes the pieces of a that come near the box of b, in a's frame, and searches b's tree for each of them, in b's
-frame, with the box of its own ellipsoid there. All roundings are outward. A pose's rotation R need not be orthonormal
-to the last bit: in the frame of its own axes a body's point y lies at RᵀR y instead of y, and lengths there are world
-lengths times at most the norm of R. `BEND` allows for both.
+The walk takes the pieces of a that come near the box of b, in a's frame. For each such piece, it searches b's tree, in
+b's frame, with the box of the piece's own ellipsoid in that frame. All roundings are outward. The rotation R of a pose
+need not be orthonormal to the last bit: in the frame of its own axes, a body's point y lies at RᵀR y instead of y, and
+lengths there are world lengths times at most the norm of R. `BEND` allows for both effects.
 """
 
 import numpy as np
@@ -19,38 +19,39 @@ from loewner._kernels.simd.vectors import next_lane
 from loewner._kernels.tolerances import UNIT_ROUNDOFF
 from loewner._kernels.trees.boxes import LEVELS, ROWS, box_tree, curve_order, lowered, raised, within
 
-# Each entry of RᵀR - 1 is at most 1e-6 (`rigid.ROTATION_TOLERANCE`). This moves each coordinate of a point by less than
-# BEND times the point's distance from the body's origin, and stretches lengths by less than that; the remainder of BEND
-# is far above the rounding of distances.
+# Each entry of RᵀR - 1 is at most 1e-6 (`rigid.ROTATION_TOLERANCE`). The deviation moves each coordinate of a point by
+# less than BEND times the point's distance from the body's origin, and stretches lengths by less than BEND. The
+# remainder of BEND is far above the rounding of distances.
 BEND = 4e-6  # certified.md B21
 
-# Integers of a walk.
+# The integers of a walk.
 PIECE, A_NEXT, A_END, B_NEXT, B_END, A_HEIGHT, B_HEIGHT = 0, 1, 2, 3, 4, 5, 6
 A_STACK = 7
 B_STACK = A_STACK + LEVELS * WIDE
 STEPS = B_STACK + LEVELS * WIDE
-# Floats of a walk: boxes (lower, upper) of b in a's frame and of the piece in b's frame, the amounts by which they are
-# widened, the map of points of a to b's frame (rotation, shift), and the lengths that determine the rounding.
+# The floats of a walk are the box (lower, upper) of b in a's frame and the box of the piece in b's frame; the amounts
+# by which both boxes are widened; the map from points of a to b's frame (rotation, shift); and the lengths that
+# determine the rounding.
 B_BOX, PIECE_BOX, A_SLACK, B_SLACK, TURN, SHIFT, SIZE = 0, 6, 12, 13, 14, 23, 26
 NUMBERS = 27
 
 
 @njit()
 def piece_trees(piece_start, lower, upper):
-    """Trees of all bodies.
+    """Build the trees of all bodies.
 
     Parameters
     ----------
     piece_start : ndarray of int64, shape (n + 1,)
     lower, upper : ndarray, shape (P, 3)
-        Boxes of the pieces, in their body's frame, in metres.
+        Boxes of the pieces in the frames of their bodies, in metres.
 
     Returns
     -------
     groups : ndarray
-        In the layout of `boxes.box_tree`, with all bodies end to end.
+        Groups in the layout of `boxes.box_tree`, with the groups of all bodies one after another.
     children : ndarray of int64
-        Eight for each group.
+        Eight entries for each group.
     roots : ndarray of int64, shape (n,)
     """
     n = piece_start.shape[0] - 1
@@ -128,17 +129,17 @@ def begin(a, ia, Ta, ka, b, ib, Tb, kb, steps, numbers):
 
 @njit()
 def more(a, b, ib, margin, steps, numbers, pieces_a, pieces_b):
-    """Continue a walk: the next piece pairs that are not proven farther apart than `margin`.
+    """Continue a walk: find the next piece pairs that are not proven farther apart than `margin`.
 
     The margin may shrink from call to call.
 
     Parameters
     ----------
-    a, b, ib, steps, numbers : as for `begin`
+    a, b, ib, steps, numbers : see `begin`
     margin : float
-        In metres, >= 0.
+        Margin in metres; at least 0.
     pieces_a, pieces_b : ndarray of int64
-        Receive the pairs, as many as fit.
+        Receive the pairs; the arrays' length limits their number.
 
     Returns
     -------
@@ -189,9 +190,9 @@ def more(a, b, ib, margin, steps, numbers, pieces_a, pieces_b):
 
 @njit()
 def nearest_centers(a, ia, b, ib, numbers, rounds):
-    """Two pieces with close centers, found by `rounds` of alternating nearest-center searches.
+    """Find two pieces with close centers, by `rounds` of alternating nearest-center searches.
 
-    They are a starting guess; `numbers` is as from `begin`.
+    The pieces are a starting guess; `begin` must have written `numbers`.
     """
     hot_a, hot_b = a.hot, b.hot
     c = OUTER_CENTER
@@ -234,7 +235,7 @@ def _open(groups, children, group, numbers, box, slack, reach, steps, stack, hei
 
 @inline
 def open_group(a, group, box, reach, stack, height):
-    """Push the children of a group that come within `reach` of a box (lower, upper) onto a stack; return its height."""
+    """Push the children of a group that come within `reach` of a box onto a stack; return the height of the stack."""
     mask = within(a.groups, group, box[0], box[1], box[2], box[3], box[4], box[5], reach * reach)
     return _push(a.children, group, mask, stack, height)
 
@@ -259,7 +260,7 @@ def _shape(hot, piece):
 
 @inline
 def _placed_center(hot, piece, numbers, row):
-    """Coordinate of an outer center of a in b's frame."""
+    """Coordinate of the center of an outer ellipsoid of a in b's frame."""
     c = OUTER_CENTER
     turn = TURN + 3 * row
     return numbers[SHIFT + row] + (
@@ -323,7 +324,7 @@ def _root_interval(groups, root, axis):
 
 @njit()
 def reach_of(a, ia):
-    """Bound on the distance of any point of a body from its origin."""
+    """Upper bound on the distance of any point of a body from the body's origin."""
     root = a.roots[ia]
     reach = 0.0
     if root < 0:

@@ -12,7 +12,7 @@ def equal_vertices(vertices):
     Parameters
     ----------
     vertices : ndarray, shape (V, 3)
-        Without negative zeros.
+        Vertices without negative zeros.
 
     Returns
     -------
@@ -54,7 +54,7 @@ def _mixed(word, key):
 
 @njit()
 def part_vertices(count, triangles):
-    """One vertex of each connected part.
+    """Return one vertex of each connected part.
 
     Parameters
     ----------

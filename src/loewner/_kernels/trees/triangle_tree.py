@@ -1,15 +1,16 @@
-"""Bounding hierarchies over the triangles of a surface: wide nodes of boxes, leaves that are blocks of triangles.
+"""Bounding hierarchies over the triangles of a surface: wide nodes of boxes, and leaves that are blocks of triangles.
 
 A node has sixteen boxes side by side, in six rows of single precision: their middles, then their half widths, both
 along x, y and z of the body's frame and rounded outward. Box s, counted over all nodes, leads to ``children[s]``, which
-is a node if it is not negative. Otherwise it encodes a leaf, `leaf_of`, and its number of triangles, `size_of`. Node 0
-has one box, around everything. A leaf is a block of eight triangles, in nine rows of double precision: x, y, z of the
-first, the second and the third corners. A block is filled up with repeats of its last triangle.
+is a node if it is not negative. A negative entry encodes a leaf, `leaf_of`, and the leaf's number of triangles,
+`size_of`. Node 0 has one box, around everything. A leaf is a block of eight triangles, in nine rows of double
+precision: x, y, z of the first, the second and the third corners. Repeats of the last triangle fill a block.
 
 Each box has twenty additional rows of single precision, the diagonals: the extents of its triangles along x + y, x - y,
 -x + y and -x - y, likewise for x and z and for y and z, and along x + y + z, x + y - z and so on to -x - y - z.
-Together with the box these bound the extent along any direction: sorting its coordinates makes it a sum of multiples of
-an axis and two diagonals, and the support function of a sum is at most the sum of the support functions.
+Together with the box, the diagonals bound the extent along any direction. When its coordinates are sorted, a direction
+is a sum of multiples of an axis and two diagonals. The support function of a sum is at most the sum of the support
+functions.
 
 The boxes of the top node also have ellipsoids around the same triangles: nine rows of single precision, with their
 centers and the roots of their shape matrices (xx, xy, xz, yy, yz, zz), from the covariance of the corners.
@@ -31,36 +32,37 @@ from loewner._kernels.linalg3 import minus, negated, plus
 from loewner._kernels.simd.vectors import broadcast, highest, load, lowest, maximum, minimum, store
 
 WIDE_BITS, LEAF_BITS = NODE_BITS, 3
-WIDE = 1 << WIDE_BITS  # boxes of a node
-ROWS = 6 * WIDE  # numbers of a node
-LEAF = 1 << LEAF_BITS  # largest number of triangles of a leaf
-BLOCK = 9 * LEAF  # numbers of a leaf
-DIAGONALS = 20 * WIDE  # numbers of a node's diagonals
-CORNERS = 12  # row of x + y + z among the diagonals
-OVAL = 9 * WIDE  # numbers of the ellipsoids
+WIDE = 1 << WIDE_BITS  # A node has WIDE boxes.
+ROWS = 6 * WIDE  # A node takes ROWS numbers.
+LEAF = 1 << LEAF_BITS  # A leaf has up to LEAF triangles.
+BLOCK = 9 * LEAF  # A leaf takes BLOCK numbers.
+DIAGONALS = 20 * WIDE  # The diagonals of a node take DIAGONALS numbers.
+CORNERS = 12  # Row of x + y + z among the diagonals.
+OVAL = 9 * WIDE  # The ellipsoids take OVAL numbers.
 
 # Numbers of a box while the tree is built: its lower corner, its negated upper corner, and two zeros.
 BOX = 8
 
-BINS, FEW_BINS, MANY = 16, 8, 256  # FEW_BINS bins are used for at most MANY triangles
-DEEP = 40  # after this number of splits, ranges are halved, so that no tree is deeper than LEVELS
-LEVELS = DEEP + 28  # enough to halve 2^31 triangles down to leaves
+BINS, FEW_BINS, MANY = 16, 8, 256  # Ranges of at most MANY triangles use FEW_BINS bins.
+DEEP = 40  # After DEEP splits, ranges are halved, so that no tree is deeper than LEVELS.
+LEVELS = DEEP + 28  # LEVELS suffice to halve 2^31 triangles down to leaves.
 
-MOST_BELOW = 80  # largest number of triangles below a node whose boxes are all, or nearly all, leaves
+MOST_BELOW = 80  # If a node has at most MOST_BELOW triangles below it, all or nearly all of its boxes are leaves.
 
-# Least relative thickness of an ellipsoid, and the factor by which it is wider than its corners require, since single
-# precision can turn it by a part in ten million.
+# FLATTEST is the least relative thickness of an ellipsoid. WIDER is the factor by which an ellipsoid is wider than its
+# corners require, because single precision can turn the ellipsoid by a part in ten million.
 FLATTEST = 1e-6
 WIDER = 1.0 + 1e-5
 
 # The ball around the same corners is used if a semi-axis is longer than MOST_WIDE times the radius of this ball.
 MOST_WIDE = 2.0
 
-# Number of Jacobi's sweeps, which converge quadratically, and largest entry to ignore. Axes need not be exact.
+# Jacobi's method, which converges quadratically, takes SWEEPS sweeps, and ignores entries up to SMALL, because axes
+# need not be exact.
 SWEEPS, SMALL = 3, 1e-13
 
-UP = 1.0 + 2.0**-22  # exceeds the rounding to single precision
-_LEAST = 1e-37  # likewise for numbers near zero
+UP = 1.0 + 2.0**-22  # The factor UP exceeds the rounding to single precision.
+_LEAST = 1e-37  # The summand _LEAST exceeds the rounding of numbers near zero.
 
 
 @inline
@@ -87,24 +89,24 @@ def triangle_tree(vertices, triangles):
     Parameters
     ----------
     vertices : ndarray, shape (V, 3)
-        In metres.
+        Vertices in metres.
     triangles : ndarray of int64, shape (T, 3)
-        At least one.
+        At least one triangle.
 
     Returns
     -------
     boxes : ndarray
-        ROWS for each node; every number is one of single precision.
+        ROWS numbers for each node; every number is exact in single precision.
     children : ndarray of int64
-        WIDE for each node.
+        WIDE entries for each node.
     blocks : ndarray
-        BLOCK for each leaf.
+        BLOCK numbers for each leaf.
     diagonals : ndarray
-        DIAGONALS for each node, of single precision likewise.
+        DIAGONALS numbers for each node, also exact in single precision.
     ellipsoids : ndarray
-        OVAL, of single precision likewise.
+        OVAL numbers, also exact in single precision.
     numbers : ndarray of int64
-        LEAF for each leaf: the triangles in its block.
+        LEAF entries for each leaf: the triangles in its block.
     """
     count = triangles.shape[0]
     box, order = np.empty(BOX * count), np.arange(count)
@@ -116,14 +118,17 @@ def triangle_tree(vertices, triangles):
             box[BOX * t + 3 + axis] = -max(x, max(y, z))
         box[BOX * t + 6] = box[BOX * t + 7] = 0.0
     bins = np.empty(2 * 3 * BINS * BOX), np.empty(3 * BINS, np.int64)
-    ranges = np.empty((WIDE, 3), np.int64)  # from, to, splits above
+    # Each row holds the first triangle, the end, and the number of splits above.
+    ranges = np.empty((WIDE, 3), np.int64)
     hull = np.empty(WIDE * BOX)
     room = 4 + count // 24
     boxes, children = np.zeros(room * ROWS), np.zeros(room * WIDE, np.int64)
     ellipsoids = np.zeros(OVAL)
     leaf_from = np.empty(4 + count // 4, np.int64)
     nodes, leaves = 1, 0
-    waiting = np.empty((LEVELS * WIDE, 4), np.int64)  # from, to, splits above, where the child is to be written
+    # Each row holds the first triangle, the end, the number of splits above, and the place to which the child is
+    # written.
+    waiting = np.empty((LEVELS * WIDE, 4), np.int64)
     _clear(boxes, 0)
     _hull(box, 0, count, hull, 0)
     _write(boxes, 0, hull, 0)
@@ -192,13 +197,13 @@ def triangle_tree(vertices, triangles):
 
 @njit()
 def _diagonals(boxes, children, blocks):
-    """Diagonals of all boxes, from the last node to the first: children come after their parents."""
+    """Compute the diagonals of all boxes, from the last node to the first: children come after parents."""
     diagonals = np.empty(len(boxes) // ROWS * DIAGONALS)
     for n in range(len(diagonals)):
         diagonals[n] = 0.0
     for slot in range(len(children) - 1, -1, -1):
         if not boxes[(slot >> WIDE_BITS) * ROWS + 3 * WIDE + (slot & (WIDE - 1))] >= 0.0:
-            continue  # an empty box
+            continue  # The box is empty.
         at, child = (slot >> WIDE_BITS) * DIAGONALS + (slot & (WIDE - 1)), children[slot]
         if child >= 0:
             for row in range(0, DIAGONALS, WIDE):
@@ -237,7 +242,7 @@ def _write_diagonal(diagonals, at, row, opposite, sums):
 
 @njit()
 def _enough(count):
-    """Number of triangles for each box of a node, so that all levels below are filled evenly."""
+    """Number of triangles for each box of a node with which all levels below are filled evenly."""
     levels = 0
     held = float(MOST_BELOW)
     while held < count:
@@ -251,7 +256,7 @@ def _enough(count):
 
 @njit()
 def longer(array):
-    """A copy of the array with twice the room."""
+    """Return a copy of the array with twice the room."""
     more = np.zeros(2 * len(array), array.dtype)
     for n in range(len(array)):
         more[n] = array[n]
@@ -260,7 +265,7 @@ def longer(array):
 
 @njit()
 def _clear(boxes, node):
-    """Make the boxes of a node empty: they meet nothing."""
+    """Make the boxes of a node empty, so that they meet nothing."""
     for n in range(3 * WIDE):
         boxes[node * ROWS + n] = 0.0
         boxes[node * ROWS + 3 * WIDE + n] = -np.inf
@@ -278,7 +283,7 @@ def _write(boxes, at, hull, k):
 
 @njit()
 def _enclose(vertices, triangles, order, first, last, turns, ellipsoids, at):
-    """Write the ellipsoid of the covariance of the corners of some triangles, scaled to hold them all."""
+    """Write the ellipsoid of the covariance of the corners of given triangles, scaled to contain all of them."""
     count = 3.0 * (last - first)
     x = y = z = 0.0
     for n in range(first, last):
@@ -296,8 +301,8 @@ def _enclose(vertices, triangles, order, first, last, turns, ellipsoids, at):
             xx, xy, xz, yy, yz, zz = xx + p * p, xy + p * q, xz + p * r, yy + q * q, yz + q * r, zz + r * r
     radius = np.sqrt(radius) + _LEAST
     U, spread = principal(xx / count, xy / count, xz / count, yy / count, yz / count, zz / count, turns)
-    # Half widths along the axes, which need not be accurate: a direction in which the corners have no width still gets
-    # the least thickness.
+    # Half widths along the axes need not be accurate: a direction in which the corners have no width still gets the
+    # least thickness.
     least = FLATTEST * np.sqrt(max(spread[0], max(spread[1], spread[2]))) + _LEAST
     a, b, c = (
         np.sqrt(max(spread[0], 0.0)) + least, np.sqrt(max(spread[1], 0.0)) + least, np.sqrt(max(spread[2], 0.0)) + least
@@ -314,7 +319,7 @@ def _enclose(vertices, triangles, order, first, last, turns, ellipsoids, at):
     scale = np.sqrt(farthest) * WIDER
     a, b, c = a * scale, b * scale, c * scale
     if not max(a, max(b, c)) <= MOST_WIDE * radius:
-        # a few corners are far from all others
+        # A few corners are far from all other corners.
         a = b = c = radius * WIDER
     ellipsoids[at], ellipsoids[at + WIDE], ellipsoids[at + 2 * WIDE] = x, y, z
     row = 3
@@ -329,7 +334,8 @@ def _enclose(vertices, triangles, order, first, last, turns, ellipsoids, at):
 def put_range(ranges, k, first, last, number):
     """Write a range of triangles and a number into row k.
 
-    If Numba assigned the whole row, it would compile the text of an error for rows of another length, for a second.
+    An assignment to the whole row would take Numba a second, because it compiles the text of an error for rows of
+    another length.
     """
     ranges[k, 0], ranges[k, 1], ranges[k, 2] = first, last, number
 
@@ -338,7 +344,7 @@ def put_range(ranges, k, first, last, number):
 def principal(xx, xy, xz, yy, yz, zz, turns):
     """Principal axes of a symmetric matrix, as the columns of nine numbers in row order, and its values along them.
 
-    Jacobi's rotations; Golub and Van Loan, Matrix Computations (2013), section 8.5.
+    The method is Jacobi's rotations; Golub and Van Loan, Matrix Computations (2013), section 8.5.
     """
     A, U = turns[0], turns[1]
     A[0, 0], A[1, 1], A[2, 2] = xx, yy, zz
@@ -403,7 +409,7 @@ def _middle(box, n, axis):
 def _split(box, order, first, last, halve, bins):
     """Split boxes first .. last at least cost by the surface area heuristic; return the start of the second part.
 
-    With `halve` both parts are equally large.
+    With `halve`, both parts are equally large.
     """
     low, high = np.empty(3), np.empty(3)
     for axis in range(3):
@@ -425,9 +431,9 @@ def _split(box, order, first, last, halve, bins):
     for axis in range(3):
         scale[axis] = used / (high[axis] - low[axis])
         if not scale[axis] < np.inf:
-            scale[axis] = 0.0  # all in one bin if there is no width or the quotient overflows
+            scale[axis] = 0.0  # If the boxes have no width, or the quotient overflows, all go to one bin.
     axis, best = _best_split(box, first, last, low, scale, used, bins)
-    if axis < 0:  # all in one bin, or overflow
+    if axis < 0:  # All boxes are in one bin, or an overflow occurred.
         return _split_by_rank(box, order, first, last, longest, True)
     i, j = first, last
     while True:
@@ -442,7 +448,7 @@ def _split(box, order, first, last, halve, bins):
 
 @njit()
 def _best_split(box, first, last, low, scale, used, bins):
-    """Axis and bin at which to split boxes at least cost; -1 if there is none."""
+    """Axis and bin at which splitting the boxes costs least; -1 if no split is possible."""
     boxes, held = bins
     nothing = broadcast(np.inf)
     for axis in range(3):
@@ -456,7 +462,7 @@ def _best_split(box, first, last, low, scale, used, bins):
             store(boxes, BOX * row, minimum(own, load(boxes, BOX * row)))
             held[row] += 1
     best_axis, best_bin, least = -1, 0, np.inf
-    above = 3 * BINS  # rows from here on hold the contents of bins k and above
+    above = 3 * BINS  # From this row on, the rows hold the contents of bins k and above.
     for axis in range(3):
         around = nothing
         for k in range(used - 1, 0, -1):
@@ -483,7 +489,7 @@ def _bin(box, n, axis, low, scale, used):
 @njit()
 def _split_by_rank(box, order, first, last, axis, halve):
     """Split boxes by their middles along an axis: into equal parts, or into two leaves at least cost."""
-    # Use Shell's sort, which needs the least code; ranges to halve are either short or pathological.
+    # Shell's sort needs the least code, and ranges to halve are either short or pathological.
     gap = 1
     while gap < (last - first) // 3:
         gap = 3 * gap + 1
