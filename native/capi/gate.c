@@ -661,13 +661,13 @@ static loewner_status begin_chunk(loewner_gate *gate, int goes_on, const double 
     if (verdict == LOEWNER_FREE)
         return LOEWNER_OK;
     TRY(certify(gate->checker, its, still, 1, 2, its->off, 0, gate->tolerance, 0, gate->steps, work, &verdict,
-                &fraction, &proof->pair)); /* The proof of a motion that stays where it begins finds the pair. */
+                &fraction, &proof->pair)); /* This motion stays in place: its proof shows which pair collides. */
     proof->reason = LOEWNER_REASON_CONTACT;
     return LOEWNER_OK;
 }
 
-/* Make this chunk the most recent one that may run. If it continues the previous chunk, the present poses of bodies are
-   within the older bounds, and new motions are proven for the present poses only. */
+/* Make this chunk the most recent one that may run. From now on, bodies may be at their current poses only. If the chunk
+   continues the previous one, these poses are within the earlier bounds, so that the old proofs hold. */
 static void adopt(loewner_gate *gate)
 {
     const Chunk made = gate->made;

@@ -7,8 +7,8 @@ import zlib
 from functools import cache
 from pathlib import Path
 
-# The archive holds the kernels in a wheel. The modules in LOOSE are outside it, and Python imports them even with a
-# native library.
+# In a wheel, the kernels' sources are in this archive. The modules in LOOSE are outside it, and Python imports them
+# even with a native library.
 ARCHIVE = "sources.zip"
 LOOSE = ("__init__.py", "_sealed.py", "_sources.py", "codes.py", "columns.py", "records.py", "tolerances.py")
 

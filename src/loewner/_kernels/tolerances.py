@@ -27,8 +27,8 @@ OFF = POSITION_ERROR * SINGLE_ROUNDOFF  # certified.md B7, B48
 FACE_WIDTH = 1e-11
 FACE_ROUNDING = 64.0
 
-# The factor CHAIN_STRETCH allows for rounding, and for stretching by the poses of a base or a body that are accepted as
-# rigid.
+# The factor CHAIN_STRETCH allows for rounding, and for stretching by the pose of a base or a body, which is rigid only
+# to within a tolerance.
 CHAIN_STRETCH = 1.0 + 8.0 * ROTATION_TOLERANCE
 
 # The fraction STRETCH allows for paths stretched by poses accepted as rigid, and for a few dozen roundings of rates and

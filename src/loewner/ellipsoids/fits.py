@@ -127,11 +127,11 @@ def mvce(
 
     Notes
     -----
-    The dual is solved by an interior-point method, with an active set when there are many points. In high dimension, or
-    with very many points, coordinate ascent comes first, and points that cannot touch the ellipsoid are dropped. The
-    fit needs memory for a few numbers per point, for a copy of up to an eighth of the points, and up to 0.8 GB for the
-    interior-point method. The paper's reduction to an inscribed ellipsoid is `paper.mvce_by_lifted_mvie`, after ``from
-    loewner import paper``.
+    The dual is solved by an interior-point method, with an active set when there are many points. In high
+    dimension, or with very many points, coordinate ascent comes first, and points that cannot touch the ellipsoid are
+    dropped. The fit needs memory for a few numbers per point, for a copy of up to an eighth of the points, and up to
+    0.8 GB for the interior-point method. For the paper's reduction to an inscribed ellipsoid, use `mvce_by_lifted_mvie`
+    of ``loewner.paper``.
 
     The weights form a D-optimal design of experiments at the points, for a linear model with a constant term
     (Titterington). That is, the weights maximise the determinant of the information matrix: the determinant's logarithm

@@ -129,7 +129,7 @@ class Checker:
 
     @guarded
     def certify_edges(self, Q0: Any, Q1: Any, *, tolerance: float = 1e-5) -> Any:
-        """Prove which straight motions are free, with the verdicts of `CollisionChecker.certify_edges`.
+        """Prove which straight motions are free; the verdicts are the same as from `CollisionChecker.certify_edges`.
 
         Parameters
         ----------

@@ -65,7 +65,7 @@ class Sheet:
 
     @property
     def aligned(self) -> tuple[tuple[str, ...], ...]:
-        """Pad the cells of each column, in head and rows, to the same width."""
+        """Pad the cells of each column, its header included, to the same width."""
         padded = []
         for column, right in zip(zip(self.head, *self.rows, strict=True), self.numeric, strict=True):
             width = max(map(len, column))

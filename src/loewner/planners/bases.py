@@ -2,8 +2,8 @@
 
 The search is A* over cells of position and heading (hybrid A*: Dolgov et al., IJRR 2010). The search estimates costs by
 the distance to the goal on a grid of the map; distances in cells that are blocked at all tried headings count several
-times. Poses are taken from the queue in batches, since the overhead of a kernel call is as long as the proof of forty
-arcs.
+times. Poses are taken from the queue in batches, since the overhead of a kernel call takes as much time as the proof of
+forty arcs.
 """
 
 from __future__ import annotations

@@ -639,11 +639,11 @@ class Trajectory(KeepsReadOnly):
 
         Notes
         -----
-        On a path through joint targets, a brake slows down the time of the path; with jerk limits, one slowdown is used
-        for all motions on which the robot brakes. Velocities still jump at targets, and limits hold between targets. On
-        any other path, the robot slows down on straight lines, and passes blends at its remaining speed. If no body
-        moves, a brake along a path that is proven free is also proven. All other brakes need a proof of their own
-        (`certify`).
+        On a path through joint targets, a brake slows down the time of the path; with jerk limits, one
+        slowdown is used for all motions on which the robot brakes. Velocities still jump at targets, so the limits hold
+        only between targets. On any other path, the robot slows down on straight lines, and passes blends at its
+        remaining speed. If no body moves, a brake along a path that is proven free is also proven. All other brakes
+        need a proof of their own (`certify`).
 
         Examples
         --------
@@ -896,7 +896,7 @@ def trajectory(
     blend: float = 0.4,
     line: str | Line | Iterable[str | Line] | None = None,
 ) -> Trajectory:
-    """Assign times to a path, for the fastest motion within limits of velocity, acceleration and (optionally) jerk.
+    """Assign times to a path, so that the motion is the fastest within its limits, optionally with a limit on jerk.
 
     Without a checker the robot follows the path exactly and stops at every corner. With a checker, corners are cut by
     blends that are proven free of collisions at every instant: parabolas, or cubic polynomials if the jerk is limited.
@@ -924,8 +924,8 @@ def trajectory(
         Fraction of a motion, from 0 (stop at every corner) to 0.49, that the blend at each end of the motion may take.
         Without a checker, `blend` has no effect.
     line : str, Line or iterable, optional
-        One or several links that keep straight lines, as on a path from `straight`. A name means that the link keeps a
-        line on the whole path, within 0.1 mm and 1 mrad; a `Line` can give rows of the path and other tolerances. The
+        One or several links that stay on straight lines, as on a path from `straight`. A name means that the link keeps
+        a line on the whole path, within 0.1 mm and 1 mrad; a `Line` can give rows of the path and other tolerances. The
         link provably stays within the tolerances at every instant, also on blends. At the ends of a line, the robot
         stops.
 

@@ -237,7 +237,7 @@ def with_twist(times: ArrayLike, pose: ArrayLike, twist: ArrayLike) -> tuple[Flo
     Raises
     ------
     InputError
-        If there are not exactly two times that increase, there is more than one pose, or there are too many turns.
+        If the times are not two increasing numbers, if more than one pose is given, or if there are too many turns.
     """
     at, rates = _validate.finite_array(times, "times", (None,)), _validate.finite_array(twist, "twist", (6,))
     first = _validate.poses(pose, "poses")

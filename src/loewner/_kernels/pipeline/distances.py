@@ -313,7 +313,7 @@ def _of_surfaces(A, B, lane, queue, known, searches):
         A, B, _column(queue.normal, lane), limit, searches.faces, searches.edges, searches.surfaces, searches.result
     )
     if value == np.inf and not known <= above:
-        return Measured(np.inf, np.inf, NEVER, ra, rb)  # The ellipsoids prove that the pieces are nearer than `known`.
+        return Measured(np.inf, np.inf, NEVER, ra, rb)  # The search missed a distance that the ellipsoids prove.
     value = value - ra - rb
     if value < 0.0:  # Rounding must not make the returned depth larger than the true depth.
         value = min(value + position_error(size, UNIT_ROUNDOFF), 0.0)

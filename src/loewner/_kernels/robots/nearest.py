@@ -55,7 +55,7 @@ from loewner._kernels.trees import piece_tree
 
 S = SINGLE_LANES  # A block has S configurations.
 
-# The factor DOWN lowers a lower bound in single precision by more than its roundings.
+# The factor DOWN lowers a lower bound in single precision by more than its rounding error.
 DOWN = 1.0 - 16.0 * SINGLE_ROUNDOFF  # certified.md B43
 
 MEMORY = Arena(

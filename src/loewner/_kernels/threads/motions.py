@@ -86,7 +86,7 @@ SPAN = 2.0  # certified.md B64
 STRETCH = 1e-3  # certified.md B65
 REST_ERROR = 4.0  # certified.md B66
 
-# Error of the middle and of half the length of a chord, in roundings of the sum of both.
+# The error of the middle of a chord plus the error of half its length, in roundings of the sum of the two.
 CHORD_ERROR = 8.0  # certified.md B67
 
 

@@ -49,8 +49,8 @@ LEVELS = DEEP + 28  # LEVELS suffice to halve 2^31 triangles down to leaves.
 
 MOST_BELOW = 80  # If a node has at most MOST_BELOW triangles below it, all or nearly all of its boxes are leaves.
 
-# FLATTEST is the least relative thickness of an ellipsoid. WIDER is the factor by which an ellipsoid is wider than its
-# corners require, because single precision can turn the ellipsoid by a part in ten million.
+# FLATTEST is the least relative thickness of an ellipsoid. WIDER is the factor by which an ellipsoid is wider than the
+# enclosed corners require, because rounding to single precision can turn it by about 1e-7 rad.
 FLATTEST = 1e-6
 WIDER = 1.0 + 1e-5
 

@@ -445,7 +445,7 @@ def refuse_bodies_in_world(robot: Any, what: str) -> None:
 
 
 def parts_of(robot: Any) -> Mapping[str, Part[Any]]:
-    """Return the robots that were joined, by their names; the mapping is empty for other robots."""
+    """Return the parts of a joined robot, by name; for a robot that was not joined, the mapping is empty."""
     parts: Mapping[str, Part[Any]] = robot._parts
     return parts
 

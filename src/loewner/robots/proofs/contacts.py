@@ -195,7 +195,7 @@ def settle(ready: Problem, pair: int, courses: Floats, off: Floats, tolerance: f
 
 
 def stages(ready: Problem, pair: int, courses: Floats, off: Floats, tolerance: float) -> list[Stage]:
-    """Divide a curve into the parts on which a pair may be in contact and the other parts, in order.
+    """Divide a curve, in order, into parts on which a pair may be in contact and parts on which it may not.
 
     See `settle` for the parameters. A contact at the end that is deeper than its rule allows does not count as an
     allowed contact.

@@ -61,8 +61,8 @@ def load_scene(path: str | PathLike[str]) -> Scene:
     ----------
     path : path
         Paths in the file are relative to its folder. A file with the extension ``.xml`` or ``.mjcf`` is read as a
-        MuJoCo model: the scene has all its colliding geoms, with joints at their references. Use `Robot.from_mjcf` for
-        parts that move.
+        MuJoCo model: the scene contains all colliding geoms of the model, with its joints at their reference positions.
+        Use `Robot.from_mjcf` for parts that move.
 
     Returns
     -------
