@@ -27,7 +27,7 @@ from loewner._native import library
 from loewner.cli import jobs
 from loewner.cli.info import MISSING
 from loewner.cli.main import _parser
-from loewner.cli.output import covering_text, new_table, print_table
+from loewner.cli.output import covering_text, print_table
 from loewner.robots.checking import verdicts
 from sampling import quick
 
@@ -1393,9 +1393,7 @@ def test_tables_in_a_pipe_are_not_broken(capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "40")
     monkeypatch.setenv("FORCE_COLOR", "1")
     name, path = "a-long-name-" * 25, "/a folder" * 33
-    table = new_table("name", "number", "path", title="a table")
-    table.add_row(name, "0.123456789", path)
-    print_table(table)
+    print_table(("name", "number", "path"), [(name, "0.123456789", path)], "a table")
     lines = [line for line in capsys.readouterr().out.splitlines() if name in line]
     assert len(lines) == 1
     assert path in lines[0]
@@ -1487,11 +1485,14 @@ def test_installed_program(saved):
 
 def test_every_column_has_a_heading():
     """No table of a command has a column without a name."""
+    nodes = [node for file in Path(cli.__file__).parent.glob("*.py") for node in ast.walk(ast.parse(file.read_text()))]
+    calls = [node for node in nodes if isinstance(node, ast.Call) and getattr(node.func, "id", "") == "print_table"]
+    named = {call.args[0].id for call in calls if isinstance(call.args[0], ast.Name)}
+    assigned = [node for node in nodes if isinstance(node, ast.Assign) and getattr(node.targets[0], "id", "") in named]
     headings = [
-        [cell.value for cell in call.args if isinstance(cell, ast.Constant)]
-        for file in Path(cli.__file__).parent.glob("*.py")
-        for call in ast.walk(ast.parse(file.read_text()))
-        if isinstance(call, ast.Call) and getattr(call.func, "id", "") == "new_table"
+        [cell.value for cell in columns.elts if isinstance(cell, ast.Constant)]
+        for columns in [*(call.args[0] for call in calls), *(node.value for node in assigned)]
+        if isinstance(columns, ast.Tuple | ast.List)
     ]
     assert len(headings) > 8
     assert all("" not in cells for cells in headings)

@@ -262,14 +262,28 @@ def no_library(monkeypatch: pytest.MonkeyPatch) -> None:
     library._opened.cache_clear()
 
 
+def serve(monkeypatch: pytest.MonkeyPatch, folder: Path, code: str) -> None:
+    """Let the processes that compile ahead run another module."""
+    (folder / "served.py").write_text(code)
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(folder), os.environ.get("PYTHONPATH", "")]))
+    monkeypatch.setattr(compilation, "__name__", "served")
+
+
 @pytest.mark.usefixtures("no_library")
 def test_compiling_ahead_can_be_interrupted(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
     """What `progress` raises, an interrupt for instance, ends the processes at once."""
     alive = tmp_path / "pid"
-    child = (
-        f"import os, time; open({str(alive)!r}, 'w').write(str(os.getpid())); print('fits', flush=True); time.sleep(60)"
+    serve(
+        monkeypatch,
+        tmp_path,
+        f"""
+import os, time
+def serve_task(task, progress):
+    open({str(alive)!r}, "w").write(str(os.getpid()))
+    progress(1, 1)
+    time.sleep(60)
+""",
     )
-    monkeypatch.setattr(compilation, "_code", lambda names: child)
 
     def interrupt(done: int, total: int) -> None:
         raise KeyboardInterrupt
@@ -297,15 +311,16 @@ def test_compiling_ahead_tells_a_full_disk(tmp_path: Path, monkeypatch: pytest.M
     monkeypatch.setenv("LOEWNER_CACHE_DIR", str(blocked))
     monkeypatch.setattr(compilation, "PARTS", ("little",))
     monkeypatch.setattr(compilation, "_TOGETHER", (("little",),))
-    child = """
-import sys
-import numpy as np
-from loewner._kernels import _jit
-from loewner._kernels.pieces import rigid
-rigid.fault(np.eye(4))
-sys.exit(_jit.unwritten())
-"""
-    monkeypatch.setattr(compilation, "_code", lambda names: child)
+    serve(
+        monkeypatch,
+        tmp_path,
+        """
+from loewner.cli import compilation
+def serve_task(task, progress):
+    compilation._MODULES["little"] = ("pieces.rigid",)
+    return compilation.serve_task(task, progress)
+""",
+    )
     with pytest.raises(loewner.FileError, match="a file/kernels cannot be written"):
         compilation.compile_kernels(["little"])
 
@@ -446,6 +461,6 @@ def test_compiling_ahead_looks_at_the_folder_first(tmp_path: Path, monkeypatch: 
     blocked = tmp_path / "a file"
     blocked.write_text("")
     monkeypatch.setattr(_store, "FOLDER", blocked / "kernels")
-    monkeypatch.setattr(compilation, "_Group", compiled)
+    monkeypatch.setattr(compilation.jobs, "answers", compiled)
     with pytest.raises(loewner.FileError, match=r"a file/kernels cannot be written .*; set LOEWNER_CACHE_DIR"):
         compilation.compile_kernels()

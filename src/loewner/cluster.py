@@ -574,8 +574,7 @@ def _by_chunks(
 ) -> Any:
     """Apply a task to each chunk; the last axis of a chunk holds the entries of a configuration."""
     da, delayed = _dask("dask.array"), _dask("dask").delayed
-    if not isinstance(checker, CollisionChecker):
-        raise InputError(f"checker: expected loewner.CollisionChecker, found {_validate.short(checker)}")
+    _validate.instance(checker, "checker", CollisionChecker)
     for name, Q in arrays.items():
         _check_array(da, Q, name, checker.robot.dof)
     (first, *others) = arrays.values()

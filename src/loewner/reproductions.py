@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from loewner._base import _validate
 from loewner._base._guard import guarded
+from loewner._base._rotations import pose_of
 from loewner._base._validate import Floats, Ints
 from loewner.bodies import Body
 from loewner.errors import GeometryError, InputError
@@ -177,8 +178,8 @@ def _corners(body: Any, name: str) -> Floats:
     return np.asarray(pieces[0].vertices)
 
 
-def _names(said: Judgement) -> str:
-    return ", ".join(str(kind) for kind in said.counts())
+def _names(said: Judgement, above: Finding = Finding.NOT_GIVEN) -> str:
+    return ", ".join(str(kind) for kind in said.counts() if kind > above)
 
 
 def _reduced(
@@ -235,17 +236,14 @@ def _written(
             lines += [f"error = {error}", "assert error > 0", _PRINT.format(kind)]
     data = {"A": corners[0], "POSE_OF_A": poses[0][:3], "B": corners[1], "POSE_OF_B": poses[1][:3]}
     texts = [f"{name} = {pprint.pformat(x.tolist(), width=110)}" for name, x in data.items()]
-    intro = f'"""A wrong answer about the convex hulls of A and B at their poses, in metres: {_wrong(said)}."""'
+    wrong = _names(said, above=Finding.UNDECIDED)
+    intro = f'"""A wrong answer about the convex hulls of A and B at their poses, in metres: {wrong}."""'
     answer = f"ANSWER = {pprint.pformat(plain, width=110, sort_dicts=False)}"
     head = [intro, "", "from fractions import Fraction", "from math import isqrt", "", *texts, answer]
     return "\n".join(head) + CHECKS + "\n".join(lines) + "\n"
 
 
 _PRINT = 'print(f"{}: wrong by at least {{float(error):.9g}} m")'
-
-
-def _wrong(said: Judgement) -> str:
-    return ", ".join(str(kind) for kind in said.counts() if kind > Finding.UNDECIDED)
 
 
 def _error(
@@ -255,8 +253,7 @@ def _error(
     """Write the lower bound on an error as an expression of the checks."""
     claim = f'abs(Fraction(ANSWER["{part}"]))'
     if kind == Finding.WITNESS_OFF_BODY:
-        side, place = part[-1], np.eye(4)
-        place[:3, 3] = answers[part]
+        side, place = part[-1], pose_of(np.eye(3), answers[part])
         k = "ab".index(side)
         away = queries.distance(Body.from_points(corners[k]), poses[k], Body.sphere(POINT), place, exact=True)
         return f'along({np.asarray(away.normal).tolist()}, {side}, [[Fraction(x) for x in ANSWER["{part}"]]])'

@@ -112,7 +112,7 @@ def test_marks_inside_bodies_are_seen():
         assert [node.opacity for node in pieces] == [None, None]
         page.T_world_b = translation(0.5)
         assert None not in [node.opacity for node in pieces]
-        page._layers["near"].value = False
+        page._marks["near"].value = False
         page.refresh()
         assert [node.opacity for node in pieces] == [None, None]
 

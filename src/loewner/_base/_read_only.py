@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +26,16 @@ class KeepsReadOnly:
         for k in protected:
             arrays[k].setflags(write=False)
         vars(self).update(held)
+
+
+Kept = TypeVar("Kept", bound=KeepsReadOnly)
+
+
+def protected(thing: Kept) -> Kept:
+    """Make all arrays of an object read-only, and return the same object."""
+    for array in _arrays(vars(thing)):
+        array.setflags(write=False)
+    return thing
 
 
 def _arrays(held: dict[str, Any]) -> Iterator[NDArray[Any]]:

@@ -15,7 +15,7 @@ from loewner._base import _validate
 from loewner._base._nodes import some
 from loewner._base._validate import Floats
 from loewner.cli import configurations, inputs, trajectories
-from loewner.cli.output import COLLIDING, OVERLAP, STATUS, new_table, print_table, remove_older_proof
+from loewner.cli.output import COLLIDING, OVERLAP, STATUS, print_table, remove_older_proof
 from loewner.planners import limit_use
 from loewner.planners.controller_points import START_TOLERANCE
 from loewner.robots import ClosestApproach
@@ -73,15 +73,10 @@ exit status: 0 proven free at every time, 1 collides (also on the way from --fro
 
 def add(commands: Any) -> None:
     """Add the command."""
-    audit = inputs.command(commands, "audit", "collisions of a trajectory as a controller executes it", EXAMPLES)
+    audit = inputs.command(commands, "audit", "collisions of a trajectory as a controller executes it", EXAMPLES, _run)
     inputs.add_robot_options(audit)
     option = audit.add_argument
-    option("trajectory", type=Path, metavar="FILE", help="points with times, or a path (.csv, .json, .yaml)")
-    option("--scene", type=Path, metavar="FILE", help="obstacles and attached bodies (.yaml)")
-    trajectories.add_options(audit)
-    option(
-        "--joint-error", type=float, default=0.0, metavar="E", help="largest deviation of every value [rad or m] (0)"
-    )
+    trajectories.add_input(audit)
     option("--limits", type=Path, metavar="FILE", help="limits of joints, which replace the URDF's (joint_limits.yaml)")
     option(
         "--overlap", type=float, default=OVERLAP, metavar="M",
@@ -96,7 +91,6 @@ def add(commands: Any) -> None:
     option("-o", "--out", type=Path, metavar="FILE", help="draw distances along the trajectory (.png or .svg)")
     option("--proof", type=Path, metavar="FILE", help="if it is free: write a proof, for loewner verify")
     option("--json", action="store_true", help="print JSON")
-    audit.set_defaults(run=_run)
 
 
 def _run(options: argparse.Namespace) -> int:
@@ -366,18 +360,19 @@ def _print_answer(answer: dict[str, Any]) -> None:
 
 def _print_unproven(answer: dict[str, Any], comma_unit: str) -> None:
     """Print a row for each piece that is not proven free, and the margins that apply."""
-    table = new_table(
+    columns = (
         "piece", f"from{comma_unit}", f"to{comma_unit}", "verdict", "pair of the verdict", "nearest pair",
-        f"at{comma_unit}", "nearest, mm", title=f"{answer['robot']}, {answer['checked_pairs']} pairs checked",
+        f"at{comma_unit}", "nearest, mm",
     )  # fmt: skip
+    rows = []
     for piece in answer["unproven"]:
         same = sorted(piece["pair"]) == sorted(piece["nearest_pair"])
-        table.add_row(
+        rows.append((
             str(piece["number"]), f"{piece['begins']:.6g}", f"{piece['ends']:.6g}", piece["verdict"],
             " and ".join(piece["pair"]), "the same" if same else " and ".join(piece["nearest_pair"]),
             f"{piece['nearest_time']:.6g}", f"{1e3 * piece['nearest']:z.3f}",
-        )  # fmt: skip
-    print_table(table)
+        ))  # fmt: skip
+    print_table(columns, rows, f"{answer['robot']}, {answer['checked_pairs']} pairs checked")
     for pair, margin in {tuple(piece["pair"]): piece["margin"] for piece in answer["unproven"]}.items():
         if margin:
             print(f"margin    {1e3 * margin:.6g} mm, which {' and '.join(pair)} have to keep")

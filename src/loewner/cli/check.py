@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 from typing import Any
 
 import loewner
@@ -29,16 +28,10 @@ exit status: 0 free, 1 colliding (touching is colliding), 2 error, 3 ambiguous (
 
 def add(commands: Any) -> None:
     """Add the command."""
-    check = inputs.command(commands, "check", "whether two bodies touch, and their distance", EXAMPLES)
-    check.add_argument("a", metavar="A", type=Path, help="a saved body (.npz) or a mesh")
-    check.add_argument("b", metavar="B", type=Path, help="the other one")
-    check.add_argument("--pose-a", metavar="POSE", help=f"pose of A: {inputs.POSE_HELP} (the origin)")
-    check.add_argument("--pose-b", metavar="POSE", help=f"pose of B: {inputs.POSE_HELP} (the origin)")
+    check = inputs.command(commands, "check", "whether two bodies touch, and their distance", EXAMPLES, _run)
+    inputs.add_pair_options(check)
     check.add_argument("--method", choices=("certified", "estimate", "exact"), default="exact", help="default: exact")
-    check.add_argument("--margin", type=float, default=0.0, metavar="M", help="distance to keep [m] (0)")
     check.add_argument("--json", action="store_true", help="print JSON")
-    inputs.add_mesh_options(check, "surface")
-    check.set_defaults(run=_run)
 
 
 def _run(options: argparse.Namespace) -> int:

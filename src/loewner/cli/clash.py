@@ -61,8 +61,8 @@ exit status: 0 all pairs are proven never to collide, 1 a pair can collide, 2 er
 
 def add(commands: Any) -> None:
     """Add the command."""
-    clash = inputs.command(commands, "clash", "which parts of a mechanism can ever collide", EXAMPLES)
-    inputs.add_robot_options(clash)
+    clash = inputs.command(commands, "clash", "which parts of a mechanism can ever collide", EXAMPLES, _run)
+    inputs.add_robot_options(clash, scene="bodies at rest, and attached ones (.yaml)")
     option = clash.add_argument
     option("moving", nargs="?", type=Path, metavar="B", help="a body that moves past the first one")
     end = clash.add_mutually_exclusive_group()
@@ -74,7 +74,6 @@ def add(commands: Any) -> None:
     option("--pose-a", metavar="POSE", help="pose of the first body, which is at rest (the origin)")
     option("--pose-b", metavar="POSE", help="pose of B at the beginning (the origin)")
     option("--scale", type=float, default=1.0, help="factor for all lengths of two meshes (1)")
-    option("--scene", type=Path, metavar="FILE", help="bodies at rest, and attached ones (.yaml)")
     which = clash.add_mutually_exclusive_group()
     which.add_argument(
         "--between", nargs=2, metavar=("A", "B"), action="append", help="two links or bodies; repeatable"
@@ -99,19 +98,15 @@ def add(commands: Any) -> None:
     option("--narrower", action="store_true", help="with --write-srdf: also pairs proven for less than the hard limits")
     option("--proof", type=Path, metavar="FILE", help="write a proof of all pairs, for loewner verify")
     option("--json", action="store_true", help="print JSON")
-    clash.set_defaults(run=_run, usual_model="surface", hull=False)
-    clash.set_defaults(**dict.fromkeys((*inputs.OF_PIECES, *inputs.OF_SURFACES)))
+    unused = dict.fromkeys((*inputs.OF_PIECES, *inputs.OF_SURFACES))
+    clash.set_defaults(usual_model="surface", hull=False, **unused)
 
 
 def _run(options: argparse.Namespace) -> int:
-    alone = options.moving is None
-    if alone:
-        inputs.refuse(options, OF_BODIES, "{}: expected two bodies with it, found one file")
-    else:
-        inputs.refuse(options, OF_ROBOTS, "{}: expected a robot alone with it, found two files")
-    inputs.expect_suffix(options.out, "--out", inputs.DRAWN)
-    if not alone:
+    if options.moving is not None:
         return _run_motion(options)
+    inputs.refuse(options, OF_BODIES, "{}: expected two bodies with it, found one file")
+    inputs.expect_suffix(options.out, "--out", inputs.DRAWN)
     if options.at is not None and not options.largest:
         raise InputError("--at: expected --largest with it, found none")
     if options.largest and not options.out is options.write_srdf is options.proof is None:
@@ -148,6 +143,8 @@ def _run(options: argparse.Namespace) -> int:
 
 def _run_motion(options: argparse.Namespace) -> int:
     """Find the first contact of a body at rest and a second body that moves."""
+    inputs.refuse(options, OF_ROBOTS, "{}: expected a robot alone with it, found two files")
+    inputs.expect_suffix(options.out, "--out", inputs.DRAWN)
     if options.model == "auto":
         raise InputError("--model: expected surface, pieces or hull for bodies, found auto, which is for robots")
     poses = _motion(options)

@@ -14,7 +14,7 @@ from loewner._base import _validate
 from loewner._base._files import replacing
 from loewner._base._validate import Bools, Floats, Ints
 from loewner.cli import inputs
-from loewner.cli.output import COLLIDING, FREE, is_surface, new_table, print_table, progress_bar
+from loewner.cli.output import COLLIDING, FREE, is_surface, print_table, progress_bar
 from loewner.errors import ConvergenceError, InputError
 
 EXAMPLES = """examples:
@@ -43,12 +43,11 @@ class _Found(NamedTuple):
 
 def add(commands: Any) -> None:
     """Add the command."""
-    clearance = inputs.command(commands, "clearance", "distances of all pairs of many bodies", EXAMPLES)
+    clearance = inputs.command(commands, "clearance", "distances of all pairs of many bodies", EXAMPLES, _run)
     clearance.add_argument("bodies", nargs="+", type=Path, metavar="BODY", help="saved bodies (.npz) or meshes")
     clearance.add_argument("--within", type=float, metavar="M", help="omit pairs that are farther apart [m]")
     clearance.add_argument("--csv", type=Path, metavar="FILE", help="write the pairs to a file instead of a table")
     inputs.add_mesh_options(clearance, "surface")
-    clearance.set_defaults(run=_run)
 
 
 def _run(options: argparse.Namespace) -> int:
@@ -93,10 +92,7 @@ def _measured(bodies: loewner.Bodies, within: float) -> _Found:
 def _tell(names: list[str], found: _Found, path: Path | None) -> None:
     """Write the pairs to a file, or print them."""
     if path is None:
-        table = new_table(*COLUMNS, title="loewner clearance")
-        for row in _rows(names, found, "{:z.6g}"):
-            table.add_row(*row)
-        print_table(table)
+        print_table(COLUMNS, _rows(names, found, "{:z.6g}"), "loewner clearance")
         return
     with (
         replacing(path) as temporary,

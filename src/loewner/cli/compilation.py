@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import gc
 import os
-import subprocess
-import sys
 import tempfile
-import time
+import traceback
 from collections.abc import Callable, Iterable
+from contextlib import closing
 from pathlib import Path
+from typing import Any
 
 from loewner._base import _validate
 from loewner._base._log import log
 from loewner._base._threads import processors
+from loewner._base._validate import Progress
 from loewner._native import entries, library
+from loewner.cli import jobs
 from loewner.errors import FileError
 
 # The parts, each with the modules below `loewner._kernels`, or prefixes of module names, that define its entries.
@@ -38,8 +41,6 @@ PARTS = tuple(_MODULES)
 
 # Groups of parts that share most of their code, each compiled by one process; the slowest groups come first.
 _TOGETHER = (("verdicts", "crowds", "robots"), ("fits", "surfaces"), ("distances", "estimates", "paper"))
-
-POLL = 0.1  # seconds between polls of the processes
 
 
 def compile_kernels(parts: Iterable[str] = PARTS, *, progress: Callable[[int, int], None] | None = None) -> Path:
@@ -68,7 +69,7 @@ def compile_kernels(parts: Iterable[str] = PARTS, *, progress: Callable[[int, in
     MissingExtraError
         If neither the native library nor Numba is available.
     FileError
-        If a part cannot be compiled, or the folder cannot be written; the message includes the output of the process.
+        If a part cannot be compiled, or the folder cannot be written; the message includes the traceback.
     """
     wanted = [_validate.choice(name, "parts", PARTS) for name in _validate.listed(parts, "parts")]
     chosen = [[name for name in group if name in wanted] for group in _TOGETHER]
@@ -79,29 +80,17 @@ def compile_kernels(parts: Iterable[str] = PARTS, *, progress: Callable[[int, in
     from loewner._kernels import _store
 
     _expect_writable(_store.FOLDER)
-    waiting, running, ended = [names for names in chosen if names], list[_Group](), 0
-    total, told = sum(map(len, chosen)), 0
-    folder = tempfile.TemporaryDirectory()
-    try:
-        while waiting or running:
-            while waiting and len(running) < processors():
-                running.append(_Group(waiting.pop(0), Path(folder.name)))
-            time.sleep(POLL)
-            for group in [group for group in running if group.process.poll() is not None]:
-                group.check()
-                running.remove(group)
-                ended += len(group.names)
-            done = ended + sum(group.done() for group in running)
-            for number in range(told + 1, done + 1):
-                log.info("%d of %d parts of the kernels compiled", number, total)
+    tasks, total, told = [{"parts": names} for names in chosen if names], sum(map(len, chosen)), 0
+    with closing(jobs.answers(__name__, tasks, processors())) as events:
+        for kind, place, value in events:
+            if kind == "progress":
+                told += 1
+                log.info("%d of %d parts of the kernels compiled", told, total)
                 if progress is not None:
-                    progress(number, total)
-            told = done
-    finally:
-        for group in running:
-            group.process.kill()
-            group.process.wait()
-        folder.cleanup()
+                    progress(told, total)
+            elif kind == "answer" and value != "":
+                what, why = ", ".join(tasks[place]["parts"]), value or "the process died"
+                raise FileError(f"the kernels for {what} could not be compiled:\n{why}")
     _store.remove_unused()
     return _store.FOLDER
 
@@ -118,43 +107,20 @@ def _expect_writable(folder: Path) -> None:
         ) from None
 
 
-class _Group:
-    """Parts that are compiled in a process of their own, since Numba compiles one function at a time per process."""
+def serve_task(task: dict[str, Any], progress: Progress) -> str:
+    """Compile parts in a process of their own, since Numba compiles one function at a time; return what failed."""
+    from loewner._kernels import _jit
 
-    def __init__(self, names: list[str], folder: Path) -> None:
-        self.names = names
-        # Use files, not pipes: a pipe that is not read in time fills up and blocks the process.
-        self._told, self._said = folder / f"{names[0]}.out", folder / f"{names[0]}.err"
-        environment = {**os.environ, "LOEWNER_QUIET": "1"}
-        command = [sys.executable, "-c", _code(names)]
-        with self._told.open("wb") as told, self._said.open("wb") as said:
-            self.process = subprocess.Popen(command, env=environment, stdout=told, stderr=said)
-
-    def done(self) -> int:
-        """Return the number of parts that are done."""
-        return sum(line in self.names for line in self._told.read_text(encoding="utf-8", errors="replace").splitlines())
-
-    def check(self) -> None:
-        """Raise the error with which the process ended, if any."""
-        if self.process.returncode:
-            what, why = ", ".join(self.names), self._said.read_text(encoding="utf-8", errors="replace").strip()[-2000:]
-            raise FileError(f"the kernels for {what} could not be compiled:\n{why}")
-
-
-def _code(names: list[str]) -> str:
-    # The child imports this copy of the package. Numba makes millions of small permanent objects, so that garbage
-    # collection would take a sixth of the time.
-    return f"""
-import gc, sys
-sys.path.insert(0, {str(Path(__file__).parents[2])!r})
-gc.set_threshold(200_000, 50, 100)
-from loewner._kernels import _jit
-from loewner.cli.compilation import compile_part
-for name in {names!r}:
-    compile_part(name)
-    print(name, flush=True)
-sys.exit(_jit.unwritten())
-"""
+    os.environ["LOEWNER_QUIET"] = "1"
+    # Numba makes millions of small permanent objects, so that garbage collection would take a sixth of the time.
+    gc.set_threshold(200_000, 50, 100)
+    try:
+        for number, name in enumerate(task["parts"], 1):
+            compile_part(name)
+            progress(number, len(task["parts"]))
+    except Exception:
+        return traceback.format_exc().strip()[-2000:]
+    return _jit.unwritten() or ""
 
 
 def compile_part(name: str) -> None:

@@ -75,9 +75,9 @@ def is_path(path: Path, times: Sequence[str]) -> bool:
     return _has_header(rows) and rows[0][0] not in times
 
 
-def write(path: Path, robot: loewner.Robot, rows: Floats) -> None:
+def write(path: Path, names: Sequence[str], rows: Floats) -> None:
     """Write a path and the names of its columns atomically; reading the file gives the same numbers."""
-    names, numbers = list(robot.configuration_names), rows.tolist()
+    numbers = rows.tolist()
     with replacing(path) as temporary, open(temporary, "w", encoding="utf-8", newline="") as file:
         if path.suffix.lower() == ".csv":
             csv.writer(file, lineterminator="\n").writerows([names, *numbers])

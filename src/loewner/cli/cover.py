@@ -36,8 +36,8 @@ exit status: 0 all links are proven to be covered, 1 one is not, 2 error, 3 one 
 
 def add(commands: Any) -> None:
     """Add the command."""
-    cover = inputs.command(commands, "cover", "shapes that are proven to contain a robot's links", EXAMPLES)
-    inputs.add_robot_options(cover)
+    cover = inputs.command(commands, "cover", "shapes that are proven to contain a robot's links", EXAMPLES, _run)
+    inputs.add_robot_options(cover, scene=None)
     cover.add_argument("-o", "--out", type=Path, metavar="FILE", required=True, help="the file to write")
     cover.add_argument("--for", dest="format", choices=FORMATS, help="the program that reads it (by the suffix)")
     cover.add_argument("--kind", choices=KINDS, default=KINDS[0], help="shapes (%(default)s)")
@@ -46,7 +46,6 @@ def add(commands: Any) -> None:
     how.add_argument("--number", type=int, metavar="N", help="the largest number of shapes of the robot")
     cover.add_argument("--picture", type=Path, metavar="FILE", help="draw the robot and the shapes (.png or .svg)")
     cover.add_argument("--json", action="store_true", help="print JSON")
-    cover.set_defaults(run=_run)
 
 
 def _run(options: argparse.Namespace) -> int:

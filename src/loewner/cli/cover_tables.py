@@ -13,7 +13,7 @@ from loewner import plots
 from loewner.bodies import packed_of
 from loewner.bodies.triangulated import of_pieces
 from loewner.cli.inputs import numbers
-from loewner.cli.output import AMBIGUOUS, COLLIDING, FREE, new_table, print_table, progress_of
+from loewner.cli.output import AMBIGUOUS, COLLIDING, FREE, print_table, progress_of
 from loewner.meshes.coverage import CoverReport
 
 STATUS = {"covered": FREE, "undecided": AMBIGUOUS, "uncovered": COLLIDING}
@@ -34,16 +34,16 @@ def print_reports(
     """Print a row for each link, with additional columns if they are given."""
     more = more or {}
     where = any(report.witness is not None for report in reports.values())
-    heads = ["link", "shapes", "outcome", "uncovered", "up to", *(["at, m"] if where else []), "sticks out", *more]
-    table = new_table(*heads, title=f"{robot.name}: {len(robot.bodies)} links with bodies")
-    for number, (link, report) in enumerate(reports.items()):
-        witness = [] if not where else ["-" if report.witness is None else numbers(report.witness)]
-        table.add_row(
-            link, str(_shapes(model, link)), report.outcome, _percent(report.uncovered_share),
-            _millimetres(report.depth), *witness, _millimetres(report.excess),
-            *(column[number] for column in more.values()),
-        )  # fmt: skip
-    print_table(table)
+    columns = ["link", "shapes", "outcome", "uncovered", "up to", *["at, m"] * where, "sticks out", *more]
+    rows = [
+        (
+            link, str(_shapes(model, link)), report.outcome, _interval(report.uncovered_share, 100.0, "%"),
+            _interval(report.depth, 1e3, "mm"), *["-" if report.witness is None else numbers(report.witness)] * where,
+            _interval(report.excess, 1e3, "mm"), *(column[number] for column in more.values()),
+        )
+        for number, (link, report) in enumerate(reports.items())
+    ]  # fmt: skip
+    print_table(columns, rows, f"{robot.name}: {len(robot.bodies)} links with bodies")
     counts = {name: sum(report.outcome == name for report in reports.values()) for name in STATUS}
     told = ", ".join(f"{count} {name}" for name, count in counts.items() if count)
     largest = max(report.excess[1] for report in reports.values())
@@ -52,7 +52,7 @@ def print_reports(
         ends = [
             sum(reports[link].uncovered_share[k] * area[link] for link in area) / sum(area.values()) for k in (0, 1)
         ]
-        print(f"{_percent((ends[0], ends[1]))} of the surface of all links is outside")
+        print(f"{_interval(ends, 100.0, '%')} of the surface of all links is outside")
     print(
         f"{told} of {len(reports)} links; {sum(len(body.pieces) for body in model.bodies.values())} shapes, "
         f"which stick out by up to {_number(1e3 * largest, np.ceil)} mm"
@@ -66,15 +66,7 @@ def _area(body: loewner.Body) -> float:
     return float(np.linalg.norm(normals, axis=1).sum()) / 2
 
 
-def _percent(share: tuple[float, float]) -> str:
-    return _interval(share, 100.0, "%")
-
-
-def _millimetres(length: tuple[float, float]) -> str:
-    return _interval(length, 1e3, "mm")
-
-
-def _interval(ends: tuple[float, float], factor: float, unit: str) -> str:
+def _interval(ends: Sequence[float], factor: float, unit: str) -> str:
     """Write bounds with three digits, rounded outwards, or one number if both bounds are written alike."""
     low, high = _number(factor * ends[0], np.floor), _number(factor * ends[1], np.ceil)
     return f"{low} {unit}" if low == high else f"{low} .. {high} {unit}"

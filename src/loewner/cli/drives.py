@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import argparse
-import csv
 import json
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -17,8 +15,8 @@ from loewner._base import _tables
 from loewner._base._files import replacing, shown
 from loewner._base._validate import Floats, finite_array, positive_scalar
 from loewner.cli import configurations, inputs
-from loewner.cli.output import FREE, NO_PATH, new_table, print_answer, print_table, progress_of, remove_older_proof
-from loewner.errors import InputError, PlanningError
+from loewner.cli.output import FREE, print_answer, print_table, progress_of, remove_older_proof
+from loewner.errors import InputError
 from loewner.planners.drives import base_columns
 from loewner.scenes import maps
 
@@ -49,11 +47,10 @@ def add_options(plan: argparse.ArgumentParser) -> None:
 
 def refuse_unused(options: argparse.Namespace) -> None:
     """Refuse options of drives if there is no base; with a base, refuse options that only other plans take."""
-    wrong, wanted = (OF_DRIVES, "expected --base with it") if options.base is None else (OF_OTHERS, "")
-    for name in wrong:
-        if getattr(options, name):
-            because = wanted or "expected no --base with it; drives are proven, by a search of their own"
-            raise InputError(f"--{name.replace('_', '-')}: {because}")
+    if options.base is None:
+        inputs.refuse(options, OF_DRIVES, "{}: expected --base with it")
+    else:
+        inputs.refuse(options, OF_OTHERS, "{}: expected no --base with it; drives are proven, by a search of their own")
 
 
 def run(options: argparse.Namespace) -> int:
@@ -66,16 +63,12 @@ def run(options: argparse.Namespace) -> int:
     goal = _end(options.goal, "--goal", options, robot, start)
     inputs.refuse_no_pairs(checker, options.urdf)
     limits: dict[str, Any] = {} if options.max_iterations is None else {"max_iterations": options.max_iterations}
-    try:
-        with progress_of("searching"):
-            drive = planners.plan(
-                checker, start, goal, base=options.base, radius=options.radius, reverse=not options.no_reverse,
-                joint_error=options.joint_error, timeout=options.timeout, simplify=not options.no_simplify,
-                proof=options.proof is not None, seed=options.seed, **limits,
-            )  # fmt: skip
-    except PlanningError as error:
-        print(f"loewner: no path: {error}", file=sys.stderr)
-        return NO_PATH
+    with progress_of("searching"):
+        drive = planners.plan(
+            checker, start, goal, base=options.base, radius=options.radius, reverse=not options.no_reverse,
+            joint_error=options.joint_error, timeout=options.timeout, simplify=not options.no_simplify,
+            proof=options.proof is not None, seed=options.seed, **limits,
+        )  # fmt: skip
     if options.out is not None:
         _write(options.out, drive)
     if drive.proof is not None:
@@ -131,14 +124,13 @@ def _end(text: str, name: str, options: argparse.Namespace, robot: loewner.Robot
 
 def _write(path: Path, drive: planners.Drive) -> None:
     """Write the configurations at which motions begin, with lengths and turns; the last row is the goal."""
-    motions = np.concatenate([drive.motions, np.zeros((1, 2))])
-    with replacing(path) as temporary, open(temporary, "w", encoding="utf-8", newline="") as file:
-        if path.suffix.lower() == ".csv":
-            rows = np.concatenate([drive.path, motions], axis=1).tolist()
-            csv.writer(file, lineterminator="\n").writerows([[*drive.names, "length", "turn"], *rows])
-        else:
-            content = {"names": list(drive.names), "configurations": drive.path.tolist()}
-            file.write(json.dumps(content | {"motions": drive.motions.tolist()}, indent=1) + "\n")
+    if path.suffix.lower() == ".csv":
+        motions = np.concatenate([drive.motions, np.zeros((1, 2))])
+        configurations.write(path, (*drive.names, "length", "turn"), np.column_stack([drive.path, motions]))
+        return
+    content = {"names": drive.names, "configurations": drive.path.tolist(), "motions": drive.motions.tolist()}
+    with replacing(path) as temporary:
+        temporary.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8", newline="")
 
 
 def _answer(checker: loewner.CollisionChecker, drive: planners.Drive, options: argparse.Namespace) -> dict[str, Any]:
@@ -182,16 +174,15 @@ def _print_answer(answer: dict[str, Any]) -> None:
     error = f", with every value up to {answer['joint_error']:g} off" if answer["joint_error"] else ""
     count = "1 motion" if len(motions) == 1 else f"{len(motions)} motions"
     print(f"FREE  {count} from start to goal, proven free as they are driven{error}")
-    table = new_table(
-        "motion", "length, m", "turn, degrees", "nearest, mm", "body", "other body",
-        title=f"{answer['robot']}, {answer['checked_pairs']} pairs checked",
-    )  # fmt: skip
-    for k, motion in enumerate(motions):
-        table.add_row(
+    rows = [
+        (
             str(k), f"{motion['length']:.4g}", f"{np.rad2deg(motion['turn']):.4g}", f"{1e3 * motion['nearest']:z.3f}",
             *motion["nearest_pair"],
-        )  # fmt: skip
-    print_table(table)
+        )
+        for k, motion in enumerate(motions)
+    ]  # fmt: skip
+    columns = ("motion", "length, m", "turn, degrees", "nearest, mm", "body", "other body")
+    print_table(columns, rows, f"{answer['robot']}, {answer['checked_pairs']} pairs checked")
     print(
         f"length    {answer['length']:.6g} m, {np.rad2deg(answer['turn']):.4g} degrees, {changes} "
         f"change{'s' * (changes != 1)} of direction"

@@ -21,7 +21,7 @@ from loewner._base._plausible import told_to
 from loewner._base._threads import MOST_THREADS
 from loewner._base._validate import Progress
 from loewner.cli import inputs, jobs
-from loewner.cli.output import ERROR, model_text, new_table, print_table, progress_bar, progress_of
+from loewner.cli.output import ERROR, model_text, print_table, progress_bar, progress_of
 from loewner.ellipsoids.fits import DEFAULT_TOLERANCE
 from loewner.errors import GeometryError, InputError
 
@@ -46,7 +46,7 @@ MAKING = ("model", "hull", "usual_model", "scale", "tol", *inputs.OF_PIECES, *in
 
 def add(commands: Any) -> None:
     """Add the command."""
-    fit = inputs.command(commands, "fit", "meshes to bodies, saved as .npz", EXAMPLES)
+    fit = inputs.command(commands, "fit", "meshes to bodies, saved as .npz", EXAMPLES, _run)
     option = fit.add_argument
     option("meshes", nargs="+", type=Path, metavar="MESH", help="STL, OBJ, PLY, OFF, GLB, glTF or DAE, in metres")
     option("-o", "--out", type=Path, required=True, metavar="DIR", help="folder for the .npz files")
@@ -58,7 +58,6 @@ def add(commands: Any) -> None:
         metavar="ADDRESS",
         help="Dask cluster whose workers fit the meshes; meshes already fitted with these options are skipped",
     )
-    fit.set_defaults(run=_run)
 
 
 def _run(options: argparse.Namespace) -> int:
@@ -113,12 +112,8 @@ def _on_this_machine(options: argparse.Namespace, targets: list[Path]) -> int:
                     failed[at] = outcome.message
                     print(f"loewner: error: {outcome.message}", file=sys.stderr, flush=True)
     if rows:
-        table = new_table(
-            "body", "pieces", "vertices", "inner, litres", "outer, litres", "gap", "model", title="loewner fit"
-        )
-        for at in sorted(rows):
-            table.add_row(*rows[at])
-        print_table(table)
+        columns = ("body", "pieces", "vertices", "inner, litres", "outer, litres", "gap", "model")
+        print_table(columns, [rows[at] for at in sorted(rows)], "loewner fit")
     return _summary(f"{len(rows)} done", {options.meshes[at]: failed[at] for at in sorted(failed)})
 
 
@@ -176,10 +171,8 @@ def _summary(done: str, failed: Mapping[Path, str]) -> int:
     """Print the number of finished meshes and the failed ones; return the exit status."""
     print(f"{done}, {len(failed)} failed")
     if failed:
-        table = new_table("mesh", "what is wrong", title="loewner fit: failed")
-        for mesh, text in failed.items():
-            table.add_row(shown(mesh), text.removeprefix(f"{shown(mesh)}: "))
-        print_table(table)
+        rows = [(shown(mesh), text.removeprefix(f"{shown(mesh)}: ")) for mesh, text in failed.items()]
+        print_table(("mesh", "what is wrong"), rows, "loewner fit: failed")
     return ERROR if failed else 0
 
 

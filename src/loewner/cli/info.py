@@ -41,16 +41,7 @@ def add(commands: Any) -> None:
 
 
 def _run(options: argparse.Namespace) -> int:
-    lines = _lines()
-    width = max(len(name) for name, _ in lines) + 3
-    for name, text in lines:
-        print(f"{name + ':':<{width}}{text}")
-    return 0
-
-
-def _lines() -> list[tuple[str, str]]:
-    """Return the lines to print."""
-    return [
+    lines = [
         ("loewner", loewner.__version__),
         ("kernels", _told(_kernels)),
         ("processor", f"{platform.machine()}, levels of the library: {', '.join(library.levels()) or 'not known'}"),
@@ -60,6 +51,10 @@ def _lines() -> list[tuple[str, str]]:
         *((name, value) for name, value in sorted(os.environ.items()) if name.startswith("LOEWNER_")),
         *((f"[{extra}]", ", ".join(f"{name} {installed(name)}" for name in names)) for extra, names in EXTRAS.items()),
     ]
+    width = max(len(name) for name, _ in lines) + 3
+    for name, text in lines:
+        print(f"{name + ':':<{width}}{text}")
+    return 0
 
 
 def _told(what: Callable[[], str]) -> str:

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 import loewner
-from loewner._base import _archives, _tables
+from loewner._base import _archives, _rotations, _tables
 from loewner._base._files import read_regular
-from loewner._base._rotations import from_quaternion
 from loewner._base._validate import Floats, Progress
 from loewner.cli.output import progress_of
 from loewner.ellipsoids.fits import DEFAULT_TOLERANCE
@@ -40,11 +39,13 @@ def refuse(options: argparse.Namespace, names: Iterable[str], message: str) -> N
             raise InputError(message.replace("{}", f"--{name.replace('_', '-')}", 1))
 
 
-def command(commands: Any, name: str, what: str, examples: str) -> argparse.ArgumentParser:
-    """Add a command whose help ends with examples."""
+def command(
+    commands: Any, name: str, what: str, examples: str, run: Callable[[argparse.Namespace], int] | None = None
+) -> argparse.ArgumentParser:
+    """Add a command whose help ends with examples; unless it has commands of its own, `run` runs it."""
     raw = argparse.RawDescriptionHelpFormatter
     added: argparse.ArgumentParser = commands.add_parser(name, help=what, epilog=examples, formatter_class=raw)
-    added.set_defaults(default=added.get_default)
+    added.set_defaults(default=added.get_default, run=run)
     return added
 
 
@@ -82,6 +83,15 @@ def add_mesh_options(command: argparse.ArgumentParser, default: str) -> None:
     command.set_defaults(usual_model=default)
 
 
+def add_pair_options(command: argparse.ArgumentParser) -> None:
+    """Add the options of commands that take two bodies at poses."""
+    for name in ("a", "b"):
+        command.add_argument(name, metavar=name.upper(), type=Path, help="a saved body (.npz) or a mesh")
+        command.add_argument(f"--pose-{name}", metavar="POSE", help=f"pose of {name.upper()}: {POSE_HELP} (the origin)")
+    command.add_argument("--margin", type=float, default=0.0, metavar="M", help="distance to keep [m] (0)")
+    add_mesh_options(command, "surface")
+
+
 def add_rule_options(command: argparse.ArgumentParser, start: str, end: str) -> None:
     """Add the options that allow contact at the ends of motions."""
     for rule, where in (("leave", start), ("reach", end)):
@@ -98,8 +108,15 @@ def apply_rules(scene: loewner.Scene, options: argparse.Namespace) -> None:
             rule(*pair)
 
 
-def add_robot_options(command: argparse.ArgumentParser, *, required: bool = True) -> None:
-    """Add the options of commands that take a robot; the robot is an option itself unless it is required."""
+def add_robot_options(
+    command: argparse.ArgumentParser,
+    *,
+    required: bool = True,
+    scene: str | None = "obstacles and attached bodies (.yaml)",
+) -> None:
+    """Add the options of commands that take a robot, and a scene unless its help is None; a robot that is not required
+    is an option itself.
+    """
     option = command.add_argument
     if required:
         option("urdf", type=Path, metavar="URDF", help="the robot: a URDF file")
@@ -111,6 +128,8 @@ def add_robot_options(command: argparse.ArgumentParser, *, required: bool = True
     )
     option("--model", choices=link_bodies.MODELS, help=f"representation of meshes ({link_bodies.USUAL_MODEL})")
     option("--decompose", action="store_true", help="the same as --model pieces")
+    if scene is not None:
+        option("--scene", type=Path, metavar="FILE", help=scene)
 
 
 def bodies(paths: Sequence[Path], options: argparse.Namespace) -> Iterator[loewner.Body]:
@@ -185,11 +204,8 @@ def pose(text: str | None, name: str) -> Floats | None:
 
 def pose_of(numbers: Sequence[float], name: str) -> Floats:
     """Make a pose from a position and, if there are seven numbers, a quaternion."""
-    T = np.eye(4)
-    T[:3, 3] = numbers[:3]
-    if len(numbers) == 7:
-        T[:3, :3] = from_quaternion(numbers[3:], name)
-    return T
+    rotation = _rotations.from_quaternion(numbers[3:], name) if len(numbers) == 7 else np.eye(3)
+    return _rotations.pose_of(rotation, numbers[:3])
 
 
 def poses(path: Path) -> Floats:

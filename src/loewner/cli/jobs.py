@@ -12,8 +12,7 @@ import os
 import subprocess
 import sys
 import threading
-from collections.abc import Callable, Iterator, Sequence
-from functools import partial
+from collections.abc import Generator, Iterator, Sequence
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import Any, NamedTuple
@@ -30,7 +29,7 @@ class Event(NamedTuple):
     value: Any = None
 
 
-def answers(entry: str, tasks: Sequence[dict[str, Any]], jobs: int) -> Iterator[Event]:
+def answers(entry: str, tasks: Sequence[dict[str, Any]], jobs: int) -> Generator[Event, None, None]:
     """Distribute tasks to processes and yield the reports: ``begun``, ``progress`` (done, total) or ``answer``.
 
     Parameters
@@ -101,10 +100,9 @@ def _attend(pool: _Pool, tasks: Sequence[dict[str, Any]], waiting: SimpleQueue[i
             process = process or pool.start()
             if process is None:
                 return
-            said.put(Event("begun", place))
-            answer = _answer(process, tasks[place], partial(_tell, said, place))
-            said.put(Event("answer", place, answer))
-            if answer is None:
+            for report in _reports(process, place, tasks[place]):
+                said.put(report)
+            if report.value is None:
                 process = None
     except Empty:
         pass
@@ -112,27 +110,24 @@ def _attend(pool: _Pool, tasks: Sequence[dict[str, Any]], waiting: SimpleQueue[i
         said.put(None)
 
 
-def _tell(said: SimpleQueue[Any], place: int, value: list[int]) -> None:
-    said.put(Event("progress", place, value))
-
-
-def _answer(process: subprocess.Popen[str], task: dict[str, Any], tell: Callable[[list[int]], None]) -> Any:
-    """Return a process's answer to a task; if the process died, clean up and return None."""
+def _reports(process: subprocess.Popen[str], place: int, task: dict[str, Any]) -> Iterator[Event]:
+    """Give a task to a process, and yield its reports; if the process died, clean up."""
     assert process.stdin is not None
     assert process.stdout is not None
+    yield Event("begun", place)
     try:
         process.stdin.write(json.dumps(task) + "\n")
         process.stdin.flush()
         for line in process.stdout:
-            said = _json.loads(line)
-            if "answer" in said:
-                return said["answer"]
-            tell(said["progress"])
+            kind, value = _json.loads(line)
+            yield Event(kind, place, value)
+            if kind == "answer":
+                return
     except (OSError, ValueError):  # the process closed its input, or died within a line
         pass
     process.kill()
     process.wait()
-    return None
+    yield Event("answer", place)
 
 
 def _serve(entry: str) -> None:
@@ -148,11 +143,11 @@ def _serve(entry: str) -> None:
             tasks.put(line.decode())
         os._exit(0)
 
-    def say(**what: Any) -> None:
-        print(json.dumps(what), file=out, flush=True)
+    def say(kind: str, value: Any) -> None:
+        print(json.dumps([kind, value]), file=out, flush=True)
 
     threading.Thread(target=read, daemon=True).start()
     serve_task = import_module(entry).serve_task
     while True:
         task = _json.loads(tasks.get())
-        say(answer=serve_task(task, lambda done, total: say(progress=[done, total])))
+        say("answer", serve_task(task, lambda done, total: say("progress", [done, total])))

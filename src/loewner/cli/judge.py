@@ -42,7 +42,9 @@ OPTIONS = {
 
 def add(commands: Any) -> None:
     """Add the command."""
-    judge = inputs.command(commands, "judge", "other programs' answers about pairs, and models of robots", EXAMPLES)
+    judge = inputs.command(
+        commands, "judge", "other programs' answers about pairs, and models of robots", EXAMPLES, _run
+    )
     option = judge.add_argument
     option(
         "files", nargs="*", type=Path, metavar="FILE", help="--answers: bodies (.npz) or meshes; else: a robot (URDF)"
@@ -66,7 +68,6 @@ def add(commands: Any) -> None:
     tolerance = "error that is allowed (1e-6), or --model: size of the smallest cells of a proof [m]"
     option("--tolerance", type=float, metavar="M", help=tolerance)
     option("--json", action="store_true", help="print JSON")
-    judge.set_defaults(run=_run)
 
 
 def _run(options: argparse.Namespace) -> int:

@@ -21,7 +21,7 @@ from loewner._base._files import read_regular, replacing, shown
 from loewner._base._rotations import from_quaternion
 from loewner._base._validate import Floats, short
 from loewner.cli import inputs
-from loewner.cli.output import COLLIDING, FREE, new_table, print_table
+from loewner.cli.output import COLLIDING, FREE, print_table
 from loewner.errors import FileError, InputError, LoewnerError
 from loewner.judging import PARTS, Finding, Judgement
 from loewner.reproductions import reproduction
@@ -313,13 +313,12 @@ def _print(
     worst = said.worst().tolist()
     count = f"{len(worst)} of {len(named)} answers" if worst else f"{len(named)} answers"
     print(f"{count} proven wrong" if worst else f"none of {count} is proven wrong")
-    table = new_table("finding", "parts of answers", "largest error, m", "row")
+    rows = []
     for kind, number in said.counts().items():
-        first = said.worst(kind)
-        error = float(said.excess[first[0]][said.kinds[first[0]] == kind].max())
-        wrong = kind > Finding.UNDECIDED
-        table.add_row(str(kind), f"{number}", f"at least {error:.6g}" if wrong else "", f"{first[0] + 1}" * wrong)
-    print_table(table)
+        first, wrong = said.worst(kind)[0], kind > Finding.UNDECIDED
+        error = float(said.excess[first][said.kinds[first] == kind].max())
+        rows.append((str(kind), f"{number}", f"at least {error:.6g}" * wrong, f"{first + 1}" * wrong))
+    print_table(("finding", "parts of answers", "largest error, m", "row"), rows)
     for hint in said.hints:
         print(f"hint      {hint}")
     judged = [f"{name}: {text}" for name, text in _described(bodies).items()]

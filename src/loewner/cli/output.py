@@ -7,7 +7,7 @@ import io
 import json
 import os
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from itertools import zip_longest
 from pathlib import Path
@@ -23,7 +23,6 @@ from loewner.robots.proofs.written_proofs import MAGIC
 if TYPE_CHECKING:
     from rich.console import Console
     from rich.progress import Progress
-    from rich.table import Table
 
 # Exit statuses: done or free; at least one collision; an error; undecided by the ellipsoids.
 FREE, COLLIDING, ERROR, AMBIGUOUS = 0, 1, 2, 3
@@ -124,22 +123,6 @@ def remove_older_proof(path: Path | None) -> None:
         raise FileError(f"--proof: expected a file that can be written, found {shown(path)} ({why})") from None
 
 
-class PlainTable:
-    """A table in plain text, used if Rich is not installed."""
-
-    def __init__(self, *columns: str, title: str | None = None) -> None:
-        self._title, self._rows = title, [columns]
-
-    def add_row(self, *cells: str) -> None:
-        """Add a row with at most one cell per column."""
-        self._rows.append(cells)
-
-    def __str__(self) -> str:
-        widths = [max(map(len, column)) for column in zip_longest(*self._rows, fillvalue="")]
-        lines = ["  ".join(f"{cell:<{width}}" for cell, width in zip(row, widths, strict=False)) for row in self._rows]
-        return "\n".join(line.rstrip() for line in [*([self._title] if self._title else []), *lines])
-
-
 class NoProgress(nullcontext["NoProgress"]):
     """A replacement for the progress bar that shows nothing, used if Rich is not installed."""
 
@@ -197,20 +180,19 @@ def progress_bar() -> Progress | NoProgress:
     return Progress(console=_console(stderr=True), transient=True, disable=not sys.stderr.isatty())
 
 
-def new_table(*columns: str, title: str | None = None) -> Table | PlainTable:
-    """Make an empty table, to be filled and printed."""
+def print_table(columns: Sequence[str], rows: Iterable[Sequence[str]], title: str | None = None) -> None:
+    """Print a table on standard output, in plain text if Rich is not installed; rows may have fewer cells."""
     try:
         from rich.table import Table
     except ImportError:
-        return PlainTable(*columns, title=title)
-    return Table(*columns, title=title)
-
-
-def print_table(table: Table | PlainTable) -> None:
-    """Print a table on standard output."""
-    if isinstance(table, PlainTable):
-        print(table)
+        cells = [columns, *rows]
+        widths = [max(map(len, column)) for column in zip_longest(*cells, fillvalue="")]
+        lines = ["  ".join(f"{cell:<{width}}" for cell, width in zip(row, widths, strict=False)) for row in cells]
+        print("\n".join(line.rstrip() for line in [*([title] if title else []), *lines]))
         return
+    table = Table(*columns, title=title)
+    for row in rows:
+        table.add_row(*row)
     # A program that reads a pipe or a file needs each name, path and number in one piece. Tables that are not for a
     # terminal are therefore as wide as their cells. Names and messages are not read as markup, since they may contain
     # `pip install "loewner[meshes]"`.

@@ -9,7 +9,7 @@ from typing import Any
 
 from loewner._base._files import shown
 from loewner.cli import inputs
-from loewner.cli.output import new_table, print_table, progress_bar
+from loewner.cli.output import print_table, progress_bar
 
 TEXT_COLUMNS = 80  # width of the text around the tables, which are at most this wide
 
@@ -21,13 +21,12 @@ EXAMPLES = """examples:
 
 def add(commands: Any) -> None:
     """Add the command."""
-    paper = inputs.command(commands, "paper", "the tables of the paper's experiment", EXAMPLES)
+    paper = inputs.command(commands, "paper", "the tables of the paper's experiment", EXAMPLES, _run)
     paper.add_argument("--pairs", type=int, default=1000, help="1000")
     paper.add_argument("--seed", type=int, default=0, help="0")
     paper.add_argument("--dataset", default="radius", help="radius (the paper's) or volume")
     paper.add_argument("--out", type=Path, metavar="DIR", help="folder for the report and figures")
     paper.add_argument("--json", type=Path, metavar="FILE", help="file for the counts")
-    paper.set_defaults(run=_run)
 
 
 def _run(options: argparse.Namespace) -> int:
@@ -49,10 +48,7 @@ def _run(options: argparse.Namespace) -> int:
     for sheet in sheets.in_order(found):
         print(f"\n{sheet.title}")
         head, *rows = sheet.aligned
-        table = new_table(*head)
-        for row in rows:
-            table.add_row(*row)
-        print_table(table)
+        print_table(head, rows)
         print(_wrapped(sheet.note))
     for name, path in (("report", options.out), ("counts", options.json)):
         if path is not None:

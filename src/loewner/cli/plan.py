@@ -17,7 +17,7 @@ from loewner._base import _archives, _tables
 from loewner._base._files import read_regular, shown
 from loewner._base._validate import Floats
 from loewner.cli import configurations, drives, inputs
-from loewner.cli.output import NO_PATH, STATUS, new_table, print_answer, print_table, progress_of, remove_older_proof
+from loewner.cli.output import NO_PATH, STATUS, print_answer, print_table, progress_of, remove_older_proof
 from loewner.errors import ConvergenceError, InputError, PlanningError
 
 # Number of configurations of each motion, including its ends, for which the distance of the nearest pair is measured.
@@ -62,10 +62,9 @@ exit status: 0 every motion proven free, 1 no path: start or goal is not free, o
 
 def add(commands: Any) -> None:
     """Add the command."""
-    plan = inputs.command(commands, "plan", "a path from start to goal with proven motions", EXAMPLES)
+    plan = inputs.command(commands, "plan", "a path from start to goal with proven motions", EXAMPLES, _run)
     inputs.add_robot_options(plan)
     option, number = plan.add_argument, partial(plan.add_argument, type=float)
-    option("--scene", type=Path, metavar="FILE", help="obstacles and attached bodies (.yaml)")
     inputs.add_rule_options(plan, "start", "goal")
     option("--start", required=True, metavar="Q", help='start: a state, a file, or numbers in quotes, "0 0.5 -0.7"')
     ends = plan.add_mutually_exclusive_group(required=True)
@@ -104,14 +103,20 @@ def add(commands: Any) -> None:
     option("--planner", metavar="NAME", help="a planner of OMPL, such as BITstar (RRT-Connect, compiled, without OMPL)")
     drives.add_options(plan)
     option("--json", action="store_true", help="print JSON")
-    plan.set_defaults(run=_run)
 
 
 def _run(options: argparse.Namespace) -> int:
     _refuse_unused(options)
     drives.refuse_unused(options)
-    if options.base is not None:
-        return drives.run(options)
+    try:
+        return _plan(options) if options.base is None else drives.run(options)
+    except PlanningError as error:
+        print(f"loewner: no path: {error}", file=sys.stderr)
+        return NO_PATH
+
+
+def _plan(options: argparse.Namespace) -> int:
+    """Plan a path or a trajectory, print it and write it to a file."""
     scene = loewner.Scene() if options.scene is None else loewner.load_scene(options.scene)
     _begin_in_time(options, scene)
     remove_older_proof(options.proof)
@@ -128,12 +133,9 @@ def _run(options: argparse.Namespace) -> int:
     began = time.perf_counter()
     try:
         found = _found(checker, start, goal, options)
-    except PlanningError as error:
-        print(f"loewner: no path: {error}", file=sys.stderr)
-        return NO_PATH
     except ConvergenceError as error:
         if options.out is not None and isinstance(error.partial, planners.Plan):
-            configurations.write(options.out, robot, error.partial.path)
+            configurations.write(options.out, robot.configuration_names, error.partial.path)
             raise ConvergenceError(f"{options.out} is written, and its motions are free; {error}") from None
         raise
     seconds = time.perf_counter() - began
@@ -141,7 +143,7 @@ def _run(options: argparse.Namespace) -> int:
         if isinstance(found, planners.Trajectory):
             found.save(options.out)
         else:
-            configurations.write(options.out, robot, found.path)
+            configurations.write(options.out, robot.configuration_names, found.path)
     if options.proof is not None and isinstance(found, planners.Plan) and found.proof is not None:
         found.proof.save(options.proof)
     answer = _answer(checker, found, seconds, options)
@@ -294,16 +296,15 @@ def _answer(
 def _print_answer(answer: dict[str, Any]) -> None:
     motions = answer["motions"]
     _print_verdict(answer)
-    table = new_table(
-        "motion", "length", "verdict", "nearest, mm", "body", "other body", "poses", "searches",
-        title=f"{answer['robot']}, {answer['checked_pairs']} pairs checked",
-    )  # fmt: skip
-    for k, motion in enumerate(motions):
-        table.add_row(
+    rows = [
+        (
             str(k), f"{motion['length']:.4g}", motion["verdict"], f"{1e3 * motion['nearest']:z.3f}",
             *motion["nearest_pair"], f"{motion['poses']:,}", f"{motion['searches']:,}",
-        )  # fmt: skip
-    print_table(table)
+        )
+        for k, motion in enumerate(motions)
+    ]  # fmt: skip
+    columns = ("motion", "length", "verdict", "nearest, mm", "body", "other body", "poses", "searches")
+    print_table(columns, rows, f"{answer['robot']}, {answer['checked_pairs']} pairs checked")
     if motions:
         k = min(range(len(motions)), key=lambda k: motions[k]["nearest"])
         print(

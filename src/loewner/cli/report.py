@@ -29,7 +29,7 @@ from loewner._native import library
 from loewner.bodies import arrays_of, packed_of
 from loewner.cli import configurations, inputs
 from loewner.cli.info import installed
-from loewner.cli.output import COLLIDING, FREE, new_table, print_table
+from loewner.cli.output import COLLIDING, FREE, print_table
 from loewner.errors import ConvergenceError, FileError, InputError, LoewnerError, MissingExtraError
 from loewner.robots.description import link_bodies
 from loewner.robots.description.urdf import read_urdf
@@ -67,24 +67,20 @@ def add(commands: Any) -> None:
     """Add the command."""
     report = inputs.command(commands, "report", "pack one query and its answers into a file", EXAMPLES)
     inner = report.add_subparsers(required=True, metavar="COMMAND")
-    pair = inputs.command(inner, "check", "a query of two bodies", EXAMPLES)
-    for name in "ab":
-        pair.add_argument(name, metavar=name.upper(), type=Path, help="a saved body (.npz) or a mesh")
-        pair.add_argument(f"--pose-{name}", metavar="POSE", help=f"pose of {name.upper()}, as for loewner check")
-    pair.add_argument("--margin", type=float, default=0.0, metavar="M", help="distance to keep [m] (0)")
-    inputs.add_mesh_options(pair, "surface")
-    robot = inputs.command(inner, "robot", "configurations of a robot, and the straight motions between them", EXAMPLES)
+    pair = inputs.command(inner, "check", "a query of two bodies", EXAMPLES, _write)
+    inputs.add_pair_options(pair)
+    robot = inputs.command(
+        inner, "robot", "configurations of a robot, and the straight motions between them", EXAMPLES, _write
+    )
     inputs.add_robot_options(robot)
-    robot.add_argument("--scene", type=Path, metavar="FILE", help="obstacles and attached bodies (.yaml)")
     robot.add_argument(
         "--configs", type=Path, required=True, metavar="FILE", help="configurations, or a path (.npy, .csv or .json)"
     )
     for command, query, pack in ((pair, "check", _pack_pair), (robot, "robot", _pack_robot)):
         command.add_argument("-o", "--out", type=Path, required=True, metavar="FILE", help="the report to write (.zip)")
-        command.set_defaults(run=_write, query=query, pack=pack)
-    again = inputs.command(inner, "rerun", "run the query of a report again, and compare the answers", EXAMPLES)
+        command.set_defaults(query=query, pack=pack)
+    again = inputs.command(inner, "rerun", "run the query of a report again, and compare the answers", EXAMPLES, _rerun)
     again.add_argument("file", type=Path, metavar="FILE", help="a report (.zip)")
-    again.set_defaults(run=_rerun)
 
 
 def _write(options: argparse.Namespace) -> int:
@@ -103,10 +99,8 @@ def _write(options: argparse.Namespace) -> int:
         with replacing(options.out) as target, zipfile.ZipFile(target, "x") as archive:
             for member in members:  # dates are left out, so that the same query gives the same file
                 archive.writestr(zipfile.ZipInfo(member.name), member.read_bytes(), zipfile.ZIP_DEFLATED)
-    table = new_table("answer", "here", title=f"loewner report {options.query}")
-    for name, value in answers.items():
-        table.add_row(name, _shown(value))
-    print_table(table)
+    rows = [(name, _shown(value)) for name, value in answers.items()]
+    print_table(("answer", "here"), rows, f"loewner report {options.query}")
     print(f"{shown(options.out)} contains {', '.join(member.name for member in members)}")
     return FREE
 
@@ -114,13 +108,10 @@ def _write(options: argparse.Namespace) -> int:
 def _rerun(options: argparse.Namespace) -> int:
     document, here = rerun(options.file)
     there = document["answers"]
-    table = new_table("answer", "in the report", "here", "result", title=f"loewner report {document['query']}")
-    for name, value in _versions().items():
-        table.add_row(name, _shown(document["versions"].get(name)), _shown(value), "")
     different = [name for name in here if json.dumps(there.get(name)) != json.dumps(here[name])]
-    for name, value in here.items():
-        table.add_row(name, *_both(there.get(name), value), "differs" if name in different else "")
-    print_table(table)
+    rows = [(name, _shown(document["versions"].get(name)), _shown(x), "") for name, x in _versions().items()]
+    rows += [(name, *_both(there.get(name), x), "differs" * (name in different)) for name, x in here.items()]
+    print_table(("answer", "in the report", "here", "result"), rows, f"loewner report {document['query']}")
     print(f"DIFFERENT: {', '.join(different)}" if different else "THE SAME: all answers, to the last bit")
     return COLLIDING if different else FREE
 

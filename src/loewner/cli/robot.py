@@ -16,13 +16,22 @@ import loewner
 from loewner._base import _validate
 from loewner._base._validate import Floats
 from loewner.cli import configurations, inputs
-from loewner.cli.output import COLLIDING, FREE, is_surface, new_table, print_answer, print_table, progress_bar
+from loewner.cli.output import COLLIDING, FREE, is_surface, print_answer, print_table, progress_bar
 from loewner.cli.pair_tables import print_pairs
 from loewner.errors import InputError
 
 # Configurations for each step of the progress bar, and the largest number of pairs that a table lists.
 AT_ONCE = 50_000
 LISTED = 20
+
+# Verdicts, and the tests that settle them, by their names in `Settled`.
+VERDICTS = ("free", "colliding")
+TIERS = {
+    "bounds": "bounding spheres and boxes",
+    "ellipsoids": "ellipsoids",
+    "planes": "planes about the pieces",
+    "search": "exact search",
+}
 
 # Number of boxes of configurations that are examined for the exempt pairs, which takes several seconds. If links are
 # solids, a box takes twenty times as long, and fewer boxes are examined.
@@ -62,12 +71,10 @@ def add(commands: Any) -> None:
     """Add the commands."""
     robot = inputs.command(commands, "robot", "a robot: its description, and whether it is free", EXAMPLES)
     inner = robot.add_subparsers(required=True, metavar="COMMAND")
-    info = inputs.command(inner, "info", "links, joints and pairs of a robot", INFO_EXAMPLES)
-    inputs.add_robot_options(info)
-    info.set_defaults(run=_info)
-    check = inputs.command(inner, "check", "which configurations are in collision", CHECK_EXAMPLES)
+    info = inputs.command(inner, "info", "links, joints and pairs of a robot", INFO_EXAMPLES, _info)
+    inputs.add_robot_options(info, scene=None)
+    check = inputs.command(inner, "check", "which configurations are in collision", CHECK_EXAMPLES, _check)
     inputs.add_robot_options(check)
-    check.add_argument("--scene", type=Path, metavar="FILE", help="obstacles and attached bodies (.yaml)")
     which = check.add_mutually_exclusive_group(required=True)
     which.add_argument("--random", type=int, metavar="N", help="N random configurations within the limits")
     which.add_argument("--configs", type=Path, metavar="FILE", help="configurations (.npy, .csv or .json)")
@@ -75,24 +82,22 @@ def add(commands: Any) -> None:
     check.add_argument("--seed", type=int, help="seed of --random (0)")
     check.add_argument("--margin", type=float, metavar="M", help=MARGIN_HELP)
     check.add_argument("--json", action="store_true", help="print JSON")
-    check.set_defaults(run=_check)
 
 
 def _info(options: argparse.Namespace) -> int:
     robot = inputs.robot(options)
-    title = f"{robot.name}: {len(robot.link_names)} links"
-    links = new_table("link", "pieces", "vertices", "gap", "shapes", title=title)
-    for name in robot.link_names:
-        row = _link_row(robot.bodies[name], robot.shapes[name]) if name in robot.bodies else ("-",) * 4
-        links.add_row(name, *row)
+    shapes = {name: _link_row(body, robot.shapes[name]) for name, body in robot.bodies.items()}
     limits, heads = [robot.lower, robot.upper], ["lower", "upper"]
     if (robot.lower != robot.hard_lower).any() or (robot.upper != robot.hard_upper).any():
         limits, heads = [*limits, robot.hard_lower, robot.hard_upper], [*heads, "hard lower", "hard upper"]
-    columns = new_table("column", *heads, title=f"{len(robot.joint_names)} joints, dof {robot.dof}")
-    for name, *ends in zip(robot.configuration_names, *limits, strict=True):
-        columns.add_row(name, *(f"{end:.6g}" for end in ends))
-    print_table(links)
-    print_table(columns)
+    print_table(
+        ("link", "pieces", "vertices", "gap", "shapes"),
+        ((name, *shapes.get(name, ("-",) * 4)) for name in robot.link_names),
+        f"{robot.name}: {len(robot.link_names)} links",
+    )
+    columns = zip(robot.configuration_names, *limits, strict=True)
+    rows = [(name, *(f"{end:.6g}" for end in ends)) for name, *ends in columns]
+    print_table(("column", *heads), rows, f"{len(robot.joint_names)} joints, dof {robot.dof}")
     count = len(robot.bodies)
     checker = loewner.CollisionChecker(robot) if count else None
     checked = checker.checked_pairs if checker is not None else ()
@@ -195,24 +200,13 @@ def _checked_configurations(checker: loewner.CollisionChecker, Q: Floats) -> dic
 def _print_checked(answer: dict[str, Any]) -> None:
     count, colliding = answer["configurations"], answer["colliding"]
     print(f"{'COLLIDING' if colliding else 'FREE'}  {colliding:,} of {count:,} configurations collide")
-    title = f"{answer['robot']}, {answer['checked_pairs']} pairs checked"
-    table = new_table("settled by", "free", "colliding", title=title)
-    for name, title in (
-        ("bounds", "bounding spheres and boxes"),
-        ("ellipsoids", "ellipsoids"),
-        ("planes", "planes about the pieces"),
-        ("search", "exact search"),
-    ):
-        cells = (answer["tiers"].get(f"{kind}_by_{name}") for kind in ("free", "colliding"))
-        table.add_row(title, *("-" if cell is None else f"{cell:,}" for cell in cells))
-    print_table(table)
-    if answer["pairs"]:
-        table = new_table("body", "other body", "collides", "of all")
-        for a, b, hits in answer["pairs"][:LISTED]:
-            table.add_row(a, b, f"{hits:,}", f"{100 * hits / count:.1f} %")
-        if len(answer["pairs"]) > LISTED:
-            table.add_row(f"and {len(answer['pairs']) - LISTED} more")
-        print_table(table)
+    settled = [(text, [answer["tiers"].get(f"{kind}_by_{name}") for kind in VERDICTS]) for name, text in TIERS.items()]
+    rows = [(text, *("-" if cell is None else f"{cell:,}" for cell in cells)) for text, cells in settled]
+    print_table(("settled by", *VERDICTS), rows, f"{answer['robot']}, {answer['checked_pairs']} pairs checked")
+    if pairs := answer["pairs"]:
+        often = [(a, b, f"{hits:,}", f"{100 * hits / count:.1f} %") for a, b, hits in pairs[:LISTED]]
+        more = [(f"and {len(pairs) - LISTED} more",)] if len(pairs) > LISTED else []
+        print_table(("body", "other body", "collides", "of all"), [*often, *more])
     if answer["outside_limits"]:
         rows, names = answer["outside_limits"], ", ".join(answer["outside_limits_of"])
         print(f"note: {len(rows):,} configurations are outside the limits, the first in row {rows[0]}: {names}")

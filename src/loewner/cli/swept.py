@@ -36,22 +36,16 @@ exit status: 0 written, 2 error
 
 def add(commands: Any) -> None:
     """Add the command."""
-    swept = inputs.command(commands, "swept", "a body that contains links along a whole trajectory", EXAMPLES)
-    inputs.add_robot_options(swept)
+    swept = inputs.command(commands, "swept", "a body that contains links along a whole trajectory", EXAMPLES, _run)
+    inputs.add_robot_options(swept, scene="attached bodies (.yaml)")
     option = swept.add_argument
-    option("trajectory", type=Path, metavar="FILE", help="points with times, or a path (.csv, .json, .yaml)")
+    trajectories.add_input(swept)
     option("-o", "--out", type=Path, metavar="FILE", required=True, help="the body (.stl or .npz)")
     option("--links", nargs="+", metavar="NAME", help="links, or bodies that are carried (all)")
     option(
         "--tolerance", type=float, default=0.01, metavar="M",
         help="largest distance by which the body may stick out, in metres (default %(default)s)",
     )  # fmt: skip
-    option(
-        "--joint-error", type=float, default=0.0, metavar="E", help="largest deviation of every value [rad or m] (0)"
-    )
-    option("--scene", type=Path, metavar="FILE", help="attached bodies (.yaml)")
-    trajectories.add_options(swept)
-    swept.set_defaults(run=_run)
 
 
 def _run(options: argparse.Namespace) -> int:

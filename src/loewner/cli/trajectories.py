@@ -24,6 +24,16 @@ CONTROLLERS = ("linear", "cubic", "quintic")
 Part = planners.ControllerPoints | Floats
 
 
+def add_input(command: argparse.ArgumentParser) -> None:
+    """Add the trajectory of commands about it, the joint error, and the options for reading the trajectory."""
+    option = command.add_argument
+    option("trajectory", type=Path, metavar="FILE", help="points with times, or a path (.csv, .json, .yaml)")
+    add_options(command)
+    option(
+        "--joint-error", type=float, default=0.0, metavar="E", help="largest deviation of every value [rad or m] (0)"
+    )
+
+
 def add_options(command: argparse.ArgumentParser) -> None:
     """Add the options of commands that read a trajectory."""
     option = command.add_argument
@@ -73,16 +83,20 @@ def read(
     others = configurations.one(options.others, "--others", options, robot)
     parts = _parts(path, robot, present if others is None else others)
     carrying = _carrying(options.attach, scene, robot, len(parts))
-    for number, given in enumerate(parts):
+    clock = None if options.start_time is None else _validate.real(options.start_time, "--start-time")
+    for number, (given, held) in enumerate(zip(parts, carrying, strict=True)):
         if isinstance(given, planners.ControllerPoints):
-            parts[number] = _executed(given, options.controller)
+            parts[number] = points = _executed(given, options.controller)
+            # The robot may carry only bodies that the scene or --attach assigns to it.
+            attached = {body: each.link for body, each in scene.attachments.items()} | held
+            curves.expect_carried(attached, [*points.carried.items(), *((body, "") for body in points.origin.free)])
+            # The parts begin one after another.
+            points.start_time = points.start_time if clock is None else clock
+            clock = points.start_time + float(points.times[-1])
         elif options.start_time is not None:
             raise InputError(f"--start-time {options.start_time:g}: expected points with times, found a path without")
         elif options.controller not in (None, "linear"):
             raise InputError(f"--controller {options.controller}: expected points with times, found a path without")
-    for given, held in zip(parts, carrying, strict=True):
-        _expect_carried(scene, given, held)
-    _set_clock(parts, options.start_time)
     return parts, carrying
 
 
@@ -157,22 +171,6 @@ def _carrying(given: list[str], scene: loewner.Scene, robot: loewner.Robot, coun
             if part.setdefault(body, link) != link:
                 raise InputError(f"--attach {text}: expected one link for {body}, found {part[body]} as well")
     return found
-
-
-def _expect_carried(scene: loewner.Scene, given: Part, carrying: dict[str, str]) -> None:
-    """Refuse a part in which the robot carries bodies that neither the scene nor --attach assigns to it."""
-    if isinstance(given, planners.ControllerPoints):
-        held = {body: each.link for body, each in scene.attachments.items()} | carrying
-        curves.expect_carried(held, [*given.carried.items(), *((body, "") for body in given.origin.free)])
-
-
-def _set_clock(parts: list[Part], start_time: float | None) -> None:
-    """Let the parts begin one after another, the first part at `start_time`."""
-    end = None if start_time is None else _validate.real(start_time, "--start-time")
-    for given in parts:
-        if isinstance(given, planners.ControllerPoints):
-            given.start_time = given.start_time if end is None else end
-            end = given.start_time + float(given.times[-1])
 
 
 def _derivatives(points: planners.ControllerPoints) -> int:

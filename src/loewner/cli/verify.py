@@ -41,14 +41,13 @@ MOST_SHOWN = 10
 
 def add(commands: Any) -> None:
     """Add the command."""
-    command = inputs.command(commands, "verify", "check the proof of a plan", EXAMPLES)
+    command = inputs.command(commands, "verify", "check the proof of a plan", EXAMPLES, _run)
     option = command.add_argument
     option(
         "file", type=Path, metavar="FILE",
         help="a proof, as loewner plan --proof, loewner clash --proof or loewner.prove writes it",
     )  # fmt: skip
     inputs.add_robot_options(command, required=False)
-    option("--scene", type=Path, metavar="FILE", help="obstacles and attached bodies (.yaml)")
     inputs.add_rule_options(command, "start of motions", "end of motions")
     option("--path", type=Path, metavar="FILE", help="a path, as loewner plan -o writes it")
     option(
@@ -56,7 +55,6 @@ def add(commands: Any) -> None:
         help="deepest overlap that contacts may allow, in metres (default %(default)s)",
     )  # fmt: skip
     option("--json", action="store_true", help="print JSON")
-    command.set_defaults(run=_run)
 
 
 def _run(options: argparse.Namespace) -> int:

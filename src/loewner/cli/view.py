@@ -32,7 +32,7 @@ The page is served on this machine, at the address that is printed; Ctrl+C close
 
 def add(commands: Any) -> None:
     """Add the command."""
-    view = inputs.command(commands, "view", "two bodies, or a robot, in the browser", EXAMPLES)
+    view = inputs.command(commands, "view", "two bodies, or a robot, in the browser", EXAMPLES, _run)
     option = view.add_argument
     option("a", metavar="A", type=Path, nargs="?", help="a saved body (.npz) or a mesh")
     option("b", metavar="B", type=Path, nargs="?", help="the other one")
@@ -67,7 +67,6 @@ def add(commands: Any) -> None:
     option("--no-browser", action="store_true", help="only print the address")
     option("--screenshot", metavar="PNG", type=Path, help="write a picture of the page and exit, without a window")
     inputs.add_mesh_options(view, "pieces")
-    view.set_defaults(run=_run)
 
 
 def _run(options: argparse.Namespace) -> int:

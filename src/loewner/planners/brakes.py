@@ -122,19 +122,19 @@ class Brakes(NamedTuple):
         entries.whole_brakes(*self[:3], until, courses, off)
         return courses, off
 
-    def one(self, n: int = 0) -> tuple[Floats, Floats, Floats, Floats]:
-        """Return times, positions, velocities and accelerations of one brake.
+    def one(self) -> Timed:
+        """Return the first brake as the arrays of a `Trajectory`.
 
         Raises
         ------
         InputError
             If the duration of the brake overflows.
         """
-        times, states = self.times[n, : self.counts[n]].copy(), self.states[n, : self.counts[n]]
+        times, states = self.times[0, : self.counts[0]].copy(), self.states[0, : self.counts[0]]
         if not (np.isfinite(times).all() and np.isfinite(states).all()):
             raise InputError("expected a state and limits with a brake of finite length and time, found an overflow")
-        positions, rates, bends = np.moveaxis(states, 1, 0).copy()
-        return times, positions, rates, bends
+        knots, rates, bends = np.moveaxis(states, 1, 0).copy()
+        return Timed(times, knots, rates, np.zeros(len(times) - 1, dtype=bool), bends)
 
 
 def _steep(strongest: Floats, jerk: Floats | None) -> Floats:
@@ -165,8 +165,8 @@ def braked(names: tuple[str, ...], q: Floats, dq: Floats, ddq: Floats, strongest
             f"acceleration: expected a limit of {names[k]} that is no lower than its acceleration at the start, "
             f"{abs(ddq[k]):g}, found {strongest[k]:g}"
         )
-    times, knots, rates, bends = Brakes.by_joint(q[None], dq[None], ddq[None], strongest, jerk).one()
-    return Timed(times, knots, rates, np.zeros(len(times) - 1, dtype=bool), None if jerk is None else bends)
+    made = Brakes.by_joint(q[None], dq[None], ddq[None], strongest, jerk).one()
+    return made if jerk is not None else made._replace(bends=None)
 
 
 def braked_on_motions(
@@ -182,8 +182,7 @@ def braked_on_motions(
     brakes = Brakes.on_path(rows, at, np.array([begin]), strongest, jerk, beyond=beyond)
     if brakes.counts[0] == 0:
         raise PlanningError(_too_late(at[-1] - begin))
-    times, knots, rates, bends = brakes.one()
-    return Timed(times, knots, rates, np.zeros(len(times) - 1, dtype=bool), bends)
+    return brakes.one()
 
 
 def braked_on_curve(rest: Timed, strongest: Floats, jerk: Floats | None, beyond: bool) -> Timed:
@@ -248,9 +247,9 @@ def _slowed(v: float, a: float, low: float, gain: float, steep: float) -> tuple[
         Distances, speeds and accelerations at these times.
     """
     q, dq, ddq, gains, steeps = (np.array([[x]]) for x in (0.0, v - low, a, gain, steep))
-    one = Brakes.by_joint(q, dq, ddq, gains[0], steeps[0]).one()
-    times, states = one[0], np.concatenate(one[1:], axis=1)
-    return times, states + np.stack([low * times, np.full(len(times), low), np.zeros(len(times))], axis=1)
+    one: Any = Brakes.by_joint(q, dq, ddq, gains[0], steeps[0]).one()
+    states = np.stack([low * one.times, np.full(len(one.times), low), np.zeros(len(one.times))], axis=1)
+    return one.times, np.concatenate([one.knots, one.rates, one.bends], axis=1) + states
 
 
 def _end_of_line(rest: Timed, k: int) -> int:

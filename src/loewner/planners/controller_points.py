@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import csv
-import io
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -22,9 +20,9 @@ from loewner._base._validate import Floats
 from loewner._kernels import columns
 from loewner.errors import FileError, InputError
 from loewner.planners import messages
-from loewner.planners.controllers import ACCELERATION, BLEND, TIMES, VELOCITY, columns_of, expect_in_table, write
+from loewner.planners.controllers import columns_of, expect_in_table, write
 from loewner.planners.joint_limits import expect_robot
-from loewner.planners.trajectory_files import RATES, SAVED_KEYS, WRITTEN, header_of, with_ending
+from loewner.planners.trajectory_files import RATES, WRITTEN, Rows, header_of, rows_of_table, saved_rows, with_ending
 from loewner.robots import Robot
 from loewner.robots.description.robot import joints_above
 from loewner.robots.proofs.courses import CURVE_ROUNDINGS
@@ -151,17 +149,12 @@ class ControllerPoints:
         if names is not None and not texts:
             raise InputError(f"names: expected a list of texts, found {type(names).__name__}")
         self.names = None if names is None else tuple(names)
-        self.positions = _validate.finite_array(positions, "positions", ("n", "dof"))
-        dof = self.positions.shape[1] if self.names is None else len(self.names)
-        self.velocities = None if velocities is None else _validate.finite_array(velocities, "velocities", ("n", "dof"))
-        self.accelerations = (
-            None if accelerations is None else _validate.finite_array(accelerations, "accelerations", ("n", "dof"))
+        count, dof = len(self.times), None if self.names is None else len(self.names)
+        self.positions = _validate.finite_array(positions, "positions", (count, "dof" if dof is None else dof))
+        self.velocities, self.accelerations = (
+            None if rates is None else _validate.finite_array(rates, name, self.positions.shape)
+            for rates, name in ((velocities, "velocities"), (accelerations, "accelerations"))
         )
-        for name in ("positions", "velocities", "accelerations"):
-            array = getattr(self, name)
-            if array is not None and array.shape != (len(self.times), dof):
-                found = _validate.shape_text(array.shape)
-                raise InputError(f"{name}: expected shape ({len(self.times)}, {dof}), found {found}")
 
     @classmethod
     def load(
@@ -333,17 +326,17 @@ class ControllerPoints:
         data = read_regular(source, what, MOST_BYTES)
         try:
             if suffix == ".csv":
-                return [cls._of_table(data.decode("utf-8-sig"))._completed(robot, q)]
+                return [cls._of_rows(rows_of_table(data.decode("utf-8-sig")))._completed(robot, q)]
             if suffix == ".json":
                 root: Node = read_json(data, source, what)
             else:  # a recorded message ends with a separator line
                 root = read_yaml(data.rstrip().removesuffix(b"---"), source, what, merges=True)
             if root.kind == "mapping" and {"blended", "jumps"} & root.mapping(None).keys():
-                return [cls._of_saved(root)._completed(robot, q)]
+                return [cls._of_rows(saved_rows(root))._completed(robot, q)]
             found = messages.read(root)
             if only and len(found.parts) > 1:
-                raise FileError(
-                    f"{name}: expected one trajectory, found {len(found.parts)} with points "
+                raise InputError(
+                    f"expected one trajectory, found {len(found.parts)} with points "
                     f"({some(part.place for part in found.parts)}); ControllerPoints.load_all reads them all"
                 )
             return cls._of_message(found, name, robot, q)
@@ -355,42 +348,8 @@ class ControllerPoints:
             raise FileError(f"{name}: expected {what}, found: {_validate.short(str(error))}") from None
 
     @classmethod
-    def _of_table(cls, text: str) -> ControllerPoints:
-        """Read points from a table with a header."""
-        start_time, text = _tables.start_of(text)
-        rows = [[cell.strip() for cell in row] for row in csv.reader(io.StringIO(text), strict=True) if row]
-        header = rows[0] if rows else []
-        if not header or header[0] not in TIMES or len(set(header)) < len(header):
-            raise ValueError(f"the header {','.join(header)}, where time and different joints should be named")
-        table = _tables.below(header, rows[1:])
-        names = [name for name in header[1:] if name != BLEND and not name.endswith((VELOCITY, ACCELERATION))]
-        held, used = set(header), [VELOCITY, ACCELERATION]
-        rates = [name + kind for kind in used if any(name + kind in held for name in names) for name in names]
-        odd = [name for name in rates if name not in held] + sorted(held - {header[0], BLEND, *names, *rates})
-        if odd:
-            what = "no column" if odd[0] not in held else "no joint for the column"
-            raise InputError(f"expected a velocity or acceleration for all joints or none, found {what} {odd[0]!r}")
-
-        def columns(kind: str) -> Any:
-            wanted = [name + kind for name in names]
-            return table[:, [header.index(name) for name in wanted]] if set(wanted) & set(header) else None
-
-        derivatives = columns(VELOCITY), columns(ACCELERATION)
-        return cls(table[:, 0], columns(""), *derivatives, names=names, start_time=start_time)
-
-    @classmethod
-    def _of_saved(cls, root: Node) -> ControllerPoints:
-        """Read points from a file that `Trajectory.save` has written."""
-        keys = root.mapping(SAVED_KEYS, required=("names", "times", "positions"))
-        names = [name.text() for name in keys["names"].items()]
-        rows = [keys[kind].rows(len(names)) if kind in keys else None for kind in RATES]
-        start_time = keys["start_time"].number() if "start_time" in keys else 0.0
-        for flags in (["jumps"] if "jumps" in keys else []) + (["blended"] if "blended" in keys else []):
-            for each in keys[flags].items() if flags == "blended" else [keys[flags]]:
-                each.flag()
-        return cls(
-            keys["times"].numbers(), keys["positions"].rows(len(names)), *rows, names=names, start_time=start_time
-        )
+    def _of_rows(cls, rows: Rows) -> ControllerPoints:
+        return cls(rows.times, rows.knots, rows.rates, rows.bends, names=rows.names, start_time=rows.start_time)
 
     @classmethod
     def _of_message(
@@ -398,7 +357,7 @@ class ControllerPoints:
     ) -> list[ControllerPoints]:
         """Make the points of each trajectory of a message, and warn about parts that are not read."""
         if not found.parts:
-            raise FileError(f"{name}: expected points of a trajectory, found none")
+            raise InputError("expected points of a trajectory, found none")
         told = list(found.warnings)
         if robot is not None:
             foreign = [other for other in dict.fromkeys(found.robots) if other != robot.name]
@@ -498,11 +457,11 @@ def _points_of(
     _expect_begin(part, name)
     if part.placed is not None:
         if robot is None:
-            raise FileError(
-                f"{name}: expected one trajectory of joints with one value each, found a multi-DOF trajectory, which "
+            raise InputError(
+                f"expected one trajectory of joints with one value each, found a multi-DOF trajectory, which "
                 f"moves {some(part.placed.names)} ({part.place}); give robot="
             )
-        points = _with_base(part, part.placed, name, robot)
+        points = _with_base(part, part.placed, robot)
     else:
         assert part.joints is not None
         held = part.joints.rows
@@ -511,39 +470,38 @@ def _points_of(
     points.carried = {body: link for body, (link, _) in part.start.carried.items()}
     touching = {body: touched for body, (_, touched) in part.start.carried.items()}
     free = tuple(sorted(bodies - points.carried.keys()))
-    stated, sources = _stated(part, points, name, robot, others)
+    stated, sources = _stated(part, points, name, robot)
     points.origin = replace(points.origin, place=part.place, touching=touching, free=free, sources=sources)
     return points._completed(robot, others, stated)
 
 
-def _with_base(part: messages.Part, placed: messages.Motion, name: str, robot: Robot) -> ControllerPoints:
+def _with_base(part: messages.Part, placed: messages.Motion, robot: Robot) -> ControllerPoints:
     """Join the motion of joints with one value and the motion of a base; the base moves straight between its points."""
     times = placed.times
     if part.joints is not None:
         of_joints = part.joints.times
         if len(of_joints) != len(times) or not (np.abs(of_joints - times) <= SAME_TIME).all():
-            raise FileError(
-                f"{name}: expected the same times for the joints and for {some(placed.names)}, found others "
-                f"({part.place})"
+            raise InputError(
+                f"expected the same times for the joints and for {some(placed.names)}, found others ({part.place})"
             )
         times = of_joints
     names, values = [], []
     for k, joint in enumerate(placed.names):
-        found = _columns_of(joint, placed.rows["transforms"][:, k], name, robot)
+        found = _columns_of(joint, placed.rows["transforms"][:, k], robot)
         names += list(found)
         values += list(found.values())
     base, held = np.stack(values, axis=1), part.joints
     twice = [column for column in names if held is not None and column in held.names]
     if twice:
-        raise FileError(f"{name}: expected one motion of each joint, found {some(twice)} twice ({part.place})")
+        raise InputError(f"expected one motion of each joint, found {some(twice)} twice ({part.place})")
     if held is None:
         return ControllerPoints(times, base, names=names)
     curved = "velocities" in held.rows
     if curved and any(f"{joint}/qw" in robot.configuration_names for joint in placed.names):
         turning = [n for n, column in zip(names, values, strict=True) if "/q" in n and np.ptp(column) != 0]
         if turning:
-            raise FileError(
-                f"{name}: expected a base that does not turn, as the joints have velocities, found {some(turning)} "
+            raise InputError(
+                f"expected a base that does not turn, as the joints have velocities, found {some(turning)} "
                 f"that change ({part.place}); remove the velocities, or let a planar joint turn"
             )
     rates = [
@@ -555,30 +513,30 @@ def _with_base(part: messages.Part, placed: messages.Motion, name: str, robot: R
     return made
 
 
-def _columns_of(joint: str, T: Floats, name: str, robot: Robot) -> dict[str, Floats]:
+def _columns_of(joint: str, T: Floats, robot: Robot) -> dict[str, Floats]:
     """Return the columns of a floating or planar joint for transforms: positions and quaternions x, y, z, w."""
     known = robot.configuration_names
     norms = np.linalg.norm(T[:, 3:], axis=1)
     if not (np.abs(norms - 1) < NORMS).all():
-        raise FileError(f"{name}: expected quaternions of norm 1 for {joint}, found the norm {norms.max():g}")
+        raise InputError(f"expected quaternions of norm 1 for {joint}, found the norm {norms.max():g}")
     if f"{joint}/x" in known and f"{joint}/qw" in known:
         turned = T[:, [6, 3, 4, 5]] / norms[:, None]
         flips = np.cumprod(np.append(1.0, np.where((turned[1:] * turned[:-1]).sum(axis=1) < 0, -1.0, 1.0)))
         values = np.hstack([T[:, :3], turned * flips[:, None]])
         return {f"{joint}/{axis}": values[:, k] for k, axis in enumerate(("x", "y", "z", "qw", "qx", "qy", "qz"))}
     if f"{joint}/theta" in known:
-        _expect_upright(joint, name, robot)
+        _expect_upright(joint, robot)
         if np.abs(T[:, [2, 3, 4]]).max() > IN_PLANE:
-            raise FileError(f"{name}: expected motions of the planar joint {joint} in its plane, found others")
+            raise InputError(f"expected motions of the planar joint {joint} in its plane, found others")
         theta = np.unwrap(2 * _elementary.arctan2(T[:, 5], T[:, 6]))
         return {f"{joint}/x": T[:, 0], f"{joint}/y": T[:, 1], f"{joint}/theta": theta}
-    raise FileError(
-        f"{name}: expected joints of {robot.name!r} with a position and an orientation (floating or planar), found a "
+    raise InputError(
+        f"expected joints of {robot.name!r} with a position and an orientation (floating or planar), found a "
         f"multi-DOF trajectory that moves {joint!r}; Robot.add_base adds such a joint"
     )
 
 
-def _expect_upright(joint: str, name: str, robot: Robot) -> None:
+def _expect_upright(joint: str, robot: Robot) -> None:
     """Refuse a planar joint whose axis is not z: its values are not the position and heading of a message."""
     column = robot.configuration_names.index(f"{joint}/x")
     q = np.repeat(robot.configuration()[None], 2, axis=0)
@@ -589,7 +547,7 @@ def _expect_upright(joint: str, name: str, robot: Robot) -> None:
         moved = image(before[:3, :3].T, after[:3, 3] - before[:3, 3])
         turned = product(before[:3, :3].T, after[:3, :3])
         if np.abs([*(moved - [1.0, 2.0, 0.0]), turned[1, 0] - np.sin(0.5), turned[2, 2] - 1]).max() > IN_PLANE:
-            raise FileError(f"{name}: expected the axis 0 0 1 of the planar joint {joint}, found another one")
+            raise InputError(f"expected the axis 0 0 1 of the planar joint {joint}, found another one")
 
 
 def _expect_begin(part: messages.Part, name: str) -> None:
@@ -623,7 +581,7 @@ def _is_far(T: Floats, other: Floats) -> bool:
 
 
 def _stated(
-    part: messages.Part, points: ControllerPoints, name: str, robot: Robot | None, others: Floats | None
+    part: messages.Part, points: ControllerPoints, name: str, robot: Robot | None
 ) -> tuple[dict[str, float], dict[str, str]]:
     """Return the values that a message states for columns that the points do not name, and the values' keys.
 
@@ -637,20 +595,20 @@ def _stated(
     }  # fmt: skip
     places = {joint: T for joint, T in start.places.items() if (T != IDENTITY).any()}
     if robot is None:
-        _refuse_beside(beside, places, start.sources, name)
+        _refuse_beside(beside, places, start.sources)
         return {}, {}
     _doubt_mimics(start.joints, robot, name)
     known = set(robot.configuration_names)
     alone = [joint for joint in beside if joint in mimics]
     if alone:
-        raise FileError(
-            f"{name}: expected values of joints with values of their own, found {some(alone)}, which mimics "
+        raise InputError(
+            f"expected values of joints with values of their own, found {some(alone)}, which mimics "
             f"{some(mimics[joint] for joint in alone)}; add the value of the joint that is mimicked"
         )
     lacking = [joint for joint in beside if joint not in known]
     if lacking:
-        raise FileError(
-            f"{name}: expected a state of the robot {robot.name!r}, found values of joints that it lacks: "
+        raise InputError(
+            f"expected a state of the robot {robot.name!r}, found values of joints that it lacks: "
             f"{some(lacking)}; the state belongs to a larger robot: read that robot, or remove these names from the "
             "message"
         )
@@ -658,11 +616,11 @@ def _stated(
     sources = {joint: start.sources.get(joint, "") for joint in stated}
     for joint, T in places.items():
         if not any(column.startswith(f"{joint}/") for column in known):
-            raise FileError(
-                f"{name}: expected a state of the robot {robot.name!r}, found {joint} away from the identity "
+            raise InputError(
+                f"expected a state of the robot {robot.name!r}, found {joint} away from the identity "
                 f"({start.sources.get(joint, '')}){WITHOUT_BASE.format(joint)}"
             )
-        columns = _columns_of(joint, T[None], name, robot)
+        columns = _columns_of(joint, T[None], robot)
         stated |= {column: float(value[0]) for column, value in columns.items() if column not in named}
         sources |= dict.fromkeys(columns, start.sources.get(joint, ""))
     return stated, sources
@@ -681,13 +639,13 @@ def _doubt_mimics(state: dict[str, float], robot: Robot, name: str) -> None:
                 )
 
 
-def _refuse_beside(beside: dict[str, float], places: dict[str, Floats], sources: dict[str, str], name: str) -> None:
+def _refuse_beside(beside: dict[str, float], places: dict[str, Floats], sources: dict[str, str]) -> None:
     """Refuse values of a state that are unused because no robot is given, unless they are 0."""
     told = [f"{joint} = {value:g}" for joint, value in beside.items() if value != 0]
     told += [f"{joint} away from the identity" for joint in places]
     if told:
         where = some(dict.fromkeys(sources.get(joint, "") for joint in (*beside, *places)))
-        raise FileError(
-            f"{name}: expected a state of the joints that the points name, found {', '.join(told)} ({where}); give "
+        raise InputError(
+            f"expected a state of the joints that the points name, found {', '.join(told)} ({where}); give "
             "the robot, by robot=, whose joints stand as the state says, or as others= says"
         )

@@ -115,14 +115,14 @@ def coordinate(
     ways = _ways(checker, paths, _validate.whole_number(steps, "steps", 1))
     judge = Judge.of(checker, 0.0, joint_error)
     for place, state in (("starts", (0,) * len(ways)), ("ends", tuple(len(way.rows) - 1 for way in ways))):
-        q = _configuration(ways, checker.robot.dof, state)
+        q = _configuration(ways, state)
         found = judge.certified(q, q)
         if found.verdict != Verdict.FREE:
             a, b = found.names
             raise PlanningError(
                 f"paths: expected {place} that are free together, found {a} and {b} too near each other"
             )
-    rows = np.array([_configuration(ways, checker.robot.dof, state) for state in _fastest(judge, ways)])
+    rows = np.array([_configuration(ways, state) for state in _fastest(judge, ways)])
     return _merged(judge, rows)
 
 
@@ -166,8 +166,8 @@ def _ways(checker: CollisionChecker, paths: Mapping[str, ArrayLike], steps: int)
     return ways
 
 
-def _configuration(ways: list[_Way], dof: int, state: State) -> Floats:
-    q = np.empty(dof)
+def _configuration(ways: list[_Way], state: State) -> Floats:
+    q = np.empty(sum(way.rows.shape[1] for way in ways))
     for way, k in zip(ways, state, strict=True):
         q[way.columns] = way.rows[k]
     return q
@@ -175,7 +175,7 @@ def _configuration(ways: list[_Way], dof: int, state: State) -> Floats:
 
 def _fastest(judge: Judge, ways: list[_Way]) -> list[State]:
     """Find the states of the fastest way from the first rows of all paths to the last rows, by A*."""
-    dof, ends = judge.checker.robot.dof, tuple(len(way.rows) - 1 for way in ways)
+    ends = tuple(len(way.rows) - 1 for way in ways)
     moves = [move for move in product((0, 1), repeat=len(ways)) if any(move)]
 
     def left(state: State) -> float:
@@ -197,8 +197,8 @@ def _fastest(judge: Judge, ways: list[_Way]) -> list[State]:
         nexts = [new for new in nexts if new not in done and all(map(le, new, ends))]
         if not nexts:
             continue
-        b = np.array([_configuration(ways, dof, new) for new in nexts])
-        free = judge.free(np.repeat(_configuration(ways, dof, state)[None], len(b), axis=0), b)
+        b = np.array([_configuration(ways, new) for new in nexts])
+        free = judge.free(np.repeat(_configuration(ways, state)[None], len(b), axis=0), b)
         for new, is_free in zip(nexts, free.tolist(), strict=True):
             took = max(float(way.times[n] - way.times[k]) for way, k, n in zip(ways, state, new, strict=True))
             cost = costs[state] + took
@@ -211,12 +211,8 @@ def _fastest(judge: Judge, ways: list[_Way]) -> list[State]:
 def _why(judge: Judge, ways: list[_Way], done: set[State], ends: State) -> str:
     """Make the message: where the robots got farthest, and which bodies meet on the next step of all robots."""
     farthest = max(done, key=sum)
-    dof = judge.checker.robot.dof
-    a, b = (
-        _configuration(ways, dof, farthest),
-        _configuration(ways, dof, tuple(map(min, map(add, farthest, (1,) * len(ends)), ends))),
-    )
-    found = judge.certified(a, b)
+    ahead = tuple(min(k + 1, end) for k, end in zip(farthest, ends, strict=True))
+    found = judge.certified(_configuration(ways, farthest), _configuration(ways, ahead))
     shares = ", ".join(
         f"{way.times[k] / max(way.times[-1], 1e-300):.0%}" for way, k in zip(ways, farthest, strict=True)
     )
@@ -233,10 +229,8 @@ def _why(judge: Judge, ways: list[_Way], done: set[State], ends: State) -> str:
 def _merged(judge: Judge, rows: Floats) -> Floats:
     """Leave out rows within straight motions, if the resulting longer motions are proven as well."""
     steps = np.diff(rows, axis=0)
-    turns = np.abs(np.diff(steps, axis=0)).max(axis=1, initial=0.0) > STRAIGHT * np.abs(steps[1:]).max(
-        axis=1, initial=0.0
-    )
-    corners = np.concatenate([[0], np.flatnonzero(turns) + 1, [len(rows) - 1]])
+    sizes, turns = (np.abs(ways).max(axis=1, initial=0.0) for ways in (steps[1:], np.diff(steps, axis=0)))
+    corners = np.concatenate([[0], np.flatnonzero(turns > STRAIGHT * sizes) + 1, [len(rows) - 1]])
     free = judge.free(rows[corners[:-1]], rows[corners[1:]])
     kept = [corners[:1]]
     for first, last, is_free in zip(corners[:-1], corners[1:], free.tolist(), strict=True):

@@ -18,7 +18,7 @@ from loewner._base import _validate
 from loewner._base._elementary import cos, sin
 from loewner._base._guard import guarded
 from loewner._base._pictures import POINTS, curves, pictured
-from loewner._base._read_only import KeepsReadOnly
+from loewner._base._read_only import KeepsReadOnly, protected
 from loewner._base._validate import Floats, Ints
 from loewner._kernels import columns as kernel_columns
 from loewner._kernels import tolerances
@@ -150,10 +150,7 @@ class Drive(KeepsReadOnly):
         path = np.tile(q, (len(poses), 1))
         path[:, list(columns)] = poses
         times = np.append(0.0, np.abs(motions).max(axis=1).cumsum())
-        made = cls(robot.configuration_names, path, motions.copy(), columns, times)
-        for array in (made.path, made.motions, made.times):
-            array.flags.writeable = False
-        return made
+        return protected(cls(robot.configuration_names, path, motions.copy(), columns, times))
 
     def __repr__(self) -> str:
         count = len(self.motions)

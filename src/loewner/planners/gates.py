@@ -12,10 +12,11 @@ from numpy.typing import ArrayLike
 
 from loewner._base import _validate
 from loewner._base._elementary import arccos
+from loewner._base._read_only import protected
 from loewner._base._validate import Bools, Floats, Ints
 from loewner._kernels import codes, tolerances
 from loewner.errors import InputError
-from loewner.planners.brakes import Brakes, brake_limits
+from loewner.planners.brakes import Brakes, Timed, brake_limits
 from loewner.planners.joint_limits import JointLimits
 from loewner.planners.judge import TOLERANCE, checked_checker
 from loewner.planners.trajectories import Trajectory, expect_straight
@@ -144,12 +145,13 @@ class _World(NamedTuple):
 
 
 class _Block(NamedTuple):
-    """Where a proof fails: the reason, the pair or -1, the configuration and the time."""
+    """Where a proof fails: the reason, the pair or -1, the configuration, the time, and the joint beyond its limits."""
 
     reason: str
     pair: int
     q: Floats
     t: float
+    joint: str = ""
 
 
 class _Stop(NamedTuple):
@@ -471,7 +473,7 @@ class Gate:
                 )
         chunk, block, work = self._proven(ready, chunk, self._steps)
         if block is None and count < len(wanted):
-            block = _Block("limits", -1, wanted[count], now)
+            block = _Block("limits", -1, wanted[count], now, joint)
         if block is None and len(chunk.rows) - 1 <= late:  # an order to brake would take effect after the last target
             block = _Block("brake", -1, chunk.rows[-1], now)
         steps, scale = max(chunk.braked - late, 0), 1.0
@@ -481,19 +483,16 @@ class Gate:
         if block is None or steps > 0:
             self._last = chunk
             reached = GateState.GO if block is None else GateState.PREFIX
-            return self._answer(
-                ready, reached, steps, scale, block, self._brake_from(chunk, chunk.braked), True, work, joint
-            )
+            return self._answer(ready, reached, steps, scale, block, self._brake_from(chunk, chunk.braked), True, work)
         # The last chunk that may run continues until the robot brakes. With a latency, the place of the brake depends
         # on the tick, which must be certain.
         for old in before if late == 0 else before[: int(is_sure)]:
             if holds and old.first <= late <= old.braked:
-                return self._answer(
-                    ready, GateState.BRAKE, 0, scale, block, self._brake_from(old, late), True, work, joint
-                )
+                brake = self._brake_from(old, late)
+                return self._answer(ready, GateState.BRAKE, 0, scale, block, brake, True, work)
         brake = self._stop(state, now)
         proven, more = self._stops_free(ready, state, now, self._steps - work) if late == 0 else (False, 0)
-        return self._answer(ready, GateState.BRAKE, 0, scale, block, brake, proven, work + more, joint)
+        return self._answer(ready, GateState.BRAKE, 0, scale, block, brake, proven, work + more)
 
     def _periods(self, dt: float) -> int:
         """Return the latency in whole periods."""
@@ -756,13 +755,10 @@ class Gate:
         ramped = v <= self._strongest**2 / self._jerk
         return np.where(ramped, 2.0 * np.sqrt(v / self._jerk), v / self._strongest + self._strongest / self._jerk)
 
-    def _trajectory(self, made: tuple[Floats, ...], start: float, jumps: bool) -> Trajectory:
-        times, knots, rates, bends = made
-        straight = np.zeros(len(times) - 1, dtype=bool)
-        bent = None if self._jerk is None and not jumps else bends
-        return Trajectory(
-            self._checker.robot.configuration_names, times, knots, rates, straight, bent, jumps, start
-        )._read_only()
+    def _trajectory(self, made: Timed, start: float, jumps: bool) -> Trajectory:
+        if self._jerk is None and not jumps:
+            made = made._replace(bends=None)
+        return protected(Trajectory(self._checker.robot.configuration_names, *made, jumps, start))
 
     # -- answers ------------------------------------------------------------------------------
 
@@ -771,7 +767,7 @@ class Gate:
 
     def _answer(
         self, ready: Problem, state: GateState, steps: int, scale: float, block: _Block | None, brake: Trajectory,
-        proven: bool, work: int, joint: str = "",
+        proven: bool, work: int,
     ) -> GateAnswer:  # fmt: skip
         """Make an answer, with the pair in question, its distance and its normal."""
         reason, away, normal = "", math.nan, np.full(3, np.nan)
@@ -784,7 +780,7 @@ class Gate:
                 _, _, away, bodies, _, _, normal = (c[0] for c in nearest_columns(alone, q, True, care=False))
                 names, away = tuple(ready.names[k] for k in bodies.tolist()), float(away)
             elif reason == "limits":
-                names = (joint,)
+                names = (block.joint,)
         return GateAnswer(state, steps, scale, reason, names, away, normal, brake, proven, work)
 
 

@@ -222,10 +222,6 @@ class Improvement:
         weights = _checked_weights(robot, improve.weights)
         return cls(weights, 2**62 if most is None else most, began, until, improve.clearance or 0.0)
 
-    def clearing(self, judge: Judge) -> Clearing | None:
-        """Return the cost near obstacles, if one was requested."""
-        return Clearing.of(judge, self.weights, self.clearance) if self.clearance else None
-
     def plan(
         self, path: Floats, ends: Departures, goals: Floats, iterations: int, others: bool, clearing: Clearing | None
     ) -> Plan:
@@ -235,7 +231,6 @@ class Improvement:
         cost = cost_of(self.weights, path) if clearing is None else clearing.cost_of(path)
         rounded = 1 - (len(self.weights) + 4) * np.finfo(float).eps
         bound = 0.0 if others else least_cost(ends.space, self.weights, ends.start, targets) * rounded
-        path.flags.writeable = False
         least = None if clearing is None else clearing.least_distance(path)
         return Plan(path, cost, min(bound, cost), iterations, time.monotonic() - self.began, clearance=least)
 

@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike
 
 from loewner._base import _validate
 from loewner._base._guard import guarded
+from loewner._base._read_only import protected
 from loewner._base._validate import Bools, Floats, Ints
 from loewner._kernels import codes
 from loewner.errors import InputError, PlanningError
@@ -257,7 +258,7 @@ def planned(
         )
     needs = judge.seconds(first, np.column_stack([goals, np.zeros(len(goals))]))
     if needs.min() == 0.0:
-        return Trajectory._straight(robot.configuration_names, np.zeros(1), q[None], judge.begin)._read_only()
+        return protected(Trajectory._straight(robot.configuration_names, np.zeros(1), q[None], judge.begin))
     if needs.min() > judge.limit:
         raise PlanningError(
             f"arrive_by: expected {judge.begin + needs.min():.9g} s or later, since the nearest goal takes at least "
@@ -277,7 +278,7 @@ def planned(
         if search.simplify:
             rows = _shortened(judge, rows, float(needs.min()), rng)
     made = Trajectory._straight(robot.configuration_names, rows[:, -1].copy(), rows[:, :-1].copy(), judge.begin)
-    return replace(made, spacing=made._shortest(judge.fastest))._read_only()
+    return protected(replace(made, spacing=made._shortest(judge.fastest)))
 
 
 def _judge(

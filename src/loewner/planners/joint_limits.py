@@ -14,7 +14,7 @@ from loewner._base import _validate
 from loewner._base._files import read_regular, shown
 from loewner._base._nodes import Node, read_yaml, some
 from loewner._base._plausible import doubt_about_limits, doubt_about_velocity, warn
-from loewner._base._read_only import KeepsReadOnly
+from loewner._base._read_only import KeepsReadOnly, protected
 from loewner._base._validate import Bools, Floats, Ints
 from loewner._kernels import columns as tree_columns
 from loewner.errors import InputError, UnknownNameError
@@ -268,11 +268,10 @@ def _read(root: Node, robot: Robot, scaled: bool) -> tuple[JointLimits, list[str
     followers = {attribute: np.full(robot.dof, np.inf) for attribute in KINDS.values()}
     for name, (entry, of_table) in entries.items():
         (k, by), own = columns[name], _limits_of_joint(entry)
+        into = followers if name in robot.mimics else limits
         for kind, attribute in KINDS.items():
-            if kind in own and name not in robot.mimics:
-                limits[attribute][k] = np.fmin(limits[attribute][k], own[kind])
-            elif kind in own and by != 0:
-                followers[attribute][k] = np.fmin(followers[attribute][k], own[kind] / abs(by))
+            if kind in own and by != 0:
+                into[attribute][k] = np.fmin(into[attribute][k], own[kind] / abs(by))
         for kind in scales:
             scales[kind][k] = min(scales[kind][k], of_table[kind])
         if name in robot.mimics:
@@ -308,8 +307,7 @@ def _read(root: Node, robot: Robot, scaled: bool) -> tuple[JointLimits, list[str
         limits[kind] = limits[kind] * np.where(named, factors_of, rest)
     for array in limits.values():
         array[np.isnan(array)] = np.inf
-        array.setflags(write=False)
-    return JointLimits(robot.configuration_names, **limits), doubts
+    return protected(JointLimits(robot.configuration_names, **limits)), doubts
 
 
 def _factors(holder: dict[str, Node], scaled: bool) -> dict[str, float]:

@@ -269,11 +269,8 @@ def _walk(node: Node, name: str, found: Message, state: State) -> None:
 
 def _add_part(node: Node, given: dict[str, Node], found: Message, state: State) -> None:
     """Add the motion of a message; afterwards the joints have the values of its last points."""
-    joints = placed = None
-    if "JointTrajectory" in given:
-        joints = _joint_motion(given["JointTrajectory"])
-    if "MultiDOFJointTrajectory" in given:
-        placed = _placed_motion(given["MultiDOFJointTrajectory"])
+    joints = _joint_motion(given["JointTrajectory"]) if "JointTrajectory" in given else None
+    placed = _placed_motion(given["MultiDOFJointTrajectory"]) if "MultiDOFJointTrajectory" in given else None
     if joints is None and placed is None:
         return
     found.parts.append(Part(node.key or "the message itself", joints, placed, state.copy()))
@@ -373,22 +370,21 @@ def _read_state(keys: dict[str, Node], state: State, found: Message) -> None:
     """Apply a RobotState to a state; a RobotState that is not a difference replaces the carried bodies."""
     differs = "is_diff" in keys and not keys["is_diff"].empty and keys["is_diff"].flag()
     empty = True
-    for key, known in (("joint_state", JOINT_STATE), ("multi_dof_joint_state", PLACED_STATE)):
+    for key, known, of_names, of_values, what in (
+        ("joint_state", JOINT_STATE, "name", "position", "positions"),
+        ("multi_dof_joint_state", PLACED_STATE, "joint_names", "transforms", "transforms"),
+    ):
         if key not in keys or keys[key].empty:
             continue
         held = keys[key].mapping(known)
+        names, values = _list(held, of_names), _list(held, of_values)
+        if len(values) != len(names) and (values or key != "joint_state"):  # joints may have only velocities
+            raise keys[key].error(f"expected as many {what} as names, found {len(values)} and {len(names)}")
+        given = [name.text() for name in names[: len(values)]]
         if key == "joint_state":
-            names, values = _list(held, "name"), _list(held, "position")
-            if values and len(values) != len(names):  # a state may have only velocities
-                raise keys[key].error(f"expected as many positions as names, found {len(values)} and {len(names)}")
-            given = [name.text() for name in names[: len(values)]]
             state.joints.update(zip(given, (value.number() for value in values), strict=True))
         else:
-            names, places = _list(held, "joint_names"), _list(held, "transforms")
-            if len(places) != len(names):
-                raise keys[key].error(f"expected as many transforms as names, found {len(places)} and {len(names)}")
-            given = [name.text() for name in names]
-            state.places.update(zip(given, (np.array(_transform(T)) for T in places), strict=True))
+            state.places.update(zip(given, (np.array(_transform(T)) for T in values), strict=True))
         _expect_once(given, keys[key])
         state.sources.update(dict.fromkeys(given, keys[key].key))
         empty = empty and not given
@@ -481,16 +477,16 @@ def _text_of_seconds(node: Node) -> float:
 def _transform(node: Node) -> list[float]:
     """Read a geometry_msgs/Transform: position, quaternion x, y, z, w; a missing or zero rotation is the identity."""
     keys = node.mapping(("translation", "rotation"))
-    position, quaternion = [0.0] * 3, [0.0, 0.0, 0.0, 0.0]
-    if "translation" in keys and not keys["translation"].empty:
-        held = keys["translation"].mapping(("x", "y", "z"))
-        position = [held[axis].number() if axis in held else 0.0 for axis in "xyz"]
-    if "rotation" in keys and not keys["rotation"].empty:
-        held = keys["rotation"].mapping(("x", "y", "z", "w"))
-        quaternion = [held[axis].number() if axis in held else 0.0 for axis in "xyzw"]
+    position, quaternion = _vector(keys, "translation", "xyz"), _vector(keys, "rotation", "xyzw")
     if not any(quaternion):
         quaternion[3] = 1.0
     return [*position, *quaternion]
+
+
+def _vector(keys: dict[str, Node], key: str, axes: str) -> list[float]:
+    """Read the coordinates of a vector or a quaternion; missing ones are 0."""
+    held = keys[key].mapping(tuple(axes)) if key in keys and not keys[key].empty else {}
+    return [held[axis].number() if axis in held else 0.0 for axis in axes]
 
 
 def _moves(node: Node) -> bool:

@@ -117,9 +117,33 @@ def search(
     PlanningError
         If no path was found in time, or the path does not pass a second check.
     """
+    base, geometric, count = _ompl("base"), _ompl("geometric"), len(space.columns)
     with _quietly():
         _ompl("util").RNG.setSeed(int(seed) + 1)  # for OMPL, 0 means no seed
-        path = _solve(space, make, q, goals, timeout, _information(space, resolution, judge), simplify)
+        information = _information(space, resolution, judge)
+        problem, region = base.ProblemDefinition(information), base.GoalStates(information)
+        state = information.allocState()
+        for values, add in [(q, problem.addStartState), *((goal, region.addState) for goal in goals)]:
+            state[0:count] = values[space.columns].tolist()
+            add(state)  # takes a copy
+        problem.setGoal(region)
+        planner = make(information)
+        if not isinstance(planner, base.Planner):
+            raise InputError(
+                f"planner: expected a function that returns a planner of OMPL, found {_validate.short(planner)}"
+            )
+        planner.setProblemDefinition(problem)
+        planner.setup()
+        planner.solve(timeout)
+        # OMPL also counts a path that only comes near the goal as a solution; such a path is refused here.
+        if not problem.hasExactSolution():
+            raise PlanningError(
+                f"expected a path from start to goal, found none by {planner.getName()} within {timeout:g} s"
+            )
+        solution = problem.getSolutionPath()
+        if simplify:
+            geometric.PathSimplifier(information).simplifyMax(solution)
+        path = space.configurations([state[0:count] for state in solution.getStates()])
     values = path[:, space.columns]
     ends = (path[0] == q).all() and (path[-1] == goals).all(axis=1).any()
     inside = (values >= space.lower - ON_LIMIT).all() and (values <= space.upper + ON_LIMIT).all()
@@ -127,37 +151,6 @@ def search(
         raise PlanningError("expected a path from start to goal within the limits, found another one: try another seed")
     refuse_unfree(judge.now(), path, "path of OMPL's planner")
     return path
-
-
-def _solve(
-    space: Space, make: Callable[[Any], Any], q: Floats, goals: Floats, timeout: float, information: Any, simplify: bool
-) -> Floats:
-    """Run OMPL and return its path."""
-    base, geometric = _ompl("base"), _ompl("geometric")
-    count = len(space.columns)
-    problem, region = base.ProblemDefinition(information), base.GoalStates(information)
-    state = information.allocState()
-    for values, add in [(q, problem.addStartState), *((goal, region.addState) for goal in goals)]:
-        state[0:count] = values[space.columns].tolist()
-        add(state)  # takes a copy
-    problem.setGoal(region)
-    planner = make(information)
-    if not isinstance(planner, base.Planner):
-        raise InputError(
-            f"planner: expected a function that returns a planner of OMPL, found {_validate.short(planner)}"
-        )
-    planner.setProblemDefinition(problem)
-    planner.setup()
-    planner.solve(timeout)
-    # OMPL also counts a path that only comes near the goal as a solution; such a path is refused here.
-    if not problem.hasExactSolution():
-        raise PlanningError(
-            f"expected a path from start to goal, found none by {planner.getName()} within {timeout:g} s"
-        )
-    path = problem.getSolutionPath()
-    if simplify:
-        geometric.PathSimplifier(information).simplifyMax(path)
-    return space.configurations([state[0:count] for state in path.getStates()])
 
 
 def _information(space: Space, resolution: float, judge: Judge) -> Any:

@@ -11,9 +11,11 @@ from numpy.typing import ArrayLike
 
 from loewner._base import _validate
 from loewner._base._guard import guarded
+from loewner._base._read_only import protected
 from loewner._base._validate import Floats
 from loewner.errors import ConvergenceError, InputError, PlanningError
 from loewner.planners import bases, compiled, improving, in_time
+from loewner.planners.clearing import Clearing
 from loewner.planners.departures import Departures
 from loewner.planners.drives import Drive
 from loewner.planners.improving import Improve, Improvement, Plan
@@ -57,26 +59,20 @@ class OfImprove(TypedDict, total=False):
     clearance: float | None
 
 
-class OfPaths(OfSearch, OfImprove, total=False):
+class OfAll(OfSearch, total=False):
+    """Options of `plan` for paths, trajectories and drives."""
+
+    joint_error: ArrayLike
+    search: Search | None
+    seed: int
+
+
+class OfPaths(OfAll, OfImprove, total=False):
     """Options of `plan` for paths."""
 
     joints: str | Iterable[str] | None
-    joint_error: ArrayLike
     keep: Keep | None
-    search: Search | None
-    seed: int
     proof: bool
-
-
-class OfOthers(TypedDict, total=False):
-    """Options of `plan` for trajectories and drives."""
-
-    joint_error: ArrayLike
-    search: Search | None
-    max_iterations: int | None
-    timeout: float
-    simplify: bool
-    seed: int
 
 
 class Others(OfSearch, OfImprove, total=False):
@@ -106,12 +102,12 @@ def plan(
 def plan(
     checker: CollisionChecker, start: ArrayLike, goal: ArrayLike | PoseGoal, *, start_time: float,
     velocity: ArrayLike | None = ..., arrive_by: float | None = ..., joints: str | Iterable[str] | None = ...,
-    **options: Unpack[OfOthers],
+    **options: Unpack[OfAll],
 ) -> Trajectory: ...  # fmt: skip
 @overload
 def plan(
     checker: CollisionChecker, start: ArrayLike, goal: ArrayLike, *, base: bases.Kind, radius: float | None = ...,
-    reverse: bool = ..., proof: bool = ..., **options: Unpack[OfOthers],
+    reverse: bool = ..., proof: bool = ..., **options: Unpack[OfAll],
 ) -> Drive: ...  # fmt: skip
 @guarded
 def plan(
@@ -337,20 +333,19 @@ def _planned(
         goals = kept.checked(robot, q, goals)
     found, rounds, clearing = search._path(space, judge, q, goals, seed), 0, None
     if better is not None and search.planner is None:
-        clearing = better.clearing(judge)
+        clearing = Clearing.of(judge, better.weights, better.clearance) if better.clearance else None
         found, rounds = improving.improved(space, judge, found, goals, better, seed, clearing)
     path = ends.joined(found)
     follows: dict[str, Any] = {}
     if approaches is not None:
         path, row, retreat = approaches.joined(judge, path, space.unwound(path[-1], begins))
-        if retreat is not None:
-            retreat.flags.writeable = False
         follows = {"approach": row, "retreat": retreat}
     if kept is not None and not kept.on(path[:-1], path[1:]).all():
         raise PlanningError("path: expected motions into and out of contact that keep the axis, found others")
     if better is None or not full:
         return path
-    made = replace(better.plan(path, ends, goals, rounds, isinstance(task.goal, PoseGoal), clearing), **follows)
+    made = better.plan(path, ends, goals, rounds, isinstance(task.goal, PoseGoal), clearing)
+    made = protected(replace(made, **follows))
     if model is None:
         return made
     off = np.zeros(robot.dof) if judge.joint_error is None else judge.joint_error

@@ -67,14 +67,6 @@ class _Links(NamedTuple):
         return _Links(*(np.concatenate(both) for both in zip(self, more, strict=True)))
 
 
-class _Way(NamedTuple):
-    """A path: the indices of its nodes, where the start is the first; its goal; and the link to the goal."""
-
-    nodes: Ints
-    goal: int
-    link: int
-
-
 @dataclass(frozen=True, eq=False)
 class _Graph:
     """The free motions of a roadmap at one state of the scene.
@@ -98,19 +90,10 @@ class _Graph:
     matrix: Any
     labels: Ints
 
-    @classmethod
-    def of(cls, version: int, count: int, edges: Ints, lengths: Floats, free: Bools, *, proven: bool) -> _Graph:
-        """Make the graph over the given nodes and the free motions between them."""
-        from scipy.sparse import csr_array
-        from scipy.sparse.csgraph import connected_components
-
-        a, b = edges[free].T
-        there_and_back = np.concatenate([a, b]), np.concatenate([b, a])
-        matrix = csr_array((np.tile(lengths[free], 2), there_and_back), shape=(count, count))
-        return cls(version, proven, free, matrix, connected_components(matrix, directed=False)[1])
-
-    def shortest(self, links: _Links) -> _Way | None:
-        """Find the shortest path from the start to any goal; None if there is none."""
+    def shortest(self, links: _Links) -> tuple[Ints, int] | None:
+        """Find the shortest path from the start to any goal: its nodes before the goal, and the index of its last link;
+        None if there is none.
+        """
         from scipy.sparse import csr_array
         from scipy.sparse.csgraph import dijkstra
 
@@ -135,7 +118,7 @@ class _Graph:
         numbers = [int(links.from_nodes[best])]
         while numbers[-1] != count:
             numbers.append(int(before[numbers[-1]]))
-        return _Way(np.array(numbers[::-1]), int(links.goals[best]), best)
+        return np.array(numbers[::-1]), best
 
 
 @dataclass(frozen=True, eq=False)
@@ -444,7 +427,14 @@ class Roadmap(KeepsReadOnly):
         return graph
 
     def _graph_of(self, version: int, free: Bools, *, proven: bool) -> _Graph:
-        return _Graph.of(version, len(self), self._edges, self._lengths, free, proven=proven)
+        """Make the graph over the nodes and the free motions between them."""
+        from scipy.sparse import csr_array
+        from scipy.sparse.csgraph import connected_components
+
+        a, b = self._edges[free].T
+        there_and_back = np.concatenate([a, b]), np.concatenate([b, a])
+        matrix = csr_array((np.tile(self._lengths[free], 2), there_and_back), shape=(len(self), len(self)))
+        return _Graph(version, proven, free, matrix, connected_components(matrix, directed=False)[1])
 
     # -- queries --------------------------------------------------------------------------------
 
@@ -453,7 +443,8 @@ class Roadmap(KeepsReadOnly):
         known = graph = self._now()
         links = self._links(graph, judge.now(), q, goals)
         while (way := graph.shortest(links)) is not None:
-            rows = np.concatenate([q[None], self._nodes[way.nodes[1:]], goals[way.goal][None]])
+            nodes, last = way
+            rows = np.concatenate([q[None], self._nodes[nodes[1:]], goals[links.goals[last]][None]])
             for k in range(1, len(rows)):
                 rows[k] = self._space.unwound(rows[k - 1], rows[k])
             judge = judge.now()
@@ -464,7 +455,7 @@ class Roadmap(KeepsReadOnly):
                 self._proven()
             if self._now() is not known:
                 return None
-            graph, links = self._without(graph, links, way, unfree)
+            graph, links = self._without(graph, links, nodes, last, unfree)
         raise PlanningError(
             "expected a path from start to goal that is free when it is proven as a whole, found none: all ways over "
             "the roadmap pass too near to a collision; more samples may help"
@@ -512,19 +503,18 @@ class Roadmap(KeepsReadOnly):
         """Return which motions are free, and the lengths of all motions."""
         return judge.free(a, self._space.unwound(a, b)), self._lengths_of(a, b)
 
-    def _without(self, graph: _Graph, links: _Links, way: _Way, unfree: Ints) -> tuple[_Graph, _Links]:
+    def _without(self, graph: _Graph, links: _Links, nodes: Ints, last: int, unfree: Ints) -> tuple[_Graph, _Links]:
         """Remove motions of a path, given by their indices along it, from the graph and the links of this query."""
-        last = len(way.nodes) - 1
         from_start, to_goal = np.ones(len(links.nodes), dtype=bool), np.ones(len(links.goals), dtype=bool)
         free = graph.free.copy()
         keys = self._edges @ [len(self), 1]
         for k in unfree.tolist():
-            if k == last:
-                to_goal[way.link] = False
+            if k == len(nodes) - 1:
+                to_goal[last] = False
             elif k == 0:
-                from_start &= links.nodes != way.nodes[1]
+                from_start &= links.nodes != nodes[1]
             else:
-                pair = np.sort(way.nodes[k : k + 2])
+                pair = np.sort(nodes[k : k + 2])
                 free[np.searchsorted(keys, pair @ [len(self), 1])] = False
         left = _Links(
             links.nodes[from_start], links.lengths[from_start],
@@ -626,20 +616,18 @@ def _samples(
     """Return the space of a roadmap, and the sampled or given configurations."""
     robot = checker.robot
     count = _count(samples)
-    given = np.empty((0, robot.dof)) if count is not None else robot.checked(samples, "samples")
-    if given.ndim != 2 or (count is None and len(given) == 0):
-        raise InputError(
-            f"samples: expected a number of them, or configurations, shape (n, {robot.dof}) with n >= 1, found shape "
-            f"{_validate.shape_text(given.shape)}"
-        )
-    if fixed is not None:
-        kept = robot.checked_one(fixed, "fixed")
-    else:
-        kept = given[0].copy() if len(given) else robot.configuration()
+    kept = None if fixed is None else robot.checked_one(fixed, "fixed")
     if count is None:
-        space = Space.of(checker, joints, kept, given)
+        given = robot.checked(samples, "samples")
+        if given.ndim != 2 or len(given) == 0:
+            raise InputError(
+                f"samples: expected a number of them, or configurations, shape (n, {robot.dof}) with n >= 1, found "
+                f"shape {_validate.shape_text(given.shape)}"
+            )
+        space = Space.of(checker, joints, given[0].copy() if kept is None else kept, given)
         _check_given(space, given, "samples")
         return space, given.copy()
+    kept = robot.configuration() if kept is None else kept
     space = Space.of(checker, joints, kept, kept[None])
     _validate.fits_memory(3 * count * robot.dof * 8, f"{count} samples")
     values = np.random.default_rng(seed).uniform(space.lower, space.upper, (count, len(space.columns)))
@@ -661,14 +649,7 @@ def _check_given(space: Space, Q: Floats, name: str) -> None:
     if not inside.all():
         k = int(inside.argmin())
         raise InputError(f"{name}[{k}]: expected a configuration within the limits, found {space.outside(Q[k])}")
-    differs = space.still != Q
-    differs[:, space.columns] = False
-    if differs.any():
-        k, column = map(int, np.argwhere(differs)[0])
-        raise InputError(
-            f"{name}[{k}]: expected {space.still[column]:g}, as all have, of {space.name(column)}, which is not among "
-            f"the joints that move; found {Q[k, column]:g}"
-        )
+    space.check_still(Q, f"{name}[{{}}]", "the value that all have", "the joints that move")
 
 
 def _why(graph: _Graph, links: _Links, tried: int) -> str:

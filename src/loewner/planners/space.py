@@ -161,15 +161,19 @@ class Space:
         return self.checker.robot.configuration_names[column]
 
     def check_still(self, Q: Floats, what: str, kept: str, joints: str) -> None:
-        """Refuse configurations that differ from `still` in joints that do not move; the strings are for messages."""
+        """Refuse configurations that differ from `still` in joints that do not move.
+
+        The strings are for messages; `what` may have a placeholder for the number of a configuration.
+        """
         differs = self.still != Q
         differs[:, self.columns] = False
         if differs.any():
             column = int(differs.any(axis=0).argmax())
-            value = Q[differs[:, column].argmax(), column]
+            k = int(differs[:, column].argmax())
+            value = Q[k, column]
             raise InputError(
-                f"{what}: expected {kept}, {self.still[column]:g}, of {self.name(column)}, which is not among {joints}"
-                f"; found {value:g}{_by_a_hair(abs(value - self.still[column]))}"
+                f"{what.format(k)}: expected {kept}, {self.still[column]:g}, of {self.name(column)}, which is not "
+                f"among {joints}; found {value:g}{_by_a_hair(abs(value - self.still[column]))}"
             )
 
     def _fault(self, q: Floats, judge: Judge) -> str:

@@ -11,7 +11,7 @@ import math
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal, NamedTuple, overload
+from typing import Any, Literal, overload
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -21,7 +21,7 @@ from loewner._base._files import shown
 from loewner._base._guard import guarded
 from loewner._base._pictures import POINTS, curves, pictured
 from loewner._base._plausible import warn
-from loewner._base._read_only import KeepsReadOnly
+from loewner._base._read_only import KeepsReadOnly, protected
 from loewner._base._validate import Bools, FloatOrFloats, Floats, Ints
 from loewner._kernels import tolerances
 from loewner.errors import FileError, InputError, MissingExtraError, PlanningError
@@ -176,7 +176,7 @@ class Trajectory(KeepsReadOnly):
             raise InputError(
                 f"dt: expected a period in which targets are reached at finite velocities, found {period:g}"
             )
-        return made._read_only()
+        return protected(made)
 
     def __repr__(self) -> str:
         if self.jumps:
@@ -558,7 +558,7 @@ class Trajectory(KeepsReadOnly):
         fault = loaded._fault()
         if fault:
             raise FileError(f"{shown(source)}: expected {fault}")
-        return loaded._read_only()
+        return protected(loaded)
 
     def certify(
         self, checker: CollisionChecker, *, tolerance: float = 1e-5, joint_error: ArrayLike = 0.0, proof: bool = False
@@ -678,7 +678,7 @@ class Trajectory(KeepsReadOnly):
             blended = self.blended[len(self.blended) - ahead.sum() :]
             rest = brakes.Timed(np.append(at, self.times[ahead]), knots, rates, blended, bends)
             made = brakes.braked_on_curve(rest, strongest, most, further)
-        return Trajectory(self.names, *made, jumps, self.start_time + at)._read_only()
+        return protected(Trajectory(self.names, *made, jumps, self.start_time + at))
 
     # -- inside -------------------------------------------------------------------------------
 
@@ -765,19 +765,20 @@ class Trajectory(KeepsReadOnly):
     def _spaced(self, fastest: Floats, strongest: Floats, most: Floats | None) -> Trajectory:
         """Return the same trajectory with the spacing that its limits require, and with read-only arrays."""
         spacing = (SPACED_WITHOUT_JERK if most is None else SPACED) * self._shortest(fastest, strongest, most)
-        return replace(self, spacing=spacing)._read_only()
+        return protected(replace(self, spacing=spacing))
 
     def _of(self, columns: list[int], names: Sequence[str]) -> Trajectory:
         """Return the given columns under other names."""
         bends = None if self.bends is None else self.bends[:, columns]
-        return replace(
-            self, names=tuple(names), knots=self.knots[:, columns], rates=self.rates[:, columns], bends=bends
-        )._read_only()
+        knots, rates = self.knots[:, columns], self.rates[:, columns]
+        return protected(replace(self, names=tuple(names), knots=knots, rates=rates, bends=bends))
 
     def _text(self, suffix: str, message: bool) -> str:
         """Return the contents of a file."""
         if not message and suffix in ENDINGS:
-            return written(self._rows, suffix)
+            rates, blended = (None, None) if self.jumps else (self.rates, self.blended)
+            held = Rows(self.names, self.times, self.knots, rates, blended, self.bends, self.start_time)
+            return written(held, suffix)
         times, pieces = self._at_nanoseconds()
         rows = {"positions": self._positions(*pieces)}
         if not self.jumps:
@@ -806,25 +807,12 @@ class Trajectory(KeepsReadOnly):
             x[1:-1, 0] = (times[1:-1] - self.times[k[1:-1]]) / lengths[k[1:-1]]
         return times, (k, x, T)
 
-    @property
-    def _rows(self) -> Rows:
-        """The contents of a file."""
-        rates = None if self.jumps else self.rates
-        return Rows(self.names, self.times, self.knots, rates, self.blended, self.bends, self.start_time)
-
     @classmethod
     def _of_rows(cls, rows: Rows) -> Trajectory:
-        if rows.rates is None:
+        if rows.rates is None or rows.blended is None:
             with np.errstate(over="ignore", invalid="ignore"):  # infinite results are refused
                 return cls._straight(rows.names, rows.times, rows.knots, rows.start_time)
         return cls(rows.names, rows.times, rows.knots, rows.rates, rows.blended, rows.bends, start_time=rows.start_time)
-
-    def _read_only(self) -> Trajectory:
-        """Return the same trajectory with read-only arrays."""
-        for array in (self.times, self.knots, self.rates, self.blended, self.bends):
-            if array is not None:
-                array.setflags(write=False)
-        return self
 
     def _fault(self) -> str:
         """Describe the first requirement that a trajectory violates; "" if there is none."""
@@ -873,14 +861,6 @@ def _form(given: Trajectory, name: str) -> Curve:
         points = first, first + given.rates[:-1] * (T / 2), last
     courses, roundings = np.stack(points, axis=1), BLEND_ROUNDINGS if given.bends is None else CUBIC_ROUNDINGS
     return Curve(given.names, given.times, courses, roundings * np.abs(courses).max(axis=1))
-
-
-class OnLine(NamedTuple):
-    """A line that a link keeps between two rows."""
-
-    first: int
-    last: int
-    line: KeptLine
 
 
 @guarded
@@ -994,15 +974,17 @@ def fastest_along(
     judge: Judge | None,
     share: float,
     last_speed: float = 0.0,
-    kept: Sequence[OnLine] = (),
+    kept: Sequence[KeptLine] = (),
 ) -> Trajectory:
     """Follow motions as fast as possible; with a judge, on proven blends that take up to a given share of the motions.
 
     Without jerk limits, the robot ends the path at `last_speed`, a share of full speed, or at the highest possible
     speed below it. Blends on `kept` lines keep these lines.
     """
-    halves = _halves(motions, judge, share, kept)
-    return Trajectory(robot.configuration_names, *motions.timed(halves, last_speed))._read_only()
+    halves = np.zeros(max(len(motions.straights.rows) - 2, 0))
+    if judge is not None and share and len(halves):
+        halves = _shortest(motions, _proven_blends(judge, motions, share, kept))
+    return protected(Trajectory(robot.configuration_names, *motions.timed(halves, last_speed)))
 
 
 @guarded
@@ -1075,7 +1057,7 @@ def brake(
     moves = (rate != 0) | (bend != 0)
     strongest, most = brakes.brake_limits(names, moves, robot, limits, acceleration, jerk)
     made = brakes.braked(names, at, rate, bend, strongest, most)
-    return Trajectory(names, *made, False, _validate.real(start_time, "start_time"))._read_only()
+    return protected(Trajectory(names, *made, False, _validate.real(start_time, "start_time")))
 
 
 # -- arguments ----------------------------------------------------------------------------------
@@ -1141,16 +1123,8 @@ def _on_straight(a: Floats, b: Floats, between: Floats) -> bool:
 # -- blends -------------------------------------------------------------------------------------
 
 
-def _halves(motions: Straights | JerkLimited, judge: Judge | None, share: float, kept: Sequence[OnLine]) -> Floats:
-    """Choose the sizes of blends that are proven to be free and to keep the lines; 0 for stops."""
-    corners = max(len(motions.straights.rows) - 2, 0)
-    if judge is None or share == 0 or corners == 0:
-        return np.zeros(corners)
-    return _shortest(motions, _proven_blends(judge, motions, share, kept))
-
-
 def _proven_blends(
-    judge: Judge, motions: Straights | JerkLimited, share: float, kept: Sequence[OnLine]
+    judge: Judge, motions: Straights | JerkLimited, share: float, kept: Sequence[KeptLine]
 ) -> list[Floats]:
     """Find the proven blend sizes for each corner, largest first; the last size is 0, a stop."""
     straights, lengths = motions.straights, motions.straights.lengths
@@ -1176,7 +1150,7 @@ def _proven_blends(
     return [np.array([*sizes, 0.0]) for sizes in proven]
 
 
-def _on_line(robot: Robot, line: Line, rows: Floats, numbers: Ints) -> OnLine:
+def _on_line(robot: Robot, line: Line, rows: Floats, numbers: Ints) -> KeptLine:
     """Find the line of a link, and refuse a path whose motions do not provably keep it.
 
     Raises
@@ -1185,10 +1159,10 @@ def _on_line(robot: Robot, line: Line, rows: Floats, numbers: Ints) -> OnLine:
         If the link may leave the tolerances of the line on a motion.
     """
     first, last = _at_or_before(numbers, [line.first, line.last]).tolist()
-    on = OnLine(first, last, KeptLine.of(robot, line, rows[first : last + 1]))
-    courses = np.column_stack([rows[first : last + 1], on.line.fractions])
+    on = KeptLine.of(robot, replace(line, first=first, last=last), rows[first : last + 1])
+    courses = np.column_stack([rows[first : last + 1], on.fractions])
     courses = np.stack([courses[:-1], courses[1:]], axis=1)
-    good, found = on.line.keeps(courses, BLEND_ROUNDINGS * np.abs(courses[..., :-1]).max(axis=1))
+    good, found = on.keeps(courses, BLEND_ROUNDINGS * np.abs(courses[..., :-1]).max(axis=1))
     if not good.all():
         k = int(np.flatnonzero(~good)[(found[~good] / found[~good].max(axis=0)).max(axis=1).argmax()])
         raise PlanningError(
@@ -1199,14 +1173,14 @@ def _on_line(robot: Robot, line: Line, rows: Floats, numbers: Ints) -> OnLine:
     return on
 
 
-def _keeps(on: OnLine, motions: Straights | JerkLimited, halves: Floats, off: Floats) -> Bools:
+def _keeps(on: KeptLine, motions: Straights | JerkLimited, halves: Floats, off: Floats) -> Bools:
     """Return which blends are allowed: between a line's ends, blends that provably keep the line; at its ends, none."""
-    good, (first, last, line) = np.ones(len(halves), dtype=bool), on
+    good, first, last = np.ones(len(halves), dtype=bool), on.line.first, on.line.last
     good[[at - 1 for at in (first, last) if 0 < at <= len(halves)]] = False
     if last - first > 1:
         inside = slice(first, last - 1)
-        courses = motions.part(first, last - 1).extended(line.fractions).courses(halves[inside])
-        kept, _ = line.keeps(courses.reshape(-1, *courses.shape[2:]), off[inside].reshape(-1, off.shape[-1]))
+        courses = motions.part(first, last - 1).extended(on.fractions).courses(halves[inside])
+        kept, _ = on.keeps(courses.reshape(-1, *courses.shape[2:]), off[inside].reshape(-1, off.shape[-1]))
         good[inside] = kept.reshape(courses.shape[:2]).all(axis=1)
     return good
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from loewner._base import _tables, _validate
 from loewner._base._files import read_regular, shown
-from loewner._base._nodes import read_json
+from loewner._base._nodes import Node, read_json
 from loewner._base._validate import Bools, Floats
 from loewner.errors import FileError, InputError
 from loewner.planners.controllers import ACCELERATION, BLEND, TIMES, VELOCITY, expect_in_table
@@ -36,14 +36,14 @@ class Rows(NamedTuple):
     Attributes
     ----------
     names, times, knots, rates, blended, bends, start_time
-        As for `Trajectory`; without `rates`, velocities are constant between the times and jump there.
+        As for `Trajectory`; without `rates` and `blended`, velocities are constant between the times and jump there.
     """
 
     names: tuple[str, ...]
     times: Floats
     knots: Floats
     rates: Floats | None
-    blended: Bools
+    blended: Bools | None
     bends: Floats | None
     start_time: float
 
@@ -71,7 +71,17 @@ def read(source: Path) -> Rows:
     """
     data = read_regular(source, "a trajectory", LARGEST_FILE)
     try:
-        return _read_json(data, source) if source.suffix.lower() == ".json" else _read_csv(data.decode())
+        if source.suffix.lower() == ".json":
+            rows = saved_rows(read_json(data, source, "a trajectory in JSON"))
+        else:
+            rows = rows_of_table(data.decode())
+        if (rows.rates is None) != (rows.blended is None):
+            raise ValueError("velocities or blends without the others")
+        if rows.rates is None and (not len(rows.times) or not (np.diff(rows.times) > 0).all()):
+            raise ValueError("times that do not increase")  # between which velocities are differences
+        if rows.rates is None and len(rows.times) != len(rows.knots):
+            raise ValueError(f"{len(rows.times)} times and {len(rows.knots)} positions")
+        return rows
     except FileError as error:
         raise FileError(f"{error}{OTHERS}") from None
     except (ValueError, KeyError, TypeError, OverflowError, RecursionError, csv.Error) as error:
@@ -88,7 +98,7 @@ def _csv(rows: Rows) -> str:
     expect_in_table(rows.names)
     columns = [part for part in (rows.knots, rows.rates, rows.bends) if part is not None]
     header, table = header_of(rows.names, len(columns)), np.column_stack([rows.times, *columns])
-    if rows.rates is None:
+    if rows.rates is None or rows.blended is None:
         return _tables.written(header, table, rows.start_time)
     flags = np.append(rows.blended, False).astype(int).tolist()
     return _tables.written([*header, BLEND], table, rows.start_time, flags)
@@ -96,7 +106,7 @@ def _csv(rows: Rows) -> str:
 
 def _held(rows: Rows) -> dict[str, Any]:
     held = {"names": rows.names, "times": rows.times.tolist(), "positions": rows.knots.tolist()}
-    if rows.rates is None:
+    if rows.rates is None or rows.blended is None:
         return held | {"jumps": True, "start_time": rows.start_time}
     held |= {"velocities": rows.rates.tolist(), "blended": rows.blended.tolist()}
     if rows.start_time:
@@ -104,32 +114,32 @@ def _held(rows: Rows) -> dict[str, Any]:
     return held if rows.bends is None else held | {"accelerations": rows.bends.tolist()}
 
 
-def _read_csv(text: str) -> Rows:
+def rows_of_table(text: str) -> Rows:
+    """Read a table whose header names the time, joints, and the rates of all joints or of none, in any order."""
     start_time, text = _tables.start_of(text)
-    header, *rows = csv.reader(io.StringIO(text), strict=True)
-    if header[:1] == ["time"] and not header[-1].endswith((VELOCITY, ACCELERATION, BLEND)):
-        table = _tables.below(header, rows)
-        return _straight(tuple(header[1:]), table[:, 0], table[:, 1:], start_time)
-    bends = header[-2:-1] != [] and header[-2].endswith(ACCELERATION)
-    names = tuple(header[1 : 1 + (len(header) - 2) // (2 + bends)])
-    if header != [*header_of(names, 2 + bends), BLEND]:
-        raise ValueError(f"the header {_validate.short(header)}")
-    table = _tables.below(header, rows)
-    knots, rates, *more = np.split(table[:, 1:-1], 2 + bends, axis=1)
-    return Rows(names, table[:, 0], knots, rates, table[:-1, -1] != 0, more[0] if more else None, start_time)
+    rows = [[cell.strip() for cell in row] for row in csv.reader(io.StringIO(text), strict=True) if row]
+    header = rows[0] if rows else []
+    if set(header) <= {*TIMES, BLEND} or header[0] not in TIMES or len(set(header)) < len(header):
+        raise ValueError(f"the header {','.join(header)}, where time and different joints should be named")
+    table = _tables.below(header, rows[1:])
+    names = [name for name in header[1:] if name != BLEND and not name.endswith((VELOCITY, ACCELERATION))]
+    held, used = set(header), [VELOCITY, ACCELERATION]
+    wanted = [name + kind for kind in used if any(name + kind in held for name in names) for name in names]
+    odd = [name for name in wanted if name not in held] + sorted(held - {header[0], BLEND, *names, *wanted})
+    if odd:
+        what = "no column" if odd[0] not in held else "no joint for the column"
+        raise InputError(f"expected a velocity or acceleration for all joints or none, found {what} {odd[0]!r}")
+
+    def columns(kind: str) -> Floats:
+        return np.asarray(table[:, [header.index(name + kind) for name in names]])
+
+    rates, bends = (columns(kind) if names and names[0] + kind in held else None for kind in used)
+    blended = table[:-1, header.index(BLEND)] != 0 if BLEND in held else None
+    return Rows(tuple(names), table[:, 0], columns(""), rates, blended, bends, start_time)
 
 
-def _straight(names: tuple[str, ...], times: Floats, knots: Floats, start_time: float) -> Rows:
-    """Make rows whose velocities jump; velocities follow from differences of rows, so the times must increase."""
-    if not (np.diff(times) > 0).all() or not len(times):
-        raise ValueError("times that do not increase")
-    if len(times) != len(knots):
-        raise ValueError(f"{len(times)} times and {len(knots)} positions")
-    return Rows(names, times, knots, None, np.zeros(len(times) - 1, dtype=bool), None, start_time)
-
-
-def _read_json(data: bytes, file: Path) -> Rows:
-    root = read_json(data, file, "a trajectory in JSON")
+def saved_rows(root: Node) -> Rows:
+    """Read a .json file that `Trajectory.save` has written."""
     keys = root.mapping(SAVED_KEYS, required=("names", "times", "positions"))
     names = tuple(name.text() for name in keys["names"].items())
     start_time = keys["start_time"].number() if "start_time" in keys else 0.0
@@ -138,7 +148,7 @@ def _read_json(data: bytes, file: Path) -> Rows:
     if "jumps" in keys:
         if not keys["jumps"].flag() or {"blended", *RATES} & keys.keys():
             raise root.error("expected jumps: true with times and positions alone")
-        return _straight(names, times, knots, start_time)
+        return Rows(names, times, knots, None, None, None, start_time)
     if "blended" not in keys or rates is None:
         raise root.error("expected the keys velocities and blended, or jumps, found neither")
     blended = np.array([each.flag() for each in keys["blended"].items()], dtype=bool)

@@ -17,7 +17,6 @@ import http.client
 import ipaddress
 import os
 import re
-import secrets
 import socket
 from html import escape
 from typing import Any
@@ -201,11 +200,6 @@ def _queried(path: str) -> list[str]:
         return parse_qs(urlsplit(path).query).get("token", [])
     except ValueError:  # not an address, for example an unclosed bracket
         return []
-
-
-def new_token() -> str:
-    """Make a token that cannot be guessed."""
-    return secrets.token_urlsafe(24)
 
 
 def install(server: Any, guard: Guard) -> None:

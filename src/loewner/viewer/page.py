@@ -7,13 +7,14 @@ import logging
 import math
 import os
 import queue
+import secrets
 import socket
 import sys
 import threading
 import time
 import traceback
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from html import escape
 from typing import Any, Self
@@ -22,12 +23,12 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from loewner._base import _validate
-from loewner._base._rotations import from_quaternion, from_rpy
+from loewner._base._rotations import from_quaternion, from_rpy, pose_of
 from loewner._base._validate import Floats
 from loewner.errors import InputError, LoewnerError, MissingExtraError, installing
 from loewner.queries.pairs import Verdict
 from loewner.viewer import guard
-from loewner.viewer.drawing import NearPoints, Rgb, light, place
+from loewner.viewer.drawing import LABELS, NearPoints, Rgb, light, place
 from loewner.viewer.framing import add_ground, aim, diagonal, round_length
 
 # Seconds between two checks for changes made in Python.
@@ -161,12 +162,22 @@ class Viewer(ABC):
             yield
             self.refresh()
 
-    def _frame_view(self, box: Floats, grid: Any) -> None:
+    def _add_layers(self, offered: Iterable[str]) -> None:
+        """Add check boxes for layers of bodies, for the near points and for the grid."""
+        gui, marks = self.server.gui, {"near": "near points", "ground": "grid"}
+        self._layers = {k: self._watch(gui.add_checkbox(LABELS[k], k == "pieces"), "layers") for k in offered}
+        self._marks = {k: self._watch(gui.add_checkbox(label, True), "marks") for k, label in marks.items()}
+
+    def _which(self) -> dict[str, bool]:
+        """Return which layers are shown."""
+        return {name: box.value for name, box in self._layers.items()}
+
+    def _frame_view(self, box: Floats) -> None:
         """Aim the camera at a box; add a grid, a label for its check box, and marks of matching size."""
         self._size = diagonal(box)
         aim(self.server, box)
         self._ground, cell = add_ground(self.server.scene, box)
-        grid.label = f"grid, {cell:g} m"
+        self._marks["ground"].label = f"grid, {cell:g} m"
         self._near = NearPoints(self.server.scene, self._size)
 
     @abstractmethod
@@ -281,7 +292,6 @@ class Mover:
 
     def __init__(self, page: Viewer, node: str, name: str, T: Floats) -> None:
         self.T = T
-        self.node = node
         self._name = name
         self.gizmo = page.server.scene.add_transform_controls(node, depth_test=False, line_width=3.0)
         place(self.gizmo, T)
@@ -298,10 +308,8 @@ class Mover:
 
     def take(self) -> Floats:
         """Read the pose to which the gizmo was dragged."""
-        T = np.eye(4)
-        T[:3, :3], T[:3, 3] = from_quaternion(self.gizmo.wxyz, self._name), self.gizmo.position
-        self.T = T
-        return T
+        self.T = pose_of(from_quaternion(self.gizmo.wxyz, self._name), self.gizmo.position)
+        return self.T
 
     def move(self, T: Floats) -> None:
         """Put the gizmo, and with it the body, at a pose."""
@@ -323,9 +331,7 @@ class PoseInputs:
 
     def take(self) -> Floats:
         """Read the pose that was typed."""
-        T = np.eye(4)
-        T[:3, :3], T[:3, 3] = from_rpy(*np.radians(self.turn.value)), self.position.value
-        return T
+        return pose_of(from_rpy(*np.radians(self.turn.value)), self.position.value)
 
     def show(self, T: Floats) -> None:
         """Show a pose, rounded to the decimals that are shown."""
@@ -408,7 +414,7 @@ def _serve(title: str, where: guard.Listening, port: int) -> tuple[Any, guard.Gu
             raise InputError(
                 f"port: expected a free port at {where.host}, found {port} in use; choose another, or 0 for any"
             )
-        token = None if where.loopback else guard.new_token()
+        token = None if where.loopback else secrets.token_urlsafe(24)
         guarding = guard.Guard(where, server.get_port(), token, title)
         guard.install(server, guarding)
     except BaseException:

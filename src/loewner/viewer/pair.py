@@ -164,18 +164,16 @@ class PairViewer(Viewer):
         gui, scene, poses = self.server.gui, self.server.scene, self._first
         with gui.add_folder("Show"):
             offered = [k for k in LABELS if k != "meshes" or any(mesh is not None for mesh in self._meshes.values())]
-            self._layers = {k: self._watch(gui.add_checkbox(LABELS[k], k == "pieces"), "layers") for k in offered}
-            self._layers["near"] = self._watch(gui.add_checkbox("near points", True), "layers")
-            self._layers["ground"] = self._watch(gui.add_checkbox("grid", True), "layers")
+            self._add_layers(offered)
         self._movers, self._inputs, self._drawings = {}, {}, {}
         for (name, T), body in zip(poses.items(), (self.a, self.b), strict=True):
             self._movers[name] = Mover(self, f"/{name}", name, T)
             self._drawings[name] = Drawing(
-                scene, f"/{name}", body, PAIR[name], self._shown(), partial(self._meshes.get, name)
+                scene, f"/{name}", body, PAIR[name], self._which(), partial(self._meshes.get, name)
             )
         boxes = {name: self._drawings[name].box(T) for name, T in poses.items()}
         small, large = sorted(boxes.values(), key=diagonal)
-        self._frame_view(framed(small, [large], WIDEST), self._layers["ground"])
+        self._frame_view(framed(small, [large], WIDEST))
         for name, mover in self._movers.items():
             mover.fit(boxes[name], self._size)
             with gui.add_folder(f"Body {name}"):
@@ -191,9 +189,6 @@ class PairViewer(Viewer):
         for mover in self._movers.values():
             mover.show(not self._pictured)
 
-    def _shown(self) -> dict[str, bool]:
-        return {name: box.value for name, box in self._layers.items()}
-
     def _take(self, done: dict[str, Any]) -> None:
         for name, mover in self._movers.items():
             if f"drag {name}" in done:
@@ -202,8 +197,9 @@ class PairViewer(Viewer):
                 mover.move(self._inputs[name].take())
         if "layers" in done:
             for drawing in self._drawings.values():
-                drawing.show(self._shown())
-            self._ground.visible = self._layers["ground"].value
+                drawing.show(self._which())
+        if "marks" in done:
+            self._ground.visible = self._marks["ground"].value
 
     def _answer(self) -> None:
         asked: tuple[Any, ...] = self.a, self._movers["A"].T, self.b, self._movers["B"].T
@@ -237,8 +233,8 @@ class PairViewer(Viewer):
     def _show_near(self) -> None:
         # The near points of overlapping bodies are inside the bodies.
         for drawing in self._drawings.values():
-            drawing.see_through(self._layers["near"].value and self.found.distance < 0)
-        if not self._layers["near"].value:
+            drawing.see_through(self._marks["near"].value and self.found.distance < 0)
+        if not self._marks["near"].value:
             self._near.hide()
             self._normal.visible = False
             return

@@ -344,11 +344,7 @@ class RobotViewer(Viewer):
         if self._way is not None:
             self._build_path(self._way)
         with gui.add_folder("Show"):
-            self._layers = {k: self._watch(gui.add_checkbox(LABELS[k], k == "pieces"), "layers") for k in LABELS}
-            self._marks = {
-                "near": self._watch(gui.add_checkbox("near points", True), "marks"),
-                "ground": self._watch(gui.add_checkbox("grid", True), "marks"),
-            }
+            self._add_layers(LABELS)
             self._notes = gui.add_html("", visible=False)
         with gui.add_folder("Robot"):
             states = gui.add_dropdown(
@@ -400,7 +396,7 @@ class RobotViewer(Viewer):
             # A plane in MJCF is a link of the robot, but very large.
             boxes[shown.mover is None and np.ptp(box, axis=0).max() < WORLD].append(box)
         box = framed(spanned(boxes[True]), boxes[False], WIDEST) if boxes[True] else spanned(boxes[False])
-        self._frame_view(box, self._marks["ground"])
+        self._frame_view(box)
         for shown in self._shown.values():
             if shown.mover is not None:
                 shown.mover.fit(shown.drawing.box(np.eye(4)), self._size)
@@ -427,9 +423,6 @@ class RobotViewer(Viewer):
             mover.fit(drawing.box(np.eye(4)), self._size)
             drawing.on_click(lambda _: self._tell("clicked", name))
         self._shown[name] = _Shown(body, drawing, colour, handle, link, T_link_body, mover)
-
-    def _which(self) -> dict[str, bool]:
-        return {name: box.value for name, box in self._layers.items()}
 
     @cached_property
     def _visuals(self) -> tuple[dict[str, Mesh], list[str]]:
@@ -475,7 +468,9 @@ class RobotViewer(Viewer):
                     self._add(name, scene[name], HELD, link, held[name].T_link_body)
                 elif name not in self._shown:
                     self._add(name, scene[name], OBSTACLE, None, None)
-            self._offer(scene.static_names)
+            if self._chosen.value not in scene.static_names:  # it has been removed
+                self._chosen.value = NOTHING
+            self._chosen.options = (NOTHING, *scene.static_names)
             self._seen_structure = structure_version
         for name, T in zip(scene.static_names, scene.static_poses, strict=True):
             self._mover(name).move(T)
@@ -494,12 +489,6 @@ class RobotViewer(Viewer):
         mover = self._shown[name].mover
         assert mover is not None  # only bodies attached to links have no mover
         return mover
-
-    def _offer(self, names: tuple[str, ...]) -> None:
-        """List the bodies that can be moved, and deselect a body that has been removed."""
-        if self._chosen.value not in names:
-            self._chosen.value = NOTHING
-        self._chosen.options = (NOTHING, *names)
 
     def _show_gizmos(self) -> None:
         for name, shown in self._shown.items():
