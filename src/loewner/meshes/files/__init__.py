@@ -3,7 +3,7 @@
 The readers are loewner's own. General readers are designed to show as much of a file as possible: they drop unknown
 elements, replace undecodable values with zeros and let negative indices wrap around. That is the wrong compromise here,
 since half a mesh may be free where the whole mesh collides. Checking the results of such a reader would require reading
-the file again. `stl`, `obj`, `ply`, `off`, `gltf` and `dae` read the formats, and share `parts`.
+the file again. `stl`, `obj`, `ply`, `off`, `gltf` and `dae` read the formats, and share `parts` and `text`.
 """
 
 from collections.abc import Callable

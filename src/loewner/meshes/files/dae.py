@@ -19,13 +19,12 @@ from loewner.meshes.files.parts import (
     cut,
     expect,
     fans,
-    floats,
-    integers,
     joined,
     placed,
     quoted,
     strip,
 )
+from loewner.meshes.files.text import floats, integers
 
 # Limits on the nesting of elements, on their number, on the nodes of a scene and their contents (counted at each
 # placement), and on the inputs of vertices. Exporters stay far below these limits.

@@ -6,20 +6,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from loewner._base._validate import Floats, Ints
-from loewner.meshes.files.parts import (
-    Refusal,
-    Tell,
-    Triangles,
-    cut,
-    expect,
-    floats,
-    in_line,
-    integers,
-    is_integer,
-    quoted,
-    remarks,
-    tell_unit,
-)
+from loewner.meshes.files.parts import Refusal, Tell, Triangles, cut, expect, quoted
+from loewner.meshes.files.text import floats, in_line, integers, is_integer, remarks, tell_unit
 
 # Number of bytes that are split into words at a time; the words take about twenty times as much memory.
 BLOCK = 1 << 23

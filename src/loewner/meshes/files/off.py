@@ -3,22 +3,8 @@
 import numpy as np
 
 from loewner._base._validate import Floats, Ints
-from loewner.meshes.files.parts import (
-    Refusal,
-    Tell,
-    Triangles,
-    check_range,
-    cut,
-    data_lines,
-    expect,
-    floats,
-    in_line,
-    integers,
-    quoted,
-    remarks,
-    table_of,
-    tell_unit,
-)
+from loewner.meshes.files.parts import Refusal, Tell, Triangles, check_range, cut, expect, quoted
+from loewner.meshes.files.text import data_lines, floats, in_line, integers, remarks, table_of, tell_unit
 
 # Possible counts of numbers in the line of a vertex: x y z, and possibly a normal and a colour of three or four
 # numbers.

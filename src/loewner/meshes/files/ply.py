@@ -7,22 +7,8 @@ from typing import Any
 import numpy as np
 
 from loewner._base._validate import Floats, Ints
-from loewner.meshes.files.parts import (
-    Refusal,
-    Tell,
-    Triangles,
-    check_range,
-    cut,
-    data_lines,
-    expect,
-    floats,
-    in_line,
-    integers,
-    quoted,
-    refuse_line,
-    table_of,
-    tell_unit,
-)
+from loewner.meshes.files.parts import Refusal, Tell, Triangles, check_range, cut, expect, quoted
+from loewner.meshes.files.text import data_lines, floats, in_line, integers, refuse_line, table_of, tell_unit
 
 _KINDS = ("i1", "u1", "i2", "u2", "i4", "u4", "f4", "f8")
 _TYPES = {

@@ -5,18 +5,8 @@ import struct
 import numpy as np
 
 from loewner._base._validate import Floats
-from loewner.meshes.files.parts import (
-    Refusal,
-    Tell,
-    Triangles,
-    data_lines,
-    expect,
-    floats,
-    in_line,
-    plain_lines,
-    quoted,
-    tell_unit,
-)
+from loewner.meshes.files.parts import Refusal, Tell, Triangles, expect, quoted
+from loewner.meshes.files.text import data_lines, floats, in_line, plain_lines, tell_unit
 
 HEADER, FACET = 84, 50  # bytes
 FACETS = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
