@@ -19,23 +19,12 @@ from loewner._base._threads import in_shares
 from loewner._base._validate import Floats, Ints, Progress
 from loewner._kernels import codes
 from loewner._native import entries
+from loewner.ellipsoids import polytopes
 from loewner.ellipsoids.ellipsoids import Ellipsoids, trusted
 from loewner.ellipsoids.large_fits import inner as large_inner
 from loewner.ellipsoids.large_fits import outer as large_outer
 from loewner.ellipsoids.large_fits.dense import Reporter, inverse_of, lower_root
-from loewner.ellipsoids.polytopes import (
-    BLOCK,
-    FLATNESS,
-    LEAST_SHARE,
-    Polytope,
-    center_error,
-    check_enough,
-    check_halfspaces,
-    check_size,
-    flat_error,
-    interior_point,
-    writeable,
-)
+from loewner.ellipsoids.polytopes import FLATNESS, Polytope, center_error, check_enough, check_size, writeable
 from loewner.errors import ConvergenceError, GeometryError, InputError
 
 # The paper's tolerance: volumes within a factor of e^0.0001.
@@ -165,7 +154,7 @@ def mvce(
     c, factor = np.empty(n), np.empty((n, n))
     code, gap, iterations, _, _, _ = entries.fit_outer(x, tolerance, FLATNESS, c, factor)
     if code == codes.FLAT:
-        raise flat_error("points", x)
+        raise polytopes.flat_error("points", x)
     return certified_fit("mvce", c, factor, gap, iterations, tolerance, reporter=reporter)
 
 
@@ -244,7 +233,7 @@ def mvie(
     tolerance = checked_tolerance(tol)
     reporter = Reporter(_validate.callback(progress, "progress"), tolerance)
     if b is not None:
-        rows, bounds = check_halfspaces(A, b)
+        rows, bounds = polytopes.check_halfspaces(A, b)
         given = _checked_center(center, rows.shape[1])
         if given is not None:
             return _mvie_about(given, rows, bounds, tolerance, reporter)
@@ -265,7 +254,7 @@ def mvie(
 
 def _mvie_of_halfspaces(A: Floats, b: Floats, tol: float, reporter: Reporter) -> Fit:
     n = A.shape[1]
-    x = interior_point(A, b)
+    x = polytopes.interior_point(A, b)
     if len(A) * n**3 >= MANY_HALFSPACES:
         return _mvie_of_many_halfspaces(A, b, x, tol, reporter)
     center, factor, direction = np.empty(n), np.empty((n, n)), np.empty(n)
@@ -383,7 +372,7 @@ def _fit_all(
         entries.fit_range(first, last, vert_start, vertices, face_start, normals, tol, FLATNESS, *inner, *outer, info)
 
     with logged("fitting the ellipsoids of %d pieces", total, least=MANY_PIECES):
-        in_shares(run, total, LEAST_SHARE, most=BLOCK, progress=progress)
+        in_shares(run, total, polytopes.LEAST_SHARE, most=polytopes.BLOCK, progress=progress)
     return inner, outer, info
 
 

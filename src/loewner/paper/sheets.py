@@ -11,27 +11,11 @@ import re
 from dataclasses import dataclass
 
 from loewner.ellipsoids.fits import DEFAULT_TOLERANCE
+from loewner.paper import tables
 from loewner.paper.detectors import Confusion
 from loewner.paper.fitting import MOST_POLYHEDRA
 from loewner.paper.results import Experiment, Result
-from loewner.paper.tables import (
-    CELLS,
-    CLASS_SOURCES,
-    CLASSES,
-    PAPER,
-    PAPER_CLASSES,
-    PAPER_COLLIDING,
-    PAPER_PAIRS,
-    SIGNIFICANCE,
-    Table,
-    classes,
-    errors_outside,
-    homogeneity,
-    number,
-    percent,
-    statement,
-    tables,
-)
+from loewner.paper.tables import PAPER, PAPER_PAIRS, SIGNIFICANCE, Table, number, percent, statement
 
 SAID = ("collision", "free")  # rows of a confusion matrix
 ESTIMATE = (
@@ -75,10 +59,12 @@ class Sheet:
 
 def pairs(experiment: Experiment) -> Sheet:
     """Tabulate the four exact classes of the pairs."""
-    counts, p_value = classes(experiment)
+    counts, p_value = tables.classes(experiment)
     rows = [
         (name, *_counted(count, len(experiment)), *_counted(printed, PAPER_PAIRS), source)
-        for name, count, printed, source in zip(CLASSES, counts, PAPER_CLASSES, CLASS_SOURCES, strict=True)
+        for name, count, printed, source in zip(
+            tables.CLASSES, counts, tables.PAPER_CLASSES, tables.CLASS_SOURCES, strict=True
+        )
     ]
     return Sheet(
         "The pairs, by exact overlap of their ellipsoids",
@@ -91,13 +77,13 @@ def pairs(experiment: Experiment) -> Sheet:
 
 def counts(experiment: Experiment) -> tuple[Sheet, ...]:
     """Tabulate the confusion matrices (a) and (b) of each detector, next to the paper's, and then of the estimate."""
-    found = tables(experiment)
+    found = tables.tables(experiment)
     return tuple(_matrices(whole, part) for whole, part in zip(found[::2], found[1::2], strict=True))
 
 
 def shares(experiment: Experiment) -> tuple[Sheet, ...]:
     """Tabulate the counts in percent, with the confidence interval of each share."""
-    found = tables(experiment)
+    found = tables.tables(experiment)
     return tuple(_shares(whole, part) for whole, part in zip(found[::2], found[1::2], strict=True))
 
 
@@ -128,8 +114,8 @@ def outside(experiment: Experiment) -> Sheet:
     """Tabulate errors among the pairs that a detector's overlap checks decided; there should be none."""
     rows = []
     for result in (*experiment.detectors, experiment.estimate):
-        own = errors_outside(result.all, result.ambiguous)
-        printed = errors_outside(*PAPER[result.id][:2]) if result.id in PAPER else ("-", "-")
+        own = tables.errors_outside(result.all, result.ambiguous)
+        printed = tables.errors_outside(*PAPER[result.id][:2]) if result.id in PAPER else ("-", "-")
         missed, false = zip(own, printed, strict=True)
         rows.append((_name(result), *map(str, (*missed, *false))))
     return Sheet(
@@ -228,7 +214,7 @@ def _shares(whole: Table, part: Table) -> Sheet:
     title, head = _head(whole)
     printed = whole.cells[0].paper_count is not None
     rows = []
-    for k, name in enumerate(CELLS):
+    for k, name in enumerate(tables.CELLS):
         cells = (whole.cells[k], part.cells[k])
         texts = [(f"{percent(c.share)} [{percent(c.low)}, {percent(c.high)}]", percent(c.paper_share)) for c in cells]
         rows.append((name, *(text for own, paper in texts for text in ((own, paper) if printed else (own,)))))
@@ -240,7 +226,7 @@ def _right(table: str, result: Result, part: int, paper: Confusion | None) -> tu
     own = result.ambiguous if part else result.all
     if paper is None:
         return table, _name(result), percent(_accuracy(own)), "-", "-"
-    consistent = statement(homogeneity(own.counts, paper.counts))
+    consistent = statement(tables.homogeneity(own.counts, paper.counts))
     return table, _name(result), percent(_accuracy(own)), percent(_accuracy(paper)), consistent
 
 
@@ -254,8 +240,8 @@ def _gap(gap: float) -> str:
 
 def colliding(experiment: Experiment) -> str:
     """Describe the number of colliding pairs, next to the paper's."""
-    own, total = int(experiment.truth.sum()), len(experiment)
+    own, total, printed = int(experiment.truth.sum()), len(experiment), tables.PAPER_COLLIDING
     return (
-        f"{own:,} of {total:,} pairs collide, {percent(own / total)} % (the paper: {PAPER_COLLIDING} of "
-        f"{PAPER_PAIRS:,}, {percent(PAPER_COLLIDING / PAPER_PAIRS)} %; Table 1 (a), cells (1,1) + (2,1))"
+        f"{own:,} of {total:,} pairs collide, {percent(own / total)} % (the paper: {printed} of {PAPER_PAIRS:,}, "
+        f"{percent(printed / PAPER_PAIRS)} %; Table 1 (a), cells (1,1) + (2,1))"
     )

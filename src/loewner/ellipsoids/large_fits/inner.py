@@ -28,18 +28,8 @@ import numpy as np
 from loewner._base import _memory, _validate
 from loewner._base._validate import Bools, Floats, Ints
 from loewner._native import entries
-from loewner.ellipsoids.large_fits.dense import (
-    CENTRING_FLOOR,
-    LARGEST_SYSTEM,
-    ROUNDING,
-    STEP_CAP,
-    Reporter,
-    blocks,
-    lower_root,
-    room,
-    root_of_inverse,
-    solver_of,
-)
+from loewner.ellipsoids.large_fits import dense
+from loewner.ellipsoids.large_fits.dense import ROUNDING, Reporter, blocks, lower_root, room, root_of_inverse, solver_of
 from loewner.ellipsoids.polytopes import FLATNESS
 
 # Size of the first working set and largest number of half-spaces added per round, both divided by n. A round may always
@@ -265,11 +255,11 @@ def _step(A: Floats, T: Floats, d: Floats, h: Floats, y: Floats, z: Floats) -> t
         dx, dy, dz = direction(-y * z)
         to_y, to_z = (min(1.0, t) for t in room_of(dx, dy, dz))
         after = float(((y + to_y * dy) * (z + to_z * dz)).mean())
-        mu = max(mean * (after / mean) ** 3, CENTRING_FLOOR)
+        mu = max(mean * (after / mean) ** 3, dense.CENTRING_FLOOR)
         dx, dy, dz = direction(mu - y * z - dy * dz)
     except np.linalg.LinAlgError:
         return None
-    share = min(STEP_CAP, max(0.75, 1.0 - worst))
+    share = min(dense.STEP_CAP, max(0.75, 1.0 - worst))
     to_y, to_z = (min(1.0, share * t) for t in room_of(dx, dy, dz))
     return np.asarray(to_z * dx), np.asarray(y + to_y * dy), np.asarray(z + to_z * dz)
 
@@ -278,7 +268,7 @@ def _factorised(T: Floats, diagonal: Floats) -> Callable[[Floats], Floats] | Non
     """Make a solver of (diag(diagonal) + (T Tᵀ)∘(T Tᵀ)) X = B; None if the matrix is singular to rounding."""
     k, n = T.shape
     rank = n * (n + 1) // 2
-    if k * (k / 3 + n) <= rank * (k + rank / (3 * k)) and k <= LARGEST_SYSTEM:
+    if k * (k / 3 + n) <= rank * (k + rank / (3 * k)) and k <= dense.LARGEST_SYSTEM:
         matrix = T @ T.T
         matrix *= matrix
         return solver_of(matrix, diagonal)

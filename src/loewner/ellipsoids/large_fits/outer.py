@@ -24,18 +24,15 @@ import numpy as np
 
 from loewner._base import _memory
 from loewner._base._validate import Bools, Floats, Ints
+from loewner.ellipsoids.large_fits import dense
 from loewner.ellipsoids.large_fits.dense import (
-    CENTRING_FLOOR,
-    LARGEST_SYSTEM,
     ROUNDING,
-    STEP_CAP,
     Reporter,
     blocks,
     inverse_of,
     lower_root,
     room,
     root_of_inverse,
-    solver_of,
 )
 from loewner.ellipsoids.polytopes import FLATNESS, flat_error
 
@@ -266,10 +263,10 @@ def _solve(active: _WorkingSet, target: float, reporter: Reporter) -> tuple[int,
         k = len(w)
         left = SHARE * NEWTON_STEPS * (NEWTON_STEP + NEWTON_FLOP * (k**3 / 3 + k**2 * n)) - spent
         each = ASCENT_STEP + ASCENT_NUMBER * active.Q.size
-        if left < each and k <= LARGEST_SYSTEM:
+        if left < each and k <= dense.LARGEST_SYSTEM:
             taken, gap = _interior_point(active, target, reporter)
             return steps + taken, gap
-        count = n + 50 if k > LARGEST_SYSTEM else max(1, min(n + 50, int(left / each)))
+        count = n + 50 if k > dense.LARGEST_SYSTEM else max(1, min(n + 50, int(left / each)))
         _ascend(active, root.T @ root, w, count, target)
         spent, steps = spent + count * each, steps + count
     return steps, gap
@@ -363,7 +360,7 @@ def _newton_step(W: Floats, w: Floats, u: Floats, s: Floats) -> tuple[Floats, Fl
     k, N = W.shape
     matrix = W @ W.T
     matrix *= matrix
-    solve = solver_of(matrix, s / u)
+    solve = dense.solver_of(matrix, s / u)
     if solve is None:
         return None
 
@@ -374,9 +371,9 @@ def _newton_step(W: Floats, w: Floats, u: Floats, s: Floats) -> tuple[Floats, Fl
     mean = float(u @ s) / k
     du, ds = direction(np.zeros(k))
     after = float((u + min(1.0, room(u, du)) * du) @ (s + min(1.0, room(s, ds)) * ds)) / k
-    mu = max(mean * (after / mean) ** 3, CENTRING_FLOOR)
+    mu = max(mean * (after / mean) ** 3, dense.CENTRING_FLOOR)
     du, ds = direction((mu - du * ds) / u)
-    share = min(STEP_CAP, max(0.9, 1.0 - mean * k))
+    share = min(dense.STEP_CAP, max(0.9, 1.0 - mean * k))
     return u + min(1.0, share * room(u, du)) * du, s + min(1.0, share * room(s, ds)) * ds
 
 

@@ -29,22 +29,14 @@ from loewner._native import entries
 from loewner.bodies import Body, for_pictures, packed_of
 from loewner.ellipsoids.fits import checked_tolerance
 from loewner.errors import InputError, UnknownNameError
-from loewner.robots.description import assembly, reaching
+from loewner.robots.description import assembly, other_models, reaching
 from loewner.robots.description.assembly import Part, Source
 from loewner.robots.description.drake import drake_model
 from loewner.robots.description.link_bodies import MODELS, PRIMITIVES, USUAL_MODEL, MeshModel, link_bodies
 from loewner.robots.description.links import Joint as LinkJoint
 from loewner.robots.description.links import described
 from loewner.robots.description.mjcf import description_of, qpos_columns, semantics_of
-from loewner.robots.description.other_models import (
-    Layout,
-    Model,
-    Order,
-    expect,
-    layout_of,
-    warn_of_fixed_contacts,
-    with_shapes,
-)
+from loewner.robots.description.other_models import Layout, Model, Order, expect, layout_of
 from loewner.robots.description.pair_verdicts import ProvenPairs
 from loewner.robots.description.pinocchio import pinocchio_model
 from loewner.robots.description.srdf import Semantics, State, read_srdf
@@ -726,9 +718,9 @@ class Robot(KeepsReadOnly):
     @classmethod
     def _of_model(cls, model: Model) -> Robot:
         """Make the robot of another library's model."""
-        links, joints, disabled = with_shapes(model.links, model.joints, model.shapes, model.checked)
+        links, joints, disabled = other_models.with_shapes(model.links, model.joints, model.shapes, model.checked)
         made = cls.from_links(links, joints, disabled=disabled, name=model.name)
-        warn_of_fixed_contacts(model, made.bodies, made.link_names, made.tree, made.disabled_pairs)
+        other_models.warn_of_fixed_contacts(model, made.bodies, made.link_names, made.tree, made.disabled_pairs)
         return replace(made, _layout=layout_of(model.order, made._columns, joints_above(made), made.tree, {}))
 
     @guarded

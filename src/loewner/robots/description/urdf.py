@@ -21,18 +21,8 @@ from loewner._base._plausible import FARTHEST_LIMIT, doubt_about_limits, doubt_a
 from loewner._base._rotations import QUATERNION_TOLERANCE, from_quaternion, from_rpy
 from loewner._base._validate import Floats
 from loewner.errors import GeometryError, InputError, LoewnerError, UnknownNameError
-from loewner.robots.description.xml_elements import (
-    LARGEST,
-    LISTED,
-    UNREAD,
-    Element,
-    by_name,
-    cut,
-    known,
-    read_xml,
-    settle,
-    some,
-)
+from loewner.robots.description import xml_elements
+from loewner.robots.description.xml_elements import UNREAD, Element, by_name, cut, known, read_xml, settle, some
 
 # Names of the values of a joint, by kind; a single value has the name of its joint. No URDF has a ball joint.
 VALUES: dict[str, tuple[str, ...]] = {
@@ -465,8 +455,8 @@ def _with_known_mimics(joints: dict[str, Joint], path: Path) -> dict[str, Joint]
     """Give each joint that mimics a missing joint a value of its own, with a warning, as MoveIt and pinocchio do."""
     lost = {j.name: j for j in joints.values() if j.mimic is not None and j.mimic.joint not in joints}
     for count, joint in enumerate(lost.values()):
-        if count == LISTED:
-            warn(f"{path}: {len(lost) - LISTED} more joints mimic one that does not exist")
+        if count == xml_elements.LISTED:
+            warn(f"{path}: {len(lost) - xml_elements.LISTED} more joints mimic one that does not exist")
             break
         warn(
             f"{path}, line {joint.line}: expected a joint of this robot for {joint.name!r} to mimic, found "
@@ -507,11 +497,11 @@ def _mimicking(joint: Joint, followed: Joint, path: Path) -> Joint:
         return joint
     end = followed.mimic
     mimic = Mimic(end.joint, own.multiplier * end.multiplier, own.multiplier * end.offset + own.offset)
-    if not (abs(mimic.multiplier) <= LARGEST and abs(mimic.offset) <= LARGEST):
+    if not (abs(mimic.multiplier) <= xml_elements.LARGEST and abs(mimic.offset) <= xml_elements.LARGEST):
         raise InputError(
             f"{place(path, joint)}: expected {joint.name!r}, which mimics {followed.name!r}, which mimics "
             f"{end.joint!r}, to move by a finite multiple of it, found the multiplier {mimic.multiplier:g} and the "
-            f"offset {mimic.offset:g} (the largest allowed is {LARGEST:g})"
+            f"offset {mimic.offset:g} (the largest allowed is {xml_elements.LARGEST:g})"
         )
     return replace(joint, mimic=mimic)
 
