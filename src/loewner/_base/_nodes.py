@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any, Self
 
 from loewner._base import _json
-from loewner.errors import FileError, InputError, MissingExtraError, installing
+from loewner.errors import FileError, InputError, imported
 
 # Largest number of keys that a message lists.
 LISTED = 30
@@ -349,11 +349,7 @@ class YamlNode(Node):
 
 def yaml_package() -> Any:
     """Import PyYAML, which is optional."""
-    try:
-        import yaml
-    except ImportError:
-        raise MissingExtraError(f"YAML files need PyYAML: {installing('robots')}") from None
-    return yaml
+    return imported("yaml", "YAML files need PyYAML", "robots")
 
 
 def read_yaml(data: bytes, file: Path, what: str, *, merges: bool = False) -> YamlNode:

@@ -7,7 +7,7 @@ the kernels, which read them anyway and report a bad pose.
 import math
 import operator
 import os
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Container, Iterable, Mapping
 from dataclasses import fields
 from functools import cache
 from pathlib import Path
@@ -265,6 +265,20 @@ def flag(x: Any, name: str) -> bool:
     if isinstance(x, np.bool_):
         return bool(x)
     raise InputError(f"{name}: expected True or False, found {short(x)}")
+
+
+def expect_name(x: Any, wanted: str = "name: expected a name") -> str:
+    """Refuse anything except a string that is not empty."""
+    if not isinstance(x, str) or not x:
+        raise InputError(f"{wanted}, found {short(x)}")
+    return x
+
+
+def unused(name: str, taken: Container[str]) -> str:
+    """Return a name that is not yet taken."""
+    while name in taken:
+        name += "_"
+    return name
 
 
 def choice(x: Any, name: str, known: Collection[str]) -> str:

@@ -207,7 +207,8 @@ def parse(
             scope = scopes[-1]
             for attribute in attributes:
                 if attribute.startswith("xmlns"):
-                    scope = _with_declared(scope, attributes)
+                    declared = {key[6:]: value for key, value in attributes.items() if key[:6] in ("xmlns", "xmlns:")}
+                    scope = scope | declared  # the default namespace has the prefix ""
                     break
             scopes.append(scope)
             tag, namespace = name, scope.get(name.rpartition(":")[0], "") if scope else ""
@@ -220,20 +221,14 @@ def parse(
         if not strip:
             scopes.pop()
 
-    def text(words: str) -> None:
-        path[-1].texts.append(words)
-
     def entity(name: str, *_: Any) -> None:
         refuse(f"the declaration of an entity, {name[:40]!r}")
 
-    def document_type(*_: Any) -> None:
-        refuse("a document type, which may declare entities")
-
     parser.StartElementHandler, parser.EndElementHandler, parser.EntityDeclHandler = start, end, entity
     if texts:
-        parser.CharacterDataHandler = text
+        parser.CharacterDataHandler = lambda words: path[-1].texts.append(words)
     if not doctype:
-        parser.StartDoctypeDeclHandler = document_type
+        parser.StartDoctypeDeclHandler = lambda *_: refuse("a document type, which may declare entities")
     try:
         with uncollected():
             parser.Parse(_decoded(data), True)
@@ -253,9 +248,3 @@ def _decoded(data: bytes | str) -> bytes | str:
         return data
     codec = codecs.lookup(declared[1].decode()).name
     return data.decode(codec) if codec in _MULTIBYTE and isinstance(data, bytes) else data
-
-
-def _with_declared(namespaces: dict[str, str], attributes: dict[str, str]) -> dict[str, str]:
-    """Add the namespaces that an element declares to a dict from prefixes; the default namespace has the prefix ""."""
-    declared = {name[6:]: value for name, value in attributes.items() if name == "xmlns" or name.startswith("xmlns:")}
-    return namespaces | declared

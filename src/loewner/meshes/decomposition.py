@@ -23,7 +23,7 @@ from loewner._base._log import MANY_TRIANGLES, log, logged
 from loewner._base._plausible import warn
 from loewner._base._validate import Floats, Progress
 from loewner.ellipsoids.polytopes import Polytope
-from loewner.errors import GeometryError, InputError, MissingExtraError, installing
+from loewner.errors import GeometryError, InputError, imported
 from loewner.meshes import files as mesh_files
 from loewner.meshes.closed_parts import ClosedPart, closed_parts, volume
 from loewner.meshes.coverage import Covering, covered
@@ -433,7 +433,7 @@ def _excess_volume(hulls: list[Polytope], whole: float) -> float:
 
 def trimesh_scene(meshes: Mapping[str, tuple[Floats, Triangles]]) -> Any:
     """Make a `trimesh.Scene` from vertices and triangles, keyed by name."""
-    trimesh = _import("trimesh", "making a scene of trimesh")
+    trimesh = imported("trimesh", "making a scene of trimesh needs trimesh", "meshes")
     scene = trimesh.Scene()
     for name, (vertices, triangles) in meshes.items():
         scene.add_geometry(trimesh.Trimesh(vertices, triangles, process=False), node_name=name, geom_name=name)
@@ -443,22 +443,14 @@ def trimesh_scene(meshes: Mapping[str, tuple[Floats, Triangles]]) -> Any:
 # -- files --------------------------------------------------------------------------------------
 
 
-def _import(package: str, purpose: str = "") -> Any:
-    try:
-        return __import__(package)
-    except ImportError:
-        usual = {"coacd": "decomposing meshes", "trimesh": "converting a mesh's unit of length"}[package]
-        raise MissingExtraError(f"{purpose or usual} needs {package}: {installing('meshes')}") from None
-
-
 def _metres(mesh: Any) -> float:
     """Return the metres per unit of length of a mesh that states its unit, as Collada does."""
     units = getattr(mesh, "units", None)
     if units is None or units == "meters":
         return 1.0
-    convert = _import("trimesh").units.unit_conversion
+    trimesh = imported("trimesh", "converting a mesh's unit of length needs trimesh", "meshes")
     try:
-        return float(convert(units, "meters"))
+        return float(trimesh.units.unit_conversion(units, "meters"))
     except (KeyError, ValueError):
         raise GeometryError(f"mesh: expected a known unit of length, found {units!r}") from None
 
@@ -577,7 +569,7 @@ def _at_most(most: int | None, pieces: list[Polytope]) -> list[Polytope]:
 
 
 def _coacd(vertices: Floats, triangles: Triangles, threshold: float, most: int | None, seed: int) -> list[Polytope]:
-    coacd = _import("coacd")
+    coacd = imported("coacd", "decomposing meshes needs coacd", "meshes")
     coacd.set_log_level("error")
     middle, size = vertices.mean(axis=0), _size(vertices)  # CoACD's tolerances suit meshes of size 1 at the origin
     mesh = coacd.Mesh((vertices - middle) / size, triangles)

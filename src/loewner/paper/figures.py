@@ -16,7 +16,7 @@ from loewner._base._validate import Floats
 from loewner._kernels.tolerances import PAPER_ANGLE
 from loewner.ellipsoids.ellipsoid_pairs import near_points
 from loewner.ellipsoids.ellipsoids import Ellipsoids
-from loewner.errors import MissingExtraError, installing
+from loewner.errors import imported
 from loewner.paper.results import Experiment
 
 FIGURES = ("figure-1", "figure-2", "figure-3", "figure-4")
@@ -33,11 +33,7 @@ def require_matplotlib() -> Any:
     ------
     MissingExtraError
     """
-    try:
-        from matplotlib.figure import Figure
-    except ImportError:
-        raise MissingExtraError(f"figures need matplotlib: {installing('plots')}") from None
-    return Figure
+    return imported("matplotlib.figure", "figures need matplotlib", "plots").Figure
 
 
 def draw(experiment: Experiment) -> dict[str, Any]:

@@ -16,7 +16,7 @@ from loewner._base._nodes import YamlNode, read_yaml
 from loewner._base._plausible import warn
 from loewner._base._validate import Bools, Floats, Ints
 from loewner.bodies import Body
-from loewner.errors import FileError, MissingExtraError, installing
+from loewner.errors import FileError, imported
 
 # Largest size of a file, and largest number of pixels of an image.
 LARGEST_YAML, LARGEST_IMAGE, MOST_PIXELS = 1_000_000, 500_000_000, 400_000_000
@@ -174,16 +174,13 @@ def _grey(file: Path) -> tuple[Ints, int]:
 
 def _grey_by_pillow(data: bytes, file: Path) -> tuple[Ints, int]:
     """Read PNG, BMP and similar formats."""
+    pillow = imported("PIL.Image", f"{file}: expected Pillow for images other than PGM", "plots")
     try:
-        from PIL import Image, UnidentifiedImageError
-    except ImportError as error:
-        raise MissingExtraError(f"{file}: expected Pillow for images other than PGM; {installing('plots')}") from error
-    try:
-        with Image.open(io.BytesIO(data)) as image:
+        with pillow.open(io.BytesIO(data)) as image:
             image.load()
             mode, pixels = image.mode, np.asarray(image)
     except Exception as error:  # Pillow raises errors of many kinds about damaged files
-        why = "no known kind of image" if isinstance(error, UnidentifiedImageError) else error
+        why = "no known kind of image" if isinstance(error, pillow.UnidentifiedImageError) else error
         raise FileError(f"{file}: expected an image, found one that cannot be read ({why})") from error
     if mode == "1":
         return pixels.astype(np.int64) * 255, 255

@@ -19,7 +19,7 @@ from loewner._base._plausible import warn
 from loewner._base._rotations import from_quaternion, pose_of
 from loewner._base._validate import Bools, Floats, Ints, Pair
 from loewner.bodies import Body
-from loewner.errors import ConvergenceError, FileError, InputError, MissingExtraError, installing
+from loewner.errors import ConvergenceError, FileError, InputError, imported
 from loewner.scenes.mjcf_limits import check_limits
 
 # In MuJoCo, a plane is a half-space. A cube below the plane replaces it, around the plane's center, with the longest
@@ -175,8 +175,7 @@ def compiled_model(model: Any, data: Any, file: Path, tol: float, *, couplings: 
     found = [f"{count} {what}" for what, count in unread.items() if count]
     if found:
         warn(f"{file}: not read, although MuJoCo computes with it: {', '.join(found)}")
-    classes = _classes(model)
-    members = [_members(classes, body) for body in range(model.nbody)]
+    members = _members(model)
     part_names = {geoms: names.of_part(body, number, geoms) for body in range(model.nbody)
                   for number, geoms in enumerate(members[body])}  # fmt: skip
     placed = _placed(mujoco, model, data)
@@ -215,11 +214,7 @@ def name_of(model: Any) -> str:
 
 def _mujoco() -> Any:
     """Return the MuJoCo module."""
-    try:
-        import mujoco
-    except ImportError:
-        raise MissingExtraError(f"MJCF files need MuJoCo: {installing('mujoco')}") from None
-    return mujoco
+    return imported("mujoco", "MJCF files need MuJoCo", "mujoco")
 
 
 def _compiled(file: Path) -> Any:
@@ -297,13 +292,8 @@ class _Names:
 
 def _named(names: list[str], kind: str) -> list[str]:
     """Return the names, with new names for unnamed entries."""
-    taken, found = set(names), []
-    for number, name in enumerate(names):
-        made = name or f"{kind}{number}"
-        while not name and made in taken:
-            made += "_"
-        found.append(made)
-    return found
+    taken = set(names)
+    return [name or _validate.unused(f"{kind}{number}", taken) for number, name in enumerate(names)]
 
 
 def _placed(mujoco: Any, model: Any, data: Any) -> list[Floats]:
@@ -366,29 +356,20 @@ def _joint(model: Any, names: _Names, joint: int, mimics: dict[int, tuple[str, f
 # -- geoms ------------------------------------------------------------------------------------------
 
 
-def _classes(model: Any) -> dict[int, tuple[int, ...]]:
-    """Return the class of each geom that can collide; the class determines the geoms with which the geom can collide.
+def _members(model: Any) -> list[list[tuple[int, ...]]]:
+    """List, for each body, the geoms of each part, in the order of the file; geoms that never collide are left out.
 
-    Geoms of the same body and class form one part. A geom of the world, or a geom that a <pair> names, forms a part
-    alone.
+    Geoms of a body that collide with the same geoms form one part. A geom of the world, or a geom that a <pair> names,
+    forms a part alone.
     """
     paired = {*model.pair_geom1.tolist(), *model.pair_geom2.tolist()}
-    classes: dict[int, tuple[int, ...]] = {}
+    parts: list[dict[tuple[int, ...], list[int]]] = [{} for _ in range(model.nbody)]
     for geom in range(model.ngeom):
         body, mask = int(model.geom_bodyid[geom]), (int(model.geom_contype[geom]), int(model.geom_conaffinity[geom]))
         if any(mask) or geom in paired:
             alone = body == 0 or geom in paired
-            classes[geom] = (body, *mask, geom if alone else -1)
-    return classes
-
-
-def _members(classes: dict[int, tuple[int, ...]], body: int) -> list[tuple[int, ...]]:
-    """List the geoms of each part of a body, in the order of the file."""
-    parts: dict[tuple[int, ...], list[int]] = {}
-    for geom, found in classes.items():
-        if found[0] == body:
-            parts.setdefault(found, []).append(geom)
-    return [tuple(geoms) for geoms in parts.values()]
+            parts[body].setdefault((*mask, geom if alone else -1), []).append(geom)
+    return [list(map(tuple, of_body.values())) for of_body in parts]
 
 
 def _union(bodies: list[Body]) -> Body:
@@ -469,6 +450,7 @@ def _left_out(
     together = {frozenset(pair) for pair in zip(model.pair_geom1.tolist(), model.pair_geom2.tolist(), strict=True)}
     excluded = {frozenset(divmod(int(signature), 1 << 16)) for signature in model.exclude_signature}
     parents_meet = bool(model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_FILTERPARENT)
+    kinds, wanted = model.geom_contype, model.geom_conaffinity
     related_pairs, excluded_pairs = set(), set()
     for a, b in combinations(parts, 2):
         names = part_names[a], part_names[b]
@@ -478,7 +460,7 @@ def _left_out(
         bodies = int(model.geom_bodyid[a[0]]), int(model.geom_bodyid[b[0]])
         if _related(model, *bodies, parents_meet):
             related_pairs.add(pair)
-        elif frozenset(bodies) in excluded or not _masks_meet(model, a[0], b[0]):
+        elif frozenset(bodies) in excluded or not (kinds[a[0]] & wanted[b[0]] or kinds[b[0]] & wanted[a[0]]):
             excluded_pairs.add(pair)
     return frozenset(related_pairs), frozenset(excluded_pairs)
 
@@ -492,8 +474,3 @@ def _related(model: Any, a: int, b: int, parents_meet: bool) -> bool:
         return False
     above_a, above_b = (int(model.body_weldid[model.body_parentid[body]]) for body in (a, b))
     return above_a == b or above_b == a
-
-
-def _masks_meet(model: Any, a: int, b: int) -> bool:
-    kinds, wanted = model.geom_contype, model.geom_conaffinity
-    return bool(kinds[a] & wanted[b] or kinds[b] & wanted[a])

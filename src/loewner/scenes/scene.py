@@ -22,7 +22,7 @@ from loewner._base._pictures import COLOURS, MOST_BODIES, MOST_NAMES, Shape, bod
 from loewner._base._plausible import doubt_about_size, warn
 from loewner._base._read_only import KeepsReadOnly
 from loewner._base._rotations import pose_of
-from loewner._base._validate import Entry, Floats, Ints, Pair
+from loewner._base._validate import Entry, Floats, Ints, Pair, expect_name
 from loewner._kernels.columns import OUTER_RADIUS
 from loewner.bodies import Bodies, Body, for_pictures, packed_of, reach_of
 from loewner.errors import InputError
@@ -399,7 +399,7 @@ class Scene:
             Once per scene, if a body is probably not given in metres: it is kilometres large or far away, or much
             smaller than a millimetre.
         """
-        _check_name(name, "name")
+        expect_name(name)
         _validate.instance(body, f"body of {name!r}", Body)
         T = _validate.pose(T_world_body, f"T_world_body of {name!r}")
         keep = None if margin is None else _validate.positive_scalar(margin, f"margin of {name!r}", zero=True)
@@ -755,7 +755,7 @@ class Scene:
         (('table',), frozenset({('can', 'table')}))
         """
         self._known(name)
-        _check_name(link, "link")
+        expect_name(link, "link: expected a name")
         touching = {link, *_names(touch_links, "touch_links")}
         leaving = {_pair(name, other) for other in _names(leave, "leave")}
         reaching = {_pair(name, other) for other in _names(reach, "reach")}
@@ -1316,14 +1316,9 @@ def _rest(times: ArrayLike, poses: ArrayLike) -> tuple[ArrayLike, ArrayLike]:
     return np.array([float(at[0]), later]), np.broadcast_to(T.reshape(4, 4), (2, 4, 4))
 
 
-def _check_name(name: Any, what: str) -> str:
-    if not isinstance(name, str) or not name:
-        raise InputError(f"{what}: expected a name, found {_validate.short(name)}")
-    return name
-
-
 def _names(given: Any, what: str) -> list[str]:
-    return [_check_name(name, what) for name in _validate.listed(given, what, wanted="several names")]
+    listed = _validate.listed(given, what, wanted="several names")
+    return [expect_name(name, f"{what}: expected a name") for name in listed]
 
 
 def _pair_as_given(pair: Any) -> Pair:
@@ -1331,13 +1326,13 @@ def _pair_as_given(pair: Any) -> Pair:
         a, b = pair
     except Exception:  # not two names, or an error from the caller's object
         raise InputError(f"names: expected pairs of names, found {_validate.short(pair)}") from None
-    return _check_name(a, "names"), _check_name(b, "names")
+    return expect_name(a, "names: expected a name"), expect_name(b, "names: expected a name")
 
 
 def _pair(a: Any, b: Any) -> Pair:
     """Check two names, which must differ, and sort them."""
-    _check_name(a, "a")
-    _check_name(b, "b")
+    expect_name(a, "a: expected a name")
+    expect_name(b, "b: expected a name")
     if a == b:
         raise InputError(f"a, b: expected two names, found {a!r} twice")
     return (a, b) if a < b else (b, a)
@@ -1351,10 +1346,10 @@ def _margin_key(a: Any, b: Any, against: Any) -> MarginKey:
         _validate.choice(against, "against", ("links",))
         if b is not None:
             raise InputError(f"against: expected none with a pair, found {against!r} with b = {b!r}")
-        return (None if a is None else _check_name(a, "a"), None)
+        return (None if a is None else expect_name(a, "a: expected a name"), None)
     if a is None:
         return ()
-    return (_check_name(a, "a"),) if b is None else _pair(a, b)
+    return (expect_name(a, "a: expected a name"),) if b is None else _pair(a, b)
 
 
 def _text(pair: Pair) -> str:

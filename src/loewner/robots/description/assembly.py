@@ -18,7 +18,7 @@ from loewner._kernels.records import Tree
 from loewner.bodies import Body
 from loewner.errors import GeometryError, InputError, UnknownNameError
 from loewner.meshes.files import parts
-from loewner.robots.description.links import checked_mimic, expect_name, unit_axis
+from loewner.robots.description.links import checked_mimic, unit_axis
 from loewner.robots.description.srdf import Semantics
 from loewner.robots.description.tree import constant_pose, placed_tree
 from loewner.robots.description.urdf import RATES, VALUES, Description, Joint
@@ -99,7 +99,7 @@ def joined(kind: type[R], parts: Mapping[str, R], poses: Mapping[str, ArrayLike 
     if not isinstance(parts, Mapping) or not parts:
         raise InputError(f"parts: expected a mapping from names to robots, found {_validate.short(parts)}")
     for name, robot in parts.items():
-        expect_name(name, "parts: expected names")
+        _validate.expect_name(name, "parts: expected names")
         if not isinstance(robot, kind):
             raise InputError(f"parts: expected loewner.Robot for {name!r}, found {type(robot).__name__}")
         for other in parts:
@@ -203,7 +203,7 @@ def add_base(self: R, kind: Literal["planar", "floating"], bounds: ArrayLike | N
         limits = _validate.finite_array(bounds, "bounds", (axes, 2))
         if not (limits[:, 0] <= limits[:, 1]).all():
             raise InputError(f"bounds: expected rows of a lower and an upper position, found {limits.tolist()}")
-    expect_name(name)
+    _validate.expect_name(name)
     joints = [(name, "floating", [0.0, 0.0, 1.0])]
     if kind == "planar":
         joints = [
@@ -352,7 +352,7 @@ def with_body(
     >>> robot.configuration_names
     ('rail', 'elbow', 'door')
     """
-    expect_name(name)
+    _validate.expect_name(name)
     _validate.instance(body, f"body of {name!r}", Body)
     _validate.choice(joint, "joint", [kind for kind in VALUES if kind != "ball"])
     robot: Any = self

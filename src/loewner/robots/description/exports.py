@@ -24,7 +24,6 @@ from loewner.bodies.exports import add_collisions, add_geoms, add_origin, enlarg
 from loewner.bodies.kinds import Mesh
 from loewner.errors import InputError, LoewnerError
 from loewner.robots.description.link_meshes import hull_or_solid
-from loewner.robots.description.links import unused
 from loewner.robots.description.reaching import turning_axis
 from loewner.robots.description.srdf import read_srdf
 from loewner.robots.description.tree import KINDS, adjacent_pairs, constant_pose
@@ -107,7 +106,7 @@ def _top(robot: Any, *, needed: bool) -> str | None:
     roots = [link for link in robot.link_names if robot._above.get(link, ("", None))[1] is None]
     if not needed and len(roots) == 1 and np.array_equal(constant_pose(robot.tree.constants[0]), np.eye(4)):
         return None
-    return unused("world", robot.link_names)
+    return _validate.unused("world", robot.link_names)
 
 
 def _shapes(link: ElementTree.Element, robot: Any, path: Path, mesh_prefix: str, wider: float) -> dict[Path, str]:
@@ -145,7 +144,7 @@ def _joints(robot: Any, top: str | None) -> Iterator[Joint]:
             continue
         kind = int(tree.kind[k])
         if kind == columns.FIXED:  # robots have no names for fixed joints
-            name = unused(name or child, taken)
+            name = _validate.unused(name or child, taken)
             taken.add(name)
         if kind not in NAMES:
             raise InputError(f"expected joints that URDF has, found the ball joint {name!r}")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Container, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, NoReturn
@@ -101,7 +101,7 @@ def described(
     bodies : dict
         Maps link names to bodies.
     """
-    expect_name(name)
+    _validate.expect_name(name)
     if not isinstance(links, Mapping) or not links:
         raise InputError(f"links: expected a mapping from names to bodies, found {_validate.short(links)}")
     bodies = {link: body for link, shapes in links.items() if (body := _body(link, shapes)) is not None}
@@ -111,7 +111,7 @@ def described(
     above: dict[str, urdf.Joint] = {}
     for joint in listed:
         _validate.instance(joint, "joints", Joint)
-        if expect_name(joint.name, "expected a name of a joint") in made:
+        if _validate.expect_name(joint.name, "expected a name of a joint") in made:
             raise InputError(f"joints: expected names that differ, found {joint.name!r} twice")
         for end in (joint.parent, joint.child):
             _validate.known(end, f"link of joint {joint.name!r}", links)
@@ -122,7 +122,7 @@ def described(
             )
         checked, behind = _joint(joint)
         if behind is not None:
-            frame = unused(f"{joint.child}/{joint.name}", names)
+            frame = _validate.unused(f"{joint.child}/{joint.name}", names)
             names[frame] = None
             checked = replace(checked, child=frame)
             above[joint.child] = urdf.Joint(joint.child, "fixed", frame, joint.child, behind)
@@ -141,23 +141,9 @@ def _fault(expected: str, found: str) -> NoReturn:
     raise InputError(f"joints: expected {expected}, found {found}")
 
 
-def expect_name(name: Any, wanted: str = "name: expected a name") -> str:
-    """Refuse anything except a string that is not empty."""
-    if not isinstance(name, str) or not name:
-        raise InputError(f"{wanted}, found {_validate.short(name)}")
-    return name
-
-
-def unused(name: str, taken: Container[str]) -> str:
-    """Return a name that is not yet taken."""
-    while name in taken:
-        name += "_"
-    return name
-
-
 def _body(link: Any, shapes: Any) -> Body | None:
     """Make the body of a link from one body, or from several bodies at their poses."""
-    expect_name(link, "expected a name of a link")
+    _validate.expect_name(link, "expected a name of a link")
     if shapes is None or isinstance(shapes, Body):
         return shapes
     wanted = "a body, None, or a list of pairs [(body, pose), ...]"

@@ -9,9 +9,8 @@ import numpy as np
 
 from loewner._base._matrices import product
 from loewner._base._plausible import warn
-from loewner._base._validate import Floats
+from loewner._base._validate import Floats, unused
 from loewner.bodies import Body
-from loewner.robots.description.links import unused
 from loewner.robots.description.srdf import Semantics, State
 from loewner.robots.description.urdf import VALUES, Description, Joint, Mimic, narrowed, without_chains
 from loewner.robots.description.xml_elements import some

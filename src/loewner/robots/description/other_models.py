@@ -19,7 +19,7 @@ from loewner._kernels.records import Tree
 from loewner.bodies import Body
 from loewner.errors import ConvergenceError, InputError
 from loewner.queries import pairs as queries
-from loewner.robots.description.links import Joint, unused
+from loewner.robots.description.links import Joint
 from loewner.robots.description.tree import constant_pose
 from loewner.robots.description.xml_elements import some
 
@@ -212,8 +212,8 @@ def with_shapes(
     for (link, _), members in classes.items():
         first, name = shapes[members[0]], link
         if link == links[0] or made[link] is not None:
-            name = unused(first.name if link == links[0] else f"{link}/{first.name}", made)
-            joint = unused(name, all_joints)
+            name = _validate.unused(first.name if link == links[0] else f"{link}/{first.name}", made)
+            joint = _validate.unused(name, all_joints)
             all_joints[joint] = Joint(joint, "fixed", link, name)
         made[name] = [(shapes[k].body, shapes[k].T_link_body) for k in members]
         names.append(name)
@@ -246,7 +246,7 @@ def unique(names: Sequence[str], scopes: Sequence[str]) -> list[str]:
     found: list[str] = []
     for name, scope in zip(names, scopes, strict=True):
         made = name if names.count(name) == 1 else f"{scope}::{name}"
-        found.append(unused(made, found))
+        found.append(_validate.unused(made, found))
     return found
 
 

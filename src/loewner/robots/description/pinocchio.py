@@ -18,7 +18,7 @@ from loewner.errors import InputError
 from loewner.robots.description.coal_shapes import coal_body
 from loewner.robots.description.link_bodies import MODELS
 from loewner.robots.description.link_meshes import described, warn_of_open_meshes
-from loewner.robots.description.links import Joint, JointKind, unused
+from loewner.robots.description.links import Joint, JointKind
 from loewner.robots.description.other_models import Model, Order, Shape, chained, expect, made_body, unique
 
 X, Y, Z = np.eye(3)
@@ -88,7 +88,7 @@ def _links(model: Any) -> tuple[dict[int, str], dict[int, str]]:
     taken = list(of_body.values())
     for joint in range(model.njoints):
         if joint not in at_joint:
-            at_joint[joint] = unused(model.names[joint], taken)
+            at_joint[joint] = _validate.unused(model.names[joint], taken)
             taken.append(at_joint[joint])
     return of_body, at_joint
 

@@ -6,7 +6,6 @@ arguments.
 
 from __future__ import annotations
 
-import importlib
 import os
 import threading
 from collections.abc import Iterator, Mapping, Sequence
@@ -15,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from loewner._base import _validate
-from loewner.errors import FileError, InputError, MissingExtraError, installing
+from loewner.errors import FileError, InputError, imported
 from loewner.robots.description.link_bodies import package_folder
 
 # Suffix of the names of files that are expanded.
@@ -72,10 +71,8 @@ def expanded(
     given = {name: _text(name, value) for name, value in arguments.items()}
     if not os.path.isfile(file):  # Path.is_file raises if a name is too long
         raise FileError(f"{path}: expected a xacro file, but there is no such file")
-    try:
-        xacro, substitution = (importlib.import_module(name) for name in ("xacro", "xacro.substitution_args"))
-    except ImportError:
-        raise MissingExtraError(f"reading {file.name} needs the package xacro: {installing('xacro')}") from None
+    purpose = f"reading {file.name} needs the package xacro"
+    xacro, substitution = (imported(name, purpose, "xacro") for name in ("xacro", "xacro.substitution_args"))
     with _alone, _finding(substitution, file, folders):
         try:
             document = xacro.process_file(str(file), mappings=_Arguments(given, used), verbosity=0)
