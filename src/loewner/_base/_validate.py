@@ -312,6 +312,15 @@ def callback(x: Any, name: str) -> Any:
     return x
 
 
+def silent(done: int, total: int) -> None:
+    """Report no progress."""
+
+
+def reporter(progress: Any) -> Progress:
+    """Check a callback progress(done, total), and replace None by a function that reports nothing."""
+    return cast(Progress, silent if callback(progress, "progress") is None else progress)
+
+
 def broadcast(shapes: dict[str, tuple[int, ...]]) -> tuple[int, ...]:
     """Return the shape to which batch shapes broadcast; an error names shapes that do not broadcast."""
     try:

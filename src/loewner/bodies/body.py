@@ -323,14 +323,12 @@ class Body(_Bodies):
         >>> body, body.covering.kind, body.covering.max_protrusion
         (Body(polytope, 8 vertices), 'convex', 0.0)
         """
-        _validate.callback(progress, "progress")
-        steps = 1  # the fits
+        report, steps = _validate.reporter(progress), 1  # the fits are one step
 
-        def report(done: int, total: int) -> None:
+        def decomposed(done: int, total: int) -> None:
             nonlocal steps
             steps = total + 1
-            if progress is not None:
-                progress(done, steps)
+            report(done, steps)
 
         polytopes, covering = meshes.convex_polytopes(
             source,
@@ -341,11 +339,10 @@ class Body(_Bodies):
             threshold=threshold,
             max_pieces=max_pieces,
             seed=seed,
-            progress=report,
+            progress=decomposed,
         )
         body = body_of_polytopes(polytopes, covering, tol)
-        if progress is not None:
-            progress(steps, steps)
+        report(steps, steps)
         return body
 
     @classmethod
@@ -959,7 +956,7 @@ class Body(_Bodies):
 
         other = _validate.instance(model, "model", Body)
         length = None if tolerance is None else _validate.positive_scalar(tolerance, "tolerance")
-        return prove(self._packed, other._packed, length, _validate.callback(progress, "progress"))
+        return prove(self._packed, other._packed, length, _validate.reporter(progress))
 
     def cover(
         self,
@@ -1010,8 +1007,7 @@ class Body(_Bodies):
             raise InputError("n, protrusion: expected one of the two, found " + ("none" if n is None else "both"))
         count = None if n is None else _validate.whole_number(n, "n", 1, cover_fits.MOST)
         length = None if protrusion is None else _validate.positive_scalar(protrusion, "protrusion")
-        _validate.callback(progress, "progress")
-        packed, excess = cover_fits.cover(self._packed, kind, count, length, progress)
+        packed, excess = cover_fits.cover(self._packed, kind, count, length, _validate.reporter(progress))
         return Body(packed, Covering("cover", True, 0.0, float("nan"), 0, excess))
 
     def to_mjcf(

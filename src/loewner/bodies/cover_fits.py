@@ -410,7 +410,7 @@ def _others(target: Target, kind: str, n: int | None, protrusion: float | None, 
 
 
 def cover(
-    packed: Packed, kind: str, n: int | None, protrusion: float | None, progress: Progress | None
+    packed: Packed, kind: str, n: int | None, protrusion: float | None, progress: Progress
 ) -> tuple[Packed, float]:
     """Fit elements of a kind to a body, and bound how far they stick out; see `Body.cover`."""
     target, share = Target(packed), 0
@@ -418,8 +418,7 @@ def cover(
     def report(done: int, total: int) -> None:
         nonlocal share
         share = max(share, min(done, 95))
-        if progress is not None:
-            progress(share, total)
+        progress(share, total)
 
     if protrusion is not None and protrusion < LEAST_PROTRUSION * target.size:
         raise InputError(
@@ -437,6 +436,5 @@ def cover(
     proof = prove(packed, found, None)
     if proof.outcome != "covered":
         raise GeometryError(f"cover: expected a proof that the {kind} hold the body, found {proof.outcome}")
-    if progress is not None:
-        progress(100, 100)
+    progress(100, 100)
     return found, proof.excess[1]

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from loewner._base._matrices import dot, least_of, lengths, normals_of
-from loewner._base._validate import Bools, Floats, Ints, Progress
+from loewner._base._validate import Bools, Floats, Ints, Progress, silent
 from loewner._kernels import columns
 from loewner._kernels.tolerances import FACE_WIDTH
 from loewner.bodies.elements import HEIGHT_ROUNDINGS, Elements
@@ -619,7 +619,7 @@ def _round_excess(target: Target, model: Elements, these: Ints, tolerance: float
 
 
 def prove(
-    packed: Packed, model: Packed, tolerance: float | None, progress: Progress | None = None, *, excess: bool = True
+    packed: Packed, model: Packed, tolerance: float | None, progress: Progress = silent, *, excess: bool = True
 ) -> CoverReport:
     """Prove that a model covers a body, or that it does not; see `Body.covered_by`."""
     elements, target = Elements(model), Target(packed)
@@ -627,8 +627,7 @@ def prove(
     proof = _Proof(target, elements, length)
 
     def report(done: int, total: int) -> None:
-        if progress is not None:
-            progress(done * 6 // 10, total)
+        progress(done * 6 // 10, total)
 
     whole = proof.wholes()
     triangles, owner = target.own
@@ -642,7 +641,7 @@ def prove(
     if proof.witness is None and around.any():
         # A curved piece is covered if the polytope around it is covered.
         these = around[target.owner]
-        _, _, more = proof.surface(target.triangles[these], target.owner[these], lambda done, total: None, own=False)
+        _, _, more = proof.surface(target.triangles[these], target.owner[these], silent, own=False)
         found = [cells for cells in (rest, more) if cells is not None]
         rest = _Cells.joined(found) if found else None
     holes = None
@@ -650,8 +649,7 @@ def prove(
         holes = proof.inside()
         if holes is not None and proof.witness is None:
             proof.dive(holes, inside=True)
-    if progress is not None:
-        progress(80, 100)
+    progress(80, 100)
     covers = proof.witness is None and rest is None and holes is None
     depth, share = (0.0, 0.0), (0.0, 0.0)
     if not covers:
@@ -661,8 +659,7 @@ def prove(
         share = (outside / total, (outside + undecided) / total) if total > 0 else (0.0, 1.0)  # a cloud has no area
     outcome = "covered" if covers else "undecided" if proof.witness is None else "uncovered"
     sticks = excess_of(target, model, elements, length) if excess else (0.0, float("inf"))
-    if progress is not None:
-        progress(100, 100)
+    progress(100, 100)
     return CoverReport(outcome, share, depth, proof.witness, sticks)
 
 
@@ -675,7 +672,7 @@ def first_failures(target: Target, model: Packed, protrusion: float) -> tuple[Fl
     whole = proof.wholes()
     triangles, owner = target.triangles, target.owner
     left = ~whole[owner]
-    _, _, rest = proof.surface(triangles[left], owner[left], lambda done, total: None)
+    _, _, rest = proof.surface(triangles[left], owner[left], silent)
     if rest is not None:
         proof.outside.append(np.column_stack([rest.middles()[0], target.radius[rest.owner]]))
     if not any(map(len, proof.outside)) and not whole.all():

@@ -146,7 +146,7 @@ def mvce(
     given = _checked_center(center, x.shape[1])
     check_enough(x, "points", given=given)
     tolerance = checked_tolerance(tol)
-    reporter = Reporter(_validate.callback(progress, "progress"), tolerance)
+    reporter = Reporter(_validate.reporter(progress), tolerance)
     if _validate.flag(weights, "weights") or given is not None or _is_large(*x.shape):
         c, factor, gap, iterations, u = large_outer.smallest_around(x, tolerance, given, reporter)
         return certified_fit("mvce", c, factor, gap, iterations, tolerance, u if weights else None, reporter)
@@ -231,7 +231,7 @@ def mvie(
     array([3., 1.])
     """
     tolerance = checked_tolerance(tol)
-    reporter = Reporter(_validate.callback(progress, "progress"), tolerance)
+    reporter = Reporter(_validate.reporter(progress), tolerance)
     if b is not None:
         rows, bounds = polytopes.check_halfspaces(A, b)
         given = _checked_center(center, rows.shape[1])

@@ -27,7 +27,7 @@ from loewner.bodies import Body, packed_of
 from loewner.bodies.kinds import KIND_NAMES
 from loewner.errors import FileError, InputError
 from loewner.robots import Robot
-from loewner.robots.covers import exempt_pairs, listed_pairs, with_bodies
+from loewner.robots.covers import exempt_pairs, with_bodies
 from loewner.robots.description.robot import answers
 from loewner.scenes.files import load_scene, save_scene
 from loewner.scenes.scene import Scene
@@ -192,7 +192,7 @@ def read_model(file: Path, format: str | None = None) -> Model:
         return Model(dict(robot.bodies), robot.disabled_pairs)
     semantics = file.with_suffix(".srdf")
     robot = Robot.from_urdf(file, srdf=semantics if semantics.is_file() else None)
-    model = Model(dict(robot.bodies), listed_pairs(robot))
+    model = Model(dict(robot.bodies), robot.disabled_pairs if robot._lists_pairs else None)
     if chosen in OF_SPHERES:
         for link, body in model.bodies.items():
             model.bodies[link] = _body(*_spheres_of(body, link, chosen), link)

@@ -46,15 +46,15 @@ LEAST, LARGEST, FIRST, STEPS, ENOUGH, POWER = 1e-4, 10.0, 0.03, 8, 0.92, 0.8
 
 def cover(self: Robot, kind: Kind, *, n: int | None, protrusion: float | None, progress: Progress | None) -> Robot:
     """Implement `Robot.cover`, whose signature has the defaults."""
-    _validate.callback(progress, "progress")
+    report = _validate.reporter(progress)
     if not self.bodies:
         raise InputError("expected a robot with bodies, found one without")
     if n is None:
-        bodies = _covered(self, kind, USUAL if protrusion is None else protrusion, progress, 0, 1)
+        bodies = _covered(self, kind, USUAL if protrusion is None else protrusion, report, 0, 1)
     elif protrusion is not None:
         raise InputError("n: expected none with protrusion, found both")
     else:
-        bodies = _of_number(self, kind, _validate.whole_number(n, "n", 1), progress)
+        bodies = _of_number(self, kind, _validate.whole_number(n, "n", 1), report)
     made = with_bodies(self, bodies)
     found = new_contacts(self, made)
     pairs = [pair for pair, _, _ in found]
@@ -77,11 +77,6 @@ def with_bodies(robot: Robot, bodies: Mapping[str, Body], ignored: frozenset[Pai
 def exempt_pairs(robot: Robot) -> frozenset[Pair]:
     """Return the pairs of links that a checker of this robot does not check by default."""
     return robot._usually_skipped
-
-
-def listed_pairs(robot: Robot) -> frozenset[Pair] | None:
-    """Return the exempt pairs of a robot with rules on pairs, or None for a robot without rules."""
-    return robot.disabled_pairs if robot._lists_pairs else None
 
 
 def new_contacts(robot: Robot, model: Robot) -> list[tuple[Pair, float, float]]:
@@ -115,7 +110,7 @@ def _never(robot: Robot, pairs: list[Pair]) -> frozenset[Pair]:
 
 
 def _covered(
-    robot: Robot, kind: Kind, protrusion: float, progress: Progress | None, before: int, steps: int
+    robot: Robot, kind: Kind, protrusion: float, progress: Progress, before: int, steps: int
 ) -> dict[str, Body]:
     """Cover all links; progress is reported as if `before` of `steps` covers were already done."""
     # Several links of a robot, such as fingers, may have the same shape.
@@ -128,8 +123,7 @@ def _covered(
             return [body.cover(kind, protrusion=protrusion) for body in different[first:last]]
 
     def report(done: int, total: int) -> None:
-        if progress is not None:
-            progress(before * total + done, steps * total)
+        progress(before * total + done, steps * total)
 
     with at_most(MOST_THREADS):
         covers = list(itertools.chain(*in_shares(some, len(different), 1, most=1, progress=report)))
@@ -140,7 +134,7 @@ def _bytes_of(body: Body) -> tuple[bytes, ...]:
     return tuple(array.tobytes() for array in arrays_of(packed_of(body)).values())
 
 
-def _of_number(robot: Robot, kind: Kind, n: int, progress: Progress | None) -> dict[str, Body]:
+def _of_number(robot: Robot, kind: Kind, n: int, progress: Progress) -> dict[str, Body]:
     """Cover all links with at most n shapes, but nearly n, that stick out of all links by the same length."""
     low, high, best, protrusion = LEAST, LARGEST, None, FIRST
     for step in range(STEPS):
@@ -158,23 +152,21 @@ def _of_number(robot: Robot, kind: Kind, n: int, progress: Progress | None) -> d
         protrusion = guess if low < guess < high else float(np.sqrt(low * high))
     if best is None:
         raise InputError(f"n: expected more shapes for {len(robot.bodies)} links, found {n}")
-    if progress is not None:
-        progress(1, 1)
+    progress(1, 1)
     return best
 
 
 def covered_by(self: Robot, model: Robot, tolerance: float | None, progress: Progress | None) -> dict[str, CoverReport]:
     """Implement `Robot.covered_by`, whose signature has the defaults."""
     _validate.instance(model, "model", Robot)
-    _validate.callback(progress, "progress")
+    report = _validate.reporter(progress)
     found = {}
     for number, (link, body) in enumerate(self.bodies.items(), 1):
         if link in model.bodies:
             found[link] = body.covered_by(model.bodies[link], tolerance=tolerance)
         else:
             found[link] = CoverReport("uncovered", (1.0, 1.0), (np.inf, np.inf), _point_of(body), (0.0, 0.0))
-        if progress is not None:
-            progress(number, len(self.bodies))
+        report(number, len(self.bodies))
     return found
 
 

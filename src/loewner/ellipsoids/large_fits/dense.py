@@ -69,7 +69,7 @@ class Reporter:
     Within a round, the share does not change, and is reported again so that the callback may interrupt.
     """
 
-    progress: Progress | None
+    progress: Progress
     tol: float
     first: float = np.inf
     told: int = 0
@@ -85,8 +85,7 @@ class Reporter:
 
     def working(self) -> None:
         """Report that another step has been made."""
-        if self.progress is not None:
-            self.progress(self.told, 100)
+        self.progress(self.told, 100)
 
     def done(self) -> None:
         """Report that all digits are reached."""

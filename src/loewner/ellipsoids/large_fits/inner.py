@@ -29,7 +29,7 @@ from loewner._base import _memory, _validate
 from loewner._base._validate import Bools, Floats, Ints
 from loewner._native import entries
 from loewner.ellipsoids.large_fits import dense
-from loewner.ellipsoids.large_fits.dense import ROUNDING, Reporter, blocks, lower_root, room, root_of_inverse, solver_of
+from loewner.ellipsoids.large_fits.dense import LARGEST_SYSTEM, ROUNDING, Reporter, blocks, lower_root, solver_of
 from loewner.ellipsoids.polytopes import FLATNESS
 
 # Size of the first working set and largest number of half-spaces added per round, both divided by n. A round may always
@@ -196,7 +196,7 @@ def _solve(A: Floats, x: Floats, active: _WorkingSet, target: float, reporter: R
     best, since_best = _Inside(x, np.zeros((n, n)), np.inf, 0), 0
     for step in range(MAX_STEPS):
         reporter.working()
-        root = root_of_inverse((A * y[:, None]).T @ A)
+        root = dense.root_of_inverse((A * y[:, None]).T @ A)
         if root is None:
             break
         T = A @ root.T
@@ -249,7 +249,7 @@ def _step(A: Floats, T: Floats, d: Floats, h: Floats, y: Floats, z: Floats) -> t
         return dx, dy, np.asarray(r3 / y - z * dy / y)
 
     def room_of(dx: Floats, dy: Floats, dz: Floats) -> tuple[float, float]:
-        return room(y, dy), min(room(z, dz), room(d, -(A @ dx)))
+        return dense.room(y, dy), min(dense.room(z, dz), dense.room(d, -(A @ dx)))
 
     try:
         dx, dy, dz = direction(-y * z)
@@ -268,7 +268,7 @@ def _factorised(T: Floats, diagonal: Floats) -> Callable[[Floats], Floats] | Non
     """Make a solver of (diag(diagonal) + (T Tᵀ)∘(T Tᵀ)) X = B; None if the matrix is singular to rounding."""
     k, n = T.shape
     rank = n * (n + 1) // 2
-    if k * (k / 3 + n) <= rank * (k + rank / (3 * k)) and k <= dense.LARGEST_SYSTEM:
+    if k * (k / 3 + n) <= rank * (k + rank / (3 * k)) and k <= LARGEST_SYSTEM:
         matrix = T @ T.T
         matrix *= matrix
         return solver_of(matrix, diagonal)

@@ -25,15 +25,7 @@ import numpy as np
 from loewner._base import _memory
 from loewner._base._validate import Bools, Floats, Ints
 from loewner.ellipsoids.large_fits import dense
-from loewner.ellipsoids.large_fits.dense import (
-    ROUNDING,
-    Reporter,
-    blocks,
-    inverse_of,
-    lower_root,
-    room,
-    root_of_inverse,
-)
+from loewner.ellipsoids.large_fits.dense import LARGEST_SYSTEM, ROUNDING, Reporter, blocks, inverse_of, lower_root
 from loewner.ellipsoids.polytopes import FLATNESS, flat_error
 
 # Size of the first working set and largest number of points added per round, both divided by N.
@@ -248,7 +240,7 @@ def _solve(active: _WorkingSet, target: float, reporter: Reporter) -> tuple[int,
     spent, steps, gap = 0.0, 0, np.inf
     for _ in range(MAX_ASCENTS):
         reporter.working()
-        root = root_of_inverse((active.Q * active.u[:, None]).T @ active.Q)
+        root = dense.root_of_inverse((active.Q * active.u[:, None]).T @ active.Q)
         if root is None:
             return steps, np.inf
         W = active.Q @ root.T
@@ -263,10 +255,10 @@ def _solve(active: _WorkingSet, target: float, reporter: Reporter) -> tuple[int,
         k = len(w)
         left = SHARE * NEWTON_STEPS * (NEWTON_STEP + NEWTON_FLOP * (k**3 / 3 + k**2 * n)) - spent
         each = ASCENT_STEP + ASCENT_NUMBER * active.Q.size
-        if left < each and k <= dense.LARGEST_SYSTEM:
+        if left < each and k <= LARGEST_SYSTEM:
             taken, gap = _interior_point(active, target, reporter)
             return steps + taken, gap
-        count = n + 50 if k > dense.LARGEST_SYSTEM else max(1, min(n + 50, int(left / each)))
+        count = n + 50 if k > LARGEST_SYSTEM else max(1, min(n + 50, int(left / each)))
         _ascend(active, root.T @ root, w, count, target)
         spent, steps = spent + count * each, steps + count
     return steps, gap
@@ -329,7 +321,7 @@ def _interior_point(active: _WorkingSet, target: float, reporter: Reporter) -> t
     best, since_best = np.inf, 0
     for step in range(MAX_STEPS):
         reporter.working()
-        root = root_of_inverse((Q * u[:, None]).T @ Q)
+        root = dense.root_of_inverse((Q * u[:, None]).T @ Q)
         if root is None:
             return step, best
         W = Q @ root.T
@@ -370,11 +362,11 @@ def _newton_step(W: Floats, w: Floats, u: Floats, s: Floats) -> tuple[Floats, Fl
 
     mean = float(u @ s) / k
     du, ds = direction(np.zeros(k))
-    after = float((u + min(1.0, room(u, du)) * du) @ (s + min(1.0, room(s, ds)) * ds)) / k
+    after = float((u + min(1.0, dense.room(u, du)) * du) @ (s + min(1.0, dense.room(s, ds)) * ds)) / k
     mu = max(mean * (after / mean) ** 3, dense.CENTRING_FLOOR)
     du, ds = direction((mu - du * ds) / u)
     share = min(dense.STEP_CAP, max(0.9, 1.0 - mean * k))
-    return u + min(1.0, share * room(u, du)) * du, s + min(1.0, share * room(s, ds)) * ds
+    return u + min(1.0, share * dense.room(u, du)) * du, s + min(1.0, share * dense.room(s, ds)) * ds
 
 
 # -- all points -----------------------------------------------------------------------------------

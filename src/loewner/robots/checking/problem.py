@@ -322,7 +322,8 @@ class Problem:
     def _stand(self) -> Bools:
         """Mark the bodies that have the same pose at all configurations."""
         stand = np.ones(len(self.packs), dtype=bool)
-        rigid = rigid_with(self.robot)
+        tree = self.robot.tree
+        rigid = np.where(tree.kind == columns.FIXED, tree.parent, np.arange(len(tree.parent)))
         stand[: len(self.link)] = rigid[self.link] == rigid[0]
         return stand
 
@@ -436,12 +437,6 @@ class Problem:
         each = max(1, min(IN_TURN, POSES_AT_ONCE // max(1, len(self.names))))
         for first in range(0, len(Q), each):
             yield first, self.poses(Q[first : first + each])
-
-
-def rigid_with(robot: Robot) -> Ints:
-    """Return, for each link, the first link to which it is rigidly joined."""
-    parent, kind = robot.tree.parent, robot.tree.kind
-    return np.asarray(np.where(kind == columns.FIXED, parent, np.arange(len(parent))))
 
 
 # The attributes that depend neither on poses nor on the order of pairs.

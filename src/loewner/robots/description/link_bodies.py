@@ -57,7 +57,7 @@ def link_bodies(
     model: str,
     tol: float,
     cache: bool,
-    progress: Progress | None,
+    progress: Progress,
 ) -> tuple[dict[str, Body], dict[str, tuple[str, ...]]]:
     """Make one body for each link that has collision shapes, in the frame of the link.
 
@@ -72,7 +72,7 @@ def link_bodies(
         As for `Body.from_mesh`.
     cache : bool
         Whether to keep the fits of meshes on disk and reuse them.
-    progress : callable, optional
+    progress : callable
         Called as ``progress(done, total)`` after each shape.
 
     Returns
@@ -108,8 +108,7 @@ def link_bodies(
             parts.append(_body(shape, link, robot.path, folders, model=model, tol=tol, cache=cache))
             placed.append((link, shape.kind, parts[-1]))
             done += 1
-            if progress is not None:
-                progress(done, total)
+            progress(done, total)
         if parts:
             made[link] = parts[0] if len(parts) == 1 else _union(parts)
             told[link] = tuple(

@@ -310,7 +310,7 @@ class Robot(KeepsReadOnly):
             _validate.choice(pairs, "pairs", ("adjacent", "proven"))
             if srdf is not None:
                 raise InputError("pairs: expected none with an SRDF, which lists the pairs that need no check")
-        _validate.callback(progress, "progress")
+        progress = _validate.reporter(progress)
         given = [package_dirs] if isinstance(package_dirs, (str, os.PathLike)) else package_dirs
         listed = _validate.listed(given, "package_dirs", wanted="a path or several")
         places = [_validate.path(folder, "package_dirs") for folder in listed]

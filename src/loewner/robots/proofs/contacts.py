@@ -155,10 +155,6 @@ class Work:
     most: int | None
     taken: int = 0
 
-    def is_spent(self) -> bool:
-        """Return whether the proofs took more steps than allowed."""
-        return self.most is not None and self.taken > self.most
-
 
 def settle(ready: Problem, pair: int, courses: Floats, off: Floats, tolerance: float, work: Work) -> Settled:
     """Settle a curve for one pair that may be in contact at the curve's start or end.

@@ -249,7 +249,7 @@ class _Question:
             if len(met) and self.colliding is None:
                 share = found.fractions[met, None]
                 self.look_at(np.where(share == 1, some[met, 1], some[met, 0] + share * (some[met, 1] - some[met, 0])))
-        if self.non_convex:
+        if (self.ready.packed.layout[:, kernel_columns.KIND] <= kernel_columns.SURFACE).any():
             open_ones = np.flatnonzero(~proven)
             near = self.signed(center[open_ones])
             proven[open_ones] = near - self.error_of(near) > self.margin + moved[open_ones]
@@ -266,11 +266,6 @@ class _Question:
     def error_of(self, near: Floats) -> Floats:
         """Return the error of computed distances and depths, rounded up."""
         return OF_DEPTH * np.abs(near) + self.rounding
-
-    @property
-    def non_convex(self) -> bool:
-        """Whether a body has triangles, which proofs of motions may replace with a box."""
-        return bool((self.ready.packed.layout[:, kernel_columns.KIND] <= kernel_columns.SURFACE).any())
 
     def moved(self, half: Floats) -> Floats:
         """Bound how far any point of one body, seen from the other body, is from its place at the centers of boxes."""
@@ -442,7 +437,7 @@ def prove_pairs(
     cache = _validate.flag(cache, "cache")
     margin = _validate.positive_scalar(margin, "margin", zero=True)
     boxes = _validate.whole_number(boxes, "boxes", 1)
-    _validate.callback(progress, "progress")
+    report = _validate.reporter(progress)
     scene = _standing(self, scene)
     given = _checked_limits(self, limits)
     stated = None
@@ -462,7 +457,7 @@ def prove_pairs(
         else:
             found[names] = _question(self, every, pair, max(margin, scene.margin_of(*names)), given)
     questions = {names: one for names, one in found.items() if isinstance(one, _Question)}
-    _settle(list(questions.values()), boxes, progress, only_free=only_free)
+    _settle(list(questions.values()), boxes, report, only_free=only_free)
     found |= {names: question.answer() for names, question in questions.items()}
     if kept and questions and not only_free:
         keep(self, (found[names] for names in questions), boxes // len(asked))
@@ -518,7 +513,7 @@ def free_range(
             if isinstance(one, ProvenPair):  # a box of size 0 would silently be the answer
                 raise InputError(f"pairs: expected ranges, found none for {' and '.join(one.names)}: {one.reason}")
         questions = [one for one in asked_now if isinstance(one, _Question)]
-        _settle(questions, boxes, None, search=False)
+        _settle(questions, boxes, _validate.silent, search=False)
         return all(question.proven_free for question in questions)
 
     share = _largest_share(proven)
@@ -704,7 +699,7 @@ def _pair_problem(chain: Robot, packs: list[Packed], numbers: Ints, margin: floa
 
 
 def _settle(
-    questions: list[_Question], boxes: int, progress: Progress | None, *, search: bool = True, only_free: bool = False
+    questions: list[_Question], boxes: int, progress: Progress, *, search: bool = True, only_free: bool = False
 ) -> None:
     """Work on all questions, beginning with the shortest, until they are settled or the boxes are used up."""
     order = sorted(questions, key=lambda question: len(question.columns))
@@ -714,8 +709,7 @@ def _settle(
     for question in left:
         boxes -= question.proceed(min(FIRST_BOXES, boxes))
     while boxes > 0 and (left := [question for question in left if not question.settled]):
-        if progress is not None:
-            progress(len(order) - len(left), len(order))
+        progress(len(order) - len(left), len(order))
         # Continue with the question that probably needs the fewest boxes.
         question = min(left, key=lambda question: question.to_go)
         boxes -= question.proceed(min(max(FIRST_BOXES, math.ceil(min(2 * question.to_go, boxes))), boxes))
@@ -723,5 +717,4 @@ def _settle(
         for question in order:
             if question.proven_free or not only_free:
                 question.descend()  # also for proven pairs, where contact would be a contradiction
-    if progress is not None:
-        progress(len(order), len(order))
+    progress(len(order), len(order))

@@ -107,7 +107,7 @@ def apply_rules(
             work = contacts.Work(None if steps is None else steps - int(found.work[own, STEPS].sum()))
             settled = contacts.settle(ready, pair, courses[own], off[own, : courses.shape[2]], tolerance, work)
             found.work[own.start, STEPS] += work.taken
-            if work.is_spent():
+            if work.most is not None and work.taken > work.most:
                 settled.verdicts[settled.verdicts == codes.COLLIDING] = codes.AMBIGUOUS
             worse = (settled.verdicts != codes.FREE) & np.isin(verdicts, (codes.FREE, codes.AMBIGUOUS))
             verdicts[worse], fractions[worse], pairs[worse] = settled.verdicts[worse], settled.fractions[worse], pair
