@@ -88,6 +88,10 @@ class _Element(Element):
     def fault(self, expected: str, found: str) -> NoReturn:
         raise Refusal(f"expected {expected}, found {found}", self.line)
 
+    def expect(self, holds: object, message: str) -> None:
+        """Refuse the file, with the element's tag and line, unless a condition holds."""
+        expect(holds, f"<{self.tag}>: {message}", self.line)
+
     def text(self, name: str) -> str:
         """Return an attribute, which must exist."""
         value = self.get(name)
@@ -100,17 +104,17 @@ class _Element(Element):
         if text is None:
             return default or 0
         right = text.strip().isascii() and text.strip().isdigit() and len(text) < 16
-        expect(right, f"<{self.tag}>: expected {name}, a whole number, found {quoted(text)}", self.line)
+        self.expect(right, f"expected {name}, a whole number, found {quoted(text)}")
         return int(text)
 
     def reference(self, name: str) -> str:
         """Return the name of the object in the same file to which an attribute refers."""
         value = self.text(name)
-        expect(value[:1] == "#", f"<{self.tag}>: expected {name} in this file, found {quoted(value)}", self.line)
+        self.expect(value[:1] == "#", f"expected {name} in this file, found {quoted(value)}")
         return value[1:]
 
     def _tokens(self, convert: Callable[[list[bytes]], Any]) -> Any:
-        expect(not self.children, f"<{self.tag}>: expected numbers alone, found elements in it", self.line)
+        self.expect(not self.children, "expected numbers alone, found elements in it")
         try:
             return convert("".join(self.texts).encode("ascii").split())
         except Refusal as refusal:
@@ -120,7 +124,7 @@ class _Element(Element):
 
     def floats(self, count: int) -> Floats:
         numbers: Floats = self._tokens(floats)
-        expect(len(numbers) == count, f"<{self.tag}>: expected {count} numbers, found {len(numbers)}", self.line)
+        self.expect(len(numbers) == count, f"expected {count} numbers, found {len(numbers)}")
         return numbers
 
     def integers(self) -> Ints:
@@ -165,7 +169,7 @@ def _metres(unit: _Element) -> float:
         metres = float(floats([text.encode()])[0])
     except Refusal:
         metres = math.nan
-    expect(0 < metres < math.inf, f"<unit>: expected metres > 0, found {quoted(text)}", unit.line)
+    unit.expect(0 < metres < math.inf, f"expected metres > 0, found {quoted(text)}")
     return metres
 
 
@@ -186,7 +190,7 @@ class _Scene:
             if element.tag == "unit":
                 found = _metres(element)
                 right = found == metres
-                expect(right, f"<unit>: expected the file's unit, {metres:g} m, found {found:g} m", element.line)
+                element.expect(right, f"expected the file's unit, {metres:g} m, found {found:g} m")
             if element.tag.startswith("library_") or element.tag == "mesh":
                 _check_attributes(element, _NAMES)
             if element.tag not in ("extra", "technique"):  # by the standard, these contain data of other programs
@@ -226,7 +230,7 @@ class _Scene:
                 elif child.tag == "instance_controller":
                     raise Refusal("expected a rigid mesh, found one with a controller", child.line)
             for child in node.all("instance_geometry"):
-                expect(np.isfinite(T).all(), "<node>: expected finite transforms, without lookat and skew", node.line)
+                node.expect(np.isfinite(T).all(), "expected finite transforms, without lookat and skew")
                 yield placed(T, *self.geometry(child.reference("url"), child.line))
             waiting += [(child, T, depth + 1) for child in inside[::-1]]
 
@@ -235,7 +239,7 @@ class _Scene:
             geometry = self.find("geometry", name, line)
             mesh = geometry.the("mesh")
             other = [child for child in geometry.children if child.tag in ("brep", "convex_mesh", "spline")]
-            expect(not other, "<geometry>: expected a mesh alone, found another shape", geometry.line)
+            geometry.expect(not other, "expected a mesh alone, found another shape")
             parts = []
             for child in mesh.children:
                 if child.tag in _PRIMITIVES:
@@ -253,24 +257,22 @@ class _Scene:
         at = [(offset, i) for semantic, offset, i in inputs if semantic == "VERTEX"]
         if not at and not element.number("count", 0):
             return np.empty((0, 3)), np.empty((0, 3), dtype=np.int64)
-        expect(len(at) == 1, f"<{element.tag}>: expected one input VERTEX, found {len(at)}", element.line)
+        element.expect(len(at) == 1, f"expected one input VERTEX, found {len(at)}")
         offset, link = at[0]
         step = 1 + max(o for _, o, _ in inputs)
-        expect(step <= 1000, f"<{element.tag}>: expected small offsets, found {step - 1}", element.line)
+        element.expect(step <= 1000, f"expected small offsets, found {step - 1}")
         holder = self.find("vertices", link.reference("source"), link.line)
-        expect(len(holder.children) <= MOST_INPUTS, f"<vertices>: expected at most {MOST_INPUTS} inputs", holder.line)
+        holder.expect(len(holder.children) <= MOST_INPUTS, f"expected at most {MOST_INPUTS} inputs")
         positions = [i for i in holder.all("input") if i.text("semantic") == "POSITION"]
-        expect(len(positions) == 1, f"<vertices>: expected one input POSITION, found {len(positions)}", holder.line)
+        holder.expect(len(positions) == 1, f"expected one input POSITION, found {len(positions)}")
         points = self.source(positions[0].reference("source"), positions[0].line)
         runs = []
         for p in element.all("p"):
             numbers = p.integers()
-            expect(
-                len(numbers) % step == 0, f"<p>: expected {step} numbers a corner, found {len(numbers)} in all", p.line
-            )
+            p.expect(len(numbers) % step == 0, f"expected {step} numbers a corner, found {len(numbers)} in all")
             runs.append(numbers[offset::step])
             check_range(runs[-1], len(points), "<p>", p.line)
-        expect(not element.all("ph"), f"<{element.tag}>: expected polygons without holes, found <ph>", element.line)
+        element.expect(not element.all("ph"), "expected polygons without holes, found <ph>")
         place = f"line {element.line}"
         return points, assemble(element, runs, lambda c, sizes: cut(points, c, sizes, self.tell, lambda _: place))
 
@@ -285,21 +287,17 @@ class _Scene:
             if element.tag in _PARTS_OF_POINTS:
                 _check_parts(element, _PARTS_OF_POINTS[element.tag])
         if "id" in array.attributes:
-            expect(
-                accessor.reference("source") == array.text("id"), "<accessor>: expected this source's", accessor.line
-            )
+            accessor.expect(accessor.reference("source") == array.text("id"), "expected this source's")
         numbers = array.floats(array.number("count"))
         count, stride = accessor.number("count"), accessor.number("stride", 1)
         offset = accessor.number("offset", 0)
         params = accessor.all("param")
         if len(params) > 3:  # a param without a name skips a value
-            expect(
-                not any(param.get("name") for param in params[3:]), "<accessor>: expected three params", accessor.line
-            )
+            accessor.expect(not any(param.get("name") for param in params[3:]), "expected three params")
             params = params[:3]
-        expect(len(params) == 3 <= stride, "<accessor>: expected three params and stride", accessor.line)
+        accessor.expect(len(params) == 3 <= stride, "expected three params and stride")
         needed = offset + count * stride
-        expect(needed <= len(numbers), f"<accessor>: expected {needed} numbers, found {len(numbers)}", accessor.line)
+        accessor.expect(needed <= len(numbers), f"expected {needed} numbers, found {len(numbers)}")
         self.points[name] = numbers[offset:needed].reshape(count, stride)[:, _axes(params)]
         return self.points[name]
 
@@ -308,7 +306,7 @@ def _check_parts(element: _Element, known: frozenset[str]) -> None:
     """Refuse children and attributes that Collada does not have, and text between children."""
     if element.tag not in _OF_NUMBERS and element.texts:
         text = "".join(element.texts).strip()
-        expect(not text, f"<{element.tag}>: expected elements and attributes alone, found {quoted(text)}", element.line)
+        element.expect(not text, f"expected elements and attributes alone, found {quoted(text)}")
     for child in element.children:
         if child.tag not in known and not (element.tag == "COLLADA" and child.tag[:8] == "library_"):
             listed = ", ".join(sorted(name for name in known if name[0] != "@")) or "none"
@@ -331,7 +329,7 @@ def _axes(params: list[_Element]) -> list[int]:
     names = [(param.get("name") or "").upper() for param in params]
     if not any(names):
         return [0, 1, 2]
-    expect(sorted(names) == ["X", "Y", "Z"], f"<param>: expected X, Y and Z, found {names}", params[0].line)
+    params[0].expect(sorted(names) == ["X", "Y", "Z"], f"expected X, Y and Z, found {names}")
     return [names.index(axis) for axis in "XYZ"]
 
 
@@ -341,13 +339,13 @@ def _axes(params: list[_Element]) -> list[int]:
 def _one_run(element: _Element, runs: list[Ints]) -> Ints:
     if not runs and not element.number("count"):
         return np.empty(0, dtype=np.int64)
-    expect(len(runs) == 1, f"<{element.tag}>: expected one <p>, found {len(runs)}", element.line)
+    element.expect(len(runs) == 1, f"expected one <p>, found {len(runs)}")
     return runs[0]
 
 
 def _triangles(element: _Element, runs: list[Ints], _: _Cut) -> Triangles:
     corners, count = _one_run(element, runs), element.number("count")
-    expect(len(corners) == 3 * count, f"<triangles>: expected {3 * count} corners, found {len(corners)}", element.line)
+    element.expect(len(corners) == 3 * count, f"expected {3 * count} corners, found {len(corners)}")
     return corners.reshape(-1, 3)
 
 
@@ -355,17 +353,15 @@ def _polylist(element: _Element, runs: list[Ints], cut_all: _Cut) -> Triangles:
     corners, count = _one_run(element, runs), element.number("count")
     sizes = element.the("vcount").integers() if count or element.all("vcount") else np.empty(0, dtype=np.int64)
     right = len(sizes) == count and (sizes >= 3).all() and (sizes <= len(corners)).all() and sizes.sum() == len(corners)
-    expect(
-        right, f"<polylist>: expected {count} polygons in all corners as its vcount says, found others", element.line
-    )
+    element.expect(right, f"expected {count} polygons in all corners as its vcount says, found others")
     return cut_all(corners, sizes)
 
 
 def _runs(element: _Element, runs: list[Ints]) -> list[Ints]:
     count = element.number("count")
-    expect(len(runs) == count, f"<{element.tag}>: expected {count} <p>, found {len(runs)}", element.line)
+    element.expect(len(runs) == count, f"expected {count} <p>, found {len(runs)}")
     for run in runs:
-        expect(len(run) >= 3, f"<{element.tag}>: expected at least 3 corners, found {len(run)}", element.line)
+        element.expect(len(run) >= 3, f"expected at least 3 corners, found {len(run)}")
     return runs
 
 
@@ -393,11 +389,7 @@ _PRIMITIVES: dict[str, Callable[[_Element, list[Ints], _Cut], Triangles]] = {
 
 def _matrix(element: _Element) -> Floats:
     T = element.floats(16).reshape(4, 4)
-    expect(
-        (T[3] == [0, 0, 0, 1]).all(),
-        f"<matrix>: expected an affine one, found {T[3].tolist()} at its end",
-        element.line,
-    )
+    element.expect((T[3] == [0, 0, 0, 1]).all(), f"expected an affine one, found {T[3].tolist()} at its end")
     return T
 
 
@@ -415,7 +407,7 @@ def _rotate(element: _Element) -> Floats:
     if angle == 0:
         return np.eye(4)
     length = math.hypot(*axis)
-    expect(0 < length < math.inf and math.isfinite(angle), "<rotate>: expected an axis and an angle", element.line)
+    element.expect(0 < length < math.inf and math.isfinite(angle), "expected an axis and an angle")
     x, y, z = np.array(axis) / length
     K = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
     turn = _elementary.sin(math.radians(angle)) * K + (1 - _elementary.cos(math.radians(angle))) * product(K, K)
