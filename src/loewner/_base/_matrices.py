@@ -81,6 +81,16 @@ def least_of(values: Floats, owner: Ints, count: int) -> Floats:
     return least
 
 
+def components(count: int, one: Ints, other: Ints) -> Ints:
+    """Number the connected components of a graph of `count` nodes with edges between `one` and `other`."""
+    # Imported late: SciPy's graph routines are needed for meshes only.
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    graph = coo_array((np.ones(len(one)), (one, other)), shape=(count, count))
+    return np.asarray(connected_components(graph, directed=False)[1], dtype=np.int64)
+
+
 def power(x: Floats, exponent: int) -> Floats:
     """Raise numbers to a power by repeated products."""
     raised = np.ones_like(x)

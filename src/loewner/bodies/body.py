@@ -330,17 +330,8 @@ class Body(_Bodies):
             steps = total + 1
             report(done, steps)
 
-        polytopes, covering = meshes.convex_polytopes(
-            source,
-            scale=scale,
-            decompose=decompose,
-            cover=cover,
-            tolerance=tolerance,
-            threshold=threshold,
-            max_pieces=max_pieces,
-            seed=seed,
-            progress=decomposed,
-        )
+        options = meshes.Options(scale, decompose, cover, tolerance, threshold, max_pieces, seed, decomposed)
+        polytopes, covering = meshes.convex_polytopes(source, options)
         body = body_of_polytopes(polytopes, covering, tol)
         report(steps, steps)
         return body

@@ -229,7 +229,7 @@ class Elements:
         ndarray of bool, shape (k,)
             If true, the least height over the cell's elements has no local maximum above zero in the cell.
         """
-        rows, slacks, owners = [], [], []
+        found: list[tuple[Floats, Floats, Ints]] = []  # directions, slacks, and the cells to which they belong
         answers = np.ones(len(middles), dtype=bool)
         kinds = self.kind[element]
         for kind in self.kinds:
@@ -237,28 +237,23 @@ class Elements:
             its, e = cell[these], element[these]
             arm, far = middles[its] - self.center[e], reach[its]
             if kind == columns.POINT:
-                made = [(arm, far, its)]
+                found.append((arm, far, its))
             elif kind == columns.SEGMENT:
-                made = [(arm - self.axis[e], far, its), (arm + self.axis[e], far, its)]
+                found += [(arm - self.axis[e], far, its), (arm + self.axis[e], far, its)]
             elif kind == columns.ELLIPSOID:
                 unit, size = dot(self.inverse[e], arm[:, None]), self.sigma[e]
                 gradient = dot(self.inverse[e].transpose(0, 2, 1), unit[:, None]) * (size * size)[:, None]
-                made = [(gradient, far, its)]
+                found.append((gradient, far, its))
             elif kind == columns.POLYTOPE:
                 planes = self.planes[e]
                 above = dot(middles[its][:, None], planes[:, :, :3]) - planes[:, :, 3] > -(far * (1 + 1e-9))[:, None]
                 pair, face = np.nonzero(above)
-                made = [(planes[pair, face, :3], np.zeros(len(pair)), its[pair])]
+                found.append((planes[pair, face, :3], np.zeros(len(pair)), its[pair]))
             else:
                 answers[its] = False
-                continue
-            for row, slack, owner in made:
-                rows.append(row)
-                slacks.append(slack)
-                owners.append(owner)
-        if not rows:
+        if not found:
             return answers
-        row, slack, owner = np.concatenate(rows), np.concatenate(slacks), np.concatenate(owners)
+        row, slack, owner = map(np.concatenate, zip(*found, strict=True))
         size = lengths(row)
         unit = row / np.where(size > 0, size, 1.0)[:, None]
         share = np.where(size > 0, slack / np.where(size > 0, size, 1.0), np.inf) + FACING

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from loewner._base._matrices import normals_of
+from loewner._base._matrices import components, normals_of
 from loewner._base._validate import Floats, Ints
 
 # Neighbouring triangles at a smaller angle [rad] count as lying in one plane.
@@ -24,10 +24,6 @@ def flat_faces(vertices: Floats, triangles: Ints) -> Ints:
     ndarray of int, shape (T,)
         Two triangles that share an edge have the same number if they lie in one plane or continue a smooth surface.
     """
-    # Imported late: few programs cut surfaces.
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
     normals = normals_of(vertices[triangles])
     edges = np.sort(np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=-1), axis=-1).reshape(-1, 2)
     order = np.lexsort(edges.T)
@@ -36,5 +32,4 @@ def flat_faces(vertices: Floats, triangles: Ints) -> Ints:
     squares = (normals**2).sum(axis=1)
     bend = (np.cross(normals[one], normals[other]) ** 2).sum(axis=1)
     flat = bend <= FLAT * FLAT * squares[one] * squares[other]
-    graph = coo_array((np.ones(flat.sum(), dtype=np.int8), (one[flat], other[flat])), shape=(len(triangles),) * 2)
-    return np.asarray(connected_components(graph, directed=False)[1], dtype=np.int64)
+    return components(len(triangles), one[flat], other[flat])

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from loewner._base import _elementary
+from loewner._base._matrices import components
 from loewner._base._validate import Floats, Ints
 from loewner.meshes.protrusion import Solid
 
@@ -44,19 +45,14 @@ def closed_parts(vertices: Floats, triangles: Ints) -> list[ClosedPart] | None:
     neighbours = _neighbours(vertices, triangles)
     if neighbours is None:
         return None
-    # Imported late: SciPy's graph routines are needed for meshes only.
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
-    ones = np.ones(len(neighbours[0]), dtype=np.int8)
-    graph = coo_array((ones, neighbours), shape=(len(triangles),) * 2)
-    count, label = connected_components(graph, directed=False)
+    label = components(len(triangles), *neighbours)
     order = np.argsort(label, kind="stable")
-    surfaces = np.split(triangles[order], np.cumsum(np.bincount(label, minlength=count))[:-1])
+    surfaces = np.split(triangles[order], np.cumsum(np.bincount(label))[:-1])
     volumes = [volume(vertices, surface) for surface in surfaces]
     if sum(volumes) < 0:  # the whole mesh is inside out
         surfaces, volumes = [surface[:, ::-1] for surface in surfaces], [-v for v in volumes]
 
+    count = len(surfaces)
     solids = [k for k in range(count) if volumes[k] >= 0]
     cavities: dict[int, list[int]] = {k: [] for k in solids}
     for k in range(count):

@@ -8,11 +8,10 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from functools import wraps
 from os import PathLike
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any, Protocol, TypeVar
+from typing import Any, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -283,17 +282,8 @@ def convex_pieces(
     >>> len(pieces), pieces[0].shape, covering.exact
     (1, (8, 3), True)
     """
-    polytopes, covering = convex_polytopes(
-        source,
-        scale=scale,
-        decompose=decompose,
-        cover=cover,
-        tolerance=tolerance,
-        threshold=threshold,
-        max_pieces=max_pieces,
-        seed=seed,
-        progress=progress,
-    )
+    options = Options(scale, decompose, cover, tolerance, threshold, max_pieces, seed, progress)
+    polytopes, covering = convex_polytopes(source, options)
     return [np.array(piece.vertices) for piece in polytopes], covering
 
 
@@ -322,34 +312,30 @@ def _path(source: str | PathLike[str]) -> Path:
     return Path(source) if isinstance(source, str | Path) else _validate.path(source, "source")
 
 
-def _naming(fit: Callable[..., T]) -> Callable[..., T]:
-    """Prefix every error about a shape with the name of the mesh."""
+class Options(NamedTuple):
+    """The options of `convex_pieces`, not checked yet."""
 
-    @wraps(fit)
-    def call(source: Source, **options: Any) -> T:
-        try:
-            return fit(source, **options)
-        except GeometryError as error:
-            name, text = name_of(source), str(error)
-            raise GeometryError(text if text.startswith(name) else f"{name}: {text}") from None
+    scale: ArrayLike
+    decompose: bool
+    cover: bool
+    tolerance: float | None
+    threshold: float
+    max_pieces: int | None
+    seed: int
+    progress: Progress | None
 
-    return call
+
+def convex_polytopes(source: Source, options: Options) -> tuple[list[Polytope], Covering]:
+    """Split a mesh as `convex_pieces` does, and keep the faces of the hulls; errors begin with the mesh's name."""
+    try:
+        return _polytopes(source, options)
+    except GeometryError as error:
+        name, text = name_of(source), str(error)
+        raise GeometryError(text if text.startswith(name) else f"{name}: {text}") from None
 
 
-@_naming
-def convex_polytopes(
-    source: Source,
-    *,
-    scale: ArrayLike,
-    decompose: bool,
-    cover: bool,
-    tolerance: float | None,
-    threshold: float,
-    max_pieces: int | None,
-    seed: int,
-    progress: Progress | None,
-) -> tuple[list[Polytope], Covering]:
-    """Split a mesh as `convex_pieces` does, and keep the faces of the hulls."""
+def _polytopes(source: Source, options: Options) -> tuple[list[Polytope], Covering]:
+    scale, decompose, cover, tolerance, threshold, max_pieces, seed, progress = options
     threshold = _validate.positive_scalar(threshold, "threshold")
     if not 0.01 <= threshold <= 1:
         raise InputError(f"threshold: expected 0.01 to 1, found {threshold:g}")

@@ -7,7 +7,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from loewner._base._matrices import lengths
+from loewner._base._matrices import components, lengths
 from loewner._base._plausible import warn
 from loewner._base._validate import Floats, Ints
 from loewner.bodies import Body, packed_of
@@ -147,13 +147,9 @@ def _capped(vertices: Floats, triangles: Ints, start: Ints, end: Ints) -> tuple[
     The boundary leaves each vertex as often as it enters the vertex, so the new triangles close the mesh. The new
     triangles lie in the hull of the mesh, and the mesh's own triangles remain.
     """
-    # Imported late: SciPy's graph routines are needed for meshes only.
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
     used, ends = np.unique(np.concatenate([start, end]), return_inverse=True)
     ends = ends.reshape(2, -1)
-    _, part = connected_components(coo_array((np.ones(len(start)), ends), shape=(len(used),) * 2), directed=False)
+    part = components(len(used), *ends)
     sums = [np.bincount(part, vertices[used, axis]) for axis in range(3)]
     middles = np.column_stack(sums) / np.bincount(part)[:, None]
     caps = np.column_stack([end, start, len(vertices) + part[ends[0]]])
