@@ -23,9 +23,14 @@ class KeepsReadOnly:
     def __setstate__(self, state: tuple[dict[str, Any], list[int]]) -> None:
         held, protected = state
         arrays = list(_arrays(held))
-        for k in protected:
-            arrays[k].setflags(write=False)
+        read_only(*(arrays[k] for k in protected))
         vars(self).update(held)
+
+
+def read_only(*arrays: NDArray[Any]) -> None:
+    """Protect arrays from changes."""
+    for array in arrays:
+        array.setflags(write=False)
 
 
 Kept = TypeVar("Kept", bound=KeepsReadOnly)
@@ -33,8 +38,7 @@ Kept = TypeVar("Kept", bound=KeepsReadOnly)
 
 def protected(thing: Kept) -> Kept:
     """Make all arrays of an object read-only, and return the same object."""
-    for array in _arrays(vars(thing)):
-        array.setflags(write=False)
+    read_only(*_arrays(vars(thing)))
     return thing
 
 

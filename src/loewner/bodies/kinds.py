@@ -12,6 +12,7 @@ import numpy as np
 
 from loewner._base import _elementary
 from loewner._base._matrices import dot, lengths, normals_of
+from loewner._base._read_only import read_only
 from loewner._base._validate import Floats, Ints
 from loewner._kernels import columns
 from loewner.errors import InputError
@@ -89,8 +90,7 @@ def ball(subdivisions: int = 3) -> Mesh:
         a, b, c = triangles.T
         vertices = np.vstack([vertices, middles / np.linalg.norm(middles, axis=1, keepdims=True)])
         triangles = np.concatenate([np.column_stack(t) for t in ((a, ab, ca), (b, bc, ab), (c, ca, bc), (ab, bc, ca))])
-    for array in (vertices, triangles):
-        array.setflags(write=False)
+    read_only(vertices, triangles)
     return vertices, triangles
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loewner._base._matrices import dot, image, lengths, product, singular_values
-from loewner._base._read_only import KeepsReadOnly
+from loewner._base._read_only import KeepsReadOnly, read_only
 from loewner._base._validate import Floats, Ints
 from loewner._kernels import columns, records, tolerances
 from loewner._native import entries
@@ -86,8 +86,7 @@ class PieceArrays(KeepsReadOnly):
     gaps: Floats
 
     def __post_init__(self) -> None:
-        for name in ARRAYS:
-            getattr(self, name).setflags(write=False)
+        read_only(*arrays_of(self).values())
 
     def points_of(self, i: int) -> Floats:
         """Return the points of a piece."""

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from loewner._base._pictures import Shape
-from loewner._base._validate import Floats, Ints
+from loewner._base._validate import Floats
 from loewner._kernels import columns
 from loewner.bodies.kinds import CURVED, Mesh, ball
 from loewner.bodies.pack import Packed
@@ -37,16 +37,9 @@ def of_ellipsoids(packed: Packed, which: str) -> dict[int, Mesh]:
 
 def joined(meshes: Iterable[Mesh]) -> Mesh:
     """Join several meshes into one."""
-    points: list[Floats] = []
-    triangles: list[Ints] = []
-    total = 0
-    for vertices, faces in meshes:
-        points.append(vertices)
-        triangles.append(faces + total)
-        total += len(vertices)
-    if not points:
-        return np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int64)
-    return np.concatenate(points), np.concatenate(triangles)
+    points, triangles = zip((np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int64)), *meshes, strict=True)
+    first = np.cumsum([0, *map(len, points)])
+    return np.concatenate(points), np.concatenate([faces + k for faces, k in zip(triangles, first, strict=False)])
 
 
 def for_pictures(packed: Packed, coarse: bool = False) -> Shape:

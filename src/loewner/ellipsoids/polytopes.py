@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from loewner._base import _memory, _validate
 from loewner._base._guard import guarded
 from loewner._base._matrices import least_of
-from loewner._base._read_only import KeepsReadOnly
+from loewner._base._read_only import KeepsReadOnly, read_only
 from loewner._base._threads import in_shares
 from loewner._base._validate import Floats, Ints, Progress
 from loewner._kernels import codes
@@ -79,8 +79,7 @@ class Polytope(KeepsReadOnly):
     face_of_simplex: Ints
 
     def __post_init__(self) -> None:
-        for array in (self.vertices, self.normals, self.offsets, self.simplices, self.face_of_simplex):
-            array.setflags(write=False)
+        read_only(self.vertices, self.normals, self.offsets, self.simplices, self.face_of_simplex)
 
     @property
     def dim(self) -> int:

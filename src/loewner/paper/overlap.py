@@ -78,16 +78,16 @@ def _solved_by_eigenvalue(pair: PairArrays) -> NDArray[np.bool_]:
 
     # A^(1/2) and A^(-1/2), A = (F1 F1ᵀ)⁻¹, from the singular values of the factor.
     U, s, _ = np.linalg.svd(F1)
-    root_A = (U / s[:, None, :]) @ _transposed(U)
-    inverse_root_A = (U * s[:, None, :]) @ _transposed(U)
+    root_A = (U / s[:, None, :]) @ U.transpose(0, 2, 1)
+    inverse_root_A = (U * s[:, None, :]) @ U.transpose(0, 2, 1)
 
     inside = (_solved(F2, a - b) ** 2).sum(axis=-1) <= 1.0
 
     # B bar = A^(-1/2) B A^(-1/2), so B tilde = B bar⁻¹ = H Hᵀ with H = A^(1/2) F2.
     H = root_A @ F2
     V, h, _ = np.linalg.svd(H)
-    B_tilde = (V * h[:, None, :] ** 2) @ _transposed(V)
-    root_B_tilde = (V * h[:, None, :]) @ _transposed(V)
+    B_tilde = (V * h[:, None, :] ** 2) @ V.transpose(0, 2, 1)
+    root_B_tilde = (V * h[:, None, :]) @ V.transpose(0, 2, 1)
     b_bar = np.einsum("kij,kj->ki", root_A, b - a)
     b_tilde = np.einsum("kij,kj->ki", root_B_tilde, b_bar)
 
@@ -113,10 +113,6 @@ def _solved_by_eigenvalue(pair: PairArrays) -> NDArray[np.bool_]:
         )
     found: NDArray[np.bool_] = (inside | touches).reshape(batch)[()]
     return found
-
-
-def _transposed(M: Floats) -> Floats:
-    return np.swapaxes(M, -1, -2)
 
 
 def _solved(M: Floats, v: Floats) -> Floats:

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from loewner._base import _elementary, _validate
 from loewner._base._kept import kept
 from loewner._base._matrices import product
-from loewner._base._read_only import KeepsReadOnly
+from loewner._base._read_only import KeepsReadOnly, read_only
 from loewner._base._rotations import quaternions_of, rotations_of
 from loewner._base._validate import Floats, Ints
 from loewner._kernels import tolerances
@@ -212,8 +212,7 @@ def path_of(times: ArrayLike, poses: ArrayLike, repeat: bool) -> PosePath:
         positions[-1], quaternions[-1] = positions[0], quaternions[0]
     signs = np.where((quaternions[1:] * quaternions[:-1]).sum(axis=1) < 0, -1.0, 1.0)
     quaternions[1:] *= np.cumprod(signs)[:, None]
-    for array in (at, positions, quaternions):
-        array.setflags(write=False)  # a change in place would go unnoticed
+    read_only(at, positions, quaternions)  # a change in place would go unnoticed
     made = PosePath(at, positions, quaternions, repeat)
     for k in np.flatnonzero(made.arcs > (np.pi - NEARLY_HALF) / 2)[:1]:
         raise InputError(

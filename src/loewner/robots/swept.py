@@ -142,7 +142,6 @@ class _Element(NamedTuple):
 def swept(
     self: Robot,
     curve: Any,
-    *,
     links: str | Iterable[str] | None,
     tolerance: float,
     joint_error: ArrayLike,

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from loewner._base import _validate
 from loewner._base._matrices import dot, lengths
+from loewner._base._read_only import read_only
 from loewner._base._validate import Floats, Named
 from loewner._kernels import columns
 from loewner._kernels.records import Tree
@@ -407,8 +408,7 @@ def _coupled(robot: Any, followed: str, multiplier: float, offset: float) -> Any
                 lower[at], upper[at] = least, most
         for key in RATES:
             limits[key][at] = np.fmin(limits[key][at], getattr(robot, key)[own] / abs(multiplier))
-    for array in limits.values():
-        array.setflags(write=False)
+    read_only(*limits.values())
     tree, last = robot.tree, len(robot.link_names) - 1
     tree = Tree(*(array.copy() for array in tree))
     tree.column[last], tree.multiplier[last], tree.offset[last] = at, multiplier, offset
@@ -500,8 +500,7 @@ def _combined(pieces: Sequence[_Piece], name: str) -> Any:
             raise InputError(f"expected names of links and joints that differ, found {taken!r} twice")
     first = np.cumsum([0, *(robot.dof for robot in robots)]).tolist()
     limits = {key: np.concatenate([getattr(robot, key) for robot in robots]) for key in LIMITS}
-    for array in limits.values():
-        array.setflags(write=False)
+    read_only(*limits.values())
     configuration_names = tuple(n for piece in pieces for n in _prefixed(piece.prefix, piece.robot.configuration_names))
     turns = [turns for robot in robots for turns in robot._watch.turns]
     free = [free for robot in robots for free in robot._watch.free]

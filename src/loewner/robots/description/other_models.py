@@ -12,7 +12,7 @@ import numpy as np
 from loewner._base import _elementary, _validate
 from loewner._base._matrices import product
 from loewner._base._plausible import warn
-from loewner._base._read_only import KeepsReadOnly
+from loewner._base._read_only import KeepsReadOnly, read_only
 from loewner._base._validate import Bools, Floats, Ints, Pair
 from loewner._kernels import columns
 from loewner._kernels.records import Tree
@@ -163,8 +163,7 @@ def layout_of(
     for column, value in order.constants.items():
         offsets[column] = value
     made = source, factors, offsets, own, np.array(turning, dtype=np.int64).reshape(-1, 3)
-    for array in made:
-        array.setflags(write=False)
+    read_only(*made)
     return Layout(tuple(names), *made)
 
 

@@ -204,7 +204,7 @@ class ProvenPairs:
         new = [row for row in rows if frozenset(row.names) not in known]
         lines = "".join(
             f"  <disable_collisions link1={quoteattr(row.names[0])} link2={quoteattr(row.names[1])} "
-            f'reason="{REASONS[row.verdict]}"/>  <!-- proven: {_comment(row.range_text)} -->\n'
+            f'reason="{REASONS[row.verdict]}"/>  <!-- proven: {row.range_text.replace("--", "- -")} -->\n'
             for row in new
         )
         # The last end tag outside comments.
@@ -215,11 +215,6 @@ class ProvenPairs:
         with replacing(target) as temporary:
             temporary.write_bytes(after.encode())
         return tuple(row.names for row in new)
-
-
-def _comment(text: str) -> str:
-    """Return text in a form that an XML comment may contain."""
-    return text.replace("--", "- -")
 
 
 def _srdf(path: Path, robot: str) -> tuple[str, set[frozenset[str]]]:

@@ -20,7 +20,7 @@ from loewner._base._kept import kept
 from loewner._base._matrices import dot, lengths, power
 from loewner._base._pictures import LINKS, Shape, bodies, pictured
 from loewner._base._plausible import FARTHEST_LIMIT
-from loewner._base._read_only import KeepsReadOnly
+from loewner._base._read_only import KeepsReadOnly, read_only
 from loewner._base._threads import in_shares
 from loewner._base._validate import Bools, Floats, Named, OneOrMany, Pair, Progress
 from loewner._kernels import columns as kernel_columns
@@ -348,8 +348,7 @@ class Robot(KeepsReadOnly):
         limits["lower"], limits["upper"] = _ends(robot, columns, dof, lambda joint: joint.range)
         hard = _ends(robot, columns, dof, lambda joint: (joint.lower, joint.upper))
         limits["hard_lower"], limits["hard_upper"] = hard
-        for array in limits.values():
-            array.setflags(write=False)
+        read_only(*limits.values())
         entries = [(name, value) for name in columns for value in VALUES[kinds[name]]]
         names = tuple(f"{name}/{value}" if value else name for name, value in entries)
         turns = [kinds[name] in ("revolute", "continuous") for name, _ in entries]
@@ -1060,10 +1059,7 @@ class Robot(KeepsReadOnly):
         >>> collide(fence, None, robot.bodies["cart"], moved)
         True
         """
-        body: Body = answers["swept"](
-            self, curve, links=links, tolerance=tolerance, joint_error=joint_error, scene=scene, progress=progress
-        )
-        return body
+        return cast(Body, answers["swept"](self, curve, links, tolerance, joint_error, scene, progress))
 
     def prove_pairs(
         self,

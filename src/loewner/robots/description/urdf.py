@@ -261,14 +261,9 @@ def read_urdf(path: str | os.PathLike[str], text: str | None = None) -> Descript
     doubt_limits(root.path, joints)
     _warn_of_extensions(root, joints)
     settle(root, "URDF", HARMLESS)
-    return Description(
-        name=root.path.stem if name is None else name,
-        path=root.path,
-        shapes=shapes,
-        joints=joints,
-        joint_above=joint_above,
-        only_visual=tuple(link for link in order if links[link].has("visual") and not shapes[link]),
-    )
+    only_visual = tuple(link for link in order if links[link].has("visual") and not shapes[link])
+    name = root.path.stem if name is None else name
+    return Description(name, root.path, shapes, joints, joint_above, only_visual)
 
 
 def read_visuals(path: Path, text: str | None) -> tuple[dict[str, list[Shape]], list[str]]:
