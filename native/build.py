@@ -160,14 +160,14 @@ def told(level: str) -> dict[str, str]:
 
 def machine_level(folder: Path) -> str:
     """Level of this machine's processor, from the extension that was built, or from one made in a folder."""
-    if known := built_levels():
-        return known[0]
+    if built := built_levels():
+        return built[0]
     if not (folder / CALL).exists():
         compile_extension(folder / CALL)
-    found = loaded(folder / CALL).levels()
-    if not found:
+    levels = loaded(folder / CALL).levels()
+    if not levels:
         raise BuildError("this processor is older than all levels that are built; Numba compiles for it")
-    return str(found[0])
+    return str(levels[0])
 
 
 def build(
@@ -439,19 +439,19 @@ def main() -> int:
     # Exiting ends the processes that the build began, and removes its folder.
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))
     try:
-        known = LEVELS.get(architecture())
-        if known is None:
+        all_levels = LEVELS.get(architecture())
+        if all_levels is None:
             raise BuildError(f"expected one of {', '.join(LEVELS)}, found a processor of {architecture()}")
         with ExitStack() as stack:
             lock = stack.enter_context(locked(options.to, options.lock)) if options.to == HOME else None
             work = options.work or folder_for(options.to)
             stack.callback(shutil.rmtree, work)
             in_groups = options.levels == "machine"
-            levels = list(known) if options.levels == "all" else options.levels.split(",")
+            levels = list(all_levels) if options.levels == "all" else options.levels.split(",")
             if in_groups:
                 levels = [machine_level(work)]
-            if any(level not in known for level in levels):
-                raise BuildError(f"--levels: expected some of {', '.join(known)}, found {options.levels}")
+            if any(level not in all_levels for level in levels):
+                raise BuildError(f"--levels: expected some of {', '.join(all_levels)}, found {options.levels}")
             if is_built(levels, options.to, options.gpu):
                 return 0
             if options.log is not None and options.work is None:
@@ -460,9 +460,9 @@ def main() -> int:
                 return 0
             start = time.perf_counter()
             nice = 0 if options.work is None else IN_BACKGROUND
-            made = build(levels, work, options.to, options.gpu, in_groups=in_groups, nice=nice)
-            size = sum(path.stat().st_size for path in made)
-            count = json.loads(made[-1].read_text(encoding="utf-8"))["functions"]
+            built_files = build(levels, work, options.to, options.gpu, in_groups=in_groups, nice=nice)
+            size = sum(path.stat().st_size for path in built_files)
+            count = json.loads(built_files[-1].read_text(encoding="utf-8"))["functions"]
             took = f"{time.perf_counter() - start:.0f} s, {time_of_processes():.0f} s of processor time"
             print(f"native library: {', '.join(levels)}, {count} functions, {size / 1e6:.1f} MB, {took}")
     except (BuildError, OSError) as error:

@@ -23,29 +23,29 @@ HOME, PTX = "loewner/_native/", "threads.ptx.z"
 
 def faults(path: Path) -> list[str]:
     """Return the faults of a wheel."""
-    wheel, names, found = zipfile.ZipFile(path), files(path), list[str]()
+    wheel, names, messages = zipfile.ZipFile(path), files(path), list[str]()
     if (size := path.stat().st_size) >= LARGEST:
-        found.append(f"expected less than {LARGEST:,} bytes, found {size:,}")
+        messages.append(f"expected less than {LARGEST:,} bytes, found {size:,}")
     if "-cp311-abi3-" not in path.name:
-        found.append("expected a wheel for all Pythons from 3.11 on, with the tag cp311-abi3")
+        messages.append("expected a wheel for all Pythons from 3.11 on, with the tag cp311-abi3")
     if foreign := sorted(name for name in names if not _belongs(name)):
-        found.append(f"expected nothing but the package, found {', '.join(foreign)}")
+        messages.append(f"expected nothing but the package, found {', '.join(foreign)}")
     if not any(name.endswith("/licenses/LICENSE") for name in names):
-        found.append("expected a LICENSE, found none")
+        messages.append("expected a LICENSE, found none")
     wanted = {f"kernels-{level}.so" for level in LEVELS[architecture()]} | {CALL, *FOR_C}
     libraries = {name.removeprefix(HOME) for name in names if name.endswith(".so")}
     if libraries != wanted:
-        found.append(f"expected the libraries {', '.join(sorted(wanted))}, found {', '.join(sorted(libraries))}")
+        messages.append(f"expected the libraries {', '.join(sorted(wanted))}, found {', '.join(sorted(libraries))}")
     listed = json.loads(wheel.read(f"{HOME}built.json"))["files"]
     if HOME + PTX not in names or sha256(wheel.read(HOME + PTX)).hexdigest() != listed.get(PTX):
-        found.append(f"expected {PTX} as it was built, found none or another")
+        messages.append(f"expected {PTX} as it was built, found none or another")
     for name in sorted(libraries):
         content = wheel.read(HOME + name)
         if sha256(content).hexdigest() != listed.get(name):
-            found.append(f"{name} is not as it was built")
+            messages.append(f"{name} is not as it was built")
         if strange := needed(content) - ALLOWED:
-            found.append(f"{name}: expected to need nothing but the C library, found {', '.join(sorted(strange))}")
-    return found
+            messages.append(f"{name}: expected to need nothing but the C library, found {', '.join(sorted(strange))}")
+    return messages
 
 
 def files(path: Path) -> set[str]:
@@ -78,15 +78,15 @@ def main() -> int:
     parser.add_argument("wheel", type=Path)
     parser.add_argument("--same-as", type=Path, metavar="WHEEL", help="another wheel, which holds the same files")
     options = parser.parse_args()
-    found = faults(options.wheel)
+    messages = faults(options.wheel)
     other = options.same_as or options.wheel
     if apart := sorted(files(options.wheel) ^ files(other)):
-        found.append(f"expected the files of {other}, found in one only: {', '.join(apart)}")
-    for fault in found:
+        messages.append(f"expected the files of {other}, found in one only: {', '.join(apart)}")
+    for fault in messages:
         print(f"{options.wheel.name}: {fault}", file=sys.stderr)
     unpacked = sum(one.file_size for one in zipfile.ZipFile(options.wheel).infolist())
     print(f"{options.wheel}: {options.wheel.stat().st_size:,} bytes, {unpacked:,} unpacked")
-    return 1 if found else 0
+    return 1 if messages else 0
 
 
 if __name__ == "__main__":

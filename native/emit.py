@@ -65,7 +65,7 @@ def remember_operators() -> None:
     The search takes a sixth of the time. Other operations, such as slicing, are left alone: their search compiles
     functions that they call, and records that these have to be linked.
     """
-    search, known = BaseFunction.get_call_type, {}
+    search, call_types = BaseFunction.get_call_type, {}
     plain = types.Number | types.Boolean | types.IntegerLiteral | vectors.Lanes
     indexed = types.Array | types.BaseTuple
 
@@ -80,21 +80,21 @@ def remember_operators() -> None:
         if not is_remembered(function, args):
             return search(function, context, args, kws)
         key = function, tuple(args)
-        if key not in known:
-            known[key] = search(function, context, args, kws)
-        return known[key]
+        if key not in call_types:
+            call_types[key] = search(function, context, args, kws)
+        return call_types[key]
 
     BaseFunction.get_call_type = get_call_type
 
 
 def remember_sizes() -> None:
     """Let Numba get the size of a type from LLVM once, not for each variable; this saves a twentieth of the time."""
-    measure, known = BaseContext.get_abi_sizeof, {}
+    measure, sizes = BaseContext.get_abi_sizeof, {}
 
     def get_abi_sizeof(context, kind):
-        if id(kind) not in known:
-            known[id(kind)] = kind, measure(context, kind)  # A type that is kept alive keeps its identity.
-        return known[id(kind)][1]
+        if id(kind) not in sizes:
+            sizes[id(kind)] = kind, measure(context, kind)  # A type that is kept alive keeps its identity.
+        return sizes[id(kind)][1]
 
     BaseContext.get_abi_sizeof = get_abi_sizeof
 
@@ -117,11 +117,11 @@ def count_only_arrays() -> None:
         if not is_counted(models, kind):
             return []
         model = models[kind]
-        found = [(kind, model.get_nrt_meminfo(builder, value))] if model.has_nrt_meminfo() else []
+        meminfos = [(kind, model.get_nrt_meminfo(builder, value))] if model.has_nrt_meminfo() else []
         for inner, field in model.traverse(builder):
             if is_counted(models, inner):
-                found += get_meminfos(context, builder, inner, field(value))
-        return found
+                meminfos += get_meminfos(context, builder, inner, field(value))
+        return meminfos
 
     NRTContext.get_meminfos = get_meminfos
 
@@ -164,8 +164,8 @@ def compiled(entry: Entry):
     kernel.compile(types_of(entry.arguments))
     result = kernel.overloads[types_of(entry.arguments)]
     expected = list(types_of(entry.results))
-    found = result.signature.return_type
-    listed = [] if found == types.none else list(found) if isinstance(found, types.BaseTuple) else [found]
+    actual = result.signature.return_type
+    listed = [] if actual == types.none else list(actual) if isinstance(actual, types.BaseTuple) else [actual]
     if [types.unliteral(kind) for kind in listed] != expected:
         raise SystemExit(f"{entry.name}: expected results {expected}, found {listed}")
     return result
@@ -280,9 +280,9 @@ def check_numba() -> None:
     if fields != FIELDS:
         raise SystemExit(f"Numba {numba.__version__}: expected arrays of {FIELDS}, found {fields}")
     address, array = _memory_and_array(1000)
-    found = [ctypes.c_size_t.from_address(address + at).value for at in (REFERENCES, DATA, MEMORY_SIZE)]
-    if found[0] < 1 or found[1] != array.ctypes.data or found[2] < array.nbytes:
-        raise SystemExit(f"Numba {numba.__version__}: memory is described otherwise than runtime.c expects ({found})")
+    words = [ctypes.c_size_t.from_address(address + at).value for at in (REFERENCES, DATA, MEMORY_SIZE)]
+    if words[0] < 1 or words[1] != array.ctypes.data or words[2] < array.nbytes:
+        raise SystemExit(f"Numba {numba.__version__}: memory is described otherwise than runtime.c expects ({words})")
 
 
 def write_code(entry: Entry, to: Path) -> None:
@@ -310,12 +310,12 @@ def write_object(codes: list[Path], before: list[Path], to: Path) -> None:
     made_of = keys, [one["shim"] for one in read], codegen.magic_tuple(), Path(__file__).read_bytes(), _jit.MADE_WITH
     key = _store.key_of(to.name, made_of, frozenset())
     try:
-        made = _store.read(key)
+        object_code = _store.read(key)
     except (OSError, _sealed.DamagedFileError):
-        made = machine_code(parts, [one["shim"] for one in read])
+        object_code = machine_code(parts, [one["shim"] for one in read])
         with suppress(OSError):
-            _store.write(key, made)
-    put(to, made)
+            _store.write(key, object_code)
+    put(to, object_code)
 
 
 def apart_functions(part: CPUCodeLibrary) -> list[str]:

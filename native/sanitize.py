@@ -50,8 +50,8 @@ def instrumented(to: Path) -> None:
     compile_extension(home / name, FLAGS)
     compile_api(home / LIBRARY, FLAGS)
     built = json.loads((home / library.LIST).read_text(encoding="utf-8"))
-    for made in (name, LIBRARY):
-        built["files"][made] = _sum(home / made)
+    for file_name in (name, LIBRARY):
+        built["files"][file_name] = _sum(home / file_name)
     (home / library.LIST).write_text(json.dumps(built), encoding="utf-8")
 
 
@@ -83,12 +83,12 @@ def runtime() -> str:
     One is the library of C++, because the sanitizer looks for its functions at the start, and Python loads it later.
     """
     compiler = shlex.split(os.environ.get("CC") or "cc")
-    asked = [[*compiler, f"-print-file-name={name}"] for name in ("libasan.so", "libstdc++.so.6")]
-    told = [subprocess.run(command, capture_output=True, text=True, check=False).stdout for command in asked]
-    found = [Path(text.strip()) for text in told]
-    if not all(path.is_absolute() for path in found):
+    commands = [[*compiler, f"-print-file-name={name}"] for name in ("libasan.so", "libstdc++.so.6")]
+    told = [subprocess.run(command, capture_output=True, text=True, check=False).stdout for command in commands]
+    paths = [Path(text.strip()) for text in told]
+    if not all(path.is_absolute() for path in paths):
         raise BuildError(f"expected gcc with its libasan, found none with {compiler[0]}")
-    return " ".join(str(path.resolve()) for path in found)
+    return " ".join(str(path.resolve()) for path in paths)
 
 
 def environment(to: Path) -> dict[str, str]:

@@ -166,6 +166,22 @@ def test_functions_are_small():
     assert large == []
 
 
+# What a variable was, not what it holds.
+PARTICIPLES = {"found", "made", "given", "known", "asked"}
+
+
+def test_variables_are_named_for_what_they_hold():
+    """No local variable is a bare participle; `made` of `lay_out` is a field that programs in C read."""
+    bare = set()
+    for path, tree in trees().items():
+        for function in (node for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)):
+            parameters = {part.arg for part in ast.walk(function.args) if isinstance(part, ast.arg)}
+            names = (part for part in ast.walk(function) if isinstance(part, ast.Name))
+            stored = {name.id for name in names if isinstance(name.ctx, ast.Store)} & PARTICIPLES
+            bare |= {f"{path}: {function.name}: {name}" for name in stored - parameters}
+    assert bare == {"_kernels/robots/pair_lists.py: lay_out: made"}
+
+
 # Private names of other projects: the standard library and named tuples; files that use Numba, viser or argparse.
 FOREIGN_NAMES = {"_getframe", "_exit", "_asdict", "_replace"}
 FOREIGN_FILES = {

@@ -280,9 +280,9 @@ def _body_of(mesh: Path, target: Path, options: dict[str, Any], run: str) -> Out
     # The old and the new record differ in the body's checksum: even if a worker dies here, no record matches a wrong
     # body.
     body.save(target)
-    made = {**wanted, "mesh": str(mesh), "warnings": warnings, "run": run, "body_sha256": _checksum_of_body(target)}
+    entry = {**wanted, "mesh": str(mesh), "warnings": warnings, "run": run, "body_sha256": _checksum_of_body(target)}
     with replacing(_record_path(target)) as temporary:
-        temporary.write_text(json.dumps(made, indent=1), encoding="utf-8")
+        temporary.write_text(json.dumps(entry, indent=1), encoding="utf-8")
     return Outcome("done", warnings=tuple(warnings))
 
 
@@ -322,19 +322,19 @@ def _outcomes(
     LoewnerError
         If the scheduler has gone, or the work was cancelled every time it was requested.
     """
-    found: dict[Path, Outcome] = {}
+    outcomes: dict[Path, Outcome] = {}
     run = os.urandom(8).hex()
 
     def report(mesh: Path, outcome: Outcome) -> None:
-        found[mesh] = outcome
+        outcomes[mesh] = outcome
         if progress is not None:
-            progress(len(found), len(targets))
+            progress(len(outcomes), len(targets))
 
     for _ in range(ATTEMPTS):
-        left = {mesh: target for mesh, target in targets.items() if mesh not in found}
+        left = {mesh: target for mesh, target in targets.items() if mesh not in outcomes}
         _request(client, left, options, run, report)
-        if len(found) == len(targets):
-            return found
+        if len(outcomes) == len(targets):
+            return outcomes
         if not _reconnected(client):
             break
     raise LoewnerError(
@@ -426,14 +426,14 @@ def _connected(client: Any) -> Iterator[Any]:
     if isinstance(client, str):
         try:
             distributed.comm.resolve_address(client)  # a bad address would leave a client half initialised
-            made = distributed.Client(client, timeout=PATIENCE, set_as_default=False)
+            new_client = distributed.Client(client, timeout=PATIENCE, set_as_default=False)
         except Exception as error:  # any error of a protocol; most are ValueError or OSError
             raise InputError(
                 f"client: expected the address of a Dask scheduler, as tcp://host:8786, found "
                 f"{_validate.short(client)} ({error}); {HOW_TO_START}"
             ) from None
-        with made:
-            yield made
+        with new_client:
+            yield new_client
         return
     if not isinstance(client, distributed.Client):
         raise InputError(
@@ -579,8 +579,8 @@ def _by_chunks(
         _check_array(da, Q, name, checker.robot.dof)
     (first, *others) = arrays.values()
     if any(Q.shape != first.shape for Q in others):
-        found = " and ".join(str(Q.shape) for Q in arrays.values())
-        raise InputError(f"expected Q0 and Q1 of one shape, found {found}")
+        shapes = " and ".join(str(Q.shape) for Q in arrays.values())
+        raise InputError(f"expected Q0 and Q1 of one shape, found {shapes}")
     first = first.rechunk({-1: -1})
     # The checker is sent as bytes: a copy of its current state, named by its checksum. The task that unpacks the bytes
     # is sent once, and its result is sent to each worker that has a chunk. A checker among a task's arguments would be

@@ -133,8 +133,8 @@ def _differentiable(measure: Measure) -> Callable[[Any], Any]:
 
     @values.defjvp
     def once(primals: Any, tangents: Any) -> Any:
-        found, gradients = with_gradients(*primals)
-        return found, (gradients * tangents[0]).sum(axis=-1)  # linear in the tangent, so that JAX can transpose it
+        primal_out, gradients = with_gradients(*primals)
+        return primal_out, (gradients * tangents[0]).sum(axis=-1)  # linear in the tangent, so that JAX can transpose it
 
     @with_gradients.defjvp
     def twice(primals: Any, tangents: Any) -> Any:

@@ -206,8 +206,8 @@ class Judgement(_validate.Brief):
         >>> judge_answers(Body.sphere(1.0), None, Body.sphere(1.0), None, colliding=[True, False]).counts()
         {<Finding.OK: 1>: 1, <Finding.WRONG_FREE: 3>: 1}
         """
-        found = np.bincount(self.kinds.ravel(), minlength=len(Finding))
-        return {kind: int(found[kind]) for kind in Finding if found[kind] and kind != Finding.NOT_GIVEN}
+        counts = np.bincount(self.kinds.ravel(), minlength=len(Finding))
+        return {kind: int(counts[kind]) for kind in Finding if counts[kind] and kind != Finding.NOT_GIVEN}
 
     def worst(self, kind: Finding | None = None) -> Any:
         """List the answers with a finding, the largest error first.
@@ -311,7 +311,7 @@ def judge_answers(
     allowed = _validate.positive_scalar(tolerance, "tolerance", zero=True)
     expect_bodies(a, b)
     poses = [_validate.poses(T, name) for T, name in ((T_world_a, "T_world_a"), (T_world_b, "T_world_b"))]
-    given = {
+    answers = {
         "colliding": _flags(colliding),
         "distance": _answers(distance, "distance"),
         "depth": _answers(depth, "depth", least=0.0),
@@ -319,9 +319,9 @@ def judge_answers(
         "witness_b": _answers(witness_b, "witness_b", (3,)),
         "normal": _answers(normal, "normal", (3,)),
     }
-    said = {name: array for name, array in given.items() if array is not None}
+    said = {name: array for name, array in answers.items() if array is not None}
     if not said:
-        raise InputError(f"expected an answer to judge, one of {', '.join(given)}, found none")
+        raise InputError(f"expected an answer to judge, one of {', '.join(answers)}, found none")
     plan = plan_of(a, poses[0].shape, b, poses[1].shape)
     batches = {name: x.shape[:-1] if name in VECTORS else x.shape for name, x in said.items()}
     shape = _validate.broadcast({"pairs": plan.shape, **batches})
@@ -346,8 +346,8 @@ def _answers(x: Any, name: str, tail: tuple[int, ...] = (), *, least: float = -n
         raise InputError(f"{name}: expected shape (..., 3), found {_validate.shape_text(array.shape)}")
     if np.isinf(array).any() or (array < least).any():
         wanted = "finite numbers" if np.isinf(least) else f"finite numbers of {least:g} or more"
-        found = array[np.isinf(array) | (array < least)].flat[0]
-        raise InputError(f"{name}: expected {wanted}, or NaN for no answer, found {found}")
+        number = array[np.isinf(array) | (array < least)].flat[0]
+        raise InputError(f"{name}: expected {wanted}, or NaN for no answer, found {number}")
     return array
 
 
@@ -407,9 +407,9 @@ class _Pairs:
 
         The lower bound of a negative distance is minus infinity here, unless ellipsoids prove that there is no depth.
         """
-        found, _ = queries.measured(self.a, self.Ta, self.b, self.Tb, True)
-        value, slack = np.asarray(found.distance), ACCURACY * self.size()
-        lower, upper = np.asarray(found.lower), np.asarray(found.upper)
+        distances, _ = queries.measured(self.a, self.Ta, self.b, self.Tb, True)
+        value, slack = np.asarray(distances.distance), ACCURACY * self.size()
+        lower, upper = np.asarray(distances.lower), np.asarray(distances.upper)
         lower = np.where(value >= 0.0, np.fmax(lower, value - slack), np.where(lower > 0.0, lower, -np.inf))
         single, tight = self.kinds()
         loose = (value < 0.0) & ~tight
@@ -421,7 +421,7 @@ class _Pairs:
             for corner in ICOSAHEDRON:
                 still &= self.moved(reach[..., None] * corner).verdicts()[1]
             upper = np.where(still, np.minimum(upper, slack + self.rounding() - IN_ICOSAHEDRON * reach), upper)
-        return found, lower, upper, slack
+        return distances, lower, upper, slack
 
     def verdicts(self) -> tuple[Bools, Bools]:
         """Return where the bodies are proven to be apart, and where they meet, up to rounding."""
@@ -432,14 +432,14 @@ class _Pairs:
 
 def _of_each(body: Body | Bodies, reduced: np.ufunc, values: Any) -> Any:
     """Reduce values of pieces to one value per body: an array for `Bodies`, and a number for a `Body`."""
-    found = reduced.reduceat(values, packed_of(body).piece_start[:-1])
-    return found[0] if isinstance(body, Body) else found
+    body_values = reduced.reduceat(values, packed_of(body).piece_start[:-1])
+    return body_values[0] if isinstance(body, Body) else body_values
 
 
 def _judged(pairs: _Pairs, said: dict[str, Floats], allowed: float) -> Judgement:
     """Bound the signed distances, and compare each part of the answers with the bounds."""
-    found, lower, upper, slack = pairs.measured()
-    value, normal = np.asarray(found.distance), np.asarray(found.normal)
+    distances, lower, upper, slack = pairs.measured()
+    value, normal = np.asarray(distances.distance), np.asarray(distances.normal)
     # A move along the normal by slightly more than the depth separates overlapping bodies; otherwise, no depth is
     # known.
     way = np.where(value < 0.0, 3.0 * slack - value, 0.0)
@@ -507,8 +507,8 @@ def _readings(pairs: _Pairs, said: dict[str, Floats]) -> Iterator[tuple[str, str
     Ta, Tb = pairs.Ta, pairs.Tb
     frames = {"a": (Ta, Ta), "b": (Tb, Tb), "their own bodies": (Ta, Tb), "the other bodies": (Tb, Ta)}
     for whose, poses in frames.items() if points else ():
-        given = dict(zip(VECTORS, poses, strict=False))
-        world = {n: (given[n][..., :3, :3] @ x[..., None])[..., 0] + given[n][..., :3, 3] for n, x in points.items()}
+        T = dict(zip(VECTORS, poses, strict=False))
+        world = {n: (T[n][..., :3, :3] @ x[..., None])[..., 0] + T[n][..., :3, 3] for n, x in points.items()}
         yield "witnesses", f"are right in the frame{'s' * (len(whose) > 1)} of {whose}", world, False
 
 
@@ -548,12 +548,12 @@ def _judge_lengths(court: _Court, said: dict[str, Floats], lower: Floats, upper:
 
 def _judge_witness(court: _Court, name: str, body: Body | Bodies, T: Floats, point: Floats) -> None:
     """Judge whether a point is in its body; any point inside the body counts as right."""
-    given = np.asarray(~np.isnan(point).any(axis=-1))
+    is_given = np.asarray(~np.isnan(point).any(axis=-1))
     place = np.zeros(T.shape)
     place[...] = np.eye(4)
-    place[..., :3, 3] = np.where(given[..., None], point, T[..., :3, 3])
+    place[..., :3, 3] = np.where(is_given[..., None], point, T[..., :3, 3])
     _, lower, upper, _ = _Pairs(body, T, Body.sphere(POINT), place).measured()
-    court.judge(name, given, lower, upper + POINT, Finding.WITNESS_OFF_BODY)
+    court.judge(name, is_given, lower, upper + POINT, Finding.WITNESS_OFF_BODY)
 
 
 def _judge_witnesses(court: _Court, said: dict[str, Floats], known: Bools, upper: Floats) -> None:
@@ -568,9 +568,9 @@ def _judge_witnesses(court: _Court, said: dict[str, Floats], known: Bools, upper
     step = lengths(b - a)
     rounding = FEW_ROUNDINGS * (lengths(a) + lengths(b) + length)
     error = np.abs(step - length)
-    given = ~(np.isnan(error) | ((length == 0.0) & (upper < 0.0)))
+    is_given = ~(np.isnan(error) | ((length == 0.0) & (upper < 0.0)))
     least = np.where(known, error - rounding, 0.0)
-    court.judge("witnesses", given, least, error + rounding, Finding.WITNESSES_DO_NOT_MATCH)
+    court.judge("witnesses", is_given, least, error + rounding, Finding.WITNESSES_DO_NOT_MATCH)
 
 
 def _judge_normal(court: _Court, pairs: _Pairs, normal: Floats, lower: Floats, upper: Floats) -> None:
@@ -578,13 +578,13 @@ def _judge_normal(court: _Court, pairs: _Pairs, normal: Floats, lower: Floats, u
     scale = np.abs(normal).max(axis=-1, keepdims=True)
     unit = np.divide(normal, scale, out=np.full(normal.shape, np.nan), where=scale > 0.0)
     unit = unit / lengths(unit)[..., None]
-    given = np.asarray(~np.isnan(unit).any(axis=-1))
+    is_given = np.asarray(~np.isnan(unit).any(axis=-1))
     overlapping = upper < 0.0
     # If the bodies are apart, the right move leaves a distance of at most the width of the interval.
     way = np.where(overlapping, np.maximum(-lower, 0.0), -np.maximum(lower, 0.0))
     single, _ = pairs.kinds()
-    known = np.isfinite(way) & (single | ~overlapping)
-    moved = pairs.moved(np.where(known, way, 0.0)[..., None] * unit)
+    is_known = np.isfinite(way) & (single | ~overlapping)
+    moved = pairs.moved(np.where(is_known, way, 0.0)[..., None] * unit)
     _, left_lower, left_upper, _ = moved.measured()
     width = np.where(overlapping, 0.0, np.maximum(upper, 0.0) - np.maximum(lower, 0.0)) + moved.rounding()
     # For bodies that still overlap, `left_lower` is unknown and not needed: only depths beyond a bound prove an error.
@@ -592,5 +592,5 @@ def _judge_normal(court: _Court, pairs: _Pairs, normal: Floats, lower: Floats, u
     most = np.where(overlapping, -left_lower, left_upper)
     most = np.where(overlapping & moved.verdicts()[0], 0.0, most)
     court.judge(
-        "normal", given, np.where(known, least, 0.0), np.where(known, most, np.inf), Finding.NORMAL_WRONG
+        "normal", is_given, np.where(is_known, least, 0.0), np.where(is_known, most, np.inf), Finding.NORMAL_WRONG
     )  # fmt: skip

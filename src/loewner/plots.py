@@ -171,10 +171,10 @@ def pair(
     ax.set_title(title)
     entries = [("a", COLOURS[0]), ("b", COLOURS[1])] + ([("inner", INNER), ("outer", OUTER)] if ellipsoids else [])
     if near:
-        found = distance(a, Ta, b, Tb, exact=True)
-        ax.plot(*np.array([found.witness_a, found.witness_b]).T, color=NEAR, marker="o", markersize=4, zorder=10)
-        what = "distance" if found.distance >= 0 else "depth"
-        entries.append((f"{what} {abs(found.distance):.4g} m", NEAR))
+        gap = distance(a, Ta, b, Tb, exact=True)
+        ax.plot(*np.array([gap.witness_a, gap.witness_b]).T, color=NEAR, marker="o", markersize=4, zorder=10)
+        what = "distance" if gap.distance >= 0 else "depth"
+        entries.append((f"{what} {abs(gap.distance):.4g} m", NEAR))
     _legend(ax, entries)
     return ax
 
@@ -261,8 +261,8 @@ def cover(robot: Robot, model: Robot, q: ArrayLike | None = None, *, ax: Any = N
     >>> plots.cover(robot, robot.cover("boxes", protrusion=0.05)).get_title()
     'arm: no part of 3 links is outside'
     """
-    for name, given in (("robot", robot), ("model", model)):
-        _validate.instance(given, name, Robot)
+    for name, operand in (("robot", robot), ("model", model)):
+        _validate.instance(operand, name, Robot)
     if not robot.bodies:
         raise InputError("robot: expected one with bodies, found one without")
     q = first_shown(robot)[1] if q is None else robot.checked_one(q)
@@ -376,26 +376,26 @@ def trajectory(checker: CollisionChecker, curve: Any, *, joint_error: ArrayLike 
     ('COLLIDING', 'cart and post', '200 mm deep at ... s')
     """
     _validate.instance(checker, "checker", CollisionChecker)
-    courses, found = curves.proven(checker, curve, joint_error)
-    ticks, _, Q = curves.sampled(checker.robot, courses, found)
+    courses, certified = curves.proven(checker, curve, joint_error)
+    ticks, _, Q = curves.sampled(checker.robot, courses, certified)
     near = None
     if checker.checked_pairs:
-        near = approaches.along(checker, courses, np.flatnonzero(found.segments.verdict != Verdict.FREE)).near
+        near = approaches.along(checker, courses, np.flatnonzero(certified.segments.verdict != Verdict.FREE)).near
         k = near.nearest
-        share = (near.time[k] - found.times[k]) / (found.times[k + 1] - found.times[k])
+        share = (near.time[k] - certified.times[k]) / (certified.times[k + 1] - certified.times[k])
         q = configurations(checker.robot, courses.courses[k : k + 1], np.array([share]).clip(0.0, 1.0))
         ticks, Q = np.append(ticks, near.time[k]), np.concatenate([Q, q])
     order = np.argsort(ticks, kind="stable")
     ticks, Q = ticks[order], Q[order]
     ax = _flat_axes(ax)
     for verdict, (label, colour) in SPANS.items():
-        for k in np.flatnonzero(found.segments.verdict == verdict).tolist():
-            ax.axvspan(found.times[k], found.times[k + 1], color=colour, linewidth=0, label=label)
+        for k in np.flatnonzero(certified.segments.verdict == verdict).tolist():
+            ax.axvspan(certified.times[k], certified.times[k + 1], color=colour, linewidth=0, label=label)
             label = "_"  # so that the legend names the colour only once
     if near is not None:
-        _draw_distances(ax, checker, (ticks, Q), found, near, "" if isinstance(curve, np.ndarray) else " s")
+        _draw_distances(ax, checker, (ticks, Q), certified, near, "" if isinstance(curve, np.ndarray) else " s")
     ax.axhline(0.0, color=LEVEL, linewidth=0.8)
-    ax.set(xlim=(found.times[0], found.times[-1]), ylabel="distance, mm", title=found.verdict.name)
+    ax.set(xlim=(certified.times[0], certified.times[-1]), ylabel="distance, mm", title=certified.verdict.name)
     ax.set_xlabel("number of the configuration" if isinstance(curve, np.ndarray) else "time, s")
     ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.15), ncols=2, fontsize="small", frameon=False)
     return ax
@@ -589,18 +589,18 @@ def accuracy(counts: Mapping[str, Mapping[str, tuple[int, int]]], *, ax: Any = N
     checked = {
         str(rule): {
             str(name): _counted(pair, f"counts[{rule!r}][{name!r}]")
-            for name, pair in _named(found, f"counts[{rule!r}]").items()
+            for name, pair in _named(by_family, f"counts[{rule!r}]").items()
         }
-        for rule, found in _named(counts, "counts").items()
+        for rule, by_family in _named(counts, "counts").items()
     }
-    families = list(dict.fromkeys(name for found in checked.values() for name in found))
+    families = list(dict.fromkeys(name for by_family in checked.values() for name in by_family))
     ax = _flat_axes(ax)
-    for k, (rule, found) in enumerate(checked.items()):
-        asked = {name: pair for name, pair in found.items() if pair[1] > 0}
-        share = np.array([right / total for right, total in asked.values()])
-        low, high = np.array([wilson(*pair) for pair in asked.values()]).reshape(-1, 2).T
+    for k, (rule, by_family) in enumerate(checked.items()):
+        answered = {name: pair for name, pair in by_family.items() if pair[1] > 0}
+        share = np.array([right / total for right, total in answered.values()])
+        low, high = np.array([wilson(*pair) for pair in answered.values()]).reshape(-1, 2).T
         # The marks of a family's rules are side by side in half of the family's space.
-        at = np.array([families.index(name) for name in asked]) + 0.5 * ((k + 0.5) / len(checked) - 0.5)
+        at = np.array([families.index(name) for name in answered]) + 0.5 * ((k + 0.5) / len(checked) - 0.5)
         colour, marker = CURVES[k % len(CURVES)]
         ends = 100 * np.array([share - low, high - share])
         ax.errorbar(
@@ -675,10 +675,10 @@ def _colour(x: Any) -> Any:
     from matplotlib.colors import is_color_like
 
     try:
-        known = isinstance(x, (str, tuple)) and is_color_like(x)
+        is_colour = isinstance(x, (str, tuple)) and is_color_like(x)
     except Exception:  # an error from the caller's object
-        known = False
-    if not known:
+        is_colour = False
+    if not is_colour:
         raise InputError(f"colour: expected a colour of matplotlib, found {_validate.short(x)}")
     return x
 
@@ -699,21 +699,21 @@ def _named(x: Any, name: str) -> Mapping[Any, Any]:
 
 def _tiers_of(group: Any, name: Any) -> dict[str, int]:
     """Return the counts of one group, by tier."""
-    found = asdict(group) if isinstance(group, Settled) else dict(_named(group, f"counts[{name!r}]"))
-    for tier, count in found.items():
+    counts = asdict(group) if isinstance(group, Settled) else dict(_named(group, f"counts[{name!r}]"))
+    for tier, count in counts.items():
         _validate.known(tier, f"counts[{name!r}]", TIERS)
         _validate.whole_number(count, f"counts[{name!r}][{tier!r}]", 0)
-    if not any(found.values()):
+    if not any(counts.values()):
         raise InputError(f"counts[{name!r}]: expected counts above zero, found none")
-    return found
+    return counts
 
 
 def _times(x: Any, name: str, count: int) -> Floats:
     """Check one time, or one time per size; NaN if a time was not measured."""
     times = _validate.float_array(x, f"seconds[{name!r}]")
     if times.shape not in ((), (count,)):
-        found = _validate.shape_text(times.shape)
-        raise InputError(f"seconds[{name!r}]: expected shape ({count},), as sizes, or a number; found shape {found}")
+        shape = _validate.shape_text(times.shape)
+        raise InputError(f"seconds[{name!r}]: expected shape ({count},), as sizes, or a number; found shape {shape}")
     measured = times[~np.isnan(times)]
     if not len(measured) or not (np.isfinite(measured) & (measured > 0)).all():
         raise InputError(

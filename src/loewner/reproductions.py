@@ -151,11 +151,11 @@ def reproduction(
     """
     poses = [_validate.pose(T, name) for T, name in ((T_world_a, "T_world_a"), (T_world_b, "T_world_b"))]
     corners = [_corners(body, name) for body, name in ((a, "a"), (b, "b"))]
-    given = {
+    all_answers = {
         "colliding": colliding, "distance": distance, "depth": depth, "witness_a": witness_a, "witness_b": witness_b,
         "normal": normal,
     }  # fmt: skip
-    answers = {name: value for name, value in given.items() if value is not None}
+    answers = {name: value for name, value in all_answers.items() if value is not None}
     if _validate.callback(engine, "engine") is not None:
         if answers:
             raise InputError(f"engine: expected no answers beside it, found {', '.join(answers)}")
@@ -173,8 +173,8 @@ def _corners(body: Any, name: str) -> Floats:
     """The corners of a convex hull."""
     pieces = body.pieces if isinstance(body, Body) else ()
     if len(pieces) != 1 or pieces[0].kind != "polytope":
-        found = ", ".join(sorted({piece.kind for piece in pieces})) or _validate.short(body)
-        raise InputError(f"{name}: expected a body of one polytope, found {len(pieces)} pieces ({found})")
+        kinds = ", ".join(sorted({piece.kind for piece in pieces})) or _validate.short(body)
+        raise InputError(f"{name}: expected a body of one polytope, found {len(pieces)} pieces ({kinds})")
     return np.asarray(pieces[0].vertices)
 
 
@@ -198,11 +198,11 @@ def _reduced(
         return corners, answers
     for trial in _smaller(corners):
         try:
-            found, said = asked(trial)
+            trial_answers, said = asked(trial)
         except GeometryError:  # too flat for a body
             continue
         if worst in said.kinds:
-            corners[:], answers = trial, found
+            corners[:], answers = trial, trial_answers
     return corners, answers
 
 
@@ -288,8 +288,8 @@ def _weights(points: Floats, T: Floats, near: Floats) -> list[float]:
 
     x = points @ T[:3, :3].T + T[:3, 3] - near
     scale = max(float(np.abs(x).max()), np.finfo(float).tiny)
-    found, _ = nnls(np.vstack([x.T / scale, np.ones(len(x))]), np.array([0.0, 0.0, 0.0, 1.0]))
-    return [float(weight) for weight in found]
+    weights, _ = nnls(np.vstack([x.T / scale, np.ones(len(x))]), np.array([0.0, 0.0, 0.0, 1.0]))
+    return [float(weight) for weight in weights]
 
 
 def _surface(corners: list[Floats], poses: list[Floats], *, small: bool) -> tuple[Ints, Ints]:
@@ -316,10 +316,10 @@ def _surface(corners: list[Floats], poses: list[Floats], *, small: bool) -> tupl
             along = hull.equations[:, :3] @ -points[vertex]
             way = np.divide(-hull.equations[:, 3], along, out=np.full(len(along), np.inf), where=along > 0.0)
             four = np.append(triangles[int(way.argmin())], vertex)
-            made = ConvexHull(points[four]) if np.abs(np.linalg.det(np.diff(points[four], axis=0))) > 0.0 else None
-            if made is not None and -made.equations[:, 3].max() > best:
-                best = -made.equations[:, 3].max()
-                chosen = four[_outward(points[four], made.simplices, made.equations)]
+            simplex = ConvexHull(points[four]) if np.abs(np.linalg.det(np.diff(points[four], axis=0))) > 0.0 else None
+            if simplex is not None and -simplex.equations[:, 3].max() > best:
+                best = -simplex.equations[:, 3].max()
+                chosen = four[_outward(points[four], simplex.simplices, simplex.equations)]
         triangles = chosen
     used, places = np.unique(triangles, return_inverse=True)
     return np.column_stack(np.divmod(used, len(b))), places.reshape(-1, 3)

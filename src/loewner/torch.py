@@ -113,11 +113,11 @@ def distance(checker: CollisionChecker) -> Callable[[Any], Any]:
 
 def _differentiable(measure: Measure) -> Callable[[Any], Any]:
     """Make a PyTorch function of a measure."""
-    asked, _ = _functions()
+    function_class, _ = _functions()
 
     def function(Q: Any) -> Any:
         _expect_configurations(Q, measure)
-        return asked.apply(Q, measure, _is_differentiated(Q))[0]
+        return function_class.apply(Q, measure, _is_differentiated(Q))[0]
 
     return measure.named(function)
 

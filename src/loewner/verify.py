@@ -109,15 +109,15 @@ class Report:
     @property
     def stretches(self) -> tuple[Stretch, ...]:
         """Contacts, joined across motions: two bodies, the motion and its parameter t at each end, and the distance."""
-        found, last = list[Stretch](), dict[tuple[str, str, float], int]()
+        stretches, last = list[Stretch](), dict[tuple[str, str, float], int]()
         for a, b, number, since, until, least in self.contacts:
             k = last.get((a, b, least), -1)
-            if k >= 0 and since == 0 and found[k][3] == (number - 1, Fraction(1)):
-                found[k] = a, b, found[k][2], (number, until), least
+            if k >= 0 and since == 0 and stretches[k][3] == (number - 1, Fraction(1)):
+                stretches[k] = a, b, stretches[k][2], (number, until), least
             else:
-                last[a, b, least] = len(found)
-                found.append((a, b, (number, since), (number, until), least))
-        return tuple(found)
+                last[a, b, least] = len(stretches)
+                stretches.append((a, b, (number, since), (number, until), least))
+        return tuple(stretches)
 
     def __str__(self) -> str:
         lines = [("model", self.model), ("", ", ".join(f"{count} {what}" for what, count in self.sizes.items()))]
@@ -240,11 +240,11 @@ class _Reader:
         return number
 
     def doubles(self, number: int, what: str = "") -> list[float]:  # finite, not huge, not negative if they have a name
-        start, found = self.at, self.take(f"{number}d")
-        for k, x in enumerate(found):
+        start, doubles = self.at, self.take(f"{number}d")
+        for k, x in enumerate(doubles):
             if not (abs(x) < 2**32 and (x >= 0 or not what)):
                 raise Refused(f"Byte {start + 8 * k} of the {self.part}: {x!r} is not finite, too large or negative.")
-        return list(found)
+        return list(doubles)
 
     def name(self) -> str:
         return bytes(*self.take(f"{self.take('H')[0]}s")).decode(errors="backslashreplace")
@@ -344,15 +344,15 @@ class _Body:
 
     def support(self, part: Pair, n: Whole, norm: int) -> int:
         """Largest product of n, whose length is at most `norm`, with a point of the given pieces, rounded up."""
-        (a, b, c), found = n, []
+        (a, b, c), products = n, []
         for piece in self.pieces[part[0] : part[1]]:
             for kind, radius, points, g in piece:
-                found.append(max([a * x + b * y + c * z for x, y, z in points]) + norm * radius)
+                products.append(max([a * x + b * y + c * z for x, y, z in points]) + norm * radius)
                 if g:
                     u, v, w = (g[k] * a + g[k + 3] * b + g[k + 6] * c for k in range(3))
                     rim = isqrt(u * u + v * v) + 1
-                    found[-1] += _norm_up((u, v, w)) if kind == 1 else rim + abs(w) if kind == 2 else max(w, rim - w)
-        return max(found)
+                    products[-1] += _norm_up((u, v, w)) if kind == 1 else rim + abs(w) if kind == 2 else max(w, rim - w)
+        return max(products)
 
     def contains(self, piece: int, four: Whole, point: list[Fraction]) -> bool:
         """Whether four numbers show that an exact point in the frame of the link belongs to a piece."""
@@ -392,8 +392,8 @@ def _solved(rows: Sequence[Sequence[Fraction]]) -> list[Fraction] | None:
         return None if any(row[0] for row in rows) else []
     pivot = next((row for row in rows if row[0]), rows[0])
     rest = [_sum(row, pivot, -row[0] / pivot[0])[1:] for row in rows if row is not pivot and pivot[0]]
-    found = _solved(rest) if pivot[0] else None
-    return None if found is None else [(pivot[-1] - _dot(pivot[1:-1], found)) / pivot[0], *found]
+    solution = _solved(rest) if pivot[0] else None
+    return None if solution is None else [(pivot[-1] - _dot(pivot[1:-1], solution)) / pivot[0], *solution]
 
 
 class _Motion:
@@ -440,7 +440,7 @@ class _Box(_Motion):
 
     def at(self, shares: Sequence[int]) -> dict[int, Pose]:
         """Poses of the links in the frame of the common link (-1 for the world), at shares of the ranges."""
-        share, found = {side[0]: t for side, t in zip(self.sides, shares, strict=True)}, dict[int, Pose]()
+        share, poses = {side[0]: t for side, t in zip(self.sides, shares, strict=True)}, dict[int, Pose]()
         for path in self.paths:
             for k in reversed(path):
                 link = self.links[k]
@@ -450,10 +450,10 @@ class _Box(_Motion):
                     self.local[k, t] = link.pose(next(ends, Fraction(0)))
                 turn, shift = self.local[k, t]
                 if k != path[-1]:
-                    base, place = found[link.above]
+                    base, place = poses[link.above]
                     turn, shift = _product(base, turn), _sum(place, _apply(base, shift))
-                found[k] = turn, shift
-        return found
+                poses[k] = turn, shift
+        return poses
 
 
 class _Checker:
@@ -470,8 +470,8 @@ class _Checker:
         self.apart, (self.margin,) = self.read_pairs(reader, 8, "pairs left out"), reader.doubles(1, "margin")
         self.margins = self.read_pairs(reader, 16, "margins")
         ruled = version > 1 and (claim != 3 or reader.at < len(model))
-        found = self.read_pairs(reader, 9, "rules") if ruled else {}
-        self.version, self.rules = version, {pair: int(ends) for pair, ends in found.items()}
+        rules = self.read_pairs(reader, 9, "rules") if ruled else {}
+        self.version, self.rules = version, {pair: int(ends) for pair, ends in rules.items()}
         for pair, ends in self.rules.items():
             if not 0 < ends < 4 or not self.checked(pair):
                 raise Refused(f"{_shown(*self.named(pair))}: a rule has the ends {ends}, or the pair is not checked.")
@@ -488,13 +488,13 @@ class _Checker:
 
     def read_pairs(self, reader: _Reader, size: int, what: str) -> dict[Pair, float]:
         """Read pairs of bodies, and the margin of each, or the ends at which a rule allows contact."""
-        found: dict[Pair, float] = {}
+        pairs: dict[Pair, float] = {}
         for _ in range(reader.count(size, what)):
             i, j = reader.take("2I")
-            if not i < j < len(self.bodies) or (i, j) in found:
+            if not i < j < len(self.bodies) or (i, j) in pairs:
                 raise Refused(f"The pair {i}, {j} of bodies is out of order, does not exist or is named twice.")
-            found[i, j] = reader.doubles(1, "margin")[0] if size > 9 else reader.take("B")[0] if size > 8 else 0
-        return found
+            pairs[i, j] = reader.doubles(1, "margin")[0] if size > 9 else reader.take("B")[0] if size > 8 else 0
+        return pairs
 
     def checked(self, pair: Pair) -> bool:
         return self.bodies[pair[0]].group != self.bodies[pair[1]].group and pair not in self.apart
@@ -509,12 +509,12 @@ class _Checker:
                 raise Refused(f"No rule allows bodies {i} and {j} a contact in motion {number}, or it is out of order.")
             if end > 1 or k >= DEEPEST or not least < self.margins.get(pair, self.margin):
                 raise Refused(f"{_shown(*self.named(pair))}: a contact has the end {end}, 2^-{k} and {least!r} m.")
-            found, before = self.contacts.setdefault((number, pair), []), key
-            found.append((whole - (whole >> k), whole, least) if end else (0, whole >> k, least))
+            contacts, before = self.contacts.setdefault((number, pair), []), key
+            contacts.append((whole - (whole >> k), whole, least) if end else (0, whole >> k, least))
             listed[number, pair, end, k, least] = None
-            if len(found) == 2 and found[0][1] > found[1][0]:
+            if len(contacts) == 2 and contacts[0][1] > contacts[1][0]:
                 raise Refused(f"{_shown(*self.named(pair))}: contacts in motion {number} overlap.")
-            low, high = (Fraction(t, whole) for t in found[-1][:2])
+            low, high = (Fraction(t, whole) for t in contacts[-1][:2])
             self.told.append((*self.named(pair), number, low, high, least))
         for number, pair, end, _, least in listed:  # if another motion joins, the contact continues all along it
             other = number + 1 if end else number - 1
@@ -580,14 +580,14 @@ class _Checker:
             if any(low > high for low, high in ends.values()) or sum(a < b for a, b in ends.values()) > MOST_SIDES:
                 raise Refused(f"{names}: a range is upside down, or more than {MOST_SIDES} ranges have a width.")
             self.tree(_Box(number, margin, paths, ends, self.links, len(self.values)), pair)
-            before, found = pair, list[Range]()
+            before, ranges = pair, list[Range]()
             for value, (low, high) in ends.items():
                 name, least, most = self.values[value]
                 joints = [link for link in between if link.value == value]
                 turn = max(link.by.denominator for link in joints) * 4 * (HALF_PI + 1)  # every denominator divides it
                 whole = all(link.kind == 1 for link in joints) and _down(Fraction(high) - Fraction(low), GUARD) >= turn
-                found.append((name, low, high, whole or (low <= least and most <= high)))
-            self.ranges.append((*self.named(pair), margin, tuple(found)))
+                ranges.append((name, low, high, whole or (low <= least and most <= high)))
+            self.ranges.append((*self.named(pair), margin, tuple(ranges)))
         self.sizes |= {"pairs": len(self.ranges), "boxes": self.sizes.pop("intervals")}
 
     def paths(self, a: int, b: int) -> tuple[list[int], list[int]]:
@@ -617,8 +617,8 @@ class _Checker:
                 continue
             if 3 < token < 20:
                 self.sizes["planes"] += 1
-                given = AXES[(token - 4) % 6] if token < 16 else self.reader.take("3h") if token < 18 else None
-                self.last[pair] = token < 10 or token in (16, 18), _whole(given or self.reader.doubles(3))
+                normal = AXES[(token - 4) % 6] if token < 16 else self.reader.take("3h") if token < 18 else None
+                self.last[pair] = token < 10 or token in (16, 18), _whole(normal or self.reader.doubles(3))
             if token > 19 or pair not in self.last or not any(self.last[pair][1]):
                 raise Refused(f"{_shown(*self.named(pair))}: token {token} does not name a plane.")
             self.leaf(motion, pair, spans)
@@ -673,15 +673,15 @@ class _Checker:
         """Poses of two links in the frame of the common link, at all corners of a part of a box."""
         ends = [side if width else side[:1] for side, (_, _, width) in zip(sides, box.sides, strict=True)]
         for shares in product(*ends):
-            known = len(box.local)
-            found = box.at(shares)
-            self.spend(steps + 50 * sum(map(len, box.paths)) + 2000 * (len(box.local) - known))
-            yield found.get(low, STILL), found.get(high, STILL)
+            old_count = len(box.local)
+            poses = box.at(shares)
+            self.spend(steps + 50 * sum(map(len, box.paths)) + 2000 * (len(box.local) - old_count))
+            yield poses.get(low, STILL), poses.get(high, STILL)
 
     def bent(self, box: _Box, sides: list[Pair], below: int, high: int) -> int:
         """The sum of B_c (2 h_c)^2 / 8 over a part of a box, for a body seen from a link, rounded up."""
         if (below, high) not in box.bends:
-            joints, found = self.moving(box, below, high), list[int]()
+            joints, bends = self.moving(box, below, high), list[int]()
             for value, _, _ in box.sides:
                 bend = before = 0
                 for k, turns, reach in joints:
@@ -689,8 +689,8 @@ class _Checker:
                         by = _up(abs(self.links[k].by))
                         bend -= -reach * -(-by * (2 * before + turns * by) >> BITS) >> BITS
                         before += turns * by
-                found.append(bend)
-            box.bends[below, high] = found
+                bends.append(bend)
+            box.bends[below, high] = bends
         total = 0
         for bend, (start, end), (_, _, width) in zip(box.bends[below, high], sides, box.sides, strict=True):
             total -= -bend * _up(width) ** 2 * (end - start) ** 2 >> 2 * BITS + 2 * DEEPEST + 3
@@ -700,7 +700,7 @@ class _Checker:
         """Poses of all links, and at the end, as number -1, of the world. Values come from de Casteljau's scheme."""
         if t in motion.poses:
             return motion.poses[t]
-        share, values, found, count = Fraction(t, 1 << DEEPEST), [], list[Pose](), len(motion.points)
+        share, values, poses, count = Fraction(t, 1 << DEEPEST), [], list[Pose](), len(motion.points)
         self.spend(2000 * len(self.links) + len(motion.columns) * count**2 * (8 + count))
         for column in motion.columns:
             while len(column) > 1:
@@ -709,10 +709,10 @@ class _Checker:
         for link in self.links:
             turn, shift = link.pose(values[link.value] if link.kind else Fraction(0))
             if link.above >= 0:
-                base, place = found[link.above]
+                base, place = poses[link.above]
                 turn, shift = _product(base, turn), _sum(place, _apply(base, shift))
-            found.append((turn, shift))
-        motion.poses[t] = [*found, STILL]
+            poses.append((turn, shift))
+        motion.poses[t] = [*poses, STILL]
         return motion.poses[t]
 
     def moving(self, motion: _Motion, below: int, high: int) -> list[tuple[int, bool, int]]:
@@ -725,13 +725,13 @@ class _Checker:
             for k, upward in [*((k, True) for k in up), *((k, False) for k in reversed(down))]:
                 center, radius = self.links[k].pass_ball(center, radius, upward)
                 self.balls[key].append((k, radius))
-        found, slides = list[tuple[int, bool, int]](), 0
+        joints, slides = list[tuple[int, bool, int]](), 0
         for k, reach in self.balls[key]:
             kind, norm = self.links[k].kind, self.links[k].axis_norm
             if kind:
-                found.append((k, kind == 1, reach + slides if kind == 1 else norm))
+                joints.append((k, kind == 1, reach + slides if kind == 1 else norm))
             slides += -(-norm * motion.rates[k][3] >> BITS) if kind == 2 else 0
-        return found[::-1]
+        return joints[::-1]
 
     def bound(self, motion: _Motion, below: int, high: int) -> Pair:  # A and V of a body seen from a link
         key = (below, high)

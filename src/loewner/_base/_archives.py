@@ -199,8 +199,8 @@ def numbers(data: bytes, name: str, what: str) -> NDArray[Any]:
         order: Any = "F" if header.fortran_order else "C"
         return np.ndarray(header.shape, header.dtype, data, stop, order=order).copy(order="K")
     except (ValueError, TypeError) as error:  # includes InputError; extreme types and shapes raise other errors
-        found = str(error).removeprefix(f"{name}: ")
-        raise FileError(f"{name}: expected {what}, found something else ({found})") from None
+        reason = str(error).removeprefix(f"{name}: ")
+        raise FileError(f"{name}: expected {what}, found something else ({reason})") from None
 
 
 def _read(stream: IO[bytes], name: str, kind: Format, make: Callable[[dict[str, Any]], T], wanted: str | None) -> T:
@@ -234,8 +234,8 @@ def _from_archive(archive: zipfile.ZipFile, name: str, kind: Format, wanted: str
     missing = [member for member in needed if f"{member}.npy" not in infos]
     if missing:
         raise FileError(f"{name}: expected the arrays of {kind.what}, found none called {', '.join(missing)}")
-    listed, known = archive.namelist(), {f"{member}.npy" for member in (*OWN, *kind.arrays, *kind.texts)}
-    unknown = [member for member in listed if member not in known]
+    listed, members = archive.namelist(), {f"{member}.npy" for member in (*OWN, *kind.arrays, *kind.texts)}
+    unknown = [member for member in listed if member not in members]
     if unknown or len(infos) != len(listed):
         raise FileError(f"{name}: expected one array of each name, found {unknown[0] if unknown else 'two of one'!r}")
 
@@ -253,12 +253,12 @@ def _from_archive(archive: zipfile.ZipFile, name: str, kind: Format, wanted: str
     }
     texts = [text for text in kind.texts if f"{text}.npy" in infos]
     told |= {text: _texts(archive, infos[f"{text}.npy"]) for text in texts}
-    found = digest(told)
-    if _text(archive, infos["digest.npy"]) != found:
+    checksum = digest(told)
+    if _text(archive, infos["digest.npy"]) != checksum:
         raise FileError(f"{name}: the content does not match its checksum; the file is damaged or was altered")
-    if wanted not in (None, found):
+    if wanted not in (None, checksum):
         raise FileError(
-            f"{name}: expected {kind.what} with the checksum {wanted}, found {found}; the file was written anew or "
+            f"{name}: expected {kind.what} with the checksum {wanted}, found {checksum}; the file was written anew or "
             "replaced by another"
         )
     for member in kind.arrays:  # the default integer type differs between systems
@@ -268,12 +268,12 @@ def _from_archive(archive: zipfile.ZipFile, name: str, kind: Format, wanted: str
 
 def digest(arrays: Mapping[str, Any]) -> str:
     """Compute a checksum of all arrays, so that a damaged or altered file never leads to a verdict."""
-    found = hashlib.sha256()
+    checksum = hashlib.sha256()
     for name in sorted(arrays):
         array = np.ascontiguousarray(arrays[name])
-        found.update(f"{name} {array.dtype.str} {array.shape}".encode())
-        found.update(array.data)
-    return found.hexdigest()
+        checksum.update(f"{name} {array.dtype.str} {array.shape}".encode())
+        checksum.update(array.data)
+    return checksum.hexdigest()
 
 
 # -- members ----------------------------------------------------------------------------------
@@ -332,10 +332,10 @@ def _header_of(member: IO[bytes], info: zipfile.ZipInfo) -> _Header:
 
 def _parsed(text: bytes, name: str, letters: str) -> _Header:
     """Parse the header of a plain array, whose type must have one of these letters."""
-    found = HEADER.fullmatch(text)
-    if found is None:
+    match = HEADER.fullmatch(text)
+    if match is None:
         raise InputError(f"{name}: expected the header of a plain array, found {text[:100]!r}")
-    kind, fortran, lengths = (group.decode() for group in found.groups())
+    kind, fortran, lengths = (group.decode() for group in match.groups())
     if kind[1] not in letters:
         raise InputError(f"{name}: expected numbers{' or text' if 'U' in letters else ''}, found type {kind}")
     shape = tuple(int(n) for n in lengths.replace(",", " ").split())

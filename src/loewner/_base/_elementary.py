@@ -52,6 +52,6 @@ def _of_each(function: int, x: Any, y: Any = None) -> Any:
     """Apply a function of `codes` to each number; for a single number, the result is a float."""
     first = np.array(x, dtype=float, order="C")
     second = first if y is None else np.array(y, dtype=float, order="C")
-    found: Floats = np.empty(first.shape)
-    entries.elementary(function, first.reshape(-1), second.reshape(-1), found.reshape(-1))
-    return found if np.ndim(x) else float(found.item())
+    values: Floats = np.empty(first.shape)
+    entries.elementary(function, first.reshape(-1), second.reshape(-1), values.reshape(-1))
+    return values if np.ndim(x) else float(values.item())

@@ -80,8 +80,8 @@ def shown(path: str | os.PathLike[str]) -> str:
 
 def _expect_regular(status: os.stat_result, name: str, what: str) -> None:
     if not stat.S_ISREG(status.st_mode):
-        found = next((kind for is_kind, kind in _KINDS if is_kind(status.st_mode)), "something else")
-        raise FileError(f"{name}: expected {what}, found {found}, which is no regular file")
+        actual_kind = next((kind for is_kind, kind in _KINDS if is_kind(status.st_mode)), "something else")
+        raise FileError(f"{name}: expected {what}, found {actual_kind}, which is no regular file")
 
 
 def named_by_content(stem: str, digest: str, suffix: str) -> str:

@@ -70,16 +70,16 @@ def loads(data: str | bytes, constant: Callable[[str], Any] | None = None) -> An
     repeated: list[Any] = []
 
     def once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-        made = dict(pairs)
-        if len(made) != len(pairs):
-            repeated.append(made)
-        return made
+        mapping = dict(pairs)
+        if len(mapping) != len(pairs):
+            repeated.append(mapping)
+        return mapping
 
     with uncollected():
-        found = json.loads(text, object_pairs_hook=once, parse_constant=constant)
+        document = json.loads(text, object_pairs_hook=once, parse_constant=constant)
     if repeated:
         raise RepeatedKeyError(*_first_repeated(text))
-    return found
+    return document
 
 
 def _first_repeated(text: str) -> tuple[str, int]:
@@ -87,13 +87,13 @@ def _first_repeated(text: str) -> tuple[str, int]:
     keys: list[set[str]] = []  # for the objects and lists that are open, from the outside inwards
     last, start = "", 0
     for token in _TOKEN.finditer(text):
-        found = token[0]
-        if found in "{[":
+        lexeme = token[0]
+        if lexeme in "{[":
             keys.append(set())
-        elif found in "}]":
+        elif lexeme in "}]":
             keys.pop()
-        elif found != ":":
-            last, start = found, token.start()
+        elif lexeme != ":":
+            last, start = lexeme, token.start()
         else:
             key = json.loads(last)
             if key in keys[-1]:

@@ -121,18 +121,18 @@ class Node(ABC):
 
     def mapping(self, known: Collection[str] | None, required: tuple[str, ...] = ()) -> dict[str, Self]:
         """Return places by key; missing and duplicate keys are errors, as are unknown keys unless `known` is None."""
-        found: dict[str, Self] = {}
+        places: dict[str, Self] = {}
         for raw_key, raw in self.expect("mapping", "a mapping"):
             key = raw_key if type(raw_key) is str else self._key(raw_key)
             if known is not None and key not in known:
                 raise self._at(raw_key).error(f"expected keys among {', '.join(known)}, found {cut(repr(key))}")
-            if key in found:
+            if key in places:
                 raise self._at(raw_key).error(f"expected each key once in a mapping, found {cut(repr(key))} again")
-            found[key] = type(self)(self.file, raw, self, key)
+            places[key] = type(self)(self.file, raw, self, key)
         for key in required:
-            if key not in found:
-                raise self.error(f"expected the key {key}, found {some(found) or 'none'}")
-        return found
+            if key not in places:
+                raise self.error(f"expected the key {key}, found {some(places) or 'none'}")
+        return places
 
     def _at(self, raw_key: Any) -> Self:
         """Return the place of a key; its errors name the mapping."""
@@ -364,16 +364,16 @@ def read_yaml(data: bytes, file: Path, what: str, *, merges: bool = False) -> Ya
             root = loader.get_node() if loader.check_node() else None
             if loader.check_node():
                 line = loader.peek_event().start_mark.line + 1
-                found = "several, separated by ---; write each to a file of its own"
-                raise FileError(f"{file}, line {line}: expected {what}, found {found}")
+                detail = "several, separated by ---; write each to a file of its own"
+                raise FileError(f"{file}, line {line}: expected {what}, found {detail}")
         finally:
             loader.dispose()
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         raise FileError(f"{file}, line {mark.line + 1}: expected YAML, found a fault in it ({error.problem})") from None
     except (yaml.YAMLError, ValueError, OverflowError, RecursionError) as error:  # escapes and depth cause the others
-        found = " ".join(str(error).split())[:200]
-        raise FileError(f"{file}: expected YAML, found something else ({found})") from None
+        detail = " ".join(str(error).split())[:200]
+        raise FileError(f"{file}: expected YAML, found something else ({detail})") from None
     if root is None:
         raise FileError(f"{file}: expected {what}, found an empty file")
     top = YamlNode(file, root)

@@ -32,8 +32,8 @@ def outcome_of(mesh: Path, fit: Callable[[], Outcome]) -> Outcome:
     warnings: list[str] = []
     try:
         with told_to(warnings):
-            found = fit()
-        return found._replace(warnings=(*found.warnings, *warnings))
+            outcome = fit()
+        return outcome._replace(warnings=(*outcome.warnings, *warnings))
     except LoewnerError as error:
         text = str(error)
     except Exception as error:

@@ -91,8 +91,8 @@ def doubt_about_size(radius: float, distance: float, largest: float = LARGEST_RA
 
 def doubt_about_unit(comments: str) -> str:
     """Explain why lengths may be in another unit, judged by a file's comments; empty if they name no unit."""
-    found = _UNIT.search(comments)
-    return f"lengths in metres, found {found[0]!r} in a comment, which is not read; give a scale" if found else ""
+    match = _UNIT.search(comments)
+    return f"lengths in metres, found {match[0]!r} in a comment, which is not read; give a scale" if match else ""
 
 
 def doubt_about_rpy(rpy: Sequence[float]) -> str:

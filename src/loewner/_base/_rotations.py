@@ -82,6 +82,6 @@ def quaternions_of(rotations: Floats) -> Floats:
     for i, j in ((0, 1), (0, 2), (1, 2)):
         rows[:, i + 1, j + 1] = rows[:, j + 1, i + 1] = R[:, i, j] + R[:, j, i]
     best = np.diagonal(rows, axis1=1, axis2=2).argmax(axis=1)
-    found: Floats = rows[np.arange(len(R)), best]
-    found /= lengths(found)[:, None]
-    return found.reshape(*rotations.shape[:-2], 4)
+    quaternions: Floats = rows[np.arange(len(R)), best]
+    quaternions /= lengths(quaternions)[:, None]
+    return quaternions.reshape(*rotations.shape[:-2], 4)

@@ -103,8 +103,8 @@ def table(data: bytes, name: str, *, commas: bool = False) -> Floats:
         return np.loadtxt(io.StringIO(BLANK.sub("", text)), delimiter="," if commas else None, ndmin=2)
     except ValueError as error:
         _refuse_lines(text, name, commas)
-        found = str(error)[:200]
-        raise FileError(f"{name}: expected an array of numbers, found something else ({found})") from None
+        reason = str(error)[:200]
+        raise FileError(f"{name}: expected an array of numbers, found something else ({reason})") from None
 
 
 def _refuse_lines(text: str, name: str, commas: bool) -> None:
@@ -114,11 +114,11 @@ def _refuse_lines(text: str, name: str, commas: bool) -> None:
         content = line.partition("#")[0]
         if content.strip():
             try:
-                found = len(row(content, commas=commas))
+                count = len(row(content, commas=commas))
             except ValueError as error:
                 raise FileError(f"{name}, line {number}: {error}") from None
-            if found != (length := length or found):
-                raise FileError(f"{name}, line {number}: expected {length} numbers as in the first line, found {found}")
+            if count != (length := length or count):
+                raise FileError(f"{name}, line {number}: expected {length} numbers as in the first line, found {count}")
 
 
 def written(header: list[str], rows: Floats, start_time: float, flags: list[int] | None = None) -> str:

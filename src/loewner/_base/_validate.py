@@ -326,8 +326,8 @@ def broadcast(shapes: dict[str, tuple[int, ...]]) -> tuple[int, ...]:
     try:
         return np.broadcast_shapes(*shapes.values())
     except ValueError:
-        found = ", ".join(f"{name}: {shape_text(shape)}" for name, shape in shapes.items())
-        raise InputError(f"expected batch shapes that broadcast, found {found}") from None
+        listing = ", ".join(f"{name}: {shape_text(shape)}" for name, shape in shapes.items())
+        raise InputError(f"expected batch shapes that broadcast, found {listing}") from None
 
 
 def positive_array(x: ArrayLike, name: str, shape: tuple[int | None | str, ...]) -> Floats:
@@ -433,8 +433,8 @@ def path(x: Any, name: str, *, wanted: str = "the path of a file") -> Path:
     try:
         text = os.fspath(x)
     except Exception as error:  # the caller's path-like object may raise any error
-        found = "" if isinstance(error, TypeError) else f" ({type(error).__name__}: {error})"
-        raise InputError(f"{name}: expected {wanted}, found {short(x)}{found}") from None
+        reason = "" if isinstance(error, TypeError) else f" ({type(error).__name__}: {error})"
+        raise InputError(f"{name}: expected {wanted}, found {short(x)}{reason}") from None
     if not isinstance(text, str) or not text:
         raise InputError(f"{name}: expected {wanted}, found {short(text)}")
     try:

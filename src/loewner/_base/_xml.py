@@ -69,17 +69,17 @@ class Element:
 
     def one(self, tag: str) -> Self | None:
         """Return the child with this tag, or None; two such children are an error."""
-        found = self.all(tag)
-        if len(found) > 1:
-            found[1].fault(f"one <{tag}> in <{self.tag}>", f"another one in line {found[0].line}")
-        return found[0] if found else None
+        children = self.all(tag)
+        if len(children) > 1:
+            children[1].fault(f"one <{tag}> in <{self.tag}>", f"another one in line {children[0].line}")
+        return children[0] if children else None
 
     def the(self, tag: str) -> Self:
         """Return the only child with this tag; an error if there is none, or more than one."""
-        found = self.one(tag)
-        if found is None:
+        child = self.one(tag)
+        if child is None:
             self.fault(f"a <{tag}> in <{self.tag}>", "none")
-        return found
+        return child
 
     def get(self, name: str) -> str | None:
         """Return an attribute, or None."""
@@ -118,11 +118,11 @@ class Element:
         name : str
             Words for messages, such as "<colision> in <link>", or "<limit min>" for an attribute.
         """
-        asked: AbstractSet[str] = self._asked or frozenset()
+        requested: AbstractSet[str] = self._asked or frozenset()
         passed_over = harmless.get(self.tag, frozenset())
         for name in self.attributes:
-            known = f"@{name}" in asked or f"@{name}" in passed_over
-            if not known and not name.startswith(("xmlns", "xml:")):
+            is_known = f"@{name}" in requested or f"@{name}" in passed_over
+            if not is_known and not name.startswith(("xmlns", "xml:")):
                 yield self, f"<{self.tag} {name}>"
         if "".join(self.texts).strip():
             yield self, f"text in <{self.tag}>"
@@ -131,7 +131,7 @@ class Element:
                 yield from child._inside(child.tag, telling)
             elif child.tag in passed_over:
                 continue
-            elif child.tag in asked:
+            elif child.tag in requested:
                 yield from child.unread(harmless, telling)
             else:
                 yield child, f"<{child.tag}> in <{self.tag}>"

@@ -49,9 +49,9 @@ def fused(module: Any, can_fuse: bool) -> Any:
         for kind, name in sorted((kind, _name(kind)) for kind in used)
         if f"{name}(" not in _FUNCTION.sub("", text)
     ]
-    made = llvm.parse_assembly("\n".join([text.replace(f" {_MARK} ", " "), *declared]))
-    made.name = module.name
-    return made
+    fused_module = llvm.parse_assembly("\n".join([text.replace(f" {_MARK} ", " "), *declared]))
+    fused_module.name = module.name
+    return fused_module
 
 
 def _name(kind: str) -> str:
@@ -68,11 +68,11 @@ def _of_function(text: str, used: set[str]) -> str:
     for at, line in enumerate(lines):
         if not line.startswith(" "):
             products.clear()  # A new block begins here.
-        found = _OPERATION.match(line)
-        if found is None or _MARK not in found[3]:
+        match = _OPERATION.match(line)
+        if match is None or _MARK not in match[3]:
             continue
-        name, operation, kind = found[1], found[2], found[4]
-        first, second = _operands(found[6])
+        name, operation, kind = match[1], match[2], match[4]
+        first, second = _operands(match[6])
         if operation == "fmul":
             products[name] = at, first, second
             continue

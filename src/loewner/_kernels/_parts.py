@@ -160,8 +160,8 @@ def library_of(codegen: Any, key: str) -> PartLibrary:
         If the part, or a part that it calls, is not in the store, or is damaged.
     """
     if key not in _read:
-        found, (name, _, kept), *_ = pickle.loads(_store.read(key))
-        if found != key:
+        stored_key, (name, _, kept), *_ = pickle.loads(_store.read(key))
+        if stored_key != key:
             raise _sealed.DamagedFileError(_store.path_of(key))
         keep(key, PartLibrary.restored(codegen, name, kept, key))
     return _read[key]
@@ -178,14 +178,14 @@ def everything_called(
     libraries: Iterable[JITCodeLibrary], without: Collection[JITCodeLibrary] = ()
 ) -> list[JITCodeLibrary]:
     """Return libraries and everything that they call, each once; omit some, and parts that only these call."""
-    found = dict.fromkeys(library for library in libraries if library not in without)
-    waiting = list(found)
+    reached = dict.fromkeys(library for library in libraries if library not in without)
+    waiting = list(reached)
     while waiting:
         for library in getattr(waiting.pop(), "called", ()):
-            if library not in found and library not in without:
-                found[library] = None
+            if library not in reached and library not in without:
+                reached[library] = None
                 waiting.append(library)
-    return list(found)
+    return list(reached)
 
 
 CHUNK = 32  # Modules are linked CHUNK at a time, because linking takes longer the larger the receiving module is.

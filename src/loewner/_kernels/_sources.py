@@ -16,11 +16,11 @@ LOOSE = ("__init__.py", "_sealed.py", "_sources.py", "codes.py", "columns.py", "
 def sources() -> dict[str, bytes]:
     """Content of all kernel sources, by their paths in this package."""
     home = Path(__file__).parent
-    found = {path.relative_to(home).as_posix(): path.read_bytes() for path in home.rglob("*.py")}
+    contents = {path.relative_to(home).as_posix(): path.read_bytes() for path in home.rglob("*.py")}
     if (home / ARCHIVE).exists():
         with zipfile.ZipFile(home / ARCHIVE) as archive:
-            found |= {name: archive.read(name) for name in archive.namelist()}
-    return found
+            contents |= {name: archive.read(name) for name in archive.namelist()}
+    return contents
 
 
 @cache
@@ -32,14 +32,14 @@ def source_hash() -> str:
     import hashlib  # Importing hashlib loads OpenSSL, which would slow down importing the package.
 
     try:
-        found = sources()
+        contents = sources()
     except (OSError, zipfile.BadZipFile, zlib.error):
         return ""
     digest = hashlib.sha256()
-    for name in sorted(found):
+    for name in sorted(contents):
         digest.update(name.encode())
-        digest.update(found[name])
-    return digest.hexdigest() if found else ""
+        digest.update(contents[name])
+    return digest.hexdigest() if contents else ""
 
 
 def cache_folder() -> Path:

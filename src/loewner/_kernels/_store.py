@@ -47,12 +47,12 @@ def _texts() -> dict[str, bytes]:
 @cache
 def _imported(name: str) -> frozenset[str]:
     """Kernel modules that a kernel module imports directly."""
-    found = set[str]()
+    candidates = set[str]()
     for module, names in _IMPORT.findall(_texts()[name].decode()):
         folder = module.lstrip(".").replace(".", "/")
-        asked = [part.split(" as ")[0].strip() for part in names.strip("()").split(",")]
-        found.update([folder, *(f"{folder}/{part}".lstrip("/") for part in asked)])
-    return frozenset(found & _texts().keys())
+        imported_names = [part.split(" as ")[0].strip() for part in names.strip("()").split(",")]
+        candidates.update([folder, *(f"{folder}/{part}".lstrip("/") for part in imported_names)])
+    return frozenset(candidates & _texts().keys())
 
 
 @cache
@@ -64,13 +64,13 @@ def modules_behind(module: str) -> frozenset[str]:
     start = module.removeprefix(f"{_PREFIX}.").replace(".", "/")
     if not module.startswith(f"{_PREFIX}.") or start not in _texts():
         return frozenset(_texts())
-    found, waiting = set[str](), [start, *(name for name in ALWAYS if name in _texts())]
+    modules, waiting = set[str](), [start, *(name for name in ALWAYS if name in _texts())]
     while waiting:
         name = waiting.pop()
-        if name not in found:
-            found.add(name)
+        if name not in modules:
+            modules.add(name)
             waiting.extend(_imported(name))
-    return frozenset(found)
+    return frozenset(modules)
 
 
 @cache

@@ -228,8 +228,8 @@ def _best(levels: tuple[str, ...], built: dict[str, Any]) -> str:
     for name in levels:
         if _file_of(name, built):
             return name
-    made = sorted(file for file in built["files"] if file.startswith("kernels-"))
-    raise _Refused(f"this processor runs {', '.join(levels) or 'none of its levels'}, and {', '.join(made)} was built")
+    files = sorted(file for file in built["files"] if file.startswith("kernels-"))
+    raise _Refused(f"this processor runs {', '.join(levels) or 'none of its levels'}, and {', '.join(files)} was built")
 
 
 def _file_of(level: str, built: dict[str, Any]) -> str:

@@ -26,15 +26,15 @@ def __getattr__(name: str) -> Any:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     call = library.extension()
     if call is None:
-        made = dict.fromkeys(PAIRS, none)
+        queries = dict.fromkeys(PAIRS, none)
     elif any(library.is_missing(entries.ENTRIES[kernel]) for kernel in NEEDED):
         return none  # the library is still being built, and other calls need fewer of its kernels
     else:
         *kernels, workspace, distances = (getattr(entries, kernel) for kernel in NEEDED)
         pairs = call.Pairs(*kernels, workspace(), distances())
-        made = {query: getattr(pairs, query) for query in PAIRS}
-    globals().update(made)
-    return made[name]
+        queries = {query: getattr(pairs, query) for query in PAIRS}
+    globals().update(queries)
+    return queries[name]
 
 
 def none(*_: Any) -> None:

@@ -394,8 +394,8 @@ class Body(_Bodies):
         vertices, triangles = meshes.scaled_mesh(source, scale)
         name = meshes.name_of(source)
         with logged("%s: preparing a surface of %d triangles", name, len(triangles), least=MANY_TRIANGLES):
-            made = surfaces.surface_pieces(name, vertices, triangles, length, solid, fits.DEFAULT_TOLERANCE)
-            return cls(Packed.of(made))
+            pieces = surfaces.surface_pieces(name, vertices, triangles, length, solid, fits.DEFAULT_TOLERANCE)
+            return cls(Packed.of(pieces))
 
     @classmethod
     def box(cls, size: ArrayLike) -> Body:
@@ -1163,8 +1163,10 @@ class Body(_Bodies):
         from loewner.bodies.triangulated import of_ellipsoids, of_pieces
 
         _validate.choice(what, "what", ("pieces", "inner", "outer"))
-        found = dict(enumerate(of_pieces(self._packed))) if what == "pieces" else of_ellipsoids(self._packed, what)
-        return meshes.trimesh_scene({f"piece_{number}": mesh for number, mesh in found.items()})
+        meshes_by_number = (
+            dict(enumerate(of_pieces(self._packed))) if what == "pieces" else of_ellipsoids(self._packed, what)
+        )
+        return meshes.trimesh_scene({f"piece_{number}": mesh for number, mesh in meshes_by_number.items()})
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Body:
@@ -1297,9 +1299,9 @@ class Bodies(_Bodies):
         try:
             rows = np.arange(len(self))[index]
         except Exception as error:  # an IndexError, or an error from the caller's object
-            found = _validate.short(index)
+            index_text = _validate.short(index)
             raise BodyIndexError(
-                f"expected indices from {-len(self)} to {len(self) - 1}, found {found} ({error})"
+                f"expected indices from {-len(self)} to {len(self) - 1}, found {index_text} ({error})"
             ) from None
         if rows.ndim != 1:
             raise BodyIndexError(f"expected a slice, or indices of shape (k,), found {_validate.short(index)}")

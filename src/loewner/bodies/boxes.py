@@ -32,9 +32,9 @@ def least_box_axes(triangles: Floats) -> Floats:
     ndarray, shape (3, 3)
         Orthonormal up to rounding.
     """
-    asked = triangles[:, :, :: -(-triangles.shape[2] // MOST_ASKED)]
-    tried = _turns(asked)
-    sides = np.ptp(tried.transpose(0, 2, 1) @ asked.reshape(3, -1), axis=2)
+    sample = triangles[:, :, :: -(-triangles.shape[2] // MOST_ASKED)]
+    tried = _turns(sample)
+    sides = np.ptp(tried.transpose(0, 2, 1) @ sample.reshape(3, -1), axis=2)
     flat = THICKNESS * sides.max(axis=1, keepdims=True)
     return np.asarray(tried[((sides + flat) * np.roll(sides + flat, 1, axis=1)).sum(axis=1).argmin()])
 

@@ -452,7 +452,7 @@ def _check_curved(arrays: dict[str, Any]) -> None:
     inverse /= volume
     equal = np.abs(lengths - rounding) <= 10 * BEND * rounding
     _refuse(~(equal[0] & equal[1]) & round_kind, "frames: expected axes as long as the radius", lengths.T, rows)
-    balls = np.isin(kind, [number for number, known in CURVED.items() if known.core == 0])
+    balls = np.isin(kind, [number for number, curved in CURVED.items() if curved.core == 0])
     _refuse(~equal[2] & balls, "frames: expected axes as long as the radius", lengths.T, rows)
 
     fitted, lifts = ellipsoids_in_frame(kind, rounding, lengths.T)

@@ -155,9 +155,9 @@ class Candidates:
             n = len(self.points)
             missed = self._hold(self.depth + (1 - reserve) * protrusion)
             if not missed.any():
-                found = np.empty(n, dtype=np.int64)
-                count = entries.choose_few(n, steps, start, self.by_point, self.by_candidate, found)
-                return found[:count]
+                candidates = np.empty(n, dtype=np.int64)
+                count = entries.choose_few(n, steps, start, self.by_point, self.by_candidate, candidates)
+                return candidates[:count]
             # Points that are in no ball get candidates of their own.
             self.add_candidates(self.points[missed, :3], np.zeros((1, 3)))
         raise GeometryError(
@@ -168,18 +168,20 @@ class Candidates:
     def _hold(self, radii: Floats) -> Bools:
         """Find which candidates of the given radii contain which points, and return the points in no candidate."""
         n, m = -(-len(self.points) // WORD), -(-len(radii) // WORD)
-        known = self.known if np.array_equal(radii, self.radii) else 0
+        old_count = self.known if np.array_equal(radii, self.radii) else 0
         if m > self.by_point.shape[1] or n > self.by_candidate.shape[1]:
             # Half of the memory is for points of later rounds.
             self.by_point = np.empty((3 * n // 2 * WORD, m), dtype=np.int64)
             self.by_candidate = np.zeros((m * WORD, 3 * n // 2), dtype=np.int64)
-            known = 0
+            old_count = 0
         candidates = np.zeros((8, m * WORD))
         candidates[:3, : len(radii)], candidates[3:6, : len(radii)] = self.centers.T, self.axes.T
         squares = dot(self.axes, self.axes)
         candidates[6, : len(radii)] = np.divide(1.0, squares, out=np.zeros(len(radii)), where=squares > 0)
         candidates[7], candidates[7, : len(radii)] = -1.0, radii
-        entries.find_held(known - known % WORD, self.points, candidates.ravel(), self.by_point, self.by_candidate)
+        entries.find_held(
+            old_count - old_count % WORD, self.points, candidates.ravel(), self.by_point, self.by_candidate
+        )
         self.known, self.radii = len(self.points), radii
         return np.asarray(~self.by_point[: len(self.points)].any(axis=1))
 
@@ -222,10 +224,10 @@ class Candidates:
             for _ in range(REPAIRS):
                 if best is not None and len(trial) >= best or most is not None and len(trial) > most:
                     break
-                made = self.made(trial, protrusion)
-                missed, around = first_failures(self.target, made, protrusion)
+                model = self.made(trial, protrusion)
+                missed, around = first_failures(self.target, model, protrusion)
                 if len(missed) == 0:
-                    best, packed = len(trial), made
+                    best, packed = len(trial), model
                     break
                 self.add_points(missed, around)
                 trial = self.chosen(protrusion, 0, trial, reserve)
@@ -241,10 +243,10 @@ def _round(target: Target, kind: str, n: int | None, protrusion: float | None, r
     fit = Candidates(target, kind == "capsules", protrusion)
     report(10, 100)
     if protrusion is not None:
-        found = fit.proven(protrusion, STEPS)
-        if found is None:
+        model = fit.proven(protrusion, STEPS)
+        if model is None:
             raise GeometryError(f"protrusion: expected one that {kind} reach, found {protrusion:g} m, and no proof")
-        return found
+        return model
     assert n is not None
     # The protrusion must exceed the differences between the radii of surfaces, since balls contain balls about their
     # points.
@@ -255,9 +257,9 @@ def _round(target: Target, kind: str, n: int | None, protrusion: float | None, r
         low, high = (low, middle) if reached else (middle, high)
         report(10 + 3 * step, 100)
     for _ in range(GROWTHS):
-        found = fit.proven(high, STEPS, n)
-        if found is not None:
-            return found
+        model = fit.proven(high, STEPS, n)
+        if model is not None:
+            return model
         high *= 1.03
     raise GeometryError(f"n: expected a number of {kind} that suffices, found {n}, and no proof")
 
@@ -329,10 +331,10 @@ class _Clusters:
             if cut.all() or not cut.any():
                 continue
             parts = [cluster[cut], cluster[~cut]]
-            made = [self.element(part) for part in parts]
-            volume = sum(abs(float(np.linalg.det(element.outer_factor[0]))) for element in made)
+            elements = [self.element(part) for part in parts]
+            volume = sum(abs(float(np.linalg.det(element.outer_factor[0]))) for element in elements)
             if best is None or volume < best[0]:
-                best = volume, parts, made
+                best = volume, parts, elements
         if best is None:
             raise GeometryError(f"{self.kind}: expected cells that can be divided, found one; use a larger protrusion")
         self.clusters[k : k + 1], self.elements[k : k + 1] = best[1], best[2]
@@ -432,9 +434,9 @@ def cover(
         )
     report(0, 100)
     fit = _round if kind in ("spheres", "capsules") else _others
-    found = fit(target, kind, n, protrusion, report)
-    proof = prove(packed, found, None)
+    model = fit(target, kind, n, protrusion, report)
+    proof = prove(packed, model, None)
     if proof.outcome != "covered":
         raise GeometryError(f"cover: expected a proof that the {kind} hold the body, found {proof.outcome}")
     progress(100, 100)
-    return found, proof.excess[1]
+    return model, proof.excess[1]

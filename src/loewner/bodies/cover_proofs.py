@@ -107,10 +107,10 @@ class Target:
 
     def below(self, points: Floats) -> Floats:
         """Compute lower bounds on the distances of points from the body, negative in a solid."""
-        found = self.depths(points)
+        bounds = self.depths(points)
         for surface in self.open:
-            found = np.minimum(found, surface.signed_distances(points)[0] - surface.rounding)
-        return np.asarray(found - self.radius.max())
+            bounds = np.minimum(bounds, surface.signed_distances(points)[0] - surface.rounding)
+        return np.asarray(bounds - self.radius.max())
 
     def holds(self, points: Floats) -> Bools:
         """Return whether points are certainly in a solid of the body."""
@@ -121,10 +121,10 @@ class Target:
 
     def depths(self, points: Floats) -> Floats:
         """Compute lower bounds on the distances of points from the triangles of all solids, negative within a solid."""
-        found = np.full(len(points), np.inf)
+        bounds = np.full(len(points), np.inf)
         for solid in self.solids:
-            found = np.minimum(found, solid.signed_distances(points)[0] - solid.rounding)
-        return found
+            bounds = np.minimum(bounds, solid.signed_distances(points)[0] - solid.rounding)
+        return bounds
 
     def far(self, points: Floats) -> Floats:
         """Compute upper bounds on the distances of points from the body, negative well inside the body."""
@@ -148,14 +148,14 @@ class Target:
             for k in convex:
                 low, high = cells.min(axis=1), cells.max(axis=1)
                 near = (owner != k) & ~inside & (high > boxes[k][0]).all(axis=1) & (low < boxes[k][1]).all(axis=1)
-                asked = np.flatnonzero(near)
-                if len(asked) == 0:
+                near_cells = np.flatnonzero(near)
+                if len(near_cells) == 0:
                     continue
-                corners, back = np.unique(cells[asked].reshape(-1, 3), axis=0, return_inverse=True)
+                corners, back = np.unique(cells[near_cells].reshape(-1, 3), axis=0, return_inverse=True)
                 slack = 2 * (pieces[k].rounding + self.parts[k].slack)
                 deep = (pieces[k].signed_distances(corners)[0] < -slack)[back.reshape(-1, 3)]
-                inside[asked[deep.all(axis=1)]] = True
-                meets[asked[deep.any(axis=1)]] = True
+                inside[near_cells[deep.all(axis=1)]] = True
+                meets[near_cells[deep.any(axis=1)]] = True
             split = meets & ~inside
             if step == TRIMS or len(cells) > WORK:
                 split[:] = False
@@ -239,14 +239,14 @@ class _Cells:
         n = len(self.shape)
         if self.shape.ndim == 2:
             half = self.shape[:, 3:] / 2
-            made = np.concatenate([np.hstack([self.shape[:, :3] + half * way, half]) for way in OCTANTS])
+            shapes = np.concatenate([np.hstack([self.shape[:, :3] + half * way, half]) for way in OCTANTS])
             count = 8
         else:
             edges = self.shape - np.roll(self.shape, -1, axis=1)
-            made, count = halved(self.shape, dot(edges, edges).argmax(axis=1)), 2
+            shapes, count = halved(self.shape, dot(edges, edges).argmax(axis=1)), 2
         cell = np.concatenate([self.cell + k * n for k in range(count)])
         return _Cells(
-            made, np.tile(self.owner, count), np.tile(self.area / count, count), cell, np.tile(self.element, count)
+            shapes, np.tile(self.owner, count), np.tile(self.area / count, count), cell, np.tile(self.element, count)
         )
 
     @classmethod
@@ -282,7 +282,7 @@ class _Proof:
     def wholes(self) -> Bools:
         """Return which parts equal an element, or have all corners in one element."""
         target, model = self.target, self.model
-        packed, found = target.packed, np.zeros(len(target.parts), dtype=bool)
+        packed, is_whole = target.packed, np.zeros(len(target.parts), dtype=bool)
         kinds, frames = packed.layout[:, columns.KIND], packed.frames
         for i, part in enumerate(target.parts):
             kind, left = int(kinds[i]), np.arange(len(model))
@@ -299,10 +299,10 @@ class _Proof:
                 equal = np.array([np.array_equal(corners, model.hulls[j].vertices) if j in model.hulls else False
                                   for j in range(len(model))])  # fmt: skip
             left = left[self.within(np.broadcast_to(corners[0], (len(left), 3)), left, radius)]
-            found[i] = (part.radius == 0.0 and bool(equal.any())) or any(
+            is_whole[i] = (part.radius == 0.0 and bool(equal.any())) or any(
                 self.within(corners, np.full(len(corners), element), radius).all() for element in left.tolist()
             )
-        return found
+        return is_whole
 
     def look(self, cells: _Cells, first: bool, inside: bool) -> tuple[_Cells, Floats, Bools, Bools, Bools]:
         """Examine cells.
@@ -398,24 +398,24 @@ class _Proof:
         cells: Iterable[_Cells] = self.paired(triangles, owner, area)
         first, rest = True, list[_Cells]()
         while True:
-            made = []
+            next_cells = []
             for some_cells in cells:
-                found, least, out, flush, settled = self.look(some_cells, first, inside=False)
+                open_cells, least, out, flush, settled = self.look(some_cells, first, inside=False)
                 covered += float(some_cells.area[settled].sum())
-                middle, reach = found.middles()
-                every = np.ones(len(found.cell), dtype=bool)
+                middle, reach = open_cells.middles()
+                every = np.ones(len(open_cells.cell), dtype=bool)
                 if own:
-                    outside += float(found.area[out].sum())
-                    self.outside.append(np.column_stack([middle[out], self.target.radius[found.owner[out]]]))
+                    outside += float(open_cells.area[out].sum())
+                    self.outside.append(np.column_stack([middle[out], self.target.radius[open_cells.owner[out]]]))
                     self.note(middle, least)
                     if first:
-                        self._corners(found)
+                        self._corners(open_cells)
                 done = flush | (2 * reach <= self.tolerance) | (out & (not own))
-                rest.append(found.take(done & ~(out & own), every))
-                made.append(found.take(~done & ~out, every))
+                rest.append(open_cells.take(done & ~(out & own), every))
+                next_cells.append(open_cells.take(~done & ~out, every))
             first = False
             report(int(100 * min(1.0, (covered + outside) / total)), 100)
-            halves = _Cells.joined(made)
+            halves = _Cells.joined(next_cells)
             if len(halves.shape) > WORK:
                 rest.append(halves)
             if not 0 < len(halves.shape) <= WORK:
@@ -449,9 +449,9 @@ class _Proof:
             active = height <= (least + 2 * reach)[cells.cell] + model.rounding[cells.element] + self.cells
             away = model.face_one_way(centers, reach + self.cells, cells.cell[active], cells.element[active])
             away &= np.isfinite(least)
-            asked = np.flatnonzero(~away)
+            candidates = np.flatnonzero(~away)
             depth = np.full(len(away), np.inf)
-            depth[asked] = target.depths(centers[asked])
+            depth[candidates] = target.depths(centers[candidates])
             keep = depth <= reach + target.radius.max()
             chosen = np.flatnonzero(keep & (least > 0))
             chosen = chosen[target.holds(centers[chosen])]
@@ -513,7 +513,7 @@ class _Proof:
         waiting: Iterable[_Cells] = self.paired(shape, owner, np.zeros(len(shape)))
         plain = inside and model.plain
         while True:
-            made: list[_Cells] = []
+            halves: list[_Cells] = []
             for cells in waiting:
                 middle, reach = cells.middles()
                 radius = np.zeros(len(middle)) if inside else target.radius[cells.owner]
@@ -543,10 +543,10 @@ class _Proof:
                 settled = most <= enough if work <= WORK else np.ones(len(most), dtype=bool)
                 bound = max(bound, float(most[settled].max(initial=0.0)))
                 if work <= WORK:
-                    made.append(kept.parts())
-            if sum(len(cells.shape) for cells in made) == 0:
+                    halves.append(kept.parts())
+            if sum(len(cells.shape) for cells in halves) == 0:
                 return bound + self.cells
-            waiting = [_Cells.joined(made)]
+            waiting = [_Cells.joined(halves)]
 
 
 def excess_of(target: Target, packed: Packed, model: Elements, tolerance: float) -> tuple[float, float]:
@@ -642,8 +642,8 @@ def prove(
         # A curved piece is covered if the polytope around it is covered.
         these = around[target.owner]
         _, _, more = proof.surface(target.triangles[these], target.owner[these], silent, own=False)
-        found = [cells for cells in (rest, more) if cells is not None]
-        rest = _Cells.joined(found) if found else None
+        leftovers = [cells for cells in (rest, more) if cells is not None]
+        rest = _Cells.joined(leftovers) if leftovers else None
     holes = None
     if proof.witness is None and not whole.all():
         holes = proof.inside()

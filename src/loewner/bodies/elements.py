@@ -57,8 +57,8 @@ class Elements:
         self.kind = packed.layout[:, columns.KIND]
         flat = np.flatnonzero(self.kind < columns.POLYTOPE)
         if len(flat):
-            found = KIND_NAMES[int(self.kind[flat[0]])]
-            raise InputError(f"{name}: expected convex pieces, found a {found} as piece {flat[0]}; see Body.from_mesh")
+            kind = KIND_NAMES[int(self.kind[flat[0]])]
+            raise InputError(f"{name}: expected convex pieces, found a {kind} as piece {flat[0]}; see Body.from_mesh")
         n = len(self.kind)
         self.radius, self.center = packed.frames[:, 0].copy(), packed.frames[:, 1:4].copy()
         self.factor = packed.frames[:, 4:].reshape(n, 3, 3).copy()
@@ -128,21 +128,21 @@ class Elements:
         """Compute the heights of points, shape (m, 3), each for its own element, shape (m,)."""
         if len(self.kinds) == 1:
             return self._heights(self.kinds[0], points, element)
-        found = np.empty(len(points))
+        heights = np.empty(len(points))
         kinds = self.kind[element]
         for kind in self.kinds:
             these = np.flatnonzero(kinds == kind)
-            found[these] = self._heights(kind, points[these], element[these])
-        return found
+            heights[these] = self._heights(kind, points[these], element[these])
+        return heights
 
     def _heights(self, kind: int, points: Floats, element: Ints) -> Floats:
         if kind == columns.POLYTOPE:
-            found = np.empty(len(points))
+            height = np.empty(len(points))
             each = max(1, AT_ONCE // self.planes.shape[1])
             for k in range(0, len(points), each):
                 planes = self.planes[element[k : k + each]]
-                found[k : k + each] = (dot(points[k : k + each, None], planes[:, :, :3]) - planes[:, :, 3]).max(axis=1)
-            return found
+                height[k : k + each] = (dot(points[k : k + each, None], planes[:, :, :3]) - planes[:, :, 3]).max(axis=1)
+            return height
         arm = points - self.center[element]
         if kind == columns.SEGMENT:
             axis = self.axis[element]
@@ -153,14 +153,14 @@ class Elements:
 
     def distances(self, points: Floats, element: Ints) -> Floats:
         """Compute upper bounds on the distances of points from their elements, 0 inside."""
-        found = np.maximum(self.heights(points, element), 0.0)
+        distances = np.maximum(self.heights(points, element), 0.0)
         kinds = self.kind[element]
         for i in np.unique(element[kinds == columns.POLYTOPE]).tolist():
-            mine = np.flatnonzero((element == i) & (found > 0))
+            mine = np.flatnonzero((element == i) & (distances > 0))
             if len(mine):
                 hull = self.hulls[i]
-                found[mine] = distances_from(points[mine], hull, float(self.rounding[i])) + self.rounding[i]
-        these = np.flatnonzero((self.sigma[element] > 0) & (found > 0))
+                distances[mine] = distances_from(points[mine], hull, float(self.rounding[i])) + self.rounding[i]
+        these = np.flatnonzero((self.sigma[element] > 0) & (distances > 0))
         if len(these):
             x, e = points[these], element[these]
             near = self._near(x - self.center[e], e)
@@ -168,18 +168,18 @@ class Elements:
             for kind in np.unique(self.kind[e]).tolist():
                 its = np.flatnonzero(self.kind[e] == kind)
                 share[its] = CURVED[kind].share(dot(self.inverse[e[its]], near[its, None]))
-            found[these] = lengths(x - self.center[e] - share[:, None] * near) + self.rounding[e]
-        return found
+            distances[these] = lengths(x - self.center[e] - share[:, None] * near) + self.rounding[e]
+        return distances
 
     def below(self, points: Floats, element: Ints) -> Floats:
         """Compute lower bounds on the distances of points from their elements, at least as good as heights."""
-        found = self.heights(points, element)
+        bounds = self.heights(points, element)
         kinds = self.kind[element]
         these = np.flatnonzero(kinds == columns.POLYTOPE)
         if len(these):
             far = self.distances(points[these], element[these]) - 3 * self.rounding[element[these]]
-            found[these] = np.where(found[these] > 0, np.maximum(found[these], far), found[these])
-        these = np.flatnonzero((self.sigma[element] > 0) & (found > 0))
+            bounds[these] = np.where(bounds[these] > 0, np.maximum(bounds[these], far), bounds[these])
+        these = np.flatnonzero((self.sigma[element] > 0) & (bounds > 0))
         if len(these):
             # The plane perpendicular to the direction from a near point touches the element at its support point.
             e = element[these]
@@ -192,8 +192,8 @@ class Elements:
             for kind in np.unique(self.kind[e]).tolist():
                 its = np.flatnonzero(self.kind[e] == kind)
                 support[its] = CURVED[kind].support(turned[its])
-            found[these] = np.maximum(found[these], dot(way, arm) - support - self.rounding[e])
-        return found
+            bounds[these] = np.maximum(bounds[these], dot(way, arm) - support - self.rounding[e])
+        return bounds
 
     def _near(self, arm: Floats, element: Ints) -> Floats:
         """Compute points of elements that are near to given points outside, relative to the elements' centers."""
@@ -229,7 +229,7 @@ class Elements:
         ndarray of bool, shape (k,)
             If true, the least height over the cell's elements has no local maximum above zero in the cell.
         """
-        found: list[tuple[Floats, Floats, Ints]] = []  # directions, slacks, and the cells to which they belong
+        candidates: list[tuple[Floats, Floats, Ints]] = []  # directions, slacks, and the cells to which they belong
         answers = np.ones(len(middles), dtype=bool)
         kinds = self.kind[element]
         for kind in self.kinds:
@@ -237,23 +237,23 @@ class Elements:
             its, e = cell[these], element[these]
             arm, far = middles[its] - self.center[e], reach[its]
             if kind == columns.POINT:
-                found.append((arm, far, its))
+                candidates.append((arm, far, its))
             elif kind == columns.SEGMENT:
-                found += [(arm - self.axis[e], far, its), (arm + self.axis[e], far, its)]
+                candidates += [(arm - self.axis[e], far, its), (arm + self.axis[e], far, its)]
             elif kind == columns.ELLIPSOID:
                 unit, size = dot(self.inverse[e], arm[:, None]), self.sigma[e]
                 gradient = dot(self.inverse[e].transpose(0, 2, 1), unit[:, None]) * (size * size)[:, None]
-                found.append((gradient, far, its))
+                candidates.append((gradient, far, its))
             elif kind == columns.POLYTOPE:
                 planes = self.planes[e]
                 above = dot(middles[its][:, None], planes[:, :, :3]) - planes[:, :, 3] > -(far * (1 + 1e-9))[:, None]
                 pair, face = np.nonzero(above)
-                found.append((planes[pair, face, :3], np.zeros(len(pair)), its[pair]))
+                candidates.append((planes[pair, face, :3], np.zeros(len(pair)), its[pair]))
             else:
                 answers[its] = False
-        if not found:
+        if not candidates:
             return answers
-        row, slack, owner = map(np.concatenate, zip(*found, strict=True))
+        row, slack, owner = map(np.concatenate, zip(*candidates, strict=True))
         size = lengths(row)
         unit = row / np.where(size > 0, size, 1.0)[:, None]
         share = np.where(size > 0, slack / np.where(size > 0, size, 1.0), np.inf) + FACING

@@ -244,8 +244,8 @@ def _in_blocks(points: Floats) -> Floats:
 
 def _end_to_end(arrays: Sequence[NDArray[Any]]) -> NDArray[Any]:
     """Concatenate flat arrays, at the start of a cache line."""
-    made: NDArray[Any] = records.aligned(sum(map(len, arrays)), arrays[0].dtype)
-    return np.concatenate(arrays, out=made)
+    flat_array: NDArray[Any] = records.aligned(sum(map(len, arrays)), arrays[0].dtype)
+    return np.concatenate(arrays, out=flat_array)
 
 
 def direction_maps(layout: Ints, points: Floats) -> Maps:

@@ -83,8 +83,8 @@ def _leaves(nodes: NDArray[np.uint16], count: int, size: int, file: Path) -> tup
         If the data ends too early or too late, the number of nodes differs from the header, or a node is deeper than 16
         levels.
     """
-    found: list[tuple[int, int]] = []
-    known: dict[int, tuple[int, list[int], list[int]]] = {}
+    leaves: list[tuple[int, int]] = []
+    children_by_word: dict[int, tuple[int, list[int], list[int]]] = {}
     stack, used, seen = [(0, 0)], 0, 1 if count else 0
     words = nodes.tolist()
     while stack and count:
@@ -95,18 +95,18 @@ def _leaves(nodes: NDArray[np.uint16], count: int, size: int, file: Path) -> tup
             raise FileError(f"{shown(file)}: expected an octree of {LEVELS} levels, found one that is deeper")
         word, used = words[used], used + 1
         step = 3 * (LEVELS - 1 - depth)
-        if word not in known:
-            known[word] = _children(word)
-        children, occupied, inner = known[word]
+        if word not in children_by_word:
+            children_by_word[word] = _children(word)
+        children, occupied, inner = children_by_word[word]
         seen += children
-        found += [(key | child << step, depth + 1) for child in occupied]
+        leaves += [(key | child << step, depth + 1) for child in occupied]
         stack += [(key | child << step, depth + 1) for child in inner]
     if seen != count or 2 * used != size:
         raise FileError(
             f"{shown(file)}: expected an octree of OctoMap with {count} nodes in {2 * used} bytes, found {seen} in "
             f"{size}: it is cut off or altered"
         )
-    rows = np.array(sorted(found), dtype=np.int64).reshape(-1, 2)
+    rows = np.array(sorted(leaves), dtype=np.int64).reshape(-1, 2)
     return rows[:, 0], rows[:, 1]
 
 

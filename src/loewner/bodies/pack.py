@@ -50,7 +50,10 @@ class Prepared(PieceArrays):
     @property
     def nbytes(self) -> int:
         """Bytes of all arrays."""
-        arrays = (*arrays_of(self).values(), *(array for made in self.maps.values() for array in made))
+        arrays = (
+            *arrays_of(self).values(),
+            *(array for direction_map in self.maps.values() for array in direction_map),
+        )
         return sum(int(array.nbytes) for array in arrays) + sum(tree.nbytes for tree in self.trees.values())
 
     def packed(self) -> Packed:
@@ -151,9 +154,9 @@ def join(parts: Sequence[Packed]) -> Packed:
 
 def as_one(parts: Sequence[Packed]) -> Packed:
     """Make one body of all pieces of several packs."""
-    made = joined(parts)
+    pieces = joined(parts)
     kernel = one_body(joined_kernel(parts))
-    return Packed.with_kernel(replace(made, piece_start=np.array([0, len(made.layout)])), kernel)
+    return Packed.with_kernel(replace(pieces, piece_start=np.array([0, len(pieces.layout)])), kernel)
 
 
 def joined(parts: Sequence[Prepared]) -> Prepared:
@@ -170,8 +173,8 @@ def joined(parts: Sequence[Prepared]) -> Prepared:
     for name, column in (("piece_start", 2), ("triangle_start", 3)):
         tails = [getattr(p, name)[1:] + s[column] for p, s in zip(parts, shift, strict=True)]
         arrays[name] = np.concatenate([[0], *tails]).astype(np.int64)
-    maps = {int(i + s[2]): made for p, s in zip(parts, shift, strict=True) for i, made in p.maps.items()}
-    trees = {int(i + s[2]): made for p, s in zip(parts, shift, strict=True) for i, made in p.trees.items()}
+    maps = {int(i + s[2]): entry for p, s in zip(parts, shift, strict=True) for i, entry in p.maps.items()}
+    trees = {int(i + s[2]): entry for p, s in zip(parts, shift, strict=True) for i, entry in p.trees.items()}
     return Prepared(**arrays, maps=maps, trees=trees)
 
 

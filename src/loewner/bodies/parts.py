@@ -98,10 +98,10 @@ def _as_they_are(packed: Packed, first: int, last: int) -> list[Packed]:
 def _parts_of(packed: Packed, i: int, most: int) -> Packed | None:
     """Return the parts of a surface, made once, as a body; None if it is a single part."""
     tree = packed.trees[i]
-    known = _known.setdefault(tree, {})
-    if most not in known:
-        known[most] = _cut(packed, i, most)
-    return known[most]
+    parts_by_count = _known.setdefault(tree, {})
+    if most not in parts_by_count:
+        parts_by_count[most] = _cut(packed, i, most)
+    return parts_by_count[most]
 
 
 def _cut(packed: Packed, i: int, most: int) -> Packed | None:
@@ -130,12 +130,14 @@ def _cut(packed: Packed, i: int, most: int) -> Packed | None:
         triangle_start=start[: count + 1].copy(), triangles=np.ascontiguousarray(np.broadcast_to(local, (total, 3))),
     )  # fmt: skip
     tree = packed.trees[i]
-    made = Prepared(**vars(pieces), maps={}, trees=dict.fromkeys(range(count), tree))
+    prepared_pieces = Prepared(**vars(pieces), maps={}, trees=dict.fromkeys(range(count), tree))
     around = [box.reshape(3, 8).T for box in boxes[:count]]
     if not single:
         parts = (np.unique(triangles[order[start[k] : start[k + 1]]]) for k in range(count))
         around = [_hull_around(vertices[part], box) for part, box in zip(parts, around, strict=True)]
-    return Packed.with_kernel(made, kernel_of_parts(pieces, tree, around, float(packed.kernel.table[i, columns.REACH])))
+    return Packed.with_kernel(
+        prepared_pieces, kernel_of_parts(pieces, tree, around, float(packed.kernel.table[i, columns.REACH]))
+    )
 
 
 def _hull_around(points: Floats, box: Floats) -> Floats:

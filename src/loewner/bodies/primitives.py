@@ -50,9 +50,9 @@ def ellipsoids_in_frame(kinds: Ints, rounding: Floats, lengths: Floats) -> tuple
         Positions of the centers along the third axis.
     """
     semi_axes, lifts = np.empty((2, len(kinds), 3)), np.empty((2, len(kinds)))
-    for kind, known in CURVED.items():
+    for kind, curved in CURVED.items():
         these = kinds == kind
-        for side, fit in enumerate((known.inner, known.outer)):
+        for side, fit in enumerate((curved.inner, curved.outer)):
             semi_axes[side, these], lifts[side, these] = fit(rounding[these], lengths[these])
     return semi_axes, lifts
 

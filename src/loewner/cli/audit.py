@@ -105,26 +105,26 @@ def _run(options: argparse.Namespace) -> int:
     present = configurations.one(options.present, "--from", options, robot)
     parts, carrying = trajectories.read(options.trajectory, options, scene, robot, present)
     answers = []
-    for number, given in enumerate(parts):
+    for number, part in enumerate(parts):
         # While the robot moves to a part's first point, the bodies that the part carries are still in their places.
-        before = _way_to(checker, given, present, options.joint_error) if number == 0 and present is not None else None
-        trajectories.carry(scene, robot, given, carrying[number])
+        before = _way_to(checker, part, present, options.joint_error) if number == 0 and present is not None else None
+        trajectories.carry(scene, robot, part, carrying[number])
         proof, picture = (_numbered(file, number, len(parts)) for file in (options.proof, options.out))
         remove_older_proof(proof)
-        answers.append(_answer(checker, given, options, limits, proof) | {"before": before})
+        answers.append(_answer(checker, part, options, limits, proof) | {"before": before})
         deep = [each for each in answers[-1]["allowed"] if each["nearest"] < -overlap]
         answers[-1] |= {"overlap": overlap, "deep": deep}
         if picture is not None:
-            plots.save(plots.trajectory(checker, given, joint_error=options.joint_error), picture)
-        trajectories.put_down(scene, robot, given, carrying[number])
+            plots.save(plots.trajectory(checker, part, joint_error=options.joint_error), picture)
+        trajectories.put_down(scene, robot, part, carrying[number])
         if not options.json:
             if len(parts) > 1:
                 print(f"{chr(10) * bool(number)}part      {number + 1} of {len(parts)}, {answers[-1]['place']}")
             _print_answer(answers[-1])
             if proof is not None and answers[-1]["proof"] is None:
                 print(f"no proof  {proof} is not written: there is no proof of this motion")
-    found = [answer["verdict"] for answer in answers]
-    worst = min([*found, *(a["before"]["verdict"] for a in answers if a["before"])], key=WORST_FIRST.index)
+    verdicts = [answer["verdict"] for answer in answers]
+    worst = min([*verdicts, *(a["before"]["verdict"] for a in answers if a["before"])], key=WORST_FIRST.index)
     if options.json:
         print(json.dumps(answers[0] if len(answers) == 1 else {"verdict": worst, "parts": answers}, indent=2))
     elif len(answers) > 1:
@@ -144,12 +144,12 @@ def _way_to(
     timed = isinstance(part, planners.ControllerPoints)
     begin, due = (part.start_time, float(part.times[0])) if isinstance(part, planners.ControllerPoints) else (0.0, 0.0)
     t0, t1 = (begin, begin + due) if checker.scene.following else (None, None)
-    found = checker.certify_edges(present, first, joint_error=joint_error, t0=t0, t1=t1)
+    answer = checker.certify_edges(present, first, joint_error=joint_error, t0=t0, t1=t1)
     off = np.abs(first - present)
     most, fast = int(off.argmax()), False
-    text = f"the straight way from --from to the first point is {found.verdict.name}"
-    if found.verdict != Verdict.FREE:
-        text += f": {' and '.join(found.names)} at the fraction {found.fraction:.4g}"
+    text = f"the straight way from --from to the first point is {answer.verdict.name}"
+    if answer.verdict != Verdict.FREE:
+        text += f": {' and '.join(answer.names)} at the fraction {answer.fraction:.4g}"
     if off[most] <= START_TOLERANCE:
         text += f"; the robot is within {off[most]:.3g} of the point"
     elif timed and due == 0:
@@ -163,8 +163,8 @@ def _way_to(
         k = int(np.nan_to_num(shares).argmax())
         fast = bool(shares[k] > 1 + limit_use.ROUNDED)
         text += f"; in {due:.6g} s it takes {shares[k]:.3g} of the velocity limit of {robot.configuration_names[k]}"
-    numbers = {"fraction": float(found.fraction), "off": float(off[most]), "too_fast": fast}
-    return _for_json({"verdict": found.verdict.name, "pair": list(found.names), **numbers, "text": text})
+    numbers = {"fraction": float(answer.fraction), "off": float(off[most]), "too_fast": fast}
+    return _for_json({"verdict": answer.verdict.name, "pair": list(answer.names), **numbers, "text": text})
 
 
 def _numbered(file: Path | None, number: int, count: int) -> Path | None:
@@ -180,34 +180,34 @@ def _answer(
     written: Path | None,
 ) -> dict[str, Any]:
     """Return the verdicts and distances of a trajectory or path and of its pieces, for printing."""
-    curve, found = curves.proven(checker, given, options.joint_error, str(options.trajectory), written is not None)
-    if found.proof is not None:
-        found.proof.save(written)
-    robot, times, unproven = checker.robot, found.times, np.flatnonzero(found.segments.verdict != Verdict.FREE)
+    curve, certified = curves.proven(checker, given, options.joint_error, str(options.trajectory), written is not None)
+    if certified.proof is not None:
+        certified.proof.save(written)
+    robot, times, unproven = checker.robot, certified.times, np.flatnonzero(certified.segments.verdict != Verdict.FREE)
     timed = isinstance(given, planners.ControllerPoints)
     near, allowed, contacts = approaches.along(checker, curve, unproven)
-    names = found.segments.names
+    names = certified.segments.names
     pieces = [
         {
             "number": k,
             "begins": float(times[k]),
             "ends": float(times[k + 1]),
-            "verdict": Verdict(int(found.segments.verdict[k])).name,
-            "time": float(times[k] + found.segments.fraction[k] * (times[k + 1] - times[k])),
+            "verdict": Verdict(int(certified.segments.verdict[k])).name,
+            "time": float(times[k] + certified.segments.fraction[k] * (times[k + 1] - times[k])),
             "pair": names[k].tolist(),
             "margin": checker.scene.margin_of(*names[k].tolist()),
             **_nearest(near, k),
         }
         for k in unproven.tolist()
     ]
-    free = found.verdict == Verdict.FREE
+    free = certified.verdict == Verdict.FREE
     unproven_pairs = [piece["pair"] for piece in pieces]
     uses = limit_use.used(robot, curve, limits, timed)
     return {
         "robot": robot.name,
-        "verdict": found.verdict.name,
-        "time": None if free else float(found.time),
-        "pair": None if free else list(found.names),
+        "verdict": certified.verdict.name,
+        "time": None if free else float(certified.time),
+        "pair": None if free else list(certified.names),
         "timed": timed,
         "controller": trajectories.controller_of(given) if isinstance(given, planners.ControllerPoints) else None,
         "joint_error": options.joint_error,
@@ -220,9 +220,9 @@ def _answer(
         "allowed": [
             _allowed(checker, pair, each) for pair, each in allowed.items() if list(pair) not in unproven_pairs
         ],
-        "picture": _picture(times, found.segments.verdict),
+        "picture": _picture(times, certified.segments.verdict),
         "checked_pairs": len(checker.checked_pairs),
-        "proof": str(written) if found.proof is not None else None,
+        "proof": str(written) if certified.proof is not None else None,
         "moving": list(checker.scene.following),
         "limits": [_for_json(use._asdict()) for use in uses if np.isfinite(use.limit)],
         "exceeded": [_for_json(use._asdict()) for use in uses if use.ratio > 1 + limit_use.ROUNDED],
@@ -385,14 +385,14 @@ def _print_unproven(answer: dict[str, Any], comma_unit: str) -> None:
 
 def _print_nearest(answer: dict[str, Any], unit: str) -> None:
     """Print the least distance of the whole trajectory, with its proven bound."""
-    found, lower = 1e3 * answer["nearest"], answer["nearest_lower"]
+    distance, lower = 1e3 * answer["nearest"], answer["nearest_lower"]
     if lower is None:
         bound = "a surface may be deeper at another time"
     else:
         proven = f"at least {1e3 * lower:.3f} mm" if lower >= 0 else f"nowhere deeper than {-1e3 * lower:.3f} mm"
         bound = f"proven {proven}" + ("" if answer["nearest_close"] else ", which is far from what was found")
     print(
-        f"nearest   {found:z.3f} mm at {answer['nearest_time']:.6g}{unit}, {' and '.join(answer['nearest_pair'])}; "
+        f"nearest   {distance:z.3f} mm at {answer['nearest_time']:.6g}{unit}, {' and '.join(answer['nearest_pair'])}; "
         f"{bound}; negative is a depth; margins are not subtracted"
     )
 

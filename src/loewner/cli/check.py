@@ -38,12 +38,12 @@ def _run(options: argparse.Namespace) -> int:
     Ta, Tb = inputs.pose(options.pose_a, "--pose-a"), inputs.pose(options.pose_b, "--pose-b")
     a, b = inputs.bodies((options.a, options.b), options)
     certified = Verdict(int(loewner.classify(a, Ta, b, Tb, margin=options.margin)))
-    found = loewner.distance(a, Ta, b, Tb, exact=options.method == "exact")
+    distance = loewner.distance(a, Ta, b, Tb, exact=options.method == "exact")
     verdict = certified
     if options.method != "certified" and certified == Verdict.AMBIGUOUS:
         colliding = loewner.collide(a, Ta, b, Tb, method=options.method, margin=options.margin)
         verdict = Verdict.COLLIDING if colliding else Verdict.FREE
-    settled = options, a, b, certified, verdict, found
+    settled = options, a, b, certified, verdict, distance
     print_answer(options, _answer(*settled), lambda: _print_answer(*settled))
     return STATUS[verdict.name]
 
@@ -65,8 +65,8 @@ def _answer(
         answer["depth_is_lower_bound"] = found.distance < 0 and (is_surface(a) or is_surface(b))
         answer |= {name: getattr(found, name).tolist() for name in ("witness_a", "witness_b", "normal")}
     for name, body in (("a", a), ("b", b)):
-        known = None if body.covering is None else body.covering.exact
-        answer[f"{name}_exact"] = True if is_surface(body) else known
+        is_exact = None if body.covering is None else body.covering.exact
+        answer[f"{name}_exact"] = True if is_surface(body) else is_exact
         answer[f"{name}_model"] = model_text(body)
     return answer
 

@@ -118,24 +118,24 @@ def _run(options: argparse.Namespace) -> int:
     if len(limits) < len(options.limits):
         raise InputError("--limits: expected each joint once, found one again")
     pairs = _pairs(robot, scene, options)
-    given: Any = {"margin": options.margin, "limits": limits, "scene": scene, "boxes": options.boxes}
+    arguments: Any = {"margin": options.margin, "limits": limits, "scene": scene, "boxes": options.boxes}
     if options.largest:
         about = configurations.one(options.at, "--at", options, robot)
-        ranges = robot.free_range(options.largest, about, pairs=pairs, **given)
+        ranges = robot.free_range(options.largest, about, pairs=pairs, **arguments)
         print_answer(options, {name: list(ends) for name, ends in ranges.items()}, lambda: _print_ranges(ranges))
         return STATUS["FREE"]
     with progress_of("pairs", len(pairs)) as progress:
-        found = robot.prove_pairs(pairs, progress=progress, proof=options.proof is not None, **given)
-    if found.proof is not None:
-        found.proof.save(options.proof)
-    answer = {"robot": found.robot, "pairs": [_entry(row, robot) for row in found]}
-    print_answer(options, answer, lambda: print_pairs(found, robot))
+        proven_pairs = robot.prove_pairs(pairs, progress=progress, proof=options.proof is not None, **arguments)
+    if proven_pairs.proof is not None:
+        proven_pairs.proof.save(options.proof)
+    answer = {"robot": proven_pairs.robot, "pairs": [_entry(row, robot) for row in proven_pairs]}
+    print_answer(options, answer, lambda: print_pairs(proven_pairs, robot))
     if options.out is not None:
-        _draw(found, robot, scene, options.out)
+        _draw(proven_pairs, robot, scene, options.out)
     if options.write_srdf is not None:
-        written = found.to_srdf(options.write_srdf, narrower=options.narrower)
+        written = proven_pairs.to_srdf(options.write_srdf, narrower=options.narrower)
         print(f"{shown(options.write_srdf)}: {len(written)} pairs added")
-    verdicts = {row.verdict for row in found}
+    verdicts = {row.verdict for row in proven_pairs}
     if verdicts & {PairVerdict.ALWAYS, PairVerdict.SOMETIMES, PairVerdict.CAN}:
         return STATUS["COLLIDING"]
     return STATUS["AMBIGUOUS" if PairVerdict.OPEN in verdicts else "FREE"]
@@ -151,8 +151,8 @@ def _run_motion(options: argparse.Namespace) -> int:
     path = path_of(np.arange(float(len(poses))), poses, False)
     Ta = inputs.pose(options.pose_a, "--pose-a")
     a, b = inputs.bodies((options.urdf, options.moving), options)
-    found = loewner.first_contact(a, Ta, b, (poses[:-1], poses[1:]), margin=options.margin)
-    verdict, free_until, at = _first(*map(np.asarray, (found.verdict, found.free_until, found.touching_at)))
+    contact = loewner.first_contact(a, Ta, b, (poses[:-1], poses[1:]), margin=options.margin)
+    verdict, free_until, at = _first(*map(np.asarray, (contact.verdict, contact.free_until, contact.touching_at)))
     answer: dict[str, Any] = {"verdict": verdict.name, "margin": options.margin, "times": [0, len(poses) - 1]}
     answer |= {"free_until": free_until, "touching_at": at}
     if at is not None:
@@ -189,8 +189,8 @@ def _first(verdicts: Any, free_until: Floats, touching: Floats) -> tuple[loewner
         # Contact in a later motion is certain, even if an earlier motion is AMBIGUOUS.
         hit = next(iter(np.flatnonzero(verdicts == loewner.Verdict.COLLIDING)), first)
         at = float(hit + touching[hit])
-        known = None if np.isinf(at) else at
-        return loewner.Verdict(int(verdicts[hit])), float(first + free_until[first]), known
+        contact_time = None if np.isinf(at) else at
+        return loewner.Verdict(int(verdicts[hit])), float(first + free_until[first]), contact_time
     return loewner.Verdict.FREE, None, None
 
 

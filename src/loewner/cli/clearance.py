@@ -56,19 +56,19 @@ def _run(options: argparse.Namespace) -> int:
     within = None if options.within is None else _validate.positive_scalar(options.within, "--within", zero=True)
     with progress_bar() as progress:
         task = progress.add_task("bodies", total=len(options.bodies))
-        bodies, made = [], inputs.bodies(options.bodies, options)
+        bodies, loader = [], inputs.bodies(options.bodies, options)
         for path in options.bodies:
             progress.update(task, description=path.name)
-            bodies.append(next(made))
+            bodies.append(next(loader))
             progress.update(task, advance=1)
-    found = _measured(loewner.Bodies(bodies), np.inf if within is None else within)
-    _tell([str(path) for path in options.bodies], found, options.csv)
+    clearances = _measured(loewner.Bodies(bodies), np.inf if within is None else within)
+    _tell([str(path) for path in options.bodies], clearances, options.csv)
     many = len(bodies) * (len(bodies) - 1) // 2
-    near = "" if within is None else f", {len(found.pairs)} at most {within:g} m apart"
-    print(f"{many} pairs{near}, {int(found.colliding.sum())} colliding")
-    if (found.distance < 0).any() and any(map(is_surface, bodies)):
+    near = "" if within is None else f", {len(clearances.pairs)} at most {within:g} m apart"
+    print(f"{many} pairs{near}, {int(clearances.colliding.sum())} colliding")
+    if (clearances.distance < 0).any() and any(map(is_surface, bodies)):
         print("note: a depth of surfaces is at least what is told; the way apart may be longer")
-    return COLLIDING if found.colliding.any() else FREE
+    return COLLIDING if clearances.colliding.any() else FREE
 
 
 def _measured(bodies: loewner.Bodies, within: float) -> _Found:

@@ -82,8 +82,8 @@ def _options(parser: argparse.ArgumentParser) -> list[argparse.Action]:
 
 def _patterns(parsers: Parsers, between: str) -> str:
     """Write each word that is a command, preceded by the words before it and a blank."""
-    found = (f"{above} {name}" for above, parser in parsers for name in _commands(parser))
-    return between.join(map(shlex.quote, found))
+    patterns = (f"{above} {name}" for above, parser in parsers for name in _commands(parser))
+    return between.join(map(shlex.quote, patterns))
 
 
 def _bash(parsers: Parsers) -> str:

@@ -39,13 +39,13 @@ def read(path: Path, robot: loewner.Robot, *, named: bool = False) -> Floats:
         return _archives.numbers(data, str(path), "an array of numbers")
     try:
         text = data.decode("utf-8-sig")
-        found: Any = _json.parsed(text, str(path)) if suffix == ".json" else rows_of(text)
+        content: Any = _json.parsed(text, str(path)) if suffix == ".json" else rows_of(text)
     except (ValueError, OverflowError, MemoryError, RecursionError, csv.Error):
         raise FileError(f"{path}: expected an array of numbers, found something else") from None
     names = robot.configuration_names
-    if named and not (isinstance(found, Mapping) if suffix == ".json" else _has_header(found, names)):
+    if named and not (isinstance(content, Mapping) if suffix == ".json" else _has_header(content, names)):
         raise FileError(f"{path}: expected names of the columns, found none")
-    return _of_json(found, robot, path) if suffix == ".json" else of_rows(found, robot, path)
+    return _of_json(content, robot, path) if suffix == ".json" else of_rows(content, robot, path)
 
 
 def path_of(path: Path, robot: loewner.Robot) -> Floats:
@@ -67,8 +67,8 @@ def is_path(path: Path, times: Sequence[str]) -> bool:
     try:
         text = read_regular(path, "configurations", MOST_BYTES).decode("utf-8-sig")
         if path.suffix.lower() == ".json":
-            found = _json.parsed(text, str(path))
-            return isinstance(found, Mapping) and "configurations" in found
+            document = _json.parsed(text, str(path))
+            return isinstance(document, Mapping) and "configurations" in document
         rows = rows_of(_tables.start_of(text)[1])
     except (FileError, ValueError, RecursionError, csv.Error):
         return False
@@ -131,8 +131,8 @@ def of_rows(rows: list[list[str]], robot: loewner.Robot, path: Path) -> Floats:
     for row in rows:
         for cell in row:
             if ";" in cell or (len(cell.split()) > 1 and _are_numbers(cell.split())):
-                found = "semicolons" if ";" in cell else "spaces"
-                raise FileError(f"{path}: expected numbers separated by commas, found {found}: {','.join(row)}")
+                separators = "semicolons" if ";" in cell else "spaces"
+                raise FileError(f"{path}: expected numbers separated by commas, found {separators}: {','.join(row)}")
     order = names
     if _has_header(rows, names):
         order = rows.pop(0)

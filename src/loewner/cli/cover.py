@@ -67,12 +67,12 @@ def _run(options: argparse.Namespace) -> int:
             last = now
             progress(done, total)
 
-        made = robot.cover(options.kind, n=options.number, protrusion=options.protrusion, progress=report)
-    made.save_cover(options.out, options.format)
+        covered = robot.cover(options.kind, n=options.number, protrusion=options.protrusion, progress=report)
+    covered.save_cover(options.out, options.format)
     written = robot.with_cover(options.out, options.format)
     reports = cover_tables.judged(robot, written)
-    ignored = sorted(made.disabled_pairs - exempt_pairs(robot))
-    left = [(pair, share) for pair, share, _ in new_contacts(robot, written) if pair not in made.disabled_pairs]
+    ignored = sorted(covered.disabled_pairs - exempt_pairs(robot))
+    left = [(pair, share) for pair, share, _ in new_contacts(robot, written) if pair not in covered.disabled_pairs]
     if options.json:
         answer = {
             "robot": robot.name,

@@ -85,11 +85,11 @@ def _on_this_machine(options: argparse.Namespace, targets: list[Path]) -> int:
     rows, failed = dict[int, list[str]](), dict[int, str]()
     # If a process is killed while it writes a file, the partial file stays in this temporary folder.
     with tempfile.TemporaryDirectory(prefix=".fit-", dir=options.out) as unfinished, progress_bar() as progress:
-        made = [Path(unfinished) / target.name for target in targets]
+        temporary_files = [Path(unfinished) / target.name for target in targets]
         making = {name: getattr(options, name) for name in MAKING}
         tasks = [
             {"mesh": os.fspath(mesh), "target": os.fspath(target), "options": making}
-            for mesh, target in zip(options.meshes, made, strict=True)
+            for mesh, target in zip(options.meshes, temporary_files, strict=True)
         ]
         whole, bars = progress.add_task("meshes", total=len(tasks)), dict[int, Any]()
         for kind, at, value in jobs.answers(__name__, tasks, count):
@@ -105,7 +105,7 @@ def _on_this_machine(options: argparse.Namespace, targets: list[Path]) -> int:
                 for text in outcome.warnings:
                     warnings.warn(text, stacklevel=1)
                 if outcome.status == "done":
-                    outcome = outcome_of(mesh, partial(_moved, made[at], target))
+                    outcome = outcome_of(mesh, partial(_moved, temporary_files[at], target))
                 if outcome.status == "done":
                     rows[at] = [shown(target), *row]
                 else:

@@ -135,9 +135,9 @@ def add_robot_options(
 def bodies(paths: Sequence[Path], options: argparse.Namespace) -> Iterator[loewner.Body]:
     """Yield saved bodies and the bodies of meshes, in the given order; mesh options require a mesh."""
     if all(path.suffix.lower() == ".npz" for path in paths):
-        found = ", ".join(path.name for path in paths)
+        file_names = ", ".join(path.name for path in paths)
         of_meshes = ("model", *OF_SURFACES, *OF_PIECES, "scale", "hull")
-        refuse(options, of_meshes, f"{{}}: expected a mesh to make a body of, found saved bodies, {found}")
+        refuse(options, of_meshes, f"{{}}: expected a mesh to make a body of, found saved bodies, {file_names}")
     return (body(path, options) for path in paths)
 
 

@@ -71,16 +71,16 @@ def add(commands: Any) -> None:
 
 
 def _run(options: argparse.Namespace) -> int:
-    asked = next(name for name in OPTIONS if getattr(options, name) is not None)
-    others = (name for names in OPTIONS.values() for name in names if name not in OPTIONS[asked])
-    inputs.refuse(options, others, f"{{}}: expected no such option with --{asked}, found one")
+    mode = next(name for name in OPTIONS if getattr(options, name) is not None)
+    others = (name for names in OPTIONS.values() for name in names if name not in OPTIONS[mode])
+    inputs.refuse(options, others, f"{{}}: expected no such option with --{mode}, found one")
     if options.meshes is not None:
         allowed = inputs.MODELS if options.answers else link_bodies.MODELS
-        _validate.choice(options.meshes, f"--meshes with --{asked}", allowed)
+        _validate.choice(options.meshes, f"--meshes with --{mode}", allowed)
     if options.answers:
         return judge_answers.run(options)
     if len(options.files) != 1:
-        raise InputError(f"FILE: expected one robot with --{asked}, found {len(options.files)} files")
+        raise InputError(f"FILE: expected one robot with --{mode}, found {len(options.files)} files")
     return judge_configurations.run(options) if options.configurations else _run_model(options)
 
 

@@ -129,15 +129,15 @@ def _bodies(options: argparse.Namespace) -> dict[str, loewner.Body]:
     scale = 1.0 if options.scale is None else options.scale
     usual = dict.fromkeys((*inputs.OF_PIECES, *inputs.OF_SURFACES))
     taken = argparse.Namespace(model=options.meshes or "surface", hull=False, scale=scale, **usual)
-    made = [
+    bodies = [
         loewner.Body.load(path) if path.suffix.lower() == ".npz" else inputs.from_mesh(path, taken)
         for path in options.files
     ]
-    if len(made) == 1:
-        made, names = made * 2, names * 2
-    if len(made) == 2:
-        return {"A": made[0], "B": made[1], **dict(zip(names, made, strict=True))}
-    return dict(zip(names, made, strict=True))
+    if len(bodies) == 1:
+        bodies, names = bodies * 2, names * 2
+    if len(bodies) == 2:
+        return {"A": bodies[0], "B": bodies[1], **dict(zip(names, bodies, strict=True))}
+    return dict(zip(names, bodies, strict=True))
 
 
 def table(path: Path) -> tuple[list[dict[str, Any]], list[Floats], dict[str, Floats]]:
@@ -183,21 +183,21 @@ def _of_csv(text: str, path: Path) -> list[dict[str, Any]]:
 
 
 def _of_json(text: str, path: Path) -> list[dict[str, Any]]:
-    found = _json.parsed(text, str(path))
-    if not isinstance(found, list) or not all(isinstance(row, dict) for row in found):
-        raise FileError(f"{path}: expected a list of objects, one for each pair, found {short(found)}")
-    return found
+    rows = _json.parsed(text, str(path))
+    if not isinstance(rows, list) or not all(isinstance(row, dict) for row in rows):
+        raise FileError(f"{path}: expected a list of objects, one for each pair, found {short(rows)}")
+    return rows
 
 
 def _pair(row: dict[str, Any], bodies: dict[str, loewner.Body], where: str) -> tuple[str, str]:
     """Return the names of both bodies of a row."""
-    found = []
+    names = []
     for column, usual in zip(NAMES, "AB", strict=True):
         name = row.get(column, usual if usual in bodies else None)
         if name not in bodies:
             raise InputError(f"{where}: {column}: expected one of {', '.join(bodies)}, found {short(name)}")
-        found.append(str(name))
-    return found[0], found[1]
+        names.append(str(name))
+    return names[0], names[1]
 
 
 def _numbers(value: Any, where: str) -> list[float]:
@@ -230,7 +230,7 @@ def _pose(row: dict[str, Any], column: str, where: str) -> Floats:
 
 def _answers(rows: Sequence[dict[str, Any]], path: Path) -> dict[str, Floats]:
     """Return the columns with answers, which are NaN in rows without an answer."""
-    found = {}
+    columns = {}
     for name, count in ANSWERS.items():
         if not any(name in row for row in rows):
             continue
@@ -241,10 +241,10 @@ def _answers(rows: Sequence[dict[str, Any]], path: Path) -> dict[str, Floats]:
                 raise FileError(f"{path}, row {k + 1}, {name}: expected {count} numbers, found {len(numbers)}")
             if numbers:
                 column[k] = numbers
-        found[name] = column if count > 1 else column[:, 0]
-    if not found:
+        columns[name] = column if count > 1 else column[:, 0]
+    if not columns:
         raise FileError(f"{path}: expected a column of answers, one of {', '.join(ANSWERS)}, found none")
-    return found
+    return columns
 
 
 def _program(options: Any, said: Judgement, named: Any, bodies: Any, poses: Any, answers: Any, tolerance: float) -> str:
@@ -252,14 +252,14 @@ def _program(options: Any, said: Judgement, named: Any, bodies: Any, poses: Any,
     path, rows = options.program, said.worst().tolist()
     if options.row is not None:
         if options.row - 1 not in rows:
-            known = short([k + 1 for k in sorted(rows)]) if rows else "none"
-            raise InputError(f"--row: expected a row that is proven wrong ({known}), found {options.row}")
+            wrong_rows = short([k + 1 for k in sorted(rows)]) if rows else "none"
+            raise InputError(f"--row: expected a row that is proven wrong ({wrong_rows}), found {options.row}")
         rows = [options.row - 1]
     for k in rows:
-        given = {name: x[k] for name, x in answers.items() if not np.isnan(x[k]).any()}
+        answer = {name: x[k] for name, x in answers.items() if not np.isnan(x[k]).any()}
         a, b = (bodies[name] for name in named[k])
         try:
-            code = reproduction(a, poses[0][k], b, poses[1][k], **given, tolerance=tolerance)
+            code = reproduction(a, poses[0][k], b, poses[1][k], **answer, tolerance=tolerance)
         except LoewnerError as error:
             if options.row is not None:
                 raise InputError(f"--row: expected a row whose errors can be proven in fractions: {error}") from error
@@ -272,13 +272,13 @@ def _program(options: Any, said: Judgement, named: Any, bodies: Any, poses: Any,
 
 def _described(bodies: dict[str, loewner.Body]) -> dict[str, str]:
     """Describe the body that was made from each file and judged; add a note if a hull would be the same body."""
-    found = {}
+    descriptions = {}
     for name, body in {id(body): (name, body) for name, body in bodies.items()}.values():
-        found[name] = repr(body)[len("Body(") : -1]
+        descriptions[name] = repr(body)[len("Body(") : -1]
         piece = body.pieces[0]
         if len(body.pieces) == 1 and piece.kind == "solid" and _is_convex(piece.vertices, piece.triangles):
-            found[name] += " (convex: with --meshes hull, its depths are proven, too)"
-    return found
+            descriptions[name] += " (convex: with --meshes hull, its depths are proven, too)"
+    return descriptions
 
 
 def _is_convex(vertices: Any, triangles: Any) -> bool:

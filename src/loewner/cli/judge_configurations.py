@@ -35,12 +35,12 @@ def run(options: argparse.Namespace) -> int:
     rows = np.flatnonzero(checker.collide(Q) != said)
     wrong: list[dict[str, Any]] = []
     if len(rows):
-        found = checker.distance(Q[rows], exact=True)
-        for k in np.argsort(-np.abs(found.distance), kind="stable").tolist():
-            if abs(found.distance[k]) > tolerance:
+        distances = checker.distance(Q[rows], exact=True)
+        for k in np.argsort(-np.abs(distances.distance), kind="stable").tolist():
+            if abs(distances.distance[k]) > tolerance:
                 finding = "WRONG_COLLIDING" if said[rows[k]] else "WRONG_FREE"
-                row = {"row": int(rows[k]) + 1, "finding": finding, "bodies": found.names[k].tolist()}
-                wrong.append(row | {"distance": float(found.distance[k])})
+                row = {"row": int(rows[k]) + 1, "finding": finding, "bodies": distances.names[k].tolist()}
+                wrong.append(row | {"distance": float(distances.distance[k])})
     print_answer(options, {"configurations": len(Q), "wrong": wrong}, lambda: _print(wrong, len(Q)))
     return COLLIDING if wrong else FREE
 

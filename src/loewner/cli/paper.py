@@ -41,11 +41,11 @@ def _run(options: argparse.Namespace) -> int:
                 tasks[stage] = progress.add_task(stage, total=total)
             progress.update(tasks[stage], completed=done, total=total)
 
-        found = paper.run(
+        experiment = paper.run(
             options.pairs, options.seed, options.dataset, out=options.out, json=options.json, progress=report
         )
-    print(_wrapped(f"{sheets.colliding(found)}."))
-    for sheet in sheets.in_order(found):
+    print(_wrapped(f"{sheets.colliding(experiment)}."))
+    for sheet in sheets.in_order(experiment):
         print(f"\n{sheet.title}")
         head, *rows = sheet.aligned
         print_table(head, rows)

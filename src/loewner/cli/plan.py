@@ -132,7 +132,7 @@ def _plan(options: argparse.Namespace) -> int:
     inputs.refuse_no_pairs(checker, options.urdf)
     began = time.perf_counter()
     try:
-        found = _found(checker, start, goal, options)
+        planned = _found(checker, start, goal, options)
     except ConvergenceError as error:
         if options.out is not None and isinstance(error.partial, planners.Plan):
             configurations.write(options.out, robot.configuration_names, error.partial.path)
@@ -140,13 +140,13 @@ def _plan(options: argparse.Namespace) -> int:
         raise
     seconds = time.perf_counter() - began
     if options.out is not None:
-        if isinstance(found, planners.Trajectory):
-            found.save(options.out)
+        if isinstance(planned, planners.Trajectory):
+            planned.save(options.out)
         else:
-            configurations.write(options.out, robot.configuration_names, found.path)
-    if options.proof is not None and isinstance(found, planners.Plan) and found.proof is not None:
-        found.proof.save(options.proof)
-    answer = _answer(checker, found, seconds, options)
+            configurations.write(options.out, robot.configuration_names, planned.path)
+    if options.proof is not None and isinstance(planned, planners.Plan) and planned.proof is not None:
+        planned.proof.save(options.proof)
+    answer = _answer(checker, planned, seconds, options)
     print_answer(options, answer, lambda: _print_answer(answer))
     return STATUS[answer["verdict"]]
 
@@ -192,36 +192,36 @@ def _begin_in_time(options: argparse.Namespace, scene: loewner.Scene) -> None:
         return
     if options.start_time is None:
         options.start_time = 0.0
-    found = " and ".join(reasons)
+    listing = " and ".join(reasons)
     if options.proof is not None:
         raise InputError(
-            f"--proof: plans in time have no proofs yet, and this is one by {found}; write the trajectory by --out, "
+            f"--proof: plans in time have no proofs yet, and this is one by {listing}; write the trajectory by --out, "
             "which loewner audit without --proof proves again"
         )
     contact = "among moving bodies, all contact is a collision"
     for name, why in (("improve-for", "no trajectory is improved"), ("leave", contact), ("reach", contact)):
         if getattr(options, name.replace("-", "_")):
-            raise InputError(f"--{name}: expected a plan that is not in time, found {found}; {why}")
+            raise InputError(f"--{name}: expected a plan that is not in time, found {listing}; {why}")
 
 
 def _found(
     checker: loewner.CollisionChecker, start: Floats, goal: Floats | planners.PoseGoal, options: argparse.Namespace
 ) -> planners.Plan | planners.Trajectory:
     """Return the path with its cost and planning time in seconds, or the trajectory of a plan in time."""
-    given = {name: getattr(options, name) for name in ("planner", "max_iterations", "timeout", "resolution")}
-    given = {name: value for name, value in given.items() if value is not None}
-    search = planners.Search(certified=not options.sampled, simplify=not options.no_simplify, **given)
-    given = {"joint_error": options.joint_error, "search": search, "seed": options.seed, "joints": options.joints}
+    arguments = {name: getattr(options, name) for name in ("planner", "max_iterations", "timeout", "resolution")}
+    arguments = {name: value for name, value in arguments.items() if value is not None}
+    search = planners.Search(certified=not options.sampled, simplify=not options.no_simplify, **arguments)
+    arguments = {"joint_error": options.joint_error, "search": search, "seed": options.seed, "joints": options.joints}
     if options.joints is not None and len(options.joints) == 1:
-        given["joints"] = options.joints[0]
+        arguments["joints"] = options.joints[0]
     with progress_of("searching"):
         if options.start_time is None:
             weights = options.weights and _numbers("--weights", options.weights)
             improve = planners.Improve(options.improve_for, weights=weights, clearance=options.clearance)
-            return planners.plan_full(checker, start, goal, improve, proof=options.proof is not None, **given)
+            return planners.plan_full(checker, start, goal, improve, proof=options.proof is not None, **arguments)
         velocity = options.velocity and _numbers("--velocity", options.velocity)
         return planners.plan_in_time(
-            checker, start, goal, options.start_time, velocity=velocity, arrive_by=options.arrive_by, **given
+            checker, start, goal, options.start_time, velocity=velocity, arrive_by=options.arrive_by, **arguments
         )
 
 
@@ -251,28 +251,28 @@ def _answer(
     proof_bytes = proof and {"file": len(proof.data), "model": len(proof.model), "proof": proof.size}
     robot, a, b = checker.robot, path[:-1], path[1:]
     started = time.perf_counter()
-    found = checker.certify_edges(a, b, joint_error=options.joint_error, t0=t0, t1=t1)
+    edges = checker.certify_edges(a, b, joint_error=options.joint_error, t0=t0, t1=t1)
     proof_seconds = time.perf_counter() - started
     lengths, shares = robot.distances(a, b), np.linspace(0, 1, MEASURED)
     at = None if times is None else times[:-1, None] + np.diff(times)[:, None] * shares
     measured = checker.distance(robot.between(a[:, None], b[:, None], shares), at, exact=True)
     motions = []
     for k, least in enumerate(measured.distance.argmin(axis=1)):
-        verdict = Verdict(int(found.verdict[k]))
+        verdict = Verdict(int(edges.verdict[k]))
         free = verdict == Verdict.FREE
         motions.append(
             {
                 "length": float(lengths[k]),
                 "verdict": verdict.name,
-                "fraction": None if free else float(found.fraction[k]),
-                "pair": None if free else found.names[k].tolist(),
+                "fraction": None if free else float(edges.fraction[k]),
+                "pair": None if free else edges.names[k].tolist(),
                 "nearest": float(measured.distance[k, least]),
                 "nearest_pair": measured.names[k, least].tolist(),
-                "poses": int(found.poses[k]),
-                "searches": int(found.searches[k]),
+                "poses": int(edges.poses[k]),
+                "searches": int(edges.searches[k]),
             }
         )
-    counts = {verdict.name: int((found.verdict == verdict).sum()) for verdict in Verdict}
+    counts = {verdict.name: int((edges.verdict == verdict).sum()) for verdict in Verdict}
     worst = next((name for name in ("COLLIDING", "AMBIGUOUS") if counts[name]), "FREE")
     return {
         "robot": robot.name,

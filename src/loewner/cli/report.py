@@ -203,8 +203,8 @@ def _unpacked(path: Path, folder: Path) -> dict[str, Any]:
     except MemoryError:  # not a fault of the file
         raise
     except Exception as error:  # a damaged zip raises any of a dozen exceptions, including zlib's
-        found = f"no member {DOCUMENT}" if isinstance(error, FileNotFoundError) else error
-        raise FileError(f"{path}: expected a file by loewner report, found something else ({found})") from None
+        reason = f"no member {DOCUMENT}" if isinstance(error, FileNotFoundError) else error
+        raise FileError(f"{path}: expected a file by loewner report, found something else ({reason})") from None
     if fault := _fault(document):
         raise FileError(f"{path}: {DOCUMENT}: {fault}")
     return dict(document)
@@ -214,15 +214,15 @@ def _fault(document: Any) -> str:
     """Describe the first fault of a document; empty if there is none."""
     if not isinstance(document, dict) or document.get("format") != FORMAT:
         return f'expected "format": "{FORMAT}", found another kind of file'
-    found = {key: _validate.short(document.get(key)) for key in ("version", "query", "options", "versions", "answers")}
+    texts = {key: _validate.short(document.get(key)) for key in ("version", "query", "options", "versions", "answers")}
     if document.get("version") != VERSION:
-        return f"expected version {VERSION}, found {found['version']}; a newer loewner may have written it"
+        return f"expected version {VERSION}, found {texts['version']}; a newer loewner may have written it"
     query = document.get("query")
     if query not in list(OPTIONS):
-        return f"expected a query among {', '.join(OPTIONS)}, found {found['query']}"
+        return f"expected a query among {', '.join(OPTIONS)}, found {texts['query']}"
     for key in ("options", "versions", "answers"):
         if not isinstance(document.get(key), dict):
-            return f"{key}: expected an object, found {found[key]}"
+            return f"{key}: expected an object, found {texts[key]}"
     models = link_bodies.MODELS if query == "robot" else inputs.MODELS
     for name, value in document["options"].items():
         if type(value) is not OPTIONS[query].get(name) or (name == "model" and value not in models):
@@ -276,18 +276,18 @@ def _of_robot(options: argparse.Namespace, folder: Path) -> dict[str, Any]:
         "distance": _tried(lambda: _measured(checker.distance(Q, exact=True))),
     }
     if len(Q) > 1:
-        found = checker.certify_edges(Q[:-1], Q[1:])
-        fractions = [None if np.isnan(fraction) else fraction for fraction in found.fraction.tolist()]
-        answers["motions"] = {"verdict": _names(found.verdict), "fraction": fractions}
+        edges = checker.certify_edges(Q[:-1], Q[1:])
+        fractions = [None if np.isnan(fraction) else fraction for fraction in edges.fraction.tolist()]
+        answers["motions"] = {"verdict": _names(edges.verdict), "fraction": fractions}
     return answers
 
 
 def _found(folder: Path, stem: str) -> Path:
     """Return the path of an input, whose suffix depends on its format."""
-    found = list(folder.glob(f"{stem}.*"))
-    if len(found) != 1:
-        raise FileError(f"expected one input called {stem}, found {len(found)}")
-    return found[0]
+    files = list(folder.glob(f"{stem}.*"))
+    if len(files) != 1:
+        raise FileError(f"expected one input called {stem}, found {len(files)}")
+    return files[0]
 
 
 def _measured(found: Any) -> dict[str, Any]:

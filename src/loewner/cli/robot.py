@@ -107,9 +107,9 @@ def _info(options: argparse.Namespace) -> int:
     exempt = robot.disabled_pairs or robot.adjacent_pairs
     if count and exempt:
         print("exempt pairs, over the whole ranges of the joints between them:")
-        known = [pair for pair in exempt if all(link in robot.bodies for link in pair)]
-        solid = any(is_surface(robot.bodies[link]) for pair in known for link in pair)
-        print_pairs(robot.prove_pairs(known, boxes=BOXES_OF_SOLIDS if solid else BOXES), robot)
+        body_pairs = [pair for pair in exempt if all(link in robot.bodies for link in pair)]
+        solid = any(is_surface(robot.bodies[link]) for pair in body_pairs for link in pair)
+        print_pairs(robot.prove_pairs(body_pairs, boxes=BOXES_OF_SOLIDS if solid else BOXES), robot)
     if checker is not None and checked:
         always = np.all(checker.collide_by_pair(robot.random_configurations(TRIED)), axis=0)
         for a, b in compress(checked, always.tolist()):
@@ -175,10 +175,10 @@ def _checked_configurations(checker: loewner.CollisionChecker, Q: Floats) -> dic
             started = time.perf_counter()
             collides, settled = checker.settle(part)
             seconds += time.perf_counter() - started
-            found = np.flatnonzero(collides)
+            rows = np.flatnonzero(collides)
             tiers.update(asdict(settled))
-            hits += checker.collide_by_pair(part[found]).sum(axis=0)
-            colliding += (found + first).tolist()
+            hits += checker.collide_by_pair(part[rows]).sum(axis=0)
+            colliding += (rows + first).tolist()
             progress.advance(task, len(part))
     outside = (robot.hard_lower > Q) | (robot.hard_upper < Q)
     often = np.argsort(-hits, kind="stable")

@@ -51,15 +51,15 @@ def add(commands: Any) -> None:
 def _run(options: argparse.Namespace) -> int:
     inputs.expect_suffix(options.out, "--out", (".stl", ".npz"))
     scene = loewner.Scene() if options.scene is None else loewner.load_scene(options.scene)
-    robot, found = inputs.robot(options), []
+    robot, bodies = inputs.robot(options), []
     parts, carrying = trajectories.read(options.trajectory, options, scene, robot)
     kept: Any = {"tolerance": options.tolerance, "joint_error": options.joint_error, "scene": scene}
-    for number, given in enumerate(parts):
-        trajectories.carry(scene, robot, given, carrying[number])
+    for number, part in enumerate(parts):
+        trajectories.carry(scene, robot, part, carrying[number])
         with progress_of(f"part {number + 1}" if len(parts) > 1 else options.trajectory.name) as progress:
-            found.append(robot.swept(given, links=options.links, progress=progress, **kept))
-        trajectories.put_down(scene, robot, given, carrying[number])
-    body, excess = united(found)
+            bodies.append(robot.swept(part, links=options.links, progress=progress, **kept))
+        trajectories.put_down(scene, robot, part, carrying[number])
+    body, excess = united(bodies)
     if options.out.suffix.lower() == ".npz":
         body.save(options.out)
     else:
@@ -69,9 +69,9 @@ def _run(options: argparse.Namespace) -> int:
             raise FileError(f"{options.out}: expected the body that was written, found another one when reading it")
     print(f"{options.out}  {len(body.pieces)} pieces")
     print(f"contains  the links at every time; sticks out by {1e3 * excess:.3g} mm at most")
-    for given in parts:
-        print(f"curve     {_described(given)}")
-        for column, value in trajectories.assumed(given).items():
+    for part in parts:
+        print(f"curve     {_described(part)}")
+        for column, value in trajectories.assumed(part).items():
             print(f"assumed   {column} = {value:.9g}: the file has no values of it (--others)")
     return FREE
 

@@ -84,9 +84,9 @@ def read(
     parts = _parts(path, robot, present if others is None else others)
     carrying = _carrying(options.attach, scene, robot, len(parts))
     clock = None if options.start_time is None else _validate.real(options.start_time, "--start-time")
-    for number, (given, held) in enumerate(zip(parts, carrying, strict=True)):
-        if isinstance(given, planners.ControllerPoints):
-            parts[number] = points = _executed(given, options.controller)
+    for number, (part, held) in enumerate(zip(parts, carrying, strict=True)):
+        if isinstance(part, planners.ControllerPoints):
+            parts[number] = points = _executed(part, options.controller)
             # The robot may carry only bodies that the scene or --attach assigns to it.
             attached = {body: each.link for body, each in scene.attachments.items()} | held
             curves.expect_carried(attached, [*points.carried.items(), *((body, "") for body in points.origin.free)])
@@ -156,7 +156,7 @@ def _parts(path: Path, robot: loewner.Robot, others: Floats | None) -> list[Part
 
 def _carrying(given: list[str], scene: loewner.Scene, robot: loewner.Robot, count: int) -> list[dict[str, str]]:
     """Return, for each part, a dict from --attach that maps the carried bodies to their links."""
-    found: list[dict[str, str]] = [{} for _ in range(count)]
+    carrying: list[dict[str, str]] = [{} for _ in range(count)]
     for text in given:
         where, _, what = text.rpartition(":")
         body, equals, link = what.partition("=")
@@ -167,10 +167,10 @@ def _carrying(given: list[str], scene: loewner.Scene, robot: loewner.Robot, coun
         if body not in scene:
             raise _validate.unknown_name(f"--attach {text}: body", body, scene.names)
         _validate.known(link, f"--attach {text}: link", robot.link_names)
-        for part in found if not where else [found[int(where) - 1]]:
+        for part in carrying if not where else [carrying[int(where) - 1]]:
             if part.setdefault(body, link) != link:
                 raise InputError(f"--attach {text}: expected one link for {body}, found {part[body]} as well")
-    return found
+    return carrying
 
 
 def _derivatives(points: planners.ControllerPoints) -> int:

@@ -69,15 +69,15 @@ def _run(options: argparse.Namespace) -> int:
         print(f"refused: {error}", file=sys.stderr)
         print_answer(options, {"verified": False, "refused": str(error)}, lambda: None)
         return COLLIDING
-    lines, faults, found = [str(report)], list[str](), list[str]()
+    lines, faults, differences = [str(report)], list[str](), list[str]()
     if options.urdf is not None:
         scene = loewner.Scene() if options.scene is None else loewner.load_scene(options.scene)
         inputs.apply_rules(scene, options)
         made_for = ", ".join(file.name for file in (options.urdf, options.srdf, options.scene) if file is not None)
-        found = loewner.Proof(data).differences(loewner.CollisionChecker(inputs.robot(options), scene))
-        lines += [f"different    {words}" for words in found[:MOST_SHOWN]]
-        lines += [f"             and {len(found) - MOST_SHOWN} more"] if len(found) > MOST_SHOWN else []
-        if found:
+        differences = loewner.Proof(data).differences(loewner.CollisionChecker(inputs.robot(options), scene))
+        lines += [f"different    {words}" for words in differences[:MOST_SHOWN]]
+        lines += [f"             and {len(differences) - MOST_SHOWN} more"] if len(differences) > MOST_SHOWN else []
+        if differences:
             faults.append(f"DIFFERENT MODEL: not made for {made_for}")
         else:
             lines.append(f"the model matches {made_for}")
@@ -90,7 +90,7 @@ def _run(options: argparse.Namespace) -> int:
         words = f"{verify._shown(*pair)} may overlap by {-1000 * least:.12g} mm in motion {motion}"
         faults.append(f"DEEP CONTACT: {words}, and --overlap allows {1000 * overlap:.12g} mm")
     text = "\n".join([*lines, *(faults or [f"verified: {_claim(report)}"])])
-    print_answer(options, _entry(report, faults) | {"different": found}, lambda: print(text))
+    print_answer(options, _entry(report, faults) | {"different": differences}, lambda: print(text))
     return COLLIDING if faults or report.common else FREE
 
 
@@ -142,8 +142,8 @@ def _difference(report: verify.Report, path: Path) -> str:
     named: Any = SimpleNamespace(configuration_names=names)
     numbers = np.atleast_2d(configurations.read(path, named, named=True))
     if numbers.ndim != 2 or len(numbers) < 2 or numbers.shape[1] != len(names):
-        found = _validate.shape_text(numbers.shape)
-        return f"expected shape (k, {len(names)}) with k >= 2 in {path.name}, found {found}"
+        shape = _validate.shape_text(numbers.shape)
+        return f"expected shape (k, {len(names)}) with k >= 2 in {path.name}, found {shape}"
     rows = numbers.tolist()
     if len(report.points) != len(rows) - 1:
         return f"the proof has {len(report.points)} motions, and {path.name} has {len(rows)} configurations"

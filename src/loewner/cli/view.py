@@ -153,10 +153,10 @@ def _played(options: argparse.Namespace, scene: loewner.Scene, robot: loewner.Ro
     parts, carrying = trajectories.read(options.trajectory, options, scene, robot)
     number = 1 if options.part is None and len(parts) == 1 else options.part
     if number is None or not 1 <= number <= len(parts):
-        found = "none" if number is None else number
-        raise InputError(f"--part: expected one of the {len(parts)} trajectories of the file, from 1 on, found {found}")
-    for given, held in zip(parts[:number], carrying, strict=False):
-        trajectories.carry(scene, robot, given, held)
-        if given is not parts[number - 1]:
-            trajectories.put_down(scene, robot, given, held)
+        text = "none" if number is None else number
+        raise InputError(f"--part: expected one of the {len(parts)} trajectories of the file, from 1 on, found {text}")
+    for part, held in zip(parts[:number], carrying, strict=False):
+        trajectories.carry(scene, robot, part, held)
+        if part is not parts[number - 1]:
+            trajectories.put_down(scene, robot, part, held)
     return parts[number - 1]

@@ -370,9 +370,9 @@ class Ellipsoids(KeepsReadOnly):
 
 def trusted(center: Floats, factor: Floats) -> Ellipsoids:
     """Wrap arrays that come from a fit or a rigid motion, without checking them again."""
-    made = object.__new__(Ellipsoids)
-    made._freeze(center, factor)
-    return made
+    ellipsoids = object.__new__(Ellipsoids)
+    ellipsoids._freeze(center, factor)
+    return ellipsoids
 
 
 def _near_one(x: Floats, axes: tuple[int, ...]) -> tuple[Floats, np.ndarray[tuple[int, ...], np.dtype[np.int_]]]:

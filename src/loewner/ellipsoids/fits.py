@@ -143,12 +143,12 @@ def mvce(
     array([3., 1.])
     """
     x = _validate.finite_array(points, "points", ("m", "n"))
-    given = _checked_center(center, x.shape[1])
-    check_enough(x, "points", given=given)
+    fixed_center = _checked_center(center, x.shape[1])
+    check_enough(x, "points", given=fixed_center)
     tolerance = checked_tolerance(tol)
     reporter = Reporter(_validate.reporter(progress), tolerance)
-    if _validate.flag(weights, "weights") or given is not None or _is_large(*x.shape):
-        c, factor, gap, iterations, u = large_outer.smallest_around(x, tolerance, given, reporter)
+    if _validate.flag(weights, "weights") or fixed_center is not None or _is_large(*x.shape):
+        c, factor, gap, iterations, u = large_outer.smallest_around(x, tolerance, fixed_center, reporter)
         return certified_fit("mvce", c, factor, gap, iterations, tolerance, u if weights else None, reporter)
     x, n = writeable(x), x.shape[1]
     c, factor = np.empty(n), np.empty((n, n))
@@ -162,9 +162,9 @@ def _checked_center(center: ArrayLike | None, n: int) -> Floats | None:
     if center is None:
         return None
     array = _validate.float_array(center, "center")
-    given = _validate.finite_array(np.full(n, array) if array.ndim == 0 else array, "center", (n,))
-    check_size(float(np.abs(given).max()), "center")
-    return given
+    fixed_center = _validate.finite_array(np.full(n, array) if array.ndim == 0 else array, "center", (n,))
+    check_size(float(np.abs(fixed_center).max()), "center")
+    return fixed_center
 
 
 def _is_large(m: int, n: int) -> bool:
@@ -234,9 +234,9 @@ def mvie(
     reporter = Reporter(_validate.reporter(progress), tolerance)
     if b is not None:
         rows, bounds = polytopes.check_halfspaces(A, b)
-        given = _checked_center(center, rows.shape[1])
-        if given is not None:
-            return _mvie_about(given, rows, bounds, tolerance, reporter)
+        fixed_center = _checked_center(center, rows.shape[1])
+        if fixed_center is not None:
+            return _mvie_about(fixed_center, rows, bounds, tolerance, reporter)
         return _mvie_of_halfspaces(rows, bounds, tolerance, reporter)
     if center is not None:
         raise InputError("center: expected half-spaces A, b with it, found no b")

@@ -348,10 +348,10 @@ def _not_inside(frame: Floats, coordinates: Floats) -> Ints | slice:
     which takes 10 of the 128 in `shrink`. The first term of `shrink` is far above the rounding of the products, which
     is less than 20 u |y| / s.
     """
-    found = _hull_of_sample(coordinates)
-    if found is None:
+    sample_hull = _hull_of_sample(coordinates)
+    if sample_hull is None:
         return slice(None)
-    center, normals, depths = found
+    center, normals, depths = sample_hull
     size = np.sqrt(3) * max(float(coordinates.max()), -float(coordinates.min()))
     bend = float(np.linalg.norm(np.abs(np.linalg.inv(frame)) @ np.abs(frame)))
     least = float(depths.min())
@@ -475,11 +475,11 @@ def hulls(point_sets: Sequence[Any], progress: Progress | None = None, *, names:
     """
 
     def run(first: int, last: int) -> list[tuple[Floats, Floats, Floats, Ints]]:
-        made = []
+        hull_arrays = []
         for i in range(first, last):
             name = f"point_sets[{i}]" if names is None else names[i]
-            made.append(_hull(_validate.finite_array(point_sets[i], name, (None, 3)), name)[:4])
-        return made
+            hull_arrays.append(_hull(_validate.finite_array(point_sets[i], name, (None, 3)), name)[:4])
+        return hull_arrays
 
     shares = in_shares(run, len(point_sets), LEAST_SHARE, most=BLOCK, progress=progress)
     return Hulls._packed(list(chain.from_iterable(shares)))

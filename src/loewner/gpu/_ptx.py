@@ -61,11 +61,11 @@ def text() -> bytes:
     with suppress(OSError, _sealed.DamagedFileError):  # after an error, the PTX is made again
         if key:
             return _store.read(key)
-    made = compiled()
+    ptx = compiled()
     with suppress(OSError):  # after an error, the next process makes the PTX again
         if key:
-            _store.write(key, made)
-    return made
+            _store.write(key, ptx)
+    return ptx
 
 
 def compiled() -> bytes:
@@ -104,9 +104,9 @@ def _kernel(function: Any, machine: Any) -> Any:
     count = function.py_func.__code__.co_argcount
     kinds = (types.int64,) * count
     function.compile(kinds)
-    found = function.overloads[kinds]
-    inner = found.fndesc.llvm_func_name
-    module = _parts.linked([found.library])
+    overload = function.overloads[kinds]
+    inner = overload.fndesc.llvm_func_name
+    module = _parts.linked([overload.library])
     _target(module, machine)
     module.link_in(llvm.parse_assembly(_caller(function.py_func.__name__, inner, count, machine)))
     # Functions made by several processes may share a name, so only the kernel is visible from outside.

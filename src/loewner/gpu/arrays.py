@@ -223,9 +223,9 @@ class DeviceArray:
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
         if copy is False:
             raise ValueError("expected a copy to be allowed: the array is on a GPU")
-        found = np.empty(self.shape, dtype=self.dtype)
-        self._memory.device.download(self._memory.address, found)
-        return found if dtype is None else found.astype(dtype)
+        host_array = np.empty(self.shape, dtype=self.dtype)
+        self._memory.device.download(self._memory.address, host_array)
+        return host_array if dtype is None else host_array.astype(dtype)
 
     def __dlpack_device__(self) -> tuple[int, int]:
         return CUDA, self._memory.device.number

@@ -286,15 +286,15 @@ def _settled(ready: Problem, Q: Floats) -> NDArray[np.int8]:
     """Let the CPU decide the given configurations, for the state of the scene that the GPU used."""
     if len(Q) == 0:
         return np.empty(0, dtype=np.int8)
-    found, _ = classified(ready, codes.EXACT, Q)
-    expect_settled(ready, Q, found)
-    return found
+    verdicts, _ = classified(ready, codes.EXACT, Q)
+    expect_settled(ready, Q, verdicts)
+    return verdicts
 
 
 def _proven(ready: Problem, tolerance: float, a: Floats, b: Floats) -> NDArray[np.int8]:
     """Let the CPU prove the given motions, for the state of the scene that the GPU used."""
     if len(a) == 0:
         return np.empty(0, dtype=np.int8)
-    found = prove_by_rules(ready, a, b, tolerance)
-    found.expect_short(a, b)
-    return np.asarray(found.verdicts, dtype=np.int8)
+    answers = prove_by_rules(ready, a, b, tolerance)
+    answers.expect_short(a, b)
+    return np.asarray(answers.verdicts, dtype=np.int8)

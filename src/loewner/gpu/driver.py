@@ -191,20 +191,20 @@ class Device:
 
     def seconds(self, start: Any, stop: Any) -> float:
         """Wait until two recorded points in time are past; free them, and return the seconds between them."""
-        found = ctypes.c_float()
+        milliseconds = ctypes.c_float()
         with self._current():
             self._ask("cuEventSynchronize", stop)
-            self._ask("cuEventElapsedTime", ctypes.byref(found), start, stop)
+            self._ask("cuEventElapsedTime", ctypes.byref(milliseconds), start, stop)
             for event in (start, stop):
                 self._ask("cuEventDestroy_v2", event)
-        return float(found.value) * 1e-3
+        return float(milliseconds.value) * 1e-3
 
     def holds(self, address: int) -> bool:
         """Return whether an address belongs to this GPU's memory."""
-        found = ctypes.c_int(-1)
+        ordinal = ctypes.c_int(-1)
         with self._current():
-            code = self._cuda.cuPointerGetAttribute(ctypes.byref(found), ORDINAL_OF_POINTER, ctypes.c_uint64(address))
-        return code == 0 and found.value == self.number
+            code = self._cuda.cuPointerGetAttribute(ctypes.byref(ordinal), ORDINAL_OF_POINTER, ctypes.c_uint64(address))
+        return code == 0 and ordinal.value == self.number
 
     # -- inside -------------------------------------------------------------------------------
 
@@ -233,9 +233,9 @@ class Device:
 
     def _integer(self, function: str, *arguments: Any) -> int:
         """Call a function that writes one integer."""
-        found = ctypes.c_int()
-        self._ask(function, ctypes.byref(found), *arguments)
-        return int(found.value)
+        integer = ctypes.c_int()
+        self._ask(function, ctypes.byref(integer), *arguments)
+        return int(integer.value)
 
     def _ask(self, function: str, *arguments: Any, size: int | None = None) -> None:
         """Call a function of the driver, and raise an exception if it fails."""
@@ -251,8 +251,8 @@ class Device:
             cause = f"expected {size / 1e6:.0f} MB of memory on the GPU, found less; ask for fewer at a time"
         elif code in (UNSUPPORTED_PTX, INVALID_PTX, NO_IMAGE):
             wanted = f"PTX {_ptx.VERSION[3]}.{_ptx.VERSION[4]} (CUDA 11.0 or newer)"
-            found = f"CUDA {self.driver // 1000}.{self.driver % 1000 // 10}"
-            cause = f"expected a driver that takes {wanted}, found one for {found} that refuses it; update the driver"
+            version = f"CUDA {self.driver // 1000}.{self.driver % 1000 // 10}"
+            cause = f"expected a driver that takes {wanted}, found one for {version} that refuses it; update the driver"
         return GpuError((f"{cause} ({text})" if cause else text) + (f": {said}" if said else ""), code)
 
     def _words(self, code: int) -> str:

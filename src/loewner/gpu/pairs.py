@@ -137,10 +137,10 @@ class _Operand(NamedTuple):
     @property
     def shape(self) -> tuple[int, ...]:
         """Shape of the poses."""
-        found = self.there.shape if self.there is not None else _shape(self.here)
-        if found[-2:] != (4, 4):
-            raise PoseError(f"expected poses of shape (..., 4, 4), found {_validate.shape_text(found)}")
-        return found
+        shape = self.there.shape if self.there is not None else _shape(self.here)
+        if shape[-2:] != (4, 4):
+            raise PoseError(f"expected poses of shape (..., 4, 4), found {_validate.shape_text(shape)}")
+        return shape
 
     def poses_at(self, gpu: Device, rows: Ints) -> Floats:
         """Return the poses of the given rows in double precision, in CPU memory."""
@@ -196,12 +196,12 @@ def _classified(gpu: Device, plan: Plan, operands: list[_Operand], refine: bool,
     # For surfaces, the CPU compares more ellipsoids than the GPU, and may prove pairs that the GPU leaves open.
     of_open = codes.LEFT if any(len(packed.kernel.part_start) > 0 for packed in packs) else codes.AMBIGUOUS
     one_each = all(len(packed.piece_start) == len(packed.layout) + 1 for packed in packs)
-    asked = steps.address, plan.steps.shape[1], 0 if rows is None else rows.address, plan.rows.shape[1]
+    plan_arguments = steps.address, plan.steps.shape[1], 0 if rows is None else rows.address, plan.rows.shape[1]
     each: list[int] = []
     for table, pose in zip(tables, poses, strict=True):
         each += [table.rows.address, *([] if one_each else [table.start.address]), pose.address]
     told = of_open, verdicts.address, left.list.address
-    gpu.launch("classify_pieces" if one_each else "classify_bodies", plan.total, *asked, *each, *told)
+    gpu.launch("classify_pieces" if one_each else "classify_bodies", plan.total, *plan_arguments, *each, *told)
     if refine:
         numbers = left.numbers()
         settled = _settled(gpu, plan, operands, numbers)
@@ -253,8 +253,8 @@ def _settled(gpu: Device, plan: Plan, operands: list[_Operand], numbers: Ints) -
     rows = np.stack([body_a, body_b]).astype(np.int64)
     for k in range(len(numbers)):
         listed = np.ascontiguousarray(rows[:, k : k + 1])
-        asked = _ONE_LISTED, listed, a, Ta[k : k + 1], b, Tb[k : k + 1]
-        if settle(codes.CERTIFY, 0.0, 0, 1, asked, out[k : k + 1]) is None:
+        arguments = _ONE_LISTED, listed, a, Ta[k : k + 1], b, Tb[k : k + 1]
+        if settle(codes.CERTIFY, 0.0, 0, 1, arguments, out[k : k + 1]) is None:
             _refuse(Ta[k : k + 1], Tb[k : k + 1])
     return out
 

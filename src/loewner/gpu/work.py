@@ -97,9 +97,9 @@ class Left:
 
     def numbers(self) -> Ints:
         """Wait until all work is done, and return the list in ascending order."""
-        found = np.empty(length_of(self._device, self.list), dtype=np.int32)
-        self._device.download(self.list.address + 4, found)
-        return np.sort(found).astype(np.int64)
+        numbers = np.empty(length_of(self._device, self.list), dtype=np.int32)
+        self._device.download(self.list.address + 4, numbers)
+        return np.sort(numbers).astype(np.int64)
 
 
 def length_of(device: Device, listed: Memory) -> int:
@@ -111,15 +111,15 @@ def length_of(device: Device, listed: Memory) -> int:
 
 def gathered(device: Device, address: int, width: int, rows: Ints) -> Floats:
     """Copy rows of a float32 table from the GPU to the CPU, shape (len(rows), width)."""
-    listed, found = device.upload(rows.astype(np.int32)), device.memory(4 * width * len(rows))
-    device.launch("gather_rows", width * len(rows), width, listed, address, found)
+    listed, memory = device.upload(rows.astype(np.int32)), device.memory(4 * width * len(rows))
+    device.launch("gather_rows", width * len(rows), width, listed, address, memory)
     here = np.empty((len(rows), width), dtype=np.float32)
-    device.download(found.address, here)
+    device.download(memory.address, here)
     return here.astype(np.float64)
 
 
 def scattered(device: Device, rows: Ints, values: NDArray[Any], target: Memory) -> None:
     """Write small values to single bytes on the GPU."""
-    listed, given = device.upload(rows.astype(np.int32)), device.upload(values.astype(np.int32))
-    device.launch("scatter_bytes", len(rows), listed, given, target)
+    listed, device_values = device.upload(rows.astype(np.int32)), device.upload(values.astype(np.int32))
+    device.launch("scatter_bytes", len(rows), listed, device_values, target)
     device.wait()  # the lists must live until the work is done

@@ -559,11 +559,11 @@ def _coacd(vertices: Floats, triangles: Triangles, threshold: float, most: int |
     coacd.set_log_level("error")
     middle, size = vertices.mean(axis=0), _size(vertices)  # CoACD's tolerances suit meshes of size 1 at the origin
     mesh = coacd.Mesh((vertices - middle) / size, triangles)
-    found = _interruptible(
+    parts = _interruptible(
         lambda: coacd.run_coacd(mesh, threshold=threshold, max_convex_hull=-1 if most is None else most, seed=seed)
     )
     hulls = []
-    for points, _ in found:
+    for points, _ in parts:
         try:
             hulls.append(Polytope.from_points(np.asarray(points) * size + middle))
         except GeometryError:

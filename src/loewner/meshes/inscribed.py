@@ -87,12 +87,14 @@ def inscribed_ellipsoids(
     centers, factors = np.zeros((most, 3)), np.zeros((most, 3, 3))
     origin, scale = np.zeros(3), 1.0
     if tree is None or not _near(*_extent(tree[0])):
-        made = FramedTree.of(x[corners].reshape(-1, 3))
-        origin, scale, tree = made.origin, made.scale, (made.arrays[0], made.table)
+        framed_tree = FramedTree.of(x[corners].reshape(-1, 3))
+        origin, scale, tree = framed_tree.origin, framed_tree.scale, (framed_tree.arrays[0], framed_tree.table)
     size, far = _extent(tree[0])
     memory = workspace(entries.points_memory())
-    found = entries.inscribed_ellipsoids(tree[1].ctypes.data, size, far, origin, scale, centers, factors, memory)
-    return centers[:found].copy(), factors[:found].copy()
+    ellipsoid_count = entries.inscribed_ellipsoids(
+        tree[1].ctypes.data, size, far, origin, scale, centers, factors, memory
+    )
+    return centers[:ellipsoid_count].copy(), factors[:ellipsoid_count].copy()
 
 
 def _extent(boxes: NDArray[Any]) -> tuple[float, float]:

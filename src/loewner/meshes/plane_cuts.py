@@ -176,11 +176,11 @@ def _measured(cells: list[Cell], solid: Solid, tolerance: float) -> list[Cell]:
     """Make cells, with bounds on how far they stick out, and the points that stick out most."""
     new = [k for k, cell in enumerate(cells) if not np.isfinite(cell.bound)]
     if new:
-        found = protrusions([cells[k].hull for k in new], solid, floor=tolerance, relative=ACCURACY)
+        excess = protrusions([cells[k].hull for k in new], solid, floor=tolerance, relative=ACCURACY)
         cells = list(cells)
         for at, k in enumerate(new):
             cells[k] = replace(
-                cells[k], bound=float(found.bounds[at]), deepest=found.points[at], whole=not found.found[at] > 0
+                cells[k], bound=float(excess.bounds[at]), deepest=excess.points[at], whole=not excess.found[at] > 0
             )
     return cells
 
@@ -327,10 +327,10 @@ def _joinable(
     cells: list[Cell], old: list[int], new: list[int], solid: Solid, tolerance: float, rng: np.random.Generator
 ) -> dict[tuple[int, int], Joined]:
     """List the pairs with a new cell whose common hull was not found to stick out too far."""
-    found = dict[tuple[int, int], Joined]()
+    joins = dict[tuple[int, int], Joined]()
     within = np.array([k for k in (*old, *new) if cells[k].bound <= tolerance], dtype=np.int64)
     if len(within) == 0:
-        return found
+        return joins
     low, high = (np.array([f(cells[k].hull.vertices, axis=0) for k in within]) for f in (np.min, np.max))
     for at in np.flatnonzero(np.isin(within, new)):
         apart = np.maximum(low[:at] - high[at], low[at] - high[:at]).max(axis=1, initial=-np.inf)
@@ -341,12 +341,12 @@ def _joinable(
                 hull = Polytope.from_points(np.concatenate([hull.vertices for hull in hulls]))
             except GeometryError:
                 continue  # for example two plates in one plane, whose thickness is only rounding
-            found[pair] = Joined(hull, _volume(hull) - sum(map(_volume, hulls)))
-    if found:
-        samples = _samples([joined.hull for joined in found.values()], rng)
-        height = solid.signed_distances(samples)[0].reshape(len(found), -1).max(axis=1)
-        found = {pair: joined for (pair, joined), out in zip(found.items(), height, strict=True) if out <= tolerance}
-    return found
+            joins[pair] = Joined(hull, _volume(hull) - sum(map(_volume, hulls)))
+    if joins:
+        samples = _samples([joined.hull for joined in joins.values()], rng)
+        height = solid.signed_distances(samples)[0].reshape(len(joins), -1).max(axis=1)
+        joins = {pair: joined for (pair, joined), out in zip(joins.items(), height, strict=True) if out <= tolerance}
+    return joins
 
 
 def _samples(hulls: list[Polytope], rng: np.random.Generator) -> Floats:

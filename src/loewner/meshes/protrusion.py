@@ -111,17 +111,17 @@ class Solid:
         answers = np.zeros(len(points), dtype=bool)
         if len(points) == 0 or self.closed and not self._turned_alike:
             return answers
-        asked = np.arange(len(points)) if self.closed else np.flatnonzero(outside)
+        point_numbers = np.arange(len(points)) if self.closed else np.flatnonzero(outside)
         memory, near = workspace(entries.points_memory()), np.empty((len(self.triangles), 3))
-        for k in range(0, len(asked), CHUNK):
-            some = asked[k : k + CHUNK]
-            framed, found = self._framed(points[some]), np.empty(len(some), dtype=bool)
+        for k in range(0, len(point_numbers), CHUNK):
+            some = point_numbers[k : k + CHUNK]
+            framed, one_way = self._framed(points[some]), np.empty(len(some), dtype=bool)
             far = (reach[some] + self.rounding) * self._tree.scale
             entries.facing_one_way(
-                *self._asked(framed), framed, far, self._normals, not self.closed, FACING, FACING_STEPS, found, near,
+                *self._asked(framed), framed, far, self._normals, not self.closed, FACING, FACING_STEPS, one_way, near,
                 memory,
             )  # fmt: skip
-            answers[some] = found
+            answers[some] = one_way
         return answers
 
     @kept
@@ -213,12 +213,12 @@ def protrusions(
     """
     cells = np.concatenate([hull.vertices[hull.simplices] for hull in hulls])
     owner = np.repeat(np.arange(len(hulls)), [len(hull.simplices) for hull in hulls])
-    bounds, found = np.zeros(len(hulls)), np.zeros(len(hulls))
+    bounds, lower_bounds = np.zeros(len(hulls)), np.zeros(len(hulls))
     points = np.full((len(hulls), 3), np.nan)
     rounding = solid.rounding
 
     def targets(work: int) -> Floats:
-        best = np.full(len(hulls), found.max()) if together else found
+        best = np.full(len(hulls), lower_bounds.max()) if together else lower_bounds
         nothing = best.max() <= rounding and floor == 0 and work < WORK_ON_NOTHING
         accuracy = 2 * rounding if nothing else ABSOLUTE * solid.size
         if floor > 0:
@@ -228,12 +228,12 @@ def protrusions(
         near = np.where(best > floor, best * (1 + relative), best)
         return np.maximum(floor, np.maximum(near, best + accuracy))
 
-    search = _Search(hulls, solid, found, points, bounds, targets)
+    search = _Search(hulls, solid, lower_bounds, points, bounds, targets)
     search.go(cells, owner, np.full(len(cells), np.inf), search.boundary)
     cubes = np.array([[*(box := hull.vertices).min(axis=0), *np.ptp(box, axis=0)] for hull in hulls])
     middles, half = cubes[:, :3] + cubes[:, 3:] / 2, cubes[:, 3:].max(axis=1, keepdims=True) / 2
     search.go(np.hstack([middles, half]), np.arange(len(hulls)), np.full(len(hulls), np.inf), search.inside)
-    return Protrusions(np.where(bounds <= 4 * rounding, 0.0, bounds), found, points)
+    return Protrusions(np.where(bounds <= 4 * rounding, 0.0, bounds), lower_bounds, points)
 
 
 def protrusion_of_hulls(parts: list[Floats], hulls: list[Polytope]) -> float:
@@ -327,9 +327,9 @@ class _Search:
         height = np.empty(len(cells))
         for k in np.unique(owner):
             mine = np.flatnonzero(owner == k)
-            found = np.empty(len(mine))
-            entries.heights_above(self._planes(k), middles[mine], radius[mine], found)
-            height[mine] = found
+            own_heights = np.empty(len(mine))
+            entries.heights_above(self._planes(k), middles[mine], radius[mine], own_heights)
+            height[mine] = own_heights
         signed = np.full(len(cells), -np.inf)
         met = np.flatnonzero(height < radius)
         signed[met] = self.solid.signed_distances(middles[met])[0]

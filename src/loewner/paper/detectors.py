@@ -329,8 +329,8 @@ def shrunk(outer: Ellipsoids, faces: Faces, center: Floats) -> Ellipsoids:
 def _bound(detector: int, pairs: Pairs, angle: float, collides: object, ambiguous: object) -> Callable[[], None]:
     """Bind a kernel to its arrays."""
     if isinstance(detector, bool) or not isinstance(detector, (int, np.integer)) or int(detector) not in DETECTORS:
-        known, found = ", ".join(map(str, DETECTORS)), _validate.short(detector)
-        raise UnknownNameError(f"detector: expected one of {known}, found {found}")
+        allowed, actual = ", ".join(map(str, DETECTORS)), _validate.short(detector)
+        raise UnknownNameError(f"detector: expected one of {allowed}, found {actual}")
     angle = _validate.positive_scalar(angle, "angle")
     inner_1, inner_2 = (pairs.heuristic_1, pairs.heuristic_2) if detector == 1 else (pairs.inner_1, pairs.inner_2)
     ellipsoids = inner_1, pairs.outer_1, inner_2, pairs.outer_2

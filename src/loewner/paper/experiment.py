@@ -100,14 +100,14 @@ def run(
     tell("detectors", len(results), len(results))
     estimate = _counted(0, "F_in F_out <= 1", detectors.estimate(model), truth)
     fittings = fit_one_by_one(bodies_1, bodies_2)
-    found = Experiment(data, bodies_1, bodies_2, model, truth, tuple(results), estimate, fittings)
+    experiment = Experiment(data, bodies_1, bodies_2, model, truth, tuple(results), estimate, fittings)
     if counts is not None:
-        write_atomically(counts, (_json.dumps(found.as_dict(), indent=2) + "\n").encode())
+        write_atomically(counts, (_json.dumps(experiment.as_dict(), indent=2) + "\n").encode())
     if out is not None:
         tell("report", 0, 1)
-        report.write(found, out)
+        report.write(experiment, out)
         tell("report", 1, 1)
-    return found
+    return experiment
 
 
 def _detected(detector: int, pairs: Pairs, truth: Bools) -> Result:

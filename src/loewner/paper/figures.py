@@ -298,11 +298,11 @@ def _samples(experiment: Experiment) -> Any:
             f"{cell}: says {'collision' if said else 'free'}, is {'colliding' if is_so else 'free'}", fontsize=10
         )
         ax.set_axis_off()
-        found = np.flatnonzero(answers.ambiguous & (answers.collides == said) & (truth == is_so))
-        if not len(found):
+        indices = np.flatnonzero(answers.ambiguous & (answers.collides == said) & (truth == is_so))
+        if not len(indices):
             ax.text2D(0.5, 0.5, "no such pair", transform=ax.transAxes, ha="center")
             continue
-        k = int(found[0])
+        k = int(indices[0])
         corners: list[Floats] = []
         for bodies, color in ((experiment.bodies_1, BLUE), (experiment.bodies_2, RED)):
             piece = bodies[k].pieces[0]

@@ -111,8 +111,8 @@ def _solved_by_eigenvalue(pair: PairArrays) -> NDArray[np.bool_]:
             f"{LARGEST_MISS:g}, found {lost.size} of {len(a)} that miss it (first at index {lost[0]}); "
             "thin ellipsoids need loewner.overlap"
         )
-    found: NDArray[np.bool_] = (inside | touches).reshape(batch)[()]
-    return found
+    overlaps: NDArray[np.bool_] = (inside | touches).reshape(batch)[()]
+    return overlaps
 
 
 def _solved(M: Floats, v: Floats) -> Floats:

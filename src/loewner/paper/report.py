@@ -136,8 +136,8 @@ def _blocks(experiment: Experiment) -> list[tuple[str, Any]]:
     data = experiment.data
     second, fourth = (experiment.detectors[k].all.counts for k in (1, 3))
     printed = PAPER[2][0].counts
-    found = tables(experiment)
-    first, third, estimate = found[:2], found[5], found[9]  # tables 1 (a), 1 (b), 3 (b), and (b) of the estimate
+    parts = tables(experiment)
+    first, third, estimate = parts[:2], parts[5], parts[9]  # tables 1 (a), 1 (b), 3 (b), and (b) of the estimate
     return [
         ("title", "Ellipsoidal fit based collision detection: the experiment repeated"),
         (

@@ -77,14 +77,14 @@ def pairs(experiment: Experiment) -> Sheet:
 
 def counts(experiment: Experiment) -> tuple[Sheet, ...]:
     """Tabulate the confusion matrices (a) and (b) of each detector, next to the paper's, and then of the estimate."""
-    found = tables.tables(experiment)
-    return tuple(_matrices(whole, part) for whole, part in zip(found[::2], found[1::2], strict=True))
+    all_tables = tables.tables(experiment)
+    return tuple(_matrices(whole, part) for whole, part in zip(all_tables[::2], all_tables[1::2], strict=True))
 
 
 def shares(experiment: Experiment) -> tuple[Sheet, ...]:
     """Tabulate the counts in percent, with the confidence interval of each share."""
-    found = tables.tables(experiment)
-    return tuple(_shares(whole, part) for whole, part in zip(found[::2], found[1::2], strict=True))
+    all_tables = tables.tables(experiment)
+    return tuple(_shares(whole, part) for whole, part in zip(all_tables[::2], all_tables[1::2], strict=True))
 
 
 def right(experiment: Experiment) -> Sheet:

@@ -109,7 +109,7 @@ def homogeneity(counts: Sequence[int], others: Sequence[int]) -> float:
 def tables(experiment: Experiment) -> tuple[Table, ...]:
     """Make all tables: 1 (a), 1 (b) ... 4 (b), then (a) and (b) for the library's estimate."""
     _validate.instance(experiment, "experiment", Experiment, "loewner.paper")
-    found: list[Table] = []
+    all_tables: list[Table] = []
     fourth = experiment.detectors[3]
     for result in experiment.detectors:
         every, hard, milliseconds, hard_milliseconds = PAPER[result.id]
@@ -120,11 +120,11 @@ def tables(experiment: Experiment) -> tuple[Table, ...]:
         if result.id == 2:
             # The paper printed detector 4's numbers here (docs/design/paper.md), so compare with those results as well.
             whole, part = _with_fourth(whole, fourth.all, every), _with_fourth(part, fourth.ambiguous, hard)
-        found += [whole, part]
+        all_tables += [whole, part]
     own: Result = experiment.estimate
-    found.append(_table("Estimate (a)", own.name, own.all, None, math.nan, math.nan))
-    found.append(_table("Estimate (b)", own.name, own.ambiguous, None, math.nan, math.nan))
-    return tuple(found)
+    all_tables.append(_table("Estimate (a)", own.name, own.all, None, math.nan, math.nan))
+    all_tables.append(_table("Estimate (b)", own.name, own.ambiguous, None, math.nan, math.nan))
+    return tuple(all_tables)
 
 
 def classes(experiment: Experiment) -> tuple[tuple[int, ...], float]:

@@ -159,9 +159,9 @@ class Base:
         off[:, list(self.columns)] = arcs.off
         if self.judge.joint_error is not None:
             off += self.judge.joint_error
-        found = motions.settle(self.judge.ready, courses, TOLERANCE, off)
-        refuse_starts(self.judge.ready, courses[:, 0], found)
-        proven = (found.verdicts == codes.FREE) & self.inside(arcs.courses).all(axis=1)
+        answers = motions.settle(self.judge.ready, courses, TOLERANCE, off)
+        refuse_starts(self.judge.ready, courses[:, 0], answers)
+        proven = (answers.verdicts == codes.FREE) & self.inside(arcs.courses).all(axis=1)
         np.logical_and.at(free, at[arcs.owner], proven)
         return free
 
@@ -171,9 +171,9 @@ class Base:
         costs, count = ways.costs, min(count, ways.lengths.shape[1])
         order = np.argpartition(costs, count - 1, axis=1)[:, :count]
         at = order[..., None]
-        found = np.stack([np.take_along_axis(part, at, axis=1) for part in ways], axis=-1)
-        found = np.nan_to_num(found, nan=0.0)
-        return found, np.take_along_axis(costs, order, axis=1) + CHANGE * self.step * _changes(found).sum(axis=-1)
+        cheapest = np.stack([np.take_along_axis(part, at, axis=1) for part in ways], axis=-1)
+        cheapest = np.nan_to_num(cheapest, nan=0.0)
+        return cheapest, np.take_along_axis(costs, order, axis=1) + CHANGE * self.step * _changes(cheapest).sum(axis=-1)
 
 
 @guarded
@@ -276,11 +276,11 @@ def planned(
         )
         curve = curves.curve_of(checker.robot, drive, "drive")
         try:
-            found = curves.certified(checker.robot, judge.ready, [curve], TOLERANCE, errors, model)[0]
+            answer = curves.certified(checker.robot, judge.ready, [curve], TOLERANCE, errors, model)[0]
         except ConvergenceError as error:
             raise ConvergenceError(str(error), partial=drive) from None
-        if found.verdict == Verdict.FREE:
-            return replace(drive, proof=found.proof)
+        if answer.verdict == Verdict.FREE:
+            return replace(drive, proof=answer.proof)
     raise PlanningError("expected a drive that is proven as a whole, found one that comes too near to contact")
 
 
@@ -405,9 +405,9 @@ def _search(
         scale = np.tile(fine, len(a))
         i, j = np.floor((ends[:, :2] - base.lower[:2]).T * (scale / (EDGE * base.step))).astype(np.int64)
         turned = np.rint(ends[:, 2] * scale * (HEADINGS / (2.0 * math.pi))) % (HEADINGS * scale)
-        found = ((((i << 22) + j << 14) + turned.astype(np.int64) << 5) + scale.astype(np.int64)).tolist()
+        end_keys = ((((i << 22) + j << 14) + turned.astype(np.int64) << 5) + scale.astype(np.int64)).tolist()
         wanted, gs = [], []
-        for k, key in enumerate(found):
+        for k, key in enumerate(end_keys):
             node, j = batch[k // count], k % count
             if key in closed:
                 continue
@@ -423,13 +423,13 @@ def _search(
         free = base.free(begins[at], ways[at, None]).tolist()
         estimates = grid.distance(ends[at]).tolist()
         for k, g, is_free, estimate in zip(wanted, gs, free, estimates, strict=True):
-            if is_free and g < cheapest.get(found[k], math.inf):
-                cheapest[found[k]] = g
+            if is_free and g < cheapest.get(end_keys[k], math.inf):
+                cheapest[end_keys[k]] = g
                 poses.append(ends[k])
                 reached.append(g)
                 parents.append(batch[k // count])
                 taken.append(k % count)
-                keys.append(found[k])
+                keys.append(end_keys[k])
                 heapq.heappush(queue, (g + GREED * estimate, len(poses) - 1))
     offsets = np.array(poses) - goal
     gaps = np.hypot(offsets[:, 0], offsets[:, 1])
@@ -533,9 +533,9 @@ class Grid:
             lengths.append((way * np.maximum(weight[one], weight[other])).ravel())
         data = np.concatenate(lengths), (np.concatenate(rows), np.concatenate(columns))
         graph = csr_matrix(data, shape=(len(places), len(places)))
-        made = cls(base.lower[:2], edges, weight)
-        first = int(np.ravel_multi_index(made._cells(goal[None]), tuple(shape))[0])
-        return replace(made, distances=dijkstra(graph, directed=False, indices=first).reshape(shape))
+        grid = cls(base.lower[:2], edges, weight)
+        first = int(np.ravel_multi_index(grid._cells(goal[None]), tuple(shape))[0])
+        return replace(grid, distances=dijkstra(graph, directed=False, indices=first).reshape(shape))
 
     def _cells(self, poses: Floats) -> tuple[Ints, Ints]:
         cells = np.floor((poses[:, :2] - self.corner) / self.edge).astype(np.int64)
@@ -569,14 +569,14 @@ def _pass(base: Base, path: Path) -> tuple[Path, float, float]:
     plain = _costs(path.motions) + CHANGE * base.step * _changes(path.motions)
     along = np.append(0.0, plain.cumsum())
     i, j = np.triu_indices(n, 1)
-    found, costs = (part[:, 0] for part in base.best(path.poses[i], path.poses[j], 1))
+    shortcuts, costs = (part[:, 0] for part in base.best(path.poses[i], path.poses[j], 1))
     at = np.flatnonzero(costs < along[j] - along[i])
-    at = at[base.free(path.poses[i[at]], found[at])]
+    at = at[base.free(path.poses[i[at]], shortcuts[at])]
     cost, number = np.full((n, n), np.inf), np.full((n, n), -1)
     cost[np.arange(n - 1), np.arange(1, n)] = plain
     cost[i[at], j[at]], number[i[at], j[at]] = costs[at], at
     nodes = _cheapest(cost)
-    parts = [ways[a] if number[a, b] < 0 else found[number[a, b]] for a, b in pairwise(nodes)]
+    parts = [ways[a] if number[a, b] < 0 else shortcuts[number[a, b]] for a, b in pairwise(nodes)]
     return (
         _along(path.poses[0], _needed(np.concatenate(parts))),
         float(along[-1]),

@@ -60,18 +60,18 @@ class Brakes(NamedTuple):
     @classmethod
     def by_joint(cls, Q: Floats, V: Floats, A: Floats, strongest: Floats, jerk: Floats | None) -> Brakes:
         """Stop each joint as soon as its limits allow, from states of shape (n, dof)."""
-        made, steep = cls._empty(len(Q), 3 * Q.shape[1] + 1, Q.shape[1]), _steep(strongest, jerk)
-        entries.brakes_by_joint(*(np.array(x) for x in (Q, V, A, strongest, steep)), *made[:3])
-        return made
+        brakes, steep = cls._empty(len(Q), 3 * Q.shape[1] + 1, Q.shape[1]), _steep(strongest, jerk)
+        entries.brakes_by_joint(*(np.array(x) for x in (Q, V, A, strongest, steep)), *brakes[:3])
+        return brakes
 
     @classmethod
     def on_path(
         cls, rows: Floats, at: Floats, begins: Floats, strongest: Floats, jerk: Floats | None, *, beyond: bool
     ) -> Brakes:
         """Stop on motions between rows, shape (k, dof), passed at the times `at`: one brake per time in `begins`."""
-        made, steep = cls._empty(len(begins), len(rows) + 4, rows.shape[1]), _steep(strongest, jerk)
-        entries.brakes_on_path(*(np.array(x) for x in (rows, at, begins, strongest, steep)), beyond, *made)
-        return made
+        brakes, steep = cls._empty(len(begins), len(rows) + 4, rows.shape[1]), _steep(strongest, jerk)
+        entries.brakes_on_path(*(np.array(x) for x in (rows, at, begins, strongest, steep)), beyond, *brakes)
+        return brakes
 
     @classmethod
     def _empty(cls, n: int, most: int, dof: int) -> Brakes:
@@ -165,8 +165,8 @@ def braked(names: tuple[str, ...], q: Floats, dq: Floats, ddq: Floats, strongest
             f"acceleration: expected a limit of {names[k]} that is no lower than its acceleration at the start, "
             f"{abs(ddq[k]):g}, found {strongest[k]:g}"
         )
-    made = Brakes.by_joint(q[None], dq[None], ddq[None], strongest, jerk).one()
-    return made if jerk is not None else made._replace(bends=None)
+    stops = Brakes.by_joint(q[None], dq[None], ddq[None], strongest, jerk).one()
+    return stops if jerk is not None else stops._replace(bends=None)
 
 
 def braked_on_motions(
@@ -359,12 +359,12 @@ def brake_limits(
         A robot whose acceleration and jerk limits are used for joints without other limits.
     """
     if limits is not None and not (isinstance(limits, JointLimits) and limits.names == names):
-        found = ", ".join(limits.names) if isinstance(limits, JointLimits) else type(limits).__name__
-        raise InputError(f"limits: expected planners.JointLimits of {', '.join(names)}, found {found}")
+        actual = ", ".join(limits.names) if isinstance(limits, JointLimits) else type(limits).__name__
+        raise InputError(f"limits: expected planners.JointLimits of {', '.join(names)}, found {actual}")
     none = np.full(len(names), np.inf)
     most = {
-        name: np.where(moves, limits_by_name(name, given, (known, limits), none), np.inf)
-        for name, given in (("acceleration", acceleration), ("jerk", jerk))
+        name: np.where(moves, limits_by_name(name, limit, (known, limits), none), np.inf)
+        for name, limit in (("acceleration", acceleration), ("jerk", jerk))
     }
     some = jerk is not None or np.isfinite(most["jerk"][moves]).any()
     for name in ("acceleration", "jerk") if some else ("acceleration",):

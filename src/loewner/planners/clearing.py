@@ -180,8 +180,8 @@ class Clearing:
         slopes = np.zeros_like(Q)
         if len(self.ready.pairs) == 0 or len(Q) == 0:
             return np.ones(len(Q)), slopes
-        found = distances.nearest(self.ready, np.ascontiguousarray(Q), True, gradient)
-        short = np.maximum(1.0 - np.maximum(found.distance, 0.0) / self.wanted, 0.0)
-        if found.gradient is not None:
-            slopes = (-2.0 * RISE / self.wanted * short)[:, None] * found.gradient
+        nearest = distances.nearest(self.ready, np.ascontiguousarray(Q), True, gradient)
+        short = np.maximum(1.0 - np.maximum(nearest.distance, 0.0) / self.wanted, 0.0)
+        if nearest.gradient is not None:
+            slopes = (-2.0 * RISE / self.wanted * short)[:, None] * nearest.gradient
         return 1.0 + RISE * short * short, slopes

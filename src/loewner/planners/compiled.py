@@ -184,10 +184,10 @@ def _what_is_between(growth: Growth) -> str:
     with np.errstate(over="ignore"):  # if squares of differences overflow, any node will do
         nearest = lengths(first[:, None] - last).argmin(axis=1)
     a, b = growth.space.configurations(first), growth.space.configurations(last[nearest])
-    found, parts = prove_by_rules(judge.ready, a, b, TOLERANCE, judge.joint_error), []
+    answers, parts = prove_by_rules(judge.ready, a, b, TOLERANCE, judge.joint_error), []
     close = f"come within {TOLERANCE:g} m of their margin"
     for verdict, how in ((codes.COLLIDING, "collide"), (codes.AMBIGUOUS, close)):
-        pairs, often = np.unique(found.pairs[found.verdicts == verdict], return_counts=True)
+        pairs, often = np.unique(answers.pairs[answers.verdicts == verdict], return_counts=True)
         if len(pairs):
             names = " and ".join(judge.ready.names[k] for k in judge.ready.pairs[pairs[often.argmax()]])
             parts.append(f"{often.sum()} are {Verdict(verdict).name}, mostly since {names} {how}")
@@ -198,7 +198,7 @@ def shortened(judge: Judge, path: Floats, *, max_iterations: int, seed: int) -> 
     """Return a shorter path with the same ends; the judge has found all motions of both paths free."""
     count = len(path)
     judge = judge.up_to(float(np.sum(judge.checker.robot.distances(path[:-1], path[1:]))))
-    asked = judge.asked()
+    handles = judge.asked()
     room = count + min(max_iterations, MOST_ROOM)
     fits_memory(8 * room * path.shape[1], f"a path of {room} configurations")
     rows, state = np.empty((room, path.shape[1])), np.zeros(STATE, dtype=np.int64)
@@ -208,5 +208,5 @@ def shortened(judge: Judge, path: Floats, *, max_iterations: int, seed: int) -> 
     done = -1
     while done < max_iterations and count > 2 and done != state[ITERATION]:
         done = int(state[ITERATION])
-        count = entries.shorten_path(count, min(done + AT_A_TIME, max_iterations), *asked, rows, state, ends, points)
+        count = entries.shorten_path(count, min(done + AT_A_TIME, max_iterations), *handles, rows, state, ends, points)
     return rows[:count].copy()

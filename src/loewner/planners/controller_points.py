@@ -206,8 +206,8 @@ class ControllerPoints:
         >>> ControllerPoints.load("moves.csv")
         ControllerPoints(2 points, 2 joints, positions)
         """
-        (found,) = cls._loaded(path, robot, others, only=True)
-        return found
+        (points,) = cls._loaded(path, robot, others, only=True)
+        return points
 
     @classmethod
     def load_all(
@@ -333,13 +333,13 @@ class ControllerPoints:
                 root = read_yaml(data.rstrip().removesuffix(b"---"), source, what, merges=True)
             if root.kind == "mapping" and {"blended", "jumps"} & root.mapping(None).keys():
                 return [cls._of_rows(saved_rows(root))._completed(robot, q)]
-            found = messages.read(root)
-            if only and len(found.parts) > 1:
+            message = messages.read(root)
+            if only and len(message.parts) > 1:
                 raise InputError(
-                    f"expected one trajectory, found {len(found.parts)} with points "
-                    f"({some(part.place for part in found.parts)}); ControllerPoints.load_all reads them all"
+                    f"expected one trajectory, found {len(message.parts)} with points "
+                    f"({some(part.place for part in message.parts)}); ControllerPoints.load_all reads them all"
                 )
-            return cls._of_message(found, name, robot, q)
+            return cls._of_message(message, name, robot, q)
         except FileError:
             raise
         except InputError as error:
@@ -390,18 +390,18 @@ class ControllerPoints:
             for held in (self.velocities, self.accelerations)
         ]
         names = [*self.names, *(robot.configuration_names[k] for k in missing)]
-        made = self._with(positions, rates, names)
+        points = self._with(positions, rates, names)
         used = {} if others is not None or stated is None else {n: stated[n] for n in names if n in stated}
         added = names[len(self.names) :]
         assumed = tuple(n for n in added if n not in used) if others is None else ()
-        made.origin = replace(self.origin, stated=used, assumed=assumed)
-        return made
+        points.origin = replace(self.origin, stated=used, assumed=assumed)
+        return points
 
     def _with(self, positions: Floats, rates: Sequence[Floats | None], names: Sequence[str] | None) -> ControllerPoints:
         """Return a copy of the points with other columns or rates."""
-        made = ControllerPoints(self.times, positions, *rates, names=names, start_time=self.start_time)
-        made.carried, made.origin = self.carried, self.origin
-        return made
+        points = ControllerPoints(self.times, positions, *rates, names=names, start_time=self.start_time)
+        points.carried, points.origin = self.carried, self.origin
+        return points
 
     def __repr__(self) -> str:
         kind = "positions" if self.velocities is None else "cubic" if self.accelerations is None else "quintic"
@@ -487,9 +487,9 @@ def _with_base(part: messages.Part, placed: messages.Motion, robot: Robot) -> Co
         times = of_joints
     names, values = [], []
     for k, joint in enumerate(placed.names):
-        found = _columns_of(joint, placed.rows["transforms"][:, k], robot)
-        names += list(found)
-        values += list(found.values())
+        joint_columns = _columns_of(joint, placed.rows["transforms"][:, k], robot)
+        names += list(joint_columns)
+        values += list(joint_columns.values())
     base, held = np.stack(values, axis=1), part.joints
     twice = [column for column in names if held is not None and column in held.names]
     if twice:
@@ -508,23 +508,23 @@ def _with_base(part: messages.Part, placed: messages.Motion, robot: Robot) -> Co
         None if held.rows.get(kind) is None else np.hstack([held.rows[kind], np.zeros_like(base)]) for kind in RATES
     ]
     positions = np.hstack([held.rows["positions"], base])
-    made = ControllerPoints(times, positions, *rates, names=[*held.names, *names])
-    made.origin = Origin(straight=tuple(names) if curved else ())
-    return made
+    points = ControllerPoints(times, positions, *rates, names=[*held.names, *names])
+    points.origin = Origin(straight=tuple(names) if curved else ())
+    return points
 
 
 def _columns_of(joint: str, T: Floats, robot: Robot) -> dict[str, Floats]:
     """Return the columns of a floating or planar joint for transforms: positions and quaternions x, y, z, w."""
-    known = robot.configuration_names
+    column_names = robot.configuration_names
     norms = np.linalg.norm(T[:, 3:], axis=1)
     if not (np.abs(norms - 1) < NORMS).all():
         raise InputError(f"expected quaternions of norm 1 for {joint}, found the norm {norms.max():g}")
-    if f"{joint}/x" in known and f"{joint}/qw" in known:
+    if f"{joint}/x" in column_names and f"{joint}/qw" in column_names:
         turned = T[:, [6, 3, 4, 5]] / norms[:, None]
         flips = np.cumprod(np.append(1.0, np.where((turned[1:] * turned[:-1]).sum(axis=1) < 0, -1.0, 1.0)))
         values = np.hstack([T[:, :3], turned * flips[:, None]])
         return {f"{joint}/{axis}": values[:, k] for k, axis in enumerate(("x", "y", "z", "qw", "qx", "qy", "qz"))}
-    if f"{joint}/theta" in known:
+    if f"{joint}/theta" in column_names:
         _expect_upright(joint, robot)
         if np.abs(T[:, [2, 3, 4]]).max() > IN_PLANE:
             raise InputError(f"expected motions of the planar joint {joint} in its plane, found others")
@@ -598,24 +598,24 @@ def _stated(
         _refuse_beside(beside, places, start.sources)
         return {}, {}
     _doubt_mimics(start.joints, robot, name)
-    known = set(robot.configuration_names)
+    column_names = set(robot.configuration_names)
     alone = [joint for joint in beside if joint in mimics]
     if alone:
         raise InputError(
             f"expected values of joints with values of their own, found {some(alone)}, which mimics "
             f"{some(mimics[joint] for joint in alone)}; add the value of the joint that is mimicked"
         )
-    lacking = [joint for joint in beside if joint not in known]
+    lacking = [joint for joint in beside if joint not in column_names]
     if lacking:
         raise InputError(
             f"expected a state of the robot {robot.name!r}, found values of joints that it lacks: "
             f"{some(lacking)}; the state belongs to a larger robot: read that robot, or remove these names from the "
             "message"
         )
-    stated = {joint: value for joint, value in beside.items() if joint in known}
+    stated = {joint: value for joint, value in beside.items() if joint in column_names}
     sources = {joint: start.sources.get(joint, "") for joint in stated}
     for joint, T in places.items():
-        if not any(column.startswith(f"{joint}/") for column in known):
+        if not any(column.startswith(f"{joint}/") for column in column_names):
             raise InputError(
                 f"expected a state of the robot {robot.name!r}, found {joint} away from the identity "
                 f"({start.sources.get(joint, '')}){WITHOUT_BASE.format(joint)}"

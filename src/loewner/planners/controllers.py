@@ -75,16 +75,16 @@ def columns_of(
         for name in names:
             if held is None or name not in held:
                 raise _validate.unknown_name("names", name, held or ())
-        found = tuple(names.get(name, name) for name in chosen or ())
+        new_names = tuple(names.get(name, name) for name in chosen or ())
     else:
-        found = tuple(_validate.listed(names, "names", wanted="a mapping or a list of names"))
-    if len(found) != len(columns):
-        raise InputError(f"names: expected {len(columns)}, one for each column, found {len(found)}")
-    for name in found:
+        new_names = tuple(_validate.listed(names, "names", wanted="a mapping or a list of names"))
+    if len(new_names) != len(columns):
+        raise InputError(f"names: expected {len(columns)}, one for each column, found {len(new_names)}")
+    for name in new_names:
         if not isinstance(name, str) or not name.strip() or name != name.strip() or not name.isprintable():
             raise InputError(f"names: expected printable names without outer spaces, found {_validate.short(name)}")
-    _expect_once("names", found)
-    return columns, found
+    _expect_once("names", new_names)
+    return columns, new_names
 
 
 def expect_in_table(names: Sequence[str]) -> None:
@@ -169,7 +169,7 @@ def _read(path: Path) -> dict[str, Controller]:
     """Read the controllers of a file, keyed by name; a controller's entries in several places are combined."""
     what = "a list of controllers"
     root = read_yaml(read_regular(path, what, MOST_BYTES), path, what, merges=True)
-    found: dict[str, Controller] = {}
+    controllers: dict[str, Controller] = {}
     waiting: list[tuple[tuple[str, ...], Node, tuple[int, ...]]] = [((), root, ())]
     while waiting:
         above, node, around = waiting.pop(0)
@@ -179,7 +179,7 @@ def _read(path: Path) -> dict[str, Controller]:
             raise node.error("expected no alias within itself, found one")
         keys, around = node.mapping(None), (*around, id(node.raw))
         if above and ("joints" in keys or ("type" in keys and keys["type"].kind == "scalar")):
-            _add(found.setdefault("/".join(above), Controller()), node, keys)
+            _add(controllers.setdefault("/".join(above), Controller()), node, keys)
         inside = {key: held for key, held in keys.items() if held.kind == "mapping"}
         if "controller_names" in keys:  # MoveIt uses only the listed controllers
             listed = {each.text(): each for each in keys["controller_names"].items()}
@@ -192,13 +192,13 @@ def _read(path: Path) -> dict[str, Controller]:
             inside |= {each.mapping(None, ("name",))["name"].text(): each for each in entries}
         for key, held in inside.items():
             waiting.append(((*above, *(part for part in key.split("/") if part not in AROUND)), held, around))
-    found = {name: one for name, one in found.items() if one.joints or one.type.endswith(TRAJECTORY)}
-    for name, one in found.items():
+    controllers = {name: one for name, one in controllers.items() if one.joints or one.type.endswith(TRAJECTORY)}
+    for name, one in controllers.items():
         if not one.joints:
             raise root.error(f"expected the joints of {name}, found none")
-    if not found:
+    if not controllers:
         raise root.error("expected controllers with joints, found none")
-    return found
+    return controllers
 
 
 def _add(one: Controller, node: Node, keys: dict[str, Node]) -> None:

@@ -116,9 +116,9 @@ def coordinate(
     judge = Judge.of(checker, 0.0, joint_error)
     for place, state in (("starts", (0,) * len(ways)), ("ends", tuple(len(way.rows) - 1 for way in ways))):
         q = _configuration(ways, state)
-        found = judge.certified(q, q)
-        if found.verdict != Verdict.FREE:
-            a, b = found.names
+        answer = judge.certified(q, q)
+        if answer.verdict != Verdict.FREE:
+            a, b = answer.names
             raise PlanningError(
                 f"paths: expected {place} that are free together, found {a} and {b} too near each other"
             )
@@ -130,7 +130,7 @@ def _ways(checker: CollisionChecker, paths: Mapping[str, ArrayLike], steps: int)
     """Check the paths and divide them into steps that take about the same time."""
     if not isinstance(paths, Mapping) or not paths:
         raise InputError(f"paths: expected a mapping from names of parts to paths, found {_validate.short(paths)}")
-    covered, given = np.zeros(checker.robot.dof, dtype=bool), []
+    covered, checked_paths = np.zeros(checker.robot.dof, dtype=bool), []
     for name, path in paths.items():
         part = checker.robot.part(name)
         rows = np.atleast_2d(part.robot.checked(path, f"path of {name!r}"))
@@ -141,27 +141,29 @@ def _ways(checker: CollisionChecker, paths: Mapping[str, ArrayLike], steps: int)
         covered[part.columns] = True
         speed = np.where(part.robot.velocity > 0, part.robot.velocity, USUAL_SPEED)
         lengths = (np.abs(np.diff(rows, axis=0)) / speed).max(axis=1, initial=0.0)
-        given.append((part.columns, part.robot, rows, lengths))
+        checked_paths.append((part.columns, part.robot, rows, lengths))
     if not covered.all():
         wanted = [name for name, part in parts_of(checker.robot).items() if not covered[part.columns].any()]
-        values = [name for name, known in zip(checker.robot.configuration_names, covered, strict=True) if not known]
+        values = [
+            name for name, is_covered in zip(checker.robot.configuration_names, covered, strict=True) if not is_covered
+        ]
         raise InputError(f"paths: expected one for each part, found none for {', '.join(wanted or values)}")
-    if not any(len(lengths) and lengths.any() for *_, lengths in given):
+    if not any(len(lengths) and lengths.any() for *_, lengths in checked_paths):
         raise InputError("paths: expected a robot that moves, found only some that wait")
-    longest = max(float(lengths.sum()) for *_, lengths in given)
-    numbers = [np.maximum(np.ceil(lengths / longest * steps - 1e-9), lengths > 0) for *_, lengths in given]
+    longest = max(float(lengths.sum()) for *_, lengths in checked_paths)
+    numbers = [np.maximum(np.ceil(lengths / longest * steps - 1e-9), lengths > 0) for *_, lengths in checked_paths]
     total = math.prod(float(counts.sum()) + 1.0 for counts in numbers)
     if total > MOST_STATES:
         raise InputError(f"steps: expected at most {MOST_STATES} states of all robots together, found {total:.0f}")
     ways = []
-    for (columns, robot, rows, lengths), of_motions in zip(given, numbers, strict=True):
+    for (columns, robot, rows, lengths), of_motions in zip(checked_paths, numbers, strict=True):
         counts = of_motions.astype(np.int64)
         at = np.repeat(np.arange(len(counts)), counts)
         share = (np.arange(len(at)) - np.repeat(np.cumsum(counts) - counts, counts) + 1) / counts[at]
-        made = np.concatenate([rows[:1], interpolated(robot, rows[at], rows[at + 1], share[:, None])])
-        made[1:][share == 1.0] = rows[at[share == 1.0] + 1]  # exact copies, quaternions included
+        way_rows = np.concatenate([rows[:1], interpolated(robot, rows[at], rows[at + 1], share[:, None])])
+        way_rows[1:][share == 1.0] = rows[at[share == 1.0] + 1]  # exact copies, quaternions included
         ways.append(
-            _Way(columns, made, np.concatenate([[0.0], (np.cumsum(lengths) - lengths)[at] + share * lengths[at]]))
+            _Way(columns, way_rows, np.concatenate([[0.0], (np.cumsum(lengths) - lengths)[at] + share * lengths[at]]))
         )
     return ways
 
@@ -186,10 +188,10 @@ def _fastest(judge: Judge, ways: list[_Way]) -> list[State]:
     while waiting:
         _, _, state = heappop(waiting)
         if state == ends:
-            found = [state]
-            while found[-1] != start:
-                found.append(above[found[-1]])
-            return found[::-1]
+            states = [state]
+            while states[-1] != start:
+                states.append(above[states[-1]])
+            return states[::-1]
         if state in done:
             continue
         done.add(state)
@@ -212,13 +214,13 @@ def _why(judge: Judge, ways: list[_Way], done: set[State], ends: State) -> str:
     """Make the message: where the robots got farthest, and which bodies meet on the next step of all robots."""
     farthest = max(done, key=sum)
     ahead = tuple(min(k + 1, end) for k, end in zip(farthest, ends, strict=True))
-    found = judge.certified(_configuration(ways, farthest), _configuration(ways, ahead))
+    answer = judge.certified(_configuration(ways, farthest), _configuration(ways, ahead))
     shares = ", ".join(
         f"{way.times[k] / max(way.times[-1], 1e-300):.0%}" for way, k in zip(ways, farthest, strict=True)
     )
-    between = f": there {found.names[0]} and {found.names[1]} meet" if any(found.names) else ""
-    same = {name.split("/")[0] for name in found.names}
-    if any(found.names) and len(same) == 1:
+    between = f": there {answer.names[0]} and {answer.names[1]} meet" if any(answer.names) else ""
+    same = {name.split("/")[0] for name in answer.names}
+    if any(answer.names) and len(same) == 1:
         between += f" (two bodies of {same.pop()!r} itself)"
     return (
         f"expected paths on which the robots can pass each other, found none among {len(done)} states, beyond {shares} "

@@ -58,10 +58,10 @@ class Departures:
             if fault:
                 raise PlanningError(f"start: {fault}")
         if ready.reaching.any():
-            found = [_apart(space, ready, goal, at_start=False) for goal in goals]
-            if all(fault for _, fault in found):
-                raise PlanningError(f"goal: {found[0][1]}")
-            free_goals = np.array([q for q, _ in found])
+            attempts = [_apart(space, ready, goal, at_start=False) for goal in goals]
+            if all(fault for _, fault in attempts):
+                raise PlanningError(f"goal: {attempts[0][1]}")
+            free_goals = np.array([q for q, _ in attempts])
         return cls(space, start, goals, free_start, free_goals)
 
     def joined(self, path: Floats) -> Floats:

@@ -134,15 +134,15 @@ class Drive(KeepsReadOnly):
             base.
         """
         expect_robot(robot)
-        q, given = robot.checked_one(start, "start"), _validate.finite_array(motions, "motions", ("k", 2))
-        if len(given) == 0 or not (given != 0.0).any(axis=1).all():
+        q, checked_motions = robot.checked_one(start, "start"), _validate.finite_array(motions, "motions", ("k", 2))
+        if len(checked_motions) == 0 or not (checked_motions != 0.0).any(axis=1).all():
             raise InputError("motions: expected one or more, each with a length or a turn, found others")
         columns = base_columns(robot)
         with np.errstate(over="ignore", invalid="ignore"):  # refused below
-            poses = driven(q[list(columns)], given[:, 0], given[:, 1])
+            poses = driven(q[list(columns)], checked_motions[:, 0], checked_motions[:, 1])
         if not np.isfinite(poses).all():
             raise InputError("motions: expected lengths and turns that add up to finite poses, found others")
-        return cls._through(robot, q, poses, given, columns)
+        return cls._through(robot, q, poses, checked_motions, columns)
 
     @classmethod
     def _through(cls, robot: Robot, q: Floats, poses: Floats, motions: Floats, columns: tuple[int, int, int]) -> Drive:
@@ -209,9 +209,9 @@ class Drive(KeepsReadOnly):
             raise InputError(f"t: expected times from {self.times[0]:g} to {self.times[-1]:g}, found others")
         k = np.clip(np.searchsorted(self.times, ticks, side="right") - 1, 0, len(self.motions) - 1)
         shares = (ticks - self.times[k]) / (self.times[k + 1] - self.times[k])
-        found, columns = self.path[k].copy(), list(self.columns)
-        found[..., columns] = moved(found[..., columns], shares * self.motions[k, 0], shares * self.motions[k, 1])
-        return np.where((shares == 1.0)[..., None], self.path[k + 1], found)
+        Q, columns = self.path[k].copy(), list(self.columns)
+        Q[..., columns] = moved(Q[..., columns], shares * self.motions[k, 0], shares * self.motions[k, 1])
+        return np.where((shares == 1.0)[..., None], self.path[k + 1], Q)
 
 
 @form_of.register(Drive)

@@ -307,8 +307,8 @@ class Gate:
         moves = np.ones(robot.dof, dtype=bool)
         names = robot.configuration_names
         self._strongest, self._jerk = brake_limits(names, moves, robot, limits, acceleration, jerk)
-        known = robot.velocity if limits is None else limits.velocity
-        self._fastest = np.where(np.isnan(known), np.inf, known)
+        velocity_limits = robot.velocity if limits is None else limits.velocity
+        self._fastest = np.where(np.isnan(velocity_limits), np.inf, velocity_limits)
         self._last: _Chunk | None = None  # proven for all poses that the chunk's world allows
         self._drift = 0.0  # growth of bounds within the tolerance of a tick
         self._now = -math.inf
@@ -418,13 +418,13 @@ class Gate:
         if not (_is_within(world, last.world, self._now) and _is_same(world, last.world)):
             raise InputError("proof: expected the scene of the last chunk that may run, found one that has changed")
         lines = np.stack([last.rows[: last.braked], last.rows[1 : last.braked + 1]], axis=1)
-        made, error = [], self._error.copy()
+        brake_pieces, error = [], self._error.copy()
         ticks = np.arange(max(last.first, 0), last.braked + 1)
         for j in ticks.tolist():
             brake = self._brakes(last, np.array([j]), int(last.ends[j]))
-            made.append(self._pieces(ready, brake, None if self._on_path else last.rates[j][None])[0])
+            brake_pieces.append(self._pieces(ready, brake, None if self._on_path else last.rates[j][None])[0])
             error = error if self._on_path else np.maximum(error, self._error + self._farther(last.rates[j]))
-        brakes = np.concatenate(made)
+        brakes = np.concatenate(brake_pieces)
         courses = np.concatenate([elevated(lines, brakes.shape[1] - 2), brakes])
         error += (ROUNDED + CURVE_ROUNDINGS) * np.abs(courses).max()
         return proof_of(model, ready, courses, error, None)
@@ -457,7 +457,9 @@ class Gate:
         self._drift = SAME_TICK * dt * max((bounds.rate for bounds in world.bounds.values()), default=0.0)
         count, joint = self._within_limits(state[0], wanted, dt)
         before, holds, is_sure = self._here(world, state, now)
-        chunk = next((made for old in before if (made := self._going_on(old, wanted[:count], dt, world))), None)
+        chunk = next(
+            (successor for old in before if (successor := self._going_on(old, wanted[:count], dt, world))), None
+        )
         if chunk is None or not holds:
             if not verdicts.free(ready.as_given, self._placed(ready, state[0][None], now))[0]:
                 self._last = None
@@ -530,11 +532,11 @@ class Gate:
         near = np.asarray(~off.any(axis=1))
         # If the robot is slow, several ticks fit. If the given time advances, it decides between them, even in a world
         # at rest.
-        found = [j for j in ticks if near[j]]
+        near_ticks = [j for j in ticks if near[j]]
         away: Floats = np.abs(q - last.rows).max(axis=1)
-        found.sort(key=lambda j: -1.0 if 0 < j == tick else float(away[j]))
-        is_sure = len(found) == 1 or (tick > 0 and found[:1] == [tick])
-        here = [last.from_tick(j) for j in found]
+        near_ticks.sort(key=lambda j: -1.0 if 0 < j == tick else float(away[j]))
+        is_sure = len(near_ticks) == 1 or (tick > 0 and near_ticks[:1] == [tick])
+        here = [last.from_tick(j) for j in near_ticks]
         if not (world.following or world.bounds):  # proofs hold at all times, so the chunk follows the given time
             here = [chunk._replace(t0=now) for chunk in here]
         return here, holds and _is_within(world, last.world, now), is_sure
@@ -545,9 +547,9 @@ class Gate:
         New targets are proven in the present world. If the present world is within the older world, the proofs of the
         older targets hold in the present world, too.
         """
-        known, n = old.rows[1:], len(wanted)
-        common = min(len(known), n)
-        if common == 0 or dt != old.dt or not np.array_equal(known[:common], wanted[:common]):
+        old_targets, n = old.rows[1:], len(wanted)
+        common = min(len(old_targets), n)
+        if common == 0 or dt != old.dt or not np.array_equal(old_targets[:common], wanted[:common]):
             return None
         rows, braked = np.vstack([old.rows[:1], wanted]), min(old.braked, n)
         if self._on_path:  # leave out brakes that were proven on a longer path
@@ -556,7 +558,7 @@ class Gate:
         stops = [stop if same and stop and stop.needed <= n else None for stop in (old.motion_stop, old.brake_stop)]
         return old._replace(
             rows=rows, rates=_rates(rows, old.rates[0], dt), motions=min(old.motions, n), braked=braked,
-            ends=np.append(old.ends[: n + 1], np.zeros(max(n - len(known), 0), dtype=np.int64)), world=world,
+            ends=np.append(old.ends[: n + 1], np.zeros(max(n - len(old_targets), 0), dtype=np.int64)), world=world,
             motion_stop=stops[0], brake_stop=stops[1],
         )  # fmt: skip
 
@@ -632,16 +634,18 @@ class Gate:
         if most <= 0:
             return 0, _Block("budget", -1, courses[0, 0], float(begin[0])), 0
         owner, low, high, cut, times, off = self._divided(ready, courses, error, begin, end)
-        found = motions.settle(ready, cut, self._tolerance, off, self._clear(cut), Limit(most, np.array([0, len(cut)])))
-        work = int(found.work[:, motions.STEPS].sum())
-        for k in np.flatnonzero(found.verdicts != codes.FREE)[:1]:
-            share = 0.0 if np.isnan(found.fractions[k]) else float(found.fractions[k])
+        answers = motions.settle(
+            ready, cut, self._tolerance, off, self._clear(cut), Limit(most, np.array([0, len(cut)]))
+        )
+        work = int(answers.work[:, motions.STEPS].sum())
+        for k in np.flatnonzero(answers.verdicts != codes.FREE)[:1]:
+            share = 0.0 if np.isnan(answers.fractions[k]) else float(answers.fractions[k])
             at = np.array([low[k] + share * (high[k] - low[k])])
             q = configurations(self._checker.robot, courses[owner[k]][None], at)[0]
             t = float(times[k, 0] + share * (times[k, 1] - times[k, 0]))
             hit = verdicts.classified(ready.as_given, codes.EXACT, self._placed(ready, q[None], t)).verdicts[0]
             reason = "contact" if hit == codes.COLLIDING else "budget" if work >= most else "may be hit"
-            return int(owner[k]), _Block(reason, int(found.pairs[k]), q, t), work
+            return int(owner[k]), _Block(reason, int(answers.pairs[k]), q, t), work
         return len(courses), None, work
 
     def _wholes(
@@ -664,9 +668,9 @@ class Gate:
         end = begin[chosen] + np.maximum(until, wholes.durations)
         owner, _, _, cut, _, allowed = self._divided(ready, courses, error[chosen] + off, begin[chosen], end)
         first = np.searchsorted(owner, np.arange(len(chosen) + 1))
-        found = motions.settle(ready, cut, self._tolerance, allowed, self._clear(cut), Limit(steps, first))
-        free[chosen] = np.bincount(owner[found.verdicts != codes.FREE], minlength=len(chosen)) == 0
-        return free, int(found.work[:, motions.STEPS].sum())
+        answers = motions.settle(ready, cut, self._tolerance, allowed, self._clear(cut), Limit(steps, first))
+        free[chosen] = np.bincount(owner[answers.verdicts != codes.FREE], minlength=len(chosen)) == 0
+        return free, int(answers.work[:, motions.STEPS].sum())
 
     def _divided(
         self, ready: Problem, courses: Floats, error: Floats, begin: Floats, end: Floats
@@ -713,8 +717,8 @@ class Gate:
         return Brakes.on_path(rows, at, at[ticks], self._strongest, self._jerk, beyond=True)
 
     def _brake_from(self, chunk: _Chunk, tick: int) -> Trajectory:
-        made = self._brakes(chunk, np.array([tick]), int(chunk.ends[tick])).one()
-        return self._trajectory(made, chunk.t0 + tick * chunk.dt, self._on_path)
+        brake = self._brakes(chunk, np.array([tick]), int(chunk.ends[tick])).one()
+        return self._trajectory(brake, chunk.t0 + tick * chunk.dt, self._on_path)
 
     def _stop(self, state: State, now: float) -> Trajectory:
         """Brake from a measured state, joint by joint."""

@@ -367,14 +367,14 @@ class Rounds:
             return
         self.searches = max(int(AFTER_SUCCESS * self.searches), FIRST_SEARCH)
         try:
-            found = Polish.of(growth.judge, box, growth.path(), seed)
+            polish = Polish.of(growth.judge, box, growth.path(), seed)
         except PlanningError:  # the path is not free as a whole
             return
-        self._on(found, QUICK_STEPS)
-        if found.cost < PROMISING * best.cost:
-            self._on(found, MORE_STEPS)
-        if found.cost < best.cost:
-            self.best = found
+        self._on(polish, QUICK_STEPS)
+        if polish.cost < PROMISING * best.cost:
+            self._on(polish, MORE_STEPS)
+        if polish.cost < best.cost:
+            self.best = polish
 
     def _resting(self, found: Polish) -> Polish:
         """Let idle joints rest on the whole path wherever the path is still free."""

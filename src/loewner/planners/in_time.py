@@ -126,9 +126,9 @@ class TimedJudge:
         if self.ready.paths is not None:
             cut = in_time.pieces(self.robot, self.ready.paths, courses, off, t0[at], t1[at])
             courses, off, begin = cut.courses, cut.off, np.flatnonzero(np.diff(cut.owner, prepend=-1))
-        found = motions.settle(self.ready, courses, TOLERANCE, off)
-        refuse_starts(self.ready, courses[:, 0], found)
-        free[at] = np.logical_and.reduceat(found.verdicts == codes.FREE, begin)
+        answers = motions.settle(self.ready, courses, TOLERANCE, off)
+        refuse_starts(self.ready, courses[:, 0], answers)
+        free[at] = np.logical_and.reduceat(answers.verdicts == codes.FREE, begin)
         return free
 
     def free_at(self, states: Floats) -> Bools:
@@ -145,11 +145,11 @@ class TimedJudge:
         if self.ready.paths is None:
             return ""
         t, Q = self.begin + self.limit * np.linspace(0.0, 1.0, SLOTS + 1) ** 2, np.tile(q, (SLOTS, 1))
-        found = in_time.prove_edges(
+        answers = in_time.prove_edges(
             self.robot, self.ready, self.ready.paths, (Q, Q), (t[:-1], t[1:]), TOLERANCE, self.joint_error
         )
-        for k in np.flatnonzero((found.verdicts != codes.FREE) & (found.pairs >= 0))[:1]:
-            one, other = (self.ready.names[n] for n in self.ready.pairs[found.pairs[k]])
+        for k in np.flatnonzero((answers.verdicts != codes.FREE) & (answers.pairs >= 0))[:1]:
+            one, other = (self.ready.names[n] for n in self.ready.pairs[answers.pairs[k]])
             return f"; at the start, {one} and {other} come too near after {t[k]:.15g} s"
         return ""
 
@@ -277,8 +277,8 @@ def planned(
             rows = trees.connected(search._most, search.timeout)
         if search.simplify:
             rows = _shortened(judge, rows, float(needs.min()), rng)
-    made = Trajectory._straight(robot.configuration_names, rows[:, -1].copy(), rows[:, :-1].copy(), judge.begin)
-    return protected(replace(made, spacing=made._shortest(judge.fastest)))
+    trajectory = Trajectory._straight(robot.configuration_names, rows[:, -1].copy(), rows[:, :-1].copy(), judge.begin)
+    return protected(replace(trajectory, spacing=trajectory._shortest(judge.fastest)))
 
 
 def _judge(
@@ -335,8 +335,8 @@ def _started(judge: TimedJudge, path: Floats) -> Floats | None:
         tried.append(np.concatenate([states[:1], states]))
         tried[-1][1:, -1] += (judge.limit - states[-1, -1]) * (k / STARTS) ** 2
     tried = [rows for rows in tried if rows[-1, -1] <= judge.limit]
-    found = _free_among(judge, tried[:1]) or _free_among(judge, tried[1:])
-    return min(found, key=lambda rows: float(rows[-1, -1]), default=None)
+    free_ways = _free_among(judge, tried[:1]) or _free_among(judge, tried[1:])
+    return min(free_ways, key=lambda rows: float(rows[-1, -1]), default=None)
 
 
 def _free_among(judge: TimedJudge, tried: list[Floats], known: Floats | None = None) -> list[Floats]:
@@ -472,9 +472,9 @@ class _Trees(NamedTuple):
             trees = (self.forward, self.backward)
             if len(self.forward.states) > len(self.backward.states):
                 trees = trees[::-1]  # the smaller tree grows
-            found = self._met(*trees, samples)
-            if found is not None:
-                return found
+            states = self._met(*trees, samples)
+            if states is not None:
+                return states
         judge, late = self.judge, self.judge.begin + self.judge.limit
         spent = f"within {most} iterations" if drawn >= most else f"within {timeout:g} s ({drawn} iterations)"
         trees_of = (
@@ -554,14 +554,14 @@ def _shortened(judge: TimedJudge, rows: Floats, least: float, rng: np.random.Gen
             pairs = np.concatenate([[at[:-2], at[2:]], [at[:-1][waits], at[1:][waits]]], axis=1).T.tolist()
             tried += [_changed(judge, rows, begin, end, 1.0) for begin, end in pairs]
         arrival, length = _costs(judge, rows)
-        found = [(*_costs(judge, new), k, new) for k, new in enumerate(_free_among(judge, tried, rows))]
-        found = [
-            one for one in found
+        improvements = [(*_costs(judge, new), k, new) for k, new in enumerate(_free_among(judge, tried, rows))]
+        improvements = [
+            one for one in improvements
             if one[0] < arrival * (1 - GAIN) or (one[0] <= arrival and one[1] < length * (1 - GAIN))
         ]  # fmt: skip
-        idle = 0 if found else idle + 1
-        if found:
-            rows = min(found)[3]
+        idle = 0 if improvements else idle + 1
+        if improvements:
+            rows = min(improvements)[3]
     return rows
 
 

@@ -149,13 +149,13 @@ def limits_of(
     The positions of a path are checked against the given limits.
     """
     if given is not None and not (isinstance(given, JointLimits) and given.names == robot.configuration_names):
-        found = f"those of {', '.join(given.names)}" if isinstance(given, JointLimits) else type(given).__name__
-        raise InputError(f"limits: expected planners.JointLimits of {robot.name!r}, found {found}")
+        actual = f"those of {', '.join(given.names)}" if isinstance(given, JointLimits) else type(given).__name__
+        raise InputError(f"limits: expected planners.JointLimits of {robot.name!r}, found {actual}")
     if given is not None:
         _expect_within(robot, rows, given)
     moves = (rows != rows[0]).any(axis=0)
-    known = robot.velocity if given is None else given.velocity
-    fastest = known if velocity is None else per_joint(velocity, "velocity", robot.dof)
+    velocity_limits = robot.velocity if given is None else given.velocity
+    fastest = velocity_limits if velocity is None else per_joint(velocity, "velocity", robot.dof)
     unknown = moves & ~np.isfinite(fastest)
     if unknown.any():
         names = ", ".join(name for name, none in zip(robot.configuration_names, unknown, strict=True) if none)
@@ -191,8 +191,8 @@ def limits_by_name(name: str, limit: ArrayLike | None, sources: Iterable[Any], o
     """Return one limit per joint: the given limit, or the last finite limit of the joint in the sources."""
     if limit is not None:
         return per_joint(limit, name, len(otherwise))
-    for known in (getattr(source, name) for source in sources if source is not None):
-        otherwise = np.where(np.isfinite(known), known, otherwise)
+    for source_limits in (getattr(source, name) for source in sources if source is not None):
+        otherwise = np.where(np.isfinite(source_limits), source_limits, otherwise)
     return otherwise
 
 
@@ -217,7 +217,7 @@ def _holders(top: Node, beside: list[Node]) -> list[dict[str, Node]]:
             leads[id(node.raw)] = True in [TABLE in keys, *map(leading, keys.values())]
         return leads[id(node.raw)]
 
-    found: dict[int, dict[str, Node]] = {}
+    holders: dict[int, dict[str, Node]] = {}
     waiting = [top] if leading(top) else []
     seen: set[int] = set()
     while waiting:
@@ -227,13 +227,13 @@ def _holders(top: Node, beside: list[Node]) -> list[dict[str, Node]]:
         seen.add(id(node.raw))
         keys = node.mapping(None)
         if TABLE in keys:
-            found[id(node.raw)] = keys
+            holders[id(node.raw)] = keys
         for key, held in keys.items():
             if leading(held) and key != TABLE:
                 waiting.append(held)
             elif TABLE not in keys or key not in (TABLE, *FACTORS.values()):
                 beside.append(held)
-    return list(found.values())
+    return list(holders.values())
 
 
 def _read(root: Node, robot: Robot, scaled: bool) -> tuple[JointLimits, list[str]]:
@@ -288,8 +288,8 @@ def _read(root: Node, robot: Robot, scaled: bool) -> tuple[JointLimits, list[str
             doubts += [f"{name}: expected {text}" for text in texts if text]
     if followed:
         warn(f"{root.file}: not read: positions of joints that mimic others, {some(followed)}; limit those they mimic")
-    for attribute, known in (("lower", robot.lower), ("upper", robot.upper), ("velocity", robot.velocity)):
-        limits[attribute] = np.where(np.isnan(limits[attribute]), known, limits[attribute])
+    for attribute, robot_limits in (("lower", robot.lower), ("upper", robot.upper), ("velocity", robot.velocity)):
+        limits[attribute] = np.where(np.isnan(limits[attribute]), robot_limits, limits[attribute])
     followed_here = [columns[joint][0] for joint, _ in robot.mimics.values() if joint in columns]
     # A joint that other joints mimic also keeps the velocity limits that the URDF gives for the other joints.
     limits["velocity"][followed_here] = np.fmin(limits["velocity"], robot.velocity)[followed_here]
@@ -298,8 +298,8 @@ def _read(root: Node, robot: Robot, scaled: bool) -> tuple[JointLimits, list[str
     limits["lower"] = np.maximum(limits["lower"], soft["lower"])
     limits["upper"] = np.minimum(limits["upper"], soft["upper"])
     for k in np.flatnonzero(limits["lower"] > limits["upper"])[:1]:
-        found = f"{limits['lower'][k]:g} and {limits['upper'][k]:g}"
-        raise root.error(f"{robot.configuration_names[k]}: expected min_position <= max_position, found {found}")
+        bounds = f"{limits['lower'][k]:g} and {limits['upper'][k]:g}"
+        raise root.error(f"{robot.configuration_names[k]}: expected min_position <= max_position, found {bounds}")
     for kind, factors_of in scales.items():
         # If there is only one table, its factors also apply to joints that the file does not name.
         rest = factors[0][kind] if len(factors) == 1 else 1.0
@@ -312,18 +312,18 @@ def _read(root: Node, robot: Robot, scaled: bool) -> tuple[JointLimits, list[str
 
 def _factors(holder: dict[str, Node], scaled: bool) -> dict[str, float]:
     """Return the scaling factors beside a table, which are 1 unless they are requested."""
-    found = {}
+    factors = {}
     for kind, key in FACTORS.items():
         factor = holder[key].number() if key in holder else 1.0
         if not factor > 0 or (scaled and factor > 1):
             raise holder[key].error(f"expected a factor above 0{' and at most 1' if scaled else ''}, found {factor:g}")
-        found[kind] = factor if scaled else 1.0
-    return found
+        factors[kind] = factor if scaled else 1.0
+    return factors
 
 
 def _limits_of_joint(entry: Node) -> dict[str, float]:
     """Return the limits of one joint, keyed by kind, "lower" or "upper"; infinite if the joint declares no limit."""
-    keys, found = entry.mapping(None), {}
+    keys, limits = entry.mapping(None), {}
     if not keys:
         raise entry.error("expected limits by their names, found none")
     for key, held in keys.items():
@@ -345,7 +345,7 @@ def _limits_of_joint(entry: Node) -> dict[str, float]:
         if limit is None and has in keys and keys[has].flag():
             raise entry.error(f"expected {key} with {has}, found none")
         if limit is not None or has in keys:
-            found[kind] = np.inf if limit is None else limit
+            limits[kind] = np.inf if limit is None else limit
     for kind, key, soft, none in (
         ("lower", "min_position", "soft_lower_limit", -np.inf),
         ("upper", "max_position", "soft_upper_limit", np.inf),
@@ -356,10 +356,10 @@ def _limits_of_joint(entry: Node) -> dict[str, float]:
         if limit is None and "has_position_limits" in keys and not keys["has_position_limits"].flag():
             limit = none
         if limit is not None:
-            found[kind] = limit
+            limits[kind] = limit
         if narrower is not None:
-            found[f"soft_{kind}"] = narrower
-    return found
+            limits[f"soft_{kind}"] = narrower
+    return limits
 
 
 def _expect_joints(file: str, names: list[str], known: Mapping[str, Any]) -> None:

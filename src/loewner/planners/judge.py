@@ -119,8 +119,8 @@ class Judge:
             courses = straight(self.ready.robot, Q0, Q1)
             free = self.proven(courses, deviations(courses, self.joint_error))
         else:
-            found, _ = verdicts.sampled(self.ready, Q0, Q1, self.resolution)
-            free = np.asarray(found == codes.FREE)
+            motion_verdicts, _ = verdicts.sampled(self.ready, Q0, Q1, self.resolution)
+            free = np.asarray(motion_verdicts == codes.FREE)
         return free if self.kept is None else free & self.kept.on(Q0, Q1)
 
     def certified(self, a: Floats, b: Floats) -> CertifiedMotions:
@@ -131,9 +131,9 @@ class Judge:
         InputError
             If the proof would take too many intervals.
         """
-        found = prove_by_rules(self.ready, a[None], b[None], TOLERANCE, self.joint_error)
-        found.expect_short(a[None], b[None])
-        return found.of_shape((), self.ready)
+        answers = prove_by_rules(self.ready, a[None], b[None], TOLERANCE, self.joint_error)
+        answers.expect_short(a[None], b[None])
+        return answers.of_shape((), self.ready)
 
     def proven(self, courses: Floats, off: Floats | None = None) -> Bools:
         """Return which courses of a batch are proven free, including all deviations of up to `off`."""
@@ -178,15 +178,15 @@ def refuse_unfree(judge: Judge, path: Floats, name: str) -> None:
     if free.all():
         return
     k = int(free.argmin())
-    found = judge.certified(path[k], path[k + 1])
-    if found.verdict == Verdict.FREE:
+    answer = judge.certified(path[k], path[k + 1])
+    if answer.verdict == Verdict.FREE:
         told = f"which is not free where it is looked at in steps of {judge.resolution:g}"
     else:
         how = (
             "collide or come within their margin"
-            if found.verdict == Verdict.COLLIDING
+            if answer.verdict == Verdict.COLLIDING
             else f"come within {TOLERANCE:g} m of their margin"
             + (" for deviating values" if judge.joint_error is not None else "")
         )
-        told = f"on which {found.names[0]} and {found.names[1]} {how} at the fraction {found.fraction:.6g}"
+        told = f"on which {answer.names[0]} and {answer.names[1]} {how} at the fraction {answer.fraction:.6g}"
     raise PlanningError(f"{name}: expected free motions, found the one from row {k} to row {k + 1}, {told}")

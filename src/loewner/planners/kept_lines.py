@@ -174,15 +174,15 @@ class KeptLine:
             Bounds in metres, and in the Frobenius norm of rotation matrices.
         """
         most = np.array([self.line.position, chord_of(self.line.rotation)])
-        kept, found = np.zeros(len(courses), dtype=bool), np.full((len(courses), 2), np.inf)
+        kept, deviations = np.zeros(len(courses), dtype=bool), np.full((len(courses), 2), np.inf)
         bent, astray = self._bounds(courses, off)
         left = np.arange(len(courses))
         for parts in PARTS:
             gaps = self._gaps(courses[left], parts) + astray[left]
-            found[left] = gaps + bent[left] / (8 * parts**2)
-            kept[left] = (found[left] <= most).all(axis=1)
+            deviations[left] = gaps + bent[left] / (8 * parts**2)
+            kept[left] = (deviations[left] <= most).all(axis=1)
             left = left[~kept[left] & (gaps <= most).all(axis=1)]
-        return kept, found
+        return kept, deviations
 
     # -- inside -------------------------------------------------------------------------------
 
@@ -237,9 +237,9 @@ def kept_lines(line: Any, rows: Floats) -> list[Line]:
     """Check an argument `line`; row numbers are then counted from the start of the path."""
     if line is None:
         return []
-    given = [line] if isinstance(line, str | Line) else _validate.listed(line, "line", wanted="a link or Lines")
-    made = [Line(each) if isinstance(each, str) else each for each in given]
-    for k, each in enumerate(made):
+    arguments = [line] if isinstance(line, str | Line) else _validate.listed(line, "line", wanted="a link or Lines")
+    lines = [Line(each) if isinstance(each, str) else each for each in arguments]
+    for k, each in enumerate(lines):
         if not isinstance(each, Line):
             raise InputError(f"line: expected the name of a link or planners.Line, found {_validate.short(each)}")
         first, last = (at + len(rows) * (at < 0) for at in (each.first, each.last))
@@ -248,8 +248,8 @@ def kept_lines(line: Any, rows: Floats) -> list[Line]:
                 f"line: expected two of the {len(rows)} rows of the path, the first before the last, found "
                 f"first={each.first}, last={each.last}"
             )
-        made[k] = Line(each.link, first, last, each.position, each.rotation)
-    return made
+        lines[k] = Line(each.link, first, last, each.position, each.rotation)
+    return lines
 
 
 def chord_of(angle: float) -> float:

@@ -91,7 +91,7 @@ def used(robot: Robot, curve: Curve, limits: JointLimits | None, timed: bool) ->
         lower = np.where(limits.lower == robot.lower, lower, limits.lower)
         upper = np.where(limits.upper == robot.upper, upper, limits.upper)
     slides = set(robot.tree.column[robot.tree.kind == columns.PRISMATIC].tolist())
-    found: list[Use] = []
+    uses: list[Use] = []
     for order, quantity in enumerate(QUANTITIES[: None if timed else 1]):
         points = curve.courses if order == 0 else _rates(curve, order)
         if points.shape[1] == 0:
@@ -100,13 +100,13 @@ def used(robot: Robot, curve: Curve, limits: JointLimits | None, timed: bool) ->
             ends = extremes(points[:, :, k], curve.times)
             low, high = (lower[k], upper[k]) if order == 0 else _both_signs(robot, limits, quantity, k)
             unit = "m" if k in slides else "rad"
-            found.append(_worst(quantity, joint, ends, float(low), float(high))._replace(unit=unit))
-    return found
+            uses.append(_worst(quantity, joint, ends, float(low), float(high))._replace(unit=unit))
+    return uses
 
 
 def jumps(robot: Robot, curve: Curve) -> list[Jump]:
     """Return the largest jumps of velocities and accelerations, if there are any."""
-    found = []
+    largest_jumps = []
     for order in (1, 2):
         points = _rates(curve, order)
         if len(points) < 2 or points.shape[1] == 0:
@@ -120,25 +120,25 @@ def jumps(robot: Robot, curve: Curve) -> list[Jump]:
             k, joint = (int(n) for n in np.unravel_index(np.where(jumping, sizes, 0.0).argmax(), sizes.shape))
             count = int(jumping.any(axis=1).sum())
             name, time = robot.configuration_names[joint], float(curve.times[k + 1])
-            found.append(Jump(QUANTITIES[order], name, float(sizes[k, joint]), time, count))
-    return found
+            largest_jumps.append(Jump(QUANTITIES[order], name, float(sizes[k, joint]), time, count))
+    return largest_jumps
 
 
 def doubts(robot: Robot, curve: Curve, uses: list[Use], velocities: bool) -> list[str]:
     """Describe implausible times and, if the file contains velocities, implausible velocities."""
-    found = []
+    descriptions = []
     fastest = [use for use in uses if use.quantity == "velocity"]
     shares = [use.ratio if np.isfinite(use.limit) else abs(use.value) / USUAL for use in fastest]
     most = max(shares, default=0.0)
     for factor, unit in UNITS.items():
         if LIKELY[0] <= most * factor <= LIKELY[1]:
-            found.append(
+            descriptions.append(
                 f"times may be in {unit}: the highest velocity is {most:.3g} of its limit, and the file takes "
                 f"{curve.times[-1] - curve.times[0]:.6g} s"
             )
     courses, T = curve.courses, np.diff(curve.times)[:, None]
     if not velocities or courses.shape[1] < 3:
-        return found
+        return descriptions
     way, degree = courses[:, -1] - courses[:, 0], courses.shape[1] - 1
     rates = [degree * (courses[:, 1] - courses[:, 0]), degree * (courses[:, -1] - courses[:, -2])]
     odd = np.zeros(way.shape, dtype=bool)
@@ -152,13 +152,13 @@ def doubts(robot: Robot, curve: Curve, uses: list[Use], velocities: bool) -> lis
     astray &= ways.sum(axis=0) > ROUNDED
     for k in np.flatnonzero(astray)[:1].tolist():
         n = int(np.where(odd[:, k], ways[:, k], 0.0).argmax())
-        found.append(
+        descriptions.append(
             f"velocities disagree with positions: {robot.configuration_names[k]} moves at a mean of "
             f"{way[n, k] / T[n, 0]:.4g} from {curve.times[n]:.6g} s to {curve.times[n + 1]:.6g} s, where the file has "
             f"the velocities {rates[0][n, k] / T[n, 0]:.4g} and {rates[1][n, k] / T[n, 0]:.4g}"
             + (f" ({int(astray.sum()) - 1} more joints)" if astray.sum() > 1 else "")
         )
-    return found
+    return descriptions
 
 
 def _rates(curve: Curve, order: int) -> Floats:
@@ -172,8 +172,8 @@ def _rates(curve: Curve, order: int) -> Floats:
 
 def _both_signs(robot: Robot, limits: JointLimits | None, quantity: str, k: int) -> tuple[float, float]:
     """Return the limits of a rate; the robot's limits apply to accelerations and jerk that a file does not limit."""
-    known: Any = (robot,) if limits is None else (limits,) if quantity == "velocity" else (limits, robot)
-    of_joint = [float(getattr(each, quantity)[k]) for each in known]
+    sources: Any = (robot,) if limits is None else (limits,) if quantity == "velocity" else (limits, robot)
+    of_joint = [float(getattr(each, quantity)[k]) for each in sources]
     most = next((one for one in of_joint if np.isfinite(one)), np.inf)
     return -most, most
 
@@ -237,8 +237,8 @@ def _at(points: Floats, shares: Floats) -> Floats:
 
 def _powers(points: Floats) -> Floats:
     """Return the coefficients of the powers in a polynomial with given control points."""
-    degree, differences, found = len(points) - 1, points, []
+    degree, differences, coefficients = len(points) - 1, points, []
     for k in range(degree + 1):
-        found.append(comb(degree, k) * differences[0])
+        coefficients.append(comb(degree, k) * differences[0])
         differences = np.diff(differences)
-    return np.array(found)
+    return np.array(coefficients)

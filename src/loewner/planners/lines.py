@@ -209,16 +209,16 @@ def block_of(judge: Judge, u: Floats, Q: Floats) -> str:
         return ""
     if judge.kept is not None and not judge.kept.on(Q[:-1], Q[1:]).all():
         return "the axis does not keep its direction"
-    found = prove_by_rules(judge.ready, Q[left], Q[left + 1], TOLERANCE, judge.joint_error)
-    if (found.verdicts == Verdict.FREE).all():
+    answers = prove_by_rules(judge.ready, Q[left], Q[left + 1], TOLERANCE, judge.joint_error)
+    if (answers.verdicts == Verdict.FREE).all():
         rows = np.setdiff1d(np.append(left, left + 1), [0, len(Q) - 1])
         if (deeper := deeper_than_ends(judge.ready, Q, rows, TOLERANCE)) is not None:
             row, pair = deeper
             a, b = (judge.ready.names[k] for k in judge.ready.pairs[pair])
             return f"{a} and {b} get into deeper contact than at the ends, at the fraction {u[row]:.4g}"
         return ""
-    found.expect_short(Q[left], Q[left + 1])
-    worst, told = int((found.verdicts != Verdict.FREE).argmax()), found.of_shape((len(left),), judge.ready)
+    answers.expect_short(Q[left], Q[left + 1])
+    worst, told = int((answers.verdicts != Verdict.FREE).argmax()), answers.of_shape((len(left),), judge.ready)
     k, (a, b) = left[worst], told.names[worst]
     how = "collide" if told.verdict[worst] == Verdict.COLLIDING else f"come within {TOLERANCE:g} m of their margin"
     fraction = u[k] + told.fraction[worst] * (u[k + 1] - u[k])

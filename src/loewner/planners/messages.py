@@ -200,10 +200,10 @@ def read(root: Node) -> Message:
     FileError
         If the message is not of a known type, has a key that its type does not have, or a value of the wrong kind.
     """
-    found, state = Message(), State()
+    message, state = Message(), State()
     for each in _listed(root):
-        _walk(each, _type_of(each, tuple(TYPES)), found, state)
-    return found
+        _walk(each, _type_of(each, tuple(TYPES)), message, state)
+    return message
 
 
 def _type_of(node: Node, among: Collection[str]) -> str:
@@ -243,8 +243,8 @@ def _walk(node: Node, name: str, found: Message, state: State) -> None:
     if name in ("JointTrajectory", "MultiDOFJointTrajectory"):
         _add_part(node, {name: node}, found, state)
     elif name in ("RobotTrajectory", "FollowJointTrajectoryGoal"):
-        given = {fields[key]: held for key, held in keys.items() if fields[key] in TYPES and not held.empty}
-        _add_part(node, given, found, state)
+        nodes_by_type = {fields[key]: held for key, held in keys.items() if fields[key] in TYPES and not held.empty}
+        _add_part(node, nodes_by_type, found, state)
         found.warnings += _tolerated(keys)
     elif name == "RobotState":
         _read_state(keys, state, found)
@@ -294,11 +294,11 @@ def _joint_motion(node: Node) -> Motion | None:
     points = [point.mapping(POINT, required=("time_from_start",)) for point in keys["points"].items()]
     rows = {}
     for kind in RATES:
-        given = [kind in point and not point[kind].empty for point in points]
-        if not any(given):
+        is_present = [kind in point and not point[kind].empty for point in points]
+        if not any(is_present):
             continue
-        if not all(given):
-            lacking = keys["points"].items()[given.index(False)]
+        if not all(is_present):
+            lacking = keys["points"].items()[is_present.index(False)]
             raise lacking.error(f"expected {kind} of all points or of none, found none")
         rows[kind] = np.array([point[kind].numbers(len(names)) for point in points])
     if "positions" not in rows:
@@ -370,24 +370,24 @@ def _read_state(keys: dict[str, Node], state: State, found: Message) -> None:
     """Apply a RobotState to a state; a RobotState that is not a difference replaces the carried bodies."""
     differs = "is_diff" in keys and not keys["is_diff"].empty and keys["is_diff"].flag()
     empty = True
-    for key, known, of_names, of_values, what in (
+    for key, state_fields, of_names, of_values, what in (
         ("joint_state", JOINT_STATE, "name", "position", "positions"),
         ("multi_dof_joint_state", PLACED_STATE, "joint_names", "transforms", "transforms"),
     ):
         if key not in keys or keys[key].empty:
             continue
-        held = keys[key].mapping(known)
+        held = keys[key].mapping(state_fields)
         names, values = _list(held, of_names), _list(held, of_values)
         if len(values) != len(names) and (values or key != "joint_state"):  # joints may have only velocities
             raise keys[key].error(f"expected as many {what} as names, found {len(values)} and {len(names)}")
-        given = [name.text() for name in names[: len(values)]]
+        joint_names = [name.text() for name in names[: len(values)]]
         if key == "joint_state":
-            state.joints.update(zip(given, (value.number() for value in values), strict=True))
+            state.joints.update(zip(joint_names, (value.number() for value in values), strict=True))
         else:
-            state.places.update(zip(given, (np.array(_transform(T)) for T in values), strict=True))
-        _expect_once(given, keys[key])
-        state.sources.update(dict.fromkeys(given, keys[key].key))
-        empty = empty and not given
+            state.places.update(zip(joint_names, (np.array(_transform(T)) for T in values), strict=True))
+        _expect_once(joint_names, keys[key])
+        state.sources.update(dict.fromkeys(joint_names, keys[key].key))
+        empty = empty and not joint_names
     if "attached_collision_objects" in keys:
         listed = keys["attached_collision_objects"]
         # MoveIt ignores a state in which nothing is set.

@@ -83,13 +83,13 @@ def named(planner: str | Callable[[Any], Any]) -> Callable[[Any], Any]:
     if callable(planner):
         return planner
     base, geometric = _ompl("base"), _ompl("geometric")
-    known = {
+    planners = {
         name: each
         for name, each in sorted(vars(geometric).items())
         if isinstance(each, type) and issubclass(each, base.Planner)
     }
-    made: Callable[[Any], Any] = known[_validate.known(planner, "planner", known)]
-    return made
+    factory: Callable[[Any], Any] = planners[_validate.known(planner, "planner", planners)]
+    return factory
 
 
 def search(

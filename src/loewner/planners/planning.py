@@ -243,8 +243,8 @@ def plan(
         improve = Improve(**{rounds.get(name, name): options[name] for name in of_path})
         if of_path == ["weights"] and not full:
             raise InputError("weights: expected improve_for, improve_iterations or full=True with them")
-    found: Floats | Plan = _planned(task, keep, joint_error, search, seed, improve, full, proof)
-    return found
+    path_or_plan: Floats | Plan = _planned(task, keep, joint_error, search, seed, improve, full, proof)
+    return path_or_plan
 
 
 @guarded
@@ -309,8 +309,8 @@ def plan_full(
     proof, search = _validate.flag(proof, "proof"), checked_search(search)
     better = _validate.instance(Improve() if improve is None else improve, "improve", Improve, "planners")
     seed, task = checked_seed(seed), Task.of(checker, start, goal, joints)
-    found: Plan = _planned(task, keep, joint_error, search, seed, better, True, proof)
-    return found
+    full_plan: Plan = _planned(task, keep, joint_error, search, seed, better, True, proof)
+    return full_plan
 
 
 def _planned(
@@ -331,11 +331,11 @@ def _planned(
     q, goals = ends.free_start, space.checked_goals(ends.free_start, ends.free_goals, judge, names)
     if kept is not None:
         goals = kept.checked(robot, q, goals)
-    found, rounds, clearing = search._path(space, judge, q, goals, seed), 0, None
+    free_path, rounds, clearing = search._path(space, judge, q, goals, seed), 0, None
     if better is not None and search.planner is None:
         clearing = Clearing.of(judge, better.weights, better.clearance) if better.clearance else None
-        found, rounds = improving.improved(space, judge, found, goals, better, seed, clearing)
-    path = ends.joined(found)
+        free_path, rounds = improving.improved(space, judge, free_path, goals, better, seed, clearing)
+    path = ends.joined(free_path)
     follows: dict[str, Any] = {}
     if approaches is not None:
         path, row, retreat = approaches.joined(judge, path, space.unwound(path[-1], begins))
@@ -344,17 +344,17 @@ def _planned(
         raise PlanningError("path: expected motions into and out of contact that keep the axis, found others")
     if better is None or not full:
         return path
-    made = better.plan(path, ends, goals, rounds, isinstance(task.goal, PoseGoal), clearing)
-    made = protected(replace(made, **follows))
+    full_plan = better.plan(path, ends, goals, rounds, isinstance(task.goal, PoseGoal), clearing)
+    full_plan = protected(replace(full_plan, **follows))
     if model is None:
-        return made
+        return full_plan
     off = np.zeros(robot.dof) if judge.joint_error is None else judge.joint_error
     try:
         moves = straight(robot, path[:-1], path[1:])
         deeper = None if off.any() else TOLERANCE
-        return replace(made, proof=proof_of(model, judge.ready, moves, off, deeper))
+        return replace(full_plan, proof=proof_of(model, judge.ready, moves, off, deeper))
     except ConvergenceError as error:
-        raise ConvergenceError(str(error), partial=made) from None
+        raise ConvergenceError(str(error), partial=full_plan) from None
 
 
 def _kept(keep: Any, robot: Robot, joints: str | Iterable[str] | None, compiled: bool) -> KeptAxis:

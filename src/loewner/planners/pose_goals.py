@@ -93,8 +93,8 @@ class PoseGoal:
             checked_tolerance(self.tolerance)
         _validate.whole_number(self.seeds, "seeds", 1, MOST_SEEDS)
         for name, sign in (("approach", 1.0), ("retreat", -1.0)):
-            given = getattr(self, name)
-            object.__setattr__(self, name, None if given is None else _displacement(given, name, sign))
+            displacement = getattr(self, name)
+            object.__setattr__(self, name, None if displacement is None else _displacement(displacement, name, sign))
 
     @guarded
     def configurations(
@@ -209,11 +209,11 @@ class PoseGoal:
     def _line(self, checker: CollisionChecker, q: ArrayLike, joints: str | Iterable[str] | None, name: str) -> Floats:
         """Find the approach or the retreat."""
         robot = checked_checker(checker).robot
-        given = getattr(self, name)
-        if given is None:
+        displacement = getattr(self, name)
+        if displacement is None:
             raise InputError(f"{name}: expected PoseGoal(..., {name}=...), found none")
         rows, kind, why = _along(
-            Judge.of(checker, 0.0), robot.checked_one(q, "q"), self.link, joints, given, name == "approach"
+            Judge.of(checker, 0.0), robot.checked_one(q, "q"), self.link, joints, displacement, name == "approach"
         )
         if kind:
             raise PlanningError(f"{name}: expected a free line that {self.link} can follow, found that {why}")
@@ -233,24 +233,24 @@ class PoseGoal:
         With an approach or a retreat, the returned configurations are the beginnings of the approaches.
         """
         poses = np.asarray(self.T).reshape(-1, 4, 4)
-        found = judge.checker.robot.reach(
+        reached = judge.checker.robot.reach(
             self.link, poses, joints=joints, start=begin, seeds=self.seeds, checker=judge.checker, all=True,
             tolerance=self.tolerance,
         )  # fmt: skip
-        Q = np.concatenate(found.solutions)
+        Q = np.concatenate(reached.solutions)
         if len(Q) == 0:
-            nearest = int((found.residual**2).sum(axis=1).argmin())
-            shift, turn = found.residual[nearest].tolist()
+            nearest = int((reached.residual**2).sum(axis=1).argmin())
+            shift, turn = reached.residual[nearest].tolist()
             which = "a pose" if len(poses) == 1 else f"one of {len(poses)} poses"
             raise PlanningError(
                 f"goal: expected {which} that {self.link} can reach within the limits, found none; the nearest attempt "
                 f"of {self.seeds + 1} is {1e3 * shift:.3g} mm and {turn:.3g} rad away"
                 + (f" from pose {nearest}" if len(poses) > 1 else "")
             )
-        good = np.concatenate([np.arange(len(x)) < n for x, n in zip(found.solutions, found.free, strict=True)])
+        good = np.concatenate([np.arange(len(x)) < n for x, n in zip(reached.solutions, reached.free, strict=True)])
         order = np.lexsort((np.linalg.norm(Q - begin, axis=1), ~good))
         names = [
-            f"solution {k} of pose {pose}" for pose, of_it in enumerate(found.solutions) for k in range(len(of_it))
+            f"solution {k} of pose {pose}" for pose, of_it in enumerate(reached.solutions) for k in range(len(of_it))
         ]
         if self.approach is None and self.retreat is None:
             return np.asarray(Q[order[:MOST_GOALS]]), [names[k] for k in order[:MOST_GOALS]], None
@@ -268,17 +268,17 @@ class PoseGoal:
             If there are no such configurations. The message counts the reasons.
         """
         kept, room = list[int](), MOST_GOALS
-        made, reasons = Approaches(judge, [], []), dict[str, list[str]]()
+        approaches, reasons = Approaches(judge, [], []), dict[str, list[str]]()
         may_touch = judge.joint_error is None and len(judge.ready.ruled) > 0
         lines: list[tuple[str, Any, Judge]] = [
             ("approach", self.approach, judge), ("retreat", self.retreat, replace(judge, kept=None))
         ]  # fmt: skip
         for k, q in enumerate(Q):
-            found: dict[str, Floats] = {"approach": q[None], "retreat": q[None]}
+            rows_by_name: dict[str, Floats] = {"approach": q[None], "retreat": q[None]}
             kind, why = ("", "") if good[k] or may_touch else ("in collision", "")
-            for name, given, of in lines:
-                if given is not None and not kind:
-                    found[name], kind, why = _along(of, q, self.link, joints, given, name == "approach")
+            for name, displacement, of in lines:
+                if displacement is not None and not kind:
+                    rows_by_name[name], kind, why = _along(of, q, self.link, joints, displacement, name == "approach")
                     kind = kind and f"{kind} the {name}"
             if kind:
                 if kind == "in collision" and kind not in reasons:
@@ -286,14 +286,14 @@ class PoseGoal:
                 reasons.setdefault(kind, []).append(why)
                 continue
             kept.append(k)
-            made.rows.append(found["approach"])
-            made.retreats.append(None if self.retreat is None else found["retreat"])
+            approaches.rows.append(rows_by_name["approach"])
+            approaches.retreats.append(None if self.retreat is None else rows_by_name["retreat"])
             room -= 1 if good[k] else TOUCHING
             if room <= 0:
                 break
         if kept:
-            return kept, made
-        wanted = " and ".join(name for name, given, _ in lines if given is not None)
+            return kept, approaches
+        wanted = " and ".join(name for name, displacement, _ in lines if displacement is not None)
         told = ", ".join(f"{len(whys)} {kind}" + (f" ({whys[0]})" if whys[0] else "") for kind, whys in reasons.items())
         raise PlanningError(
             f"goal: expected a configuration with a free {wanted} of {self.link}, found {len(Q)} that reach the goal: "

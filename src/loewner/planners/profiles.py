@@ -104,10 +104,10 @@ def _ramped(first: float, last: float, slower: float, limits: Limits) -> list[Ph
     edge, flat = (slower * seconds for seconds in ramp(abs(last - first), limits))
     strength = (last - first) / (edge + flat)
     low, bend = strength * edge / 2, strength * edge * edge / 6
-    found = [Phase(edge, first * edge + bend, first + low, strength)]
+    ramp_phases = [Phase(edge, first * edge + bend, first + low, strength)]
     if flat > 0:
-        found.append(Phase(flat, (first + last) / 2 * flat, last - low, strength))
-    return [*found, Phase(edge, last * edge - bend, last, 0.0)]
+        ramp_phases.append(Phase(flat, (first + last) / 2 * flat, last - low, strength))
+    return [*ramp_phases, Phase(edge, last * edge - bend, last, 0.0)]
 
 
 def _largest(needed: Callable[[float], float], low: float, high: float, length: float) -> float:

@@ -166,15 +166,15 @@ class _Neighbours:
         return np.stack(np.divmod(np.unique(np.concatenate(keys)), self.count), axis=1)
 
     def _nearest(self, values: Floats, many: int) -> Ints:
-        found = np.empty((len(values), many), dtype=np.int64)
+        neighbours = np.empty((len(values), many), dtype=np.int64)
         ranks = np.arange(1, many + 1)
 
         def share(first: int, last: int) -> None:
-            found[first:last] = self.tree.query(values[first:last], ranks)[1]
+            neighbours[first:last] = self.tree.query(values[first:last], ranks)[1]
 
         # The tree's own threads would continue after an interrupt, and write to memory that has been freed.
         in_shares(share, len(values), ALONE)
-        return found
+        return neighbours
 
     @staticmethod
     def _wrapped(space: Space, Q: Floats) -> Floats:
@@ -227,8 +227,8 @@ class Roadmap(KeepsReadOnly):
 
     def __repr__(self) -> str:
         graph, total = self._graph, len(self._edges)
-        known = graph is not None and graph.version == self.checker.scene.version
-        motions = f"{int(graph.free.sum())} of {total} motions free" if graph is not None and known else (
+        is_current = graph is not None and graph.version == self.checker.scene.version
+        motions = f"{int(graph.free.sum())} of {total} motions free" if graph is not None and is_current else (
             f"{total} motions, to be proven for the scene as it is now"
         )  # fmt: skip
         return f"Roadmap(joints {', '.join(self.joint_names)}: {len(self)} nodes, {motions})"
@@ -311,9 +311,9 @@ class Roadmap(KeepsReadOnly):
         if not space.outside(q):  # violations of limits are reported first
             self._space.check_still(q[None], "start", "the roadmap's value", "its joints")
         goals = space.checked_goals(q, begins, judge, names)
-        while (found := self._found(judge, q, goals)) is None:
+        while (judge_and_rows := self._found(judge, q, goals)) is None:
             pass  # the verdicts of the motions are outdated
-        judge, rows = found
+        judge, rows = judge_and_rows
         if simplify:
             rows = compiled.shortened(judge, rows, max_iterations=compiled.CUTS, seed=self._seed)
         return rows if approaches is None else approaches.joined(judge, rows, space.unwound(rows[-1], begins))[0]
@@ -394,9 +394,9 @@ class Roadmap(KeepsReadOnly):
         ready = prepared_of(checked_checker(checker))  # faults of the scene are not reported as faults of the file
 
         def made(told: dict[str, Any]) -> Roadmap:
-            space, found = _checked(told, checker)
+            space, fingerprint = _checked(told, checker)
             loaded = cls(space, told["nodes"], told["edges"], *told["settings"].tolist())
-            if found == ready.fingerprint():
+            if fingerprint == ready.fingerprint():
                 loaded._graph = loaded._graph_of(ready.version, told["free"] == 1, proven=False)
             return loaded
 
@@ -440,7 +440,7 @@ class Roadmap(KeepsReadOnly):
 
     def _found(self, judge: Judge, q: Floats, goals: Floats) -> tuple[Judge, Floats] | None:
         """Find the shortest path over free motions and prove it as a whole; None if the graph has changed."""
-        known = graph = self._now()
+        full_graph = graph = self._now()
         links = self._links(graph, judge.now(), q, goals)
         while (way := graph.shortest(links)) is not None:
             nodes, last = way
@@ -451,9 +451,9 @@ class Roadmap(KeepsReadOnly):
             unfree = np.flatnonzero(~judge.free(rows[:-1], rows[1:]))
             if len(unfree) == 0:
                 return judge, rows
-            if not known.proven:
+            if not full_graph.proven:
                 self._proven()
-            if self._now() is not known:
+            if self._now() is not full_graph:
                 return None
             graph, links = self._without(graph, links, nodes, last, unfree)
         raise PlanningError(
@@ -601,9 +601,9 @@ def roadmap(
         raise PlanningError(f"samples: expected some that are free, found none among {len(Q)}")
     if neighbours is None:
         neighbours = max(1, math.ceil(math.e * (1 + 1 / len(space.columns)) * math.log(len(nodes))))
-    made = Roadmap(space, nodes, _Neighbours.of(space, nodes).pairs(neighbours), neighbours, seed)
-    made._proven()
-    return made
+    new_roadmap = Roadmap(space, nodes, _Neighbours.of(space, nodes).pairs(neighbours), neighbours, seed)
+    new_roadmap._proven()
+    return new_roadmap
 
 
 def _samples(
@@ -618,15 +618,15 @@ def _samples(
     count = _count(samples)
     kept = None if fixed is None else robot.checked_one(fixed, "fixed")
     if count is None:
-        given = robot.checked(samples, "samples")
-        if given.ndim != 2 or len(given) == 0:
+        configurations = robot.checked(samples, "samples")
+        if configurations.ndim != 2 or len(configurations) == 0:
             raise InputError(
                 f"samples: expected a number of them, or configurations, shape (n, {robot.dof}) with n >= 1, found "
-                f"shape {_validate.shape_text(given.shape)}"
+                f"shape {_validate.shape_text(configurations.shape)}"
             )
-        space = Space.of(checker, joints, given[0].copy() if kept is None else kept, given)
-        _check_given(space, given, "samples")
-        return space, given.copy()
+        space = Space.of(checker, joints, configurations[0].copy() if kept is None else kept, configurations)
+        _check_given(space, configurations, "samples")
+        return space, configurations.copy()
     kept = robot.configuration() if kept is None else kept
     space = Space.of(checker, joints, kept, kept[None])
     _validate.fits_memory(3 * count * robot.dof * 8, f"{count} samples")
@@ -655,8 +655,8 @@ def _check_given(space: Space, Q: Floats, name: str) -> None:
 def _why(graph: _Graph, links: _Links, tried: int) -> str:
     """Explain, for a message, why the start and the goals are not connected."""
     total = len(graph.labels)
-    for name, found in (("start", links.nodes), ("goal", links.from_nodes)):
-        if len(found) == 0:
+    for name, linked_nodes in (("start", links.nodes), ("goal", links.from_nodes)):
+        if len(linked_nodes) == 0:
             ways = "to it from" if name == "goal" else "from it to"
             return (
                 f"{name}: expected a configuration that a free motion connects to the roadmap, found none {ways} the "
@@ -664,8 +664,8 @@ def _why(graph: _Graph, links: _Links, tried: int) -> str:
             )
     sizes = np.bincount(graph.labels)
     of_start, of_goal = (
-        ", ".join(str(size) for size in np.sort(sizes[np.unique(graph.labels[found])])[::-1][:NAMED])
-        for found in (links.nodes, links.from_nodes)
+        ", ".join(str(size) for size in np.sort(sizes[np.unique(graph.labels[linked_nodes])])[::-1][:NAMED])
+        for linked_nodes in (links.nodes, links.from_nodes)
     )
     return (
         "expected start and goal connected to one component of the roadmap, found the start connected to components "
@@ -711,8 +711,8 @@ def _checked(told: dict[str, Any], checker: CollisionChecker) -> tuple[Space, st
         If the file is not a roadmap, or is for a different robot.
     """
     robot, joints = checker.robot, told["joints"].ravel().tolist()
-    known = [name for name in joints if name in robot.configuration_names and name in robot.joint_names]
-    if not joints or known != joints or told["joints"].ndim != 1:
+    robot_joints = [name for name in joints if name in robot.configuration_names and name in robot.joint_names]
+    if not joints or robot_joints != joints or told["joints"].ndim != 1:
         raise InputError(f"expected a roadmap for joints of robot {robot.name!r}, found one for {', '.join(joints)}")
     nodes = told["nodes"] = robot.checked(told["nodes"], "nodes")
     space = Space.of(checker, joints, nodes[0], nodes)

@@ -72,14 +72,14 @@ def moved(poses: Floats, lengths: Floats, turns: Floats) -> Floats:
 
 def driven(poses: Floats, lengths: Floats, turns: Floats) -> Floats:
     """Return all poses (..., k + 1, 3) along motions: poses (..., 3), lengths and turns (..., k)."""
-    half, found = turns / 2.0, np.empty((*lengths.shape[:-1], lengths.shape[-1] + 1, 3))
-    found[..., 0, :] = poses
-    found[..., 1:, 2] = turns
-    found[..., 2].cumsum(axis=-1, out=found[..., 2])
-    heading, chord = found[..., :-1, 2] + half, lengths * _sinc(half)
-    found[..., 1:, 0], found[..., 1:, 1] = chord * cos(heading), chord * sin(heading)
-    found[..., :2].cumsum(axis=-2, out=found[..., :2])
-    return found
+    half, all_poses = turns / 2.0, np.empty((*lengths.shape[:-1], lengths.shape[-1] + 1, 3))
+    all_poses[..., 0, :] = poses
+    all_poses[..., 1:, 2] = turns
+    all_poses[..., 2].cumsum(axis=-1, out=all_poses[..., 2])
+    heading, chord = all_poses[..., :-1, 2] + half, lengths * _sinc(half)
+    all_poses[..., 1:, 0], all_poses[..., 1:, 1] = chord * cos(heading), chord * sin(heading)
+    all_poses[..., :2].cumsum(axis=-2, out=all_poses[..., :2])
+    return all_poses
 
 
 def car(a: Floats, b: Floats, radius: float, reverse: bool = True) -> Ways:
@@ -122,13 +122,13 @@ def _words(x: Floats, y: Floats, turn: Floats, reverse: bool) -> tuple[Floats, F
     signs = np.array(SIGNS if reverse else SIGNS[::2])
     X, Y, P = signs[:, :1] * x, signs[:, 1:] * y, signs.prod(axis=1)[:, None] * turn
     sine, cosine = sin(P), cos(P)
-    made = _forwards(X, Y, P, sine, cosine) if reverse else _all_forward(X, Y, P, sine, cosine)
+    words = _forwards(X, Y, P, sine, cosine) if reverse else _all_forward(X, Y, P, sine, cosine)
     if reverse:
-        made += _from_the_goal(X * cosine + Y * sine, X * sine - Y * cosine, P, sine, cosine)
+        words += _from_the_goal(X * cosine + Y * sine, X * sine - Y * cosine, P, sine, cosine)
     zero = np.zeros_like(X)
-    lengths = np.stack([np.stack([*parts, *[zero] * (5 - len(parts))], axis=-1) for _, parts in made])
+    lengths = np.stack([np.stack([*parts, *[zero] * (5 - len(parts))], axis=-1) for _, parts in words])
     steered = np.array(
-        [[*("RSL".index(letter) - 1.0 for letter in word), *[0.0] * (5 - len(word))] for word, _ in made]
+        [[*("RSL".index(letter) - 1.0 for letter in word), *[0.0] * (5 - len(word))] for word, _ in words]
     )
     lengths = lengths * signs[:, 0, None, None]
     N = lengths.shape[2]
@@ -144,25 +144,25 @@ Word = tuple[str, tuple[Floats, ...]]
 def _forwards(x: Floats, y: Floats, turn: Floats, sine: Floats, cosine: Floats) -> list[Word]:
     """Return the words that formulas give from the start to the goal."""
     same, other = Polar.of(x - sine, y - 1.0 + cosine), Polar.of(x + sine, y - 1.0 - cosine)
-    quarter, made = np.full_like(x, -HALF / 2.0), _curves(same, other, turn)
+    quarter, words = np.full_like(x, -HALF / 2.0), _curves(same, other, turn)
     u = arccos(_inside((2.0 + other.distance) / 4.0))  # (8.7)
     t, v = _outer(u, -u, other, turn)
-    made.append(("LRLR", (t, u, -u, v)))
+    words.append(("LRLR", (t, u, -u, v)))
     u = -arccos(_inside((20.0 - other.distance**2) / 16.0, least=0.0))  # (8.8)
     t, v = _outer(u, u, other, turn)
-    made.append(("LRLR", (t, u, u, v)))
-    made += _with_quarter(same, other, turn, quarter)
+    words.append(("LRLR", (t, u, u, v)))
+    words += _with_quarter(same, other, turn, quarter)
     straight = 4.0 - _root(other.distance**2 - 4.0)  # (8.11)
     t = arctan2((4.0 - straight) * other.x - 2.0 * other.y, -2.0 * other.x + (straight - 4.0) * other.y)
-    made.append(("LRSLR", (t, quarter, straight, quarter, _wrapped(t - turn))))
-    return made
+    words.append(("LRSLR", (t, quarter, straight, quarter, _wrapped(t - turn))))
+    return words
 
 
 def _from_the_goal(x: Floats, y: Floats, turn: Floats, sine: Floats, cosine: Floats) -> list[Word]:
     """Return the words that are read backwards."""
     same, other = Polar.of(x - sine, y - 1.0 + cosine), Polar.of(x + sine, y - 1.0 - cosine)
-    made = [_curves(same, other, turn)[2], *_with_quarter(same, other, turn, np.full_like(x, -HALF / 2.0))]
-    return [(word[::-1], parts[::-1]) for word, parts in made]
+    words = [_curves(same, other, turn)[2], *_with_quarter(same, other, turn, np.full_like(x, -HALF / 2.0))]
+    return [(word[::-1], parts[::-1]) for word, parts in words]
 
 
 def _curves(same: Polar, other: Polar, turn: Floats) -> list[Word]:
@@ -183,11 +183,11 @@ def _with_quarter(same: Polar, other: Polar, turn: Floats, quarter: Floats) -> l
     """Return the words of four motions whose second one is a quarter of a circle: (8.9) and (8.10)."""
     far = _root(same.distance**2 - 4.0)
     t = _wrapped(same.angle + arctan2(far, -2.0))
-    made: list[Word] = [("LRSL", (t, quarter, 2.0 - far, _wrapped(turn - HALF / 2.0 - t)))]
+    words: list[Word] = [("LRSL", (t, quarter, 2.0 - far, _wrapped(turn - HALF / 2.0 - t)))]
     t = _wrapped(other.angle + HALF / 2.0)
     far = np.where(other.distance >= 2.0, other.distance, np.nan)
-    made.append(("LRSR", (t, quarter, 2.0 - far, _wrapped(t + HALF / 2.0 - turn))))
-    return made
+    words.append(("LRSR", (t, quarter, 2.0 - far, _wrapped(t + HALF / 2.0 - turn))))
+    return words
 
 
 def _outer(u: Floats, v: Floats, other: Polar, turn: Floats) -> tuple[Floats, Floats]:
@@ -203,11 +203,11 @@ def _outer(u: Floats, v: Floats, other: Polar, turn: Floats) -> tuple[Floats, Fl
 def _all_forward(x: Floats, y: Floats, turn: Floats, sine: Floats, cosine: Floats) -> list[Word]:
     """Return Dubins's words: a backward arc is replaced with the rest of its circle, driven forwards."""
     same, other = Polar.of(x - sine, y - 1.0 + cosine), Polar.of(x + sine, y - 1.0 - cosine)
-    made = _curves(same, other, turn)
+    words = _curves(same, other, turn)
     return [
         (word, tuple(part if letter == "S" else np.where(part < -NO_TURN, part + TURN, np.maximum(part, 0.0))
                      for letter, part in zip(word, parts, strict=True)))
-        for word, parts in made
+        for word, parts in words
     ]  # fmt: skip
 
 

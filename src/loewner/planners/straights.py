@@ -191,8 +191,8 @@ def _phases(length: float, gain: float, low: float, high: float) -> list[tuple[f
 
 def _seconds(phases: list[tuple[float, float]], speed: float) -> list[float]:
     """Compute the durations of successive phases, given the speed at the start."""
-    found = []
+    durations = []
     for way, end in phases:
-        found.append(2 * way / (speed + end))
+        durations.append(2 * way / (speed + end))
         speed = end
-    return found
+    return durations

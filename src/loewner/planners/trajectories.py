@@ -171,12 +171,12 @@ class Trajectory(KeepsReadOnly):
         period, begin = _validate.positive_scalar(dt, "dt"), _validate.real(start_time, "start_time")
         with np.errstate(over="ignore", invalid="ignore"):  # refused below
             times: Floats = period * np.arange(len(rows), dtype=np.float64)
-            made = cls._straight(robot.configuration_names, times, rows, begin)
-        if not np.isfinite(made.rates).all():
+            motion = cls._straight(robot.configuration_names, times, rows, begin)
+        if not np.isfinite(motion.rates).all():
             raise InputError(
                 f"dt: expected a period in which targets are reached at finite velocities, found {period:g}"
             )
-        return protected(made)
+        return protected(motion)
 
     def __repr__(self) -> str:
         if self.jumps:
@@ -245,8 +245,10 @@ class Trajectory(KeepsReadOnly):
             return self._cubics(k, x, T)
         # Compute with the three control points of the parabola, so that it stays in their hull and its ends are exact.
         middle = self.knots[k] + self.rates[k] * (T / 2)
-        found: Floats = (1 - x) ** 2 * self.knots[k] + 2 * x * (1 - x) * middle + x**2 * self.knots[k + (T[..., 0] > 0)]
-        return found
+        positions: Floats = (
+            (1 - x) ** 2 * self.knots[k] + 2 * x * (1 - x) * middle + x**2 * self.knots[k + (T[..., 0] > 0)]
+        )
+        return positions
 
     def velocities(self, t: ArrayLike) -> Floats:
         """Compute the velocities at given times; at a jump, return the velocity after the jump.
@@ -278,8 +280,10 @@ class Trajectory(KeepsReadOnly):
             return np.asarray(np.where(x < 1, middle, self.rates[m]))
         if self.jumps:
             return np.asarray(np.where(x < 1, self.rates[k], self.rates[m]))
-        found: Floats = (1 - x) * self.rates[k] + x * self.rates[m]
-        return found if self.bends is None else found + x * (1 - x) * (T / 2) * (self.bends[k] - self.bends[m])
+        velocities: Floats = (1 - x) * self.rates[k] + x * self.rates[m]
+        return (
+            velocities if self.bends is None else velocities + x * (1 - x) * (T / 2) * (self.bends[k] - self.bends[m])
+        )
 
     def accelerations(self, t: ArrayLike) -> Floats:
         """Compute the accelerations at given times; at a jump, return the acceleration after the jump.
@@ -313,8 +317,8 @@ class Trajectory(KeepsReadOnly):
         if self.bends is not None:
             return np.asarray((1 - x) * self.bends[k] + x * self.bends[m])
         change = self.rates[m] - self.rates[k]
-        found: Floats = np.divide(change, T, out=np.zeros_like(change), where=T > 0)
-        return found
+        accelerations: Floats = np.divide(change, T, out=np.zeros_like(change), where=T > 0)
+        return accelerations
 
     @overload
     def sample(self, rate: float, *, full: Literal[False] = False) -> tuple[Floats, Floats]: ...
@@ -426,8 +430,8 @@ class Trajectory(KeepsReadOnly):
         >>> both.part("right").names, both.part("right").positions(both.duration)
         (('rail', 'elbow'), array([0., 2.]))
         """
-        known = dict.fromkeys(each[:k] for each in self.names for k, letter in enumerate(each) if letter == "/")
-        _validate.known(name, "part", known)
+        part_names = dict.fromkeys(each[:k] for each in self.names for k, letter in enumerate(each) if letter == "/")
+        _validate.known(name, "part", part_names)
         columns = [k for k, each in enumerate(self.names) if each.startswith(f"{name}/")]
         return self._of(columns, [self.names[k].removeprefix(f"{name}/") for k in columns])
 
@@ -662,9 +666,9 @@ class Trajectory(KeepsReadOnly):
         q, dq, ddq = self.positions(at), self.velocities(at), self.accelerations(at)
         jumps = on_path and self.jumps and self.bends is None and len(self.times) > 1
         if jumps:
-            made = brakes.braked_on_motions(self.knots, self.times, at, strongest, most, further)
+            timed_brake = brakes.braked_on_motions(self.knots, self.times, at, strongest, most, further)
         elif not (on_path and moves.any()):
-            made = brakes.braked(self.names, q, dq, ddq, strongest, most)
+            timed_brake = brakes.braked(self.names, q, dq, ddq, strongest, most)
         elif self.jumps or (self.bends is None) != (most is None):
             kind = "that is a brake through joint targets" if self.jumps else f"with{'out' * (most is not None)} them"
             raise InputError(
@@ -677,8 +681,8 @@ class Trajectory(KeepsReadOnly):
             bends = None if self.bends is None else np.vstack([ddq, self.bends[ahead]])
             blended = self.blended[len(self.blended) - ahead.sum() :]
             rest = brakes.Timed(np.append(at, self.times[ahead]), knots, rates, blended, bends)
-            made = brakes.braked_on_curve(rest, strongest, most, further)
-        return protected(Trajectory(self.names, *made, jumps, self.start_time + at))
+            timed_brake = brakes.braked_on_curve(rest, strongest, most, further)
+        return protected(Trajectory(self.names, *timed_brake, jumps, self.start_time + at))
 
     # -- inside -------------------------------------------------------------------------------
 
@@ -1056,8 +1060,8 @@ def brake(
     bend = np.zeros(robot.dof) if ddq is None else _validate.finite_array(ddq, "ddq", (robot.dof,))
     moves = (rate != 0) | (bend != 0)
     strongest, most = brakes.brake_limits(names, moves, robot, limits, acceleration, jerk)
-    made = brakes.braked(names, at, rate, bend, strongest, most)
-    return protected(Trajectory(names, *made, False, _validate.real(start_time, "start_time")))
+    timed_brake = brakes.braked(names, at, rate, bend, strongest, most)
+    return protected(Trajectory(names, *timed_brake, False, _validate.real(start_time, "start_time")))
 
 
 # -- arguments ----------------------------------------------------------------------------------
@@ -1162,13 +1166,13 @@ def _on_line(robot: Robot, line: Line, rows: Floats, numbers: Ints) -> KeptLine:
     on = KeptLine.of(robot, replace(line, first=first, last=last), rows[first : last + 1])
     courses = np.column_stack([rows[first : last + 1], on.fractions])
     courses = np.stack([courses[:-1], courses[1:]], axis=1)
-    good, found = on.keeps(courses, BLEND_ROUNDINGS * np.abs(courses[..., :-1]).max(axis=1))
+    good, deviations = on.keeps(courses, BLEND_ROUNDINGS * np.abs(courses[..., :-1]).max(axis=1))
     if not good.all():
-        k = int(np.flatnonzero(~good)[(found[~good] / found[~good].max(axis=0)).max(axis=1).argmax()])
+        k = int(np.flatnonzero(~good)[(deviations[~good] / deviations[~good].max(axis=0)).max(axis=1).argmax()])
         raise PlanningError(
             f"line: expected {line.link} to keep within {line.position:g} m and {line.rotation:g} rad of the straight "
-            f"line from row {line.first} to row {line.last}, found deviations of up to {found[k, 0]:.3g} m and "
-            f"{angle_of(found[k, 1]):.3g} rad between rows {numbers[first + k]} and {numbers[first + k + 1]}"
+            f"line from row {line.first} to row {line.last}, found deviations of up to {deviations[k, 0]:.3g} m and "
+            f"{angle_of(deviations[k, 1]):.3g} rad between rows {numbers[first + k]} and {numbers[first + k + 1]}"
         )
     return on
 

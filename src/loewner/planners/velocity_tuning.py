@@ -107,18 +107,18 @@ def _seconds(steps: Floats, rates: Floats, blended: Bools, strongest: Floats) ->
     x, y = SHARES[:, None], SHARES
     a, b, T = (array[:, None, None] for array in (first, last, steps))
     with np.errstate(divide="ignore", invalid="ignore"):
-        found = np.where(blended[:, None, None], T / x, T * (a + b) / (x * a + y * b))
+        durations = np.where(blended[:, None, None], T / x, T * (a + b) / (x * a + y * b))
         change = np.abs(y[..., None] * rates[1:, None, None] - x[..., None] * rates[:-1, None, None])
-        within = (change <= strongest * (found * (1 + ROUNDING))[..., None]).all(axis=-1)
+        within = (change <= strongest * (durations * (1 + ROUNDING))[..., None]).all(axis=-1)
     resting = ~blended & (first == 0), ~blended & (last == 0)
     # At rest, only the share 0 is possible, and the share at the other end scales a section from or to rest.
     before, after = (end[:, None, None] for end in resting)
     scaled = (x == y) | before | after
     good = np.where(blended[:, None, None], (x == y) & (x > 0), scaled | within)
     good &= ~((before & (x > 0)) | (after & (y > 0)))
-    found[~(good & np.isfinite(found))] = np.inf
-    found[resting[0] & resting[1], 0, 0] = steps[resting[0] & resting[1]]
-    return np.asarray(found)
+    durations[~(good & np.isfinite(durations))] = np.inf
+    durations[resting[0] & resting[1], 0, 0] = steps[resting[0] & resting[1]]
+    return np.asarray(durations)
 
 
 class _Visits(NamedTuple):
@@ -239,9 +239,9 @@ def time_path(
     timed = TimedJudge(robot, prepared_of(checker, timed=True), begin, np.inf, fastest, errors)
     if smooth is not None:  # first try the fastest trajectory, without averages
         limit, exact = _times(begin, arrive_by, arrive_at, smooth.duration, np.inf)
-        made = replace(_delayed(smooth, limit - smooth.duration if exact else 0.0), start_time=begin)
-        if made.duration <= limit and made.certify(checker, joint_error=errors).verdict == Verdict.FREE:
-            return made._spaced(fastest, strongest, most)
+        delayed = replace(_delayed(smooth, limit - smooth.duration if exact else 0.0), start_time=begin)
+        if delayed.duration <= limit and delayed.certify(checker, joint_error=errors).verdict == Verdict.FREE:
+            return delayed._spaced(fastest, strongest, most)
     # Averages of blends may turn out not to be free; without blends, the robot stays on the proven path.
     for size in [share] if most is None or share == 0 else [share, 0.0]:
         base = fastest_along(robot, motions, judge, size, last_speed)
@@ -251,9 +251,9 @@ def time_path(
         stations = _Stations.of(base, strongest, window)
         ruled = ~verdicts.free(judge.ready, np.ascontiguousarray(stations.knots))
         search = _Search(checker, replace(timed, limit=limit), stations, base, window, most, least, ruled, [], [])
-        found = search.found(exact)
-        if found is not None:
-            return found._spaced(fastest, strongest, most)
+        trajectory = search.found(exact)
+        if trajectory is not None:
+            return trajectory._spaced(fastest, strongest, most)
     raise PlanningError(
         "path: expected one that is free without the moving bodies, with its blends and within the joint error, found "
         f"{search.blocking[-1]}"
@@ -276,10 +276,10 @@ def _times(
     """Check the times of arrival; return the latest arrival, counted from the start, and whether it is fixed."""
     if arrive_by is not None and arrive_at is not None:
         raise InputError("arrive_at: expected no arrive_by with it, found both")
-    name, given = ("arrive_by", arrive_by) if arrive_at is None else ("arrive_at", arrive_at)
-    if given is None:
+    name, arrival = ("arrive_by", arrive_by) if arrive_at is None else ("arrive_at", arrive_at)
+    if arrival is None:
         return bodies + 2 * least, False
-    at = _validate.real(given, name)
+    at = _validate.real(arrival, name)
     if not at - begin >= least:
         raise PlanningError(
             f"{name}: expected {begin + least:.6g} s or later, since the path takes {least:.6g} s within the limits; "
@@ -357,10 +357,10 @@ class _Search(NamedTuple):
         reason = ""
         while rounds < ROUNDS:
             if visits is not None:
-                made, rounds = self._made(visits), rounds + 1
-                proof = made.certify(self.checker, joint_error=judge.joint_error)
+                trajectory, rounds = self._made(visits), rounds + 1
+                proof = trajectory.certify(self.checker, joint_error=judge.joint_error)
                 if proof.verdict == Verdict.FREE:
-                    return made
+                    return trajectory
                 if not self._close(visits, proof, 1 + rounds // 4):
                     return None
             elif horizon == judge.limit:
@@ -457,8 +457,8 @@ class _Search(NamedTuple):
     def _made(self, visits: _Visits) -> Trajectory:
         """Make the trajectory, and average its positions if the jerk is limited."""
         names, begin = self.base.names, self.judge.begin
-        made = Trajectory(names, *_rows(self.stations, visits), start_time=begin)
-        return made if self.most is None else _averaged(made, self.window, self.most)
+        trajectory = Trajectory(names, *_rows(self.stations, visits), start_time=begin)
+        return trajectory if self.most is None else _averaged(trajectory, self.window, self.most)
 
 
 def _searched(
@@ -514,10 +514,10 @@ def _searched(
         if len(kept) == 0:
             early = best[i][np.isfinite(best[i])]
             return None, i, float(early.min(initial=np.inf))
-        made = changes[i, x[pair], bin] + changing[pair]
-        kept = kept[np.lexsort((at[kept], made[kept]))[::-1]]  # of equal states, the best is written last
+        change_counts = changes[i, x[pair], bin] + changing[pair]
+        kept = kept[np.lexsort((at[kept], change_counts[kept]))[::-1]]  # of equal states, the best is written last
         reached = y[pair[kept]], to[kept]
-        best[i + 1][reached], changes[i + 1][reached] = at[kept], made[kept]
+        best[i + 1][reached], changes[i + 1][reached] = at[kept], change_counts[kept]
         parents[i + 1][reached] = x[pair[kept]] * bins + bin[kept]
     if last == 0:
         _wait(best[n, 0], changes[n, 0], waits[n], free[n], step)
@@ -579,13 +579,13 @@ def _averaged(moved: Trajectory, longest: float, most: Floats) -> Trajectory:
     """
     shortest = longest / (1 + LONGER)
     for window in np.linspace(shortest, longest, TRIED):
-        made = _averaged_over(moved, float(window), longest)
-        T = np.diff(made.times)[:, None]
+        trajectory = _averaged_over(moved, float(window), longest)
+        T = np.diff(trajectory.times)[:, None]
         if T.min() <= 0:
             continue
-        way, speed = np.diff(made.knots, axis=0), made.rates[1:] + made.rates[:-1]
+        way, speed = np.diff(trajectory.knots, axis=0), trajectory.rates[1:] + trajectory.rates[:-1]
         if (np.abs(6 * speed / T**2 - 12 * way / T**3) <= most).all():
-            return made
+            return trajectory
     raise InputError(
         f"jerk: expected limits that leave no phases so short that rounding affects their jerk, found none in windows "
         f"of {shortest:.3g} s to {longest:.3g} s; give a lower or a higher one"
@@ -606,8 +606,8 @@ def _averaged_over(moved: Trajectory, window: float, longest: float) -> Trajecto
     k = np.searchsorted(moved.times, low[:-1], side="right") - 1, np.searchsorted(moved.times, high[1:]) - 1
     cuts = np.concatenate([[0], np.cumsum(moved.blended)])
     blended = cuts[np.minimum(k[1] + 1, len(cuts) - 1)] > cuts[np.minimum(k[0], len(cuts) - 1)]
-    made = Trajectory(moved.names, ends, knots, rates, blended, bends, start_time=moved.start_time)
-    return _delayed(made, longest - window)
+    trajectory = Trajectory(moved.names, ends, knots, rates, blended, bends, start_time=moved.start_time)
+    return _delayed(trajectory, longest - window)
 
 
 def _delayed(moved: Trajectory, wait: float) -> Trajectory:

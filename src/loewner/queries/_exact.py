@@ -95,9 +95,9 @@ class Part:
             along = middle @ way
             aside = np.linalg.norm(middle - along[:, None] * way, axis=1)
             crossed = np.flatnonzero((aside <= reach) & (along >= -reach))
-            found = _windings(ray, (T, corners[crossed]), (S, point))
-            if found is not None:
-                return found
+            is_inside = _windings(ray, (T, corners[crossed]), (S, point))
+            if is_inside is not None:
+                return is_inside
         raise AssertionError("a point of which no ray tells whether it is inside")
 
 
@@ -106,13 +106,13 @@ def placed(points: list[tuple[Floats, Floats]]) -> tuple[list[Vector], Fraction]
     turn = _digits([T[:3, :3] for T, _ in points])
     place = _digits([p for _, p in points])
     all_digits = max(turn + place, _digits([T[:3, 3] for T, _ in points]))
-    made = []
+    vectors = []
     for T, p in points:
         x, y, z = (_whole(float(c), place) for c in p)
         rows = [[_whole(float(entry), turn) for entry in row[:3]] for row in T[:3]]
         turned = [(a * x + b * y + c * z) << (all_digits - turn - place) for a, b, c in rows]
-        made.append(tuple(u + _whole(float(t), all_digits) for u, t in zip(turned, T[:3, 3], strict=True)))
-    return made, Fraction(1, 1 << all_digits)  # type: ignore[return-value]
+        vectors.append(tuple(u + _whole(float(t), all_digits) for u, t in zip(turned, T[:3, 3], strict=True)))
+    return vectors, Fraction(1, 1 << all_digits)  # type: ignore[return-value]
 
 
 def _digits(arrays: list[Floats]) -> int:

@@ -199,9 +199,9 @@ def _measured(pairs: Ints, crowd: _Crowd) -> Overlaps:
     """Measure the distances of pairs whose poses have been checked to be rigid motions."""
     count = len(pairs)
     _validate.fits_memory(DEPTH_BYTES * count, f"distances of {count} pairs")
-    found = measure(True, count, crowd.asked(np.ascontiguousarray(pairs.T)))
-    overlaps = Overlaps(pairs, found.distance, found.witness_a, found.witness_b, found.normal)
-    indices = np.flatnonzero(found.unsettled)
+    measures = measure(True, count, crowd.asked(np.ascontiguousarray(pairs.T)))
+    overlaps = Overlaps(pairs, measures.distance, measures.witness_a, measures.witness_b, measures.normal)
+    indices = np.flatnonzero(measures.unsettled)
     if len(indices):
         raise ConvergenceError(
             f"overlapping_pairs: the distances of {len(indices)} of {count} pairs could not be settled, the first of "
@@ -249,7 +249,7 @@ def _settled(mode: int, margin: float, first: int, last: int, tree: Tree, crowd:
     """
     n = crowd.n
     rows = np.empty((2, columns.WIDE * n + CANDIDATES), dtype=np.int64)
-    found: list[Ints] = []
+    encoded_pairs: list[Ints] = []
     leaf = first
     while leaf < last:
         leaf, count = entries.meeting_boxes(leaf, last, margin, *tree, rows[0], rows[1])
@@ -264,11 +264,11 @@ def _settled(mode: int, margin: float, first: int, last: int, tree: Tree, crowd:
         if mode == codes.EXACT:
             _refuse_unsettled(out, a, b)
         kept = out != codes.FREE
-        found.append(a[kept] * n + b[kept])
-        counts.append(len(found[-1]))
+        encoded_pairs.append(a[kept] * n + b[kept])
+        counts.append(len(encoded_pairs[-1]))
         total = sum(counts)
         _validate.fits_memory(PAIR_BYTES * total, f"more than {total} pairs of {n} bodies")
-    return np.concatenate([np.empty(0, dtype=np.int64), *found])
+    return np.concatenate([np.empty(0, dtype=np.int64), *encoded_pairs])
 
 
 def _refuse_unsettled(out: NDArray[np.int8], a: Ints, b: Ints) -> None:

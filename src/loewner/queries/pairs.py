@@ -142,8 +142,8 @@ class Distance(_validate.Brief, Generic[Number, Exact, Vector]):
         """
         normal: Any = self.normal
         witness: Any = self.witness_b
-        found: Any = None if normal is None else np.concatenate([normal, np.cross(witness, normal)], axis=-1)
-        return found  # type: ignore[no-any-return]
+        wrench: Any = None if normal is None else np.concatenate([normal, np.cross(witness, normal)], axis=-1)
+        return wrench  # type: ignore[no-any-return]
 
 
 # The results without and with ``exact=True``.
@@ -251,8 +251,8 @@ def _listed(
     """Check pairs that are given by row numbers."""
     rows = _validate.integer_array(chosen, "pairs")
     if rows.ndim == 0 or rows.shape[-1] != 2:
-        found = _validate.shape_text(rows.shape)
-        raise InputError(f"pairs: expected row numbers of a and b, shape (..., 2) of integers, found {found}")
+        shape = _validate.shape_text(rows.shape)
+        raise InputError(f"pairs: expected row numbers of a and b, shape (..., 2) of integers, found {shape}")
     count = rows.size // 2
     _validate.fits_memory(count * (LIST_BYTES + each), f"{count} pairs")
     flat = np.ascontiguousarray(rows.reshape(-1, 2).T)
@@ -394,18 +394,18 @@ def classify(
     >>> classify(Body.sphere(1.0), None, Body.box([1, 1, 1]), T)
     <Verdict.FREE: 0>
     """
-    found: int | None = singles.classify(Body, a, T_world_a, b, T_world_b, margin, pairs)
-    if found is not None:
-        return VERDICTS[found]
+    code: int | None = singles.classify(Body, a, T_world_a, b, T_world_b, margin, pairs)
+    if code is not None:
+        return VERDICTS[code]
     keep = _validate.positive_scalar(margin, "margin", zero=True)
     return _classified(keep, a, T_world_a, b, T_world_b, pairs)
 
 
 @guarded
 def _classified(margin: float, a: Any, T_world_a: Any, b: Any, T_world_b: Any, chosen: Any) -> VerdictOrVerdicts:
-    asked = _prepare(a, T_world_a, b, T_world_b, check=False, chosen=chosen)
-    out, _ = _settle(codes.CERTIFY, margin, asked)
-    return Verdict(int(out[0])) if asked.plan.shape == () else out.reshape(asked.plan.shape)
+    pairs = _prepare(a, T_world_a, b, T_world_b, check=False, chosen=chosen)
+    out, _ = _settle(codes.CERTIFY, margin, pairs)
+    return Verdict(int(out[0])) if pairs.plan.shape == () else out.reshape(pairs.plan.shape)
 
 
 # fmt: off
@@ -487,9 +487,9 @@ def collide(
     >>> collide(Body.box([1, 1, 1]), None, Body.box([1, 1, 1]), None)
     True
     """
-    found: bool | None = singles.collide(Body, a, T_world_a, b, T_world_b, method, margin, pairs)
-    if found is not None:
-        return found
+    is_colliding: bool | None = singles.collide(Body, a, T_world_a, b, T_world_b, method, margin, pairs)
+    if is_colliding is not None:
+        return is_colliding
     exact = _validate.choice(method, "method", METHODS) == "exact"
     keep = _validate.positive_scalar(margin, "margin", zero=True)
     return _collided(exact, keep, a, T_world_a, b, T_world_b, pairs)
@@ -498,20 +498,20 @@ def collide(
 @guarded
 def _collided(exact: bool, margin: float, a: Any, T_world_a: Any, b: Any, T_world_b: Any, chosen: Any) -> BoolOrBools:
     """Decide whether bodies collide, exactly or by the estimate."""
-    found, unsettled = decided(exact, margin, a, T_world_a, b, T_world_b, chosen)
-    return _refused(unsettled, "collide", found) if unsettled.any() else found
+    collisions, unsettled = decided(exact, margin, a, T_world_a, b, T_world_b, chosen)
+    return _refused(unsettled, "collide", collisions) if unsettled.any() else collisions
 
 
 def decided(
     exact: bool, margin: float, a: Any, T_world_a: Any, b: Any, T_world_b: Any, chosen: Any = None
 ) -> tuple[BoolOrBools, Bools]:
     """Decide whether bodies collide; unsettled pairs count as colliding, and are marked in a flat array."""
-    asked = _prepare(a, T_world_a, b, T_world_b, check=False, each=COLLIDE_BYTES, chosen=chosen)
-    out, _ = _settle(codes.EXACT if exact else codes.CERTIFY, margin, asked, estimate=not exact)
+    pairs = _prepare(a, T_world_a, b, T_world_b, check=False, each=COLLIDE_BYTES, chosen=chosen)
+    out, _ = _settle(codes.EXACT if exact else codes.CERTIFY, margin, pairs, estimate=not exact)
     # Compare with a plain number: NumPy would call Python code of `Verdict`, and drop an interrupt that occurs there.
     unsettled = out == codes.AMBIGUOUS
     colliding = (out == codes.COLLIDING) | unsettled
-    shape = asked.plan.shape
+    shape = pairs.plan.shape
     return bool(colliding[0]) if shape == () else colliding.reshape(shape), unsettled
 
 
@@ -615,8 +615,8 @@ def distance(
     >>> round(distance(Body.sphere(1.0), None, Body.sphere(0.5), T, exact=True).distance, 12)
     1.5
     """
-    found: Distance | None = singles.distance(Body, Distance, a, T_world_a, b, T_world_b, exact, pairs)
-    return _measured(a, T_world_a, b, T_world_b, exact, pairs) if found is None else found
+    measurement: Distance | None = singles.distance(Body, Distance, a, T_world_a, b, T_world_b, exact, pairs)
+    return _measured(a, T_world_a, b, T_world_b, exact, pairs) if measurement is None else measurement
 
 
 @guarded
@@ -665,8 +665,8 @@ def push(T_world_body: Poses, wrench: ArrayLike, *, radius: float) -> Floats:
     try:
         shape = np.broadcast_shapes(T.shape[:-2], w.shape[:-1])
     except ValueError:
-        found = f"{_validate.shape_text(T.shape)} and {_validate.shape_text(w.shape)}"
-        raise InputError(f"wrench: expected shapes of poses and wrenches that broadcast, found {found}") from None
+        shapes = f"{_validate.shape_text(T.shape)} and {_validate.shape_text(w.shape)}"
+        raise InputError(f"wrench: expected shapes of poses and wrenches that broadcast, found {shapes}") from None
     moved = np.array(np.broadcast_to(T, (*shape, 4, 4)))
     with np.errstate(over="ignore", invalid="ignore"):
         half = (w[..., 3:] - np.cross(T[..., :3, 3], w[..., :3])) / length / length / 2
@@ -683,15 +683,15 @@ def push(T_world_body: Poses, wrench: ArrayLike, *, radius: float) -> Floats:
 @guarded
 def _measured(a: Any, T_world_a: Any, b: Any, T_world_b: Any, exact: Any, chosen: Any) -> Distance:
     """Compute bounds on distances, and the distances themselves."""
-    found, unsettled = measured(a, T_world_a, b, T_world_b, _validate.flag(exact, "exact"), chosen)
-    return _refused(unsettled, "distance", found) if unsettled.any() else found
+    distances, unsettled = measured(a, T_world_a, b, T_world_b, _validate.flag(exact, "exact"), chosen)
+    return _refused(unsettled, "distance", distances) if unsettled.any() else distances
 
 
 def measured(a: Any, T_world_a: Any, b: Any, T_world_b: Any, exact: bool, chosen: Any = None) -> tuple[Distance, Bools]:
     """Compute bounds on distances, and distances, which are NaN for unsettled pairs; a flat array marks these pairs."""
-    asked = _prepare(a, T_world_a, b, T_world_b, check=True, each=EXACT_BYTES if exact else BOUND_BYTES, chosen=chosen)
-    shape = asked.plan.shape
-    *answers, unsettled = measure(exact, asked.plan.total, asked.operands)
+    pairs = _prepare(a, T_world_a, b, T_world_b, check=True, each=EXACT_BYTES if exact else BOUND_BYTES, chosen=chosen)
+    shape = pairs.plan.shape
+    *answers, unsettled = measure(exact, pairs.plan.total, pairs.operands)
 
     def shaped(x: Floats) -> Any:
         if shape == ():

@@ -94,8 +94,8 @@ class PoseBounds:
     def off(self, t: Any) -> Any:
         """Bound how far points of the body may deviate at times t, shape (...), in metres."""
         with np.errstate(over="ignore", invalid="ignore"):
-            found = (self.metres + self.reach * self.radians) + self.rate * np.abs(t - self.since)
-            return np.fmin(found * (1.0 + OFF_ROUNDINGS), MOST_OFF)  # MOST_OFF also replaces NaN
+            deviation = (self.metres + self.reach * self.radians) + self.rate * np.abs(t - self.since)
+            return np.fmin(deviation * (1.0 + OFF_ROUNDINGS), MOST_OFF)  # MOST_OFF also replaces NaN
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -213,11 +213,11 @@ def path_of(times: ArrayLike, poses: ArrayLike, repeat: bool) -> PosePath:
     signs = np.where((quaternions[1:] * quaternions[:-1]).sum(axis=1) < 0, -1.0, 1.0)
     quaternions[1:] *= np.cumprod(signs)[:, None]
     read_only(at, positions, quaternions)  # a change in place would go unnoticed
-    made = PosePath(at, positions, quaternions, repeat)
-    for k in np.flatnonzero(made.arcs > (np.pi - NEARLY_HALF) / 2)[:1]:
+    path = PosePath(at, positions, quaternions, repeat)
+    for k in np.flatnonzero(path.arcs > (np.pi - NEARLY_HALF) / 2)[:1]:
         raise InputError(
             f"poses: expected turns of less than half a turn, since the way round is open otherwise, found one of "
-            f"{2 * made.arcs[k]:.4f} rad between the times {at[k]:.15g} and {at[k + 1]:.15g}; add poses in between"
+            f"{2 * path.arcs[k]:.4f} rad between the times {at[k]:.15g} and {at[k + 1]:.15g}; add poses in between"
         )
     with np.errstate(over="ignore"):
         fast = np.flatnonzero(~(np.abs(np.diff(positions, axis=0)).max(axis=1) / np.diff(at) <= FASTEST))[:1]
@@ -226,7 +226,7 @@ def path_of(times: ArrayLike, poses: ArrayLike, repeat: bool) -> PosePath:
             f"times: expected speeds below {FASTEST:g} m/s and times at least {SHORTEST:g} s apart, found "
             f"{np.diff(at)[k]:g} s from {at[k]:.15g} s on"
         )
-    return made
+    return path
 
 
 def with_twist(times: ArrayLike, pose: ArrayLike, twist: ArrayLike) -> tuple[Floats, Floats]:
@@ -250,14 +250,14 @@ def with_twist(times: ArrayLike, pose: ArrayLike, twist: ArrayLike) -> tuple[Flo
         turns = speed * (at[1] - at[0]) / MOST_TURN
         if not turns <= MOST_KNOTS:
             raise InputError(f"twist: expected at most {MOST_KNOTS} turns of {MOST_TURN:g} rad, found {turns:g}")
-        made = np.linspace(at[0], at[1], max(math.ceil(turns), 1) + 1)
-        half, T = (made - at[0])[:, None] * (speed / 2.0), np.tile(first, (len(made), 1, 1))
+        knot_times = np.linspace(at[0], at[1], max(math.ceil(turns), 1) + 1)
+        half, T = (knot_times - at[0])[:, None] * (speed / 2.0), np.tile(first, (len(knot_times), 1, 1))
         axis = rates[3:] / speed if speed else np.zeros(3)
         T[:, :3, :3] = product(
             rotations_of(np.concatenate([_elementary.cos(half), _elementary.sin(half) * axis], axis=1)), first[:3, :3]
         )
-        T[:, :3, 3] += (made - at[0])[:, None] * rates[:3]
-    return made, T
+        T[:, :3, 3] += (knot_times - at[0])[:, None] * rates[:3]
+    return knot_times, T
 
 
 def _knots(path: PosePath, low: Floats, high: Floats, fine: bool) -> Floats:
@@ -367,12 +367,12 @@ class PackedPaths(NamedTuple):
             For each body, its index and its deviations in metres at both times, in the form that `motions.settle`
             takes.
         """
-        found = np.empty((len(begin), len(self.bounds), 3))
+        deviations = np.empty((len(begin), len(self.bounds), 3))
         for k, one in enumerate(self.bounds):
             at_begin, at_end = (one.off(t) + one.rate * ticks for t in (begin, end))
             more = OFF_ROUNDINGS * np.maximum(at_begin, at_end)
-            found[:, k] = np.stack([np.full(len(begin), self.numbers[k]), at_begin + more, at_end + more], axis=1)
-        return found.reshape(len(begin), 3 * len(self.bounds))
+            deviations[:, k] = np.stack([np.full(len(begin), self.numbers[k]), at_begin + more, at_end + more], axis=1)
+        return deviations.reshape(len(begin), 3 * len(self.bounds))
 
     def knots(self, t0: Floats, t1: Floats, fine: bool) -> Floats:
         """List in order at least all times from t0 to t1, shape (N,) each, at which bodies change their rates.

@@ -316,8 +316,8 @@ class CollisionChecker:
             As for `collide`.
         """
         checked, ready = self._at(Q, None)
-        found = self._exact(ready, checked)
-        return verdicts.collisions(found.verdicts, checked), found.counted()
+        answers = self._exact(ready, checked)
+        return verdicts.collisions(answers.verdicts, checked), answers.counted()
 
     def valid_edges(self, Q0: ArrayLike, Q1: ArrayLike, resolution: float) -> OneOrMany:
         """Decide which straight motions are free of collisions, from samples at most `resolution` apart.
@@ -359,10 +359,10 @@ class CollisionChecker:
         step = _validate.positive_scalar(resolution, "resolution")
         a, b, shape = edges.ends(self.robot, Q0, Q1)
         ready = self._ready()
-        found, fractions = verdicts.sampled(ready, a, b, step)
-        for k in np.flatnonzero(found == codes.AMBIGUOUS)[:1]:
-            verdicts.expect_settled(ready, self.robot.between(a[k], b[k], fractions[k])[None], found[k : k + 1])
-        valid = np.asarray(found == codes.FREE)
+        edge_verdicts, fractions = verdicts.sampled(ready, a, b, step)
+        for k in np.flatnonzero(edge_verdicts == codes.AMBIGUOUS)[:1]:
+            verdicts.expect_settled(ready, self.robot.between(a[k], b[k], fractions[k])[None], edge_verdicts[k : k + 1])
+        valid = np.asarray(edge_verdicts == codes.FREE)
         return valid.reshape(shape) if shape else bool(valid[0])
 
     def certify_edges(
@@ -467,12 +467,14 @@ class CollisionChecker:
             shape, times = whole, (np.broadcast_to(times[0], whole), np.broadcast_to(times[1], whole))
         if times is not None and ready.paths is not None:
             begin_and_end = times[0].ravel(), times[1].ravel()
-            found = in_time.prove_edges(self.robot, ready, ready.paths, (a, b), begin_and_end, tolerance, errors, most)
+            answers = in_time.prove_edges(
+                self.robot, ready, ready.paths, (a, b), begin_and_end, tolerance, errors, most
+            )
         else:
-            found = proofs.prove_by_rules(ready, a, b, tolerance, errors, most)
-        found.expect_short(a, b)
-        motions = found.of_shape(shape, ready)
-        if model is None or not (found.verdicts == codes.FREE).all():
+            answers = proofs.prove_by_rules(ready, a, b, tolerance, errors, most)
+        answers.expect_short(a, b)
+        motions = answers.of_shape(shape, ready)
+        if model is None or not (answers.verdicts == codes.FREE).all():
             return motions
         deeper = None if errors.any() else tolerance
         return replace(motions, proof=proof_of(model, ready, straight(ready.robot, a, b), errors, deeper))
@@ -575,9 +577,9 @@ class CollisionChecker:
         ready = self._ready(timed=True)
         model = model_of(ready) if _validate.flag(proof, "proof") else None
         most = None if steps is None else _validate.whole_number(steps, "steps", 1, codes.NO_LIMIT)
-        given = curves.curves_of(self.robot, self.scene, curve, t0)
-        found = curves.certified(self.robot, ready, given, tolerance, errors, model, most)
-        return tuple(found) if isinstance(curve, (list, tuple)) else found[0]
+        checked_curves = curves.curves_of(self.robot, self.scene, curve, t0)
+        trajectories = curves.certified(self.robot, ready, checked_curves, tolerance, errors, model, most)
+        return tuple(trajectories) if isinstance(curve, (list, tuple)) else trajectories[0]
 
     joint_error = tracking.joint_error
     first_contact = contact_times.first_contact
@@ -600,10 +602,10 @@ class CollisionChecker:
         """
         time = None if t is None else _validate.finite_array(t, "t", ())
         checked, ready = self._at(self.robot.checked_one(q), time)
-        found, doubt = verdicts.contacts(ready, checked, None if time is None else float(time))
+        contacts, doubt = verdicts.contacts(ready, checked, None if time is None else float(time))
         if doubt:
             raise ConvergenceError(doubt)
-        return found
+        return contacts
 
     def collide_by_pair(self, Q: ArrayLike, t: ArrayLike | None = None) -> Bools:
         """Decide exactly which pairs collide at each configuration; `collide` is faster if the pairs do not matter.
@@ -626,8 +628,8 @@ class CollisionChecker:
         """
         checked, ready = self._at(Q, t)
         times = None if t is None else _times_of(checked, t)
-        found = verdicts.collisions_by_pair(ready, edges.flat(checked), times)
-        return found.reshape(*checked.shape[:-1], len(ready.pairs))
+        collisions = verdicts.collisions_by_pair(ready, edges.flat(checked), times)
+        return collisions.reshape(*checked.shape[:-1], len(ready.pairs))
 
     @overload
     def distance(
@@ -690,8 +692,8 @@ class CollisionChecker:
         exact, gradient = _validate.flag(exact, "exact"), _validate.flag(gradient, "gradient")
         if gradient and not exact:
             raise InputError("gradient: expected exact=True with it, found exact=False: bounds have no gradient")
-        found = distances.nearest(ready, checked, exact, gradient)
-        return found if ready.paths is None or found.gradient is None else replace(found, gradient=self._own(found))
+        gap = distances.nearest(ready, checked, exact, gradient)
+        return gap if ready.paths is None or gap.gradient is None else replace(gap, gradient=self._own(gap))
 
     @overload
     def clearance(self, Q: ArrayLike, *, softness: float = ..., gradient: Literal[False] = ...) -> OneOrMany: ...
@@ -801,8 +803,8 @@ class CollisionChecker:
         """
         checked, ready = self._at(Q, t)
         within, gradient = _validate.positive_scalar(within, "within", zero=True), _validate.flag(gradient, "gradient")
-        found = distances.by_pair(ready, edges.flat(checked), within, gradient)
-        return found if ready.paths is None or found.gradient is None else replace(found, gradient=self._own(found))
+        gaps = distances.by_pair(ready, edges.flat(checked), within, gradient)
+        return gaps if ready.paths is None or gaps.gradient is None else replace(gaps, gradient=self._own(gaps))
 
     # -- inside -------------------------------------------------------------------------------
 
@@ -814,8 +816,8 @@ class CollisionChecker:
         times = _validate.finite_array(t, "t", ("...",))
         shape = _validate.broadcast({"Q": checked.shape[:-1], "t": times.shape})
         rows = edges.flat(np.broadcast_to(checked, (*shape, checked.shape[-1])))
-        made = in_time.with_bodies(ready, rows, np.broadcast_to(times, shape).ravel())
-        return np.array(made.reshape(*shape, made.shape[1]), order="C"), ready
+        full_rows = in_time.with_bodies(ready, rows, np.broadcast_to(times, shape).ravel())
+        return np.array(full_rows.reshape(*shape, full_rows.shape[1]), order="C"), ready
 
     def _doubted(self, ready: Problem, Q: Floats, t: Floats | None, out: NDArray[np.int8]) -> NDArray[np.int8]:
         """Return FREE if free at all poses within errors, COLLIDING if colliding at the given poses, else AMBIGUOUS."""
@@ -833,10 +835,10 @@ class CollisionChecker:
     def _exact(self, ready: Problem, Q: Floats) -> Verdicts:
         """Decide verdict and tier of all configurations in the current scene; ConvergenceError if any is unsettled."""
         flat = edges.flat(Q)
-        found = verdicts.classified(ready, codes.EXACT, flat)
+        answers = verdicts.classified(ready, codes.EXACT, flat)
         self._learn(ready, len(flat))
-        verdicts.expect_settled(ready, flat, found.verdicts)
-        return found
+        verdicts.expect_settled(ready, flat, answers.verdicts)
+        return answers
 
     def _learn(self, ready: Problem, count: int) -> None:
         """Reorder the pairs from time to time, so that the pairs that have collided most often come first."""
@@ -855,8 +857,8 @@ class CollisionChecker:
         tried = self._robot.random_configurations(SUSPECTED)
         for pair in np.flatnonzero(verdicts.always(ready, tried))[:1]:
             a, b = (ready.names[n] for n in ready.pairs[pair])
-            known = [(name, self._robot.shapes.get(name)) for name in (a, b)]
-            shapes = "".join(f" ({name!r}: {'; '.join(words)})" for name, words in known if words)
+            descriptions = [(name, self._robot.shapes.get(name)) for name in (a, b)]
+            shapes = "".join(f" ({name!r}: {'; '.join(words)})" for name, words in descriptions if words)
             warn(
                 f"{self._robot.name}: {a!r} and {b!r} collide in each of {self._seen + SUSPECTED} configurations, "
                 f"{SUSPECTED} of them random{shapes}; if the links' shapes are larger than the links, read them as "
@@ -962,8 +964,8 @@ def without_motions(checker: CollisionChecker) -> CollisionChecker:
         scene = checker.scene.copy()
         for name in scene.following:
             scene.remove(name)
-        made = CollisionChecker(checker.robot, scene)
-        made._skipped = checker._skipped
-        checker._still = version, made
-        return made
+        still_checker = CollisionChecker(checker.robot, scene)
+        still_checker._skipped = checker._skipped
+        checker._still = version, still_checker
+        return still_checker
     return checker._still[1]

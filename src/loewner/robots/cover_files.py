@@ -117,8 +117,8 @@ def with_cover(self: Robot, path: str | os.PathLike[str], format: str | None = N
     ordered = {link: model.bodies[link] for link in self.link_names if link in model.bodies}
     if model.ignored is None:
         return with_bodies(self, ordered)
-    known = frozenset(pair for pair in model.ignored if not {*pair} & {*unknown})
-    return with_bodies(self, ordered, known)
+    ignored = frozenset(pair for pair in model.ignored if not {*pair} & {*unknown})
+    return with_bodies(self, ordered, ignored)
 
 
 def _told(notes: list[str]) -> str:
@@ -143,7 +143,7 @@ def save_cover(self: Robot, path: str | os.PathLike[str], format: str | None = N
         save_text(json.dumps(_ignored(self), indent=1) + "\n", _pairs_file(file))
         save_text(json.dumps(spheres, indent=1) + "\n", file)
     elif chosen in ("vamp", "foam"):
-        with_bodies(self, {link: Body.spheres(*found) for link, found in balls.items()}).to_urdf(file)
+        with_bodies(self, {link: Body.spheres(*link_balls) for link, link_balls in balls.items()}).to_urdf(file)
     elif chosen == "scene":
         save_scene(_as_scene(self), file)
     elif chosen == "urdf":
@@ -369,12 +369,12 @@ def _of_xrdf(keys: dict[str, Any], model: Model) -> dict[str, Any]:
     if "buffer_distance" in chosen:
         keys["collision_sphere_buffer"] = chosen["buffer_distance"]
     if selves is not None:
-        found = selves.mapping(("geometry", "buffer_distance", "ignore"))
-        if "geometry" in found and found["geometry"].text() != name:
+        entries = selves.mapping(("geometry", "buffer_distance", "ignore"))
+        if "geometry" in entries and entries["geometry"].text() != name:
             model.notes.append("another geometry for checks of links with each other")
         for key, own in (("ignore", "self_collision_ignore"), ("buffer_distance", "self_collision_buffer")):
-            if key in found:
-                keys[own] = found[key]
+            if key in entries:
+                keys[own] = entries[key]
     return {key: node for key, node in keys.items() if key != "modifiers"}
 
 
@@ -387,9 +387,9 @@ def _curobo_text(robot: Robot, balls: Mapping[str, _Balls]) -> str:
     quoted = {link: json.dumps(link, ensure_ascii=False) for link in robot.link_names}
     lines = ["collision_link_names:", *(f"- {quoted[link]}" for link in balls), "collision_sphere_buffer: 0.0"]
     lines.append("collision_spheres:")
-    for link, found in balls.items():
+    for link, spheres in balls.items():
         lines.append(f"  {quoted[link]}:")
-        for center, radius in zip(found.centers, found.radii, strict=True):
+        for center, radius in zip(spheres.centers, spheres.radii, strict=True):
             lines += [f"  - center: [{', '.join(map(_decimal, center))}]", f"    radius: {_decimal(radius)}"]
     lines += ["self_collision_buffer:", *(f"  {quoted[link]}: 0.0" for link in balls)]
     after: dict[str, list[str]] = {}
@@ -434,7 +434,7 @@ def _pairs_file(file: Path) -> Path:
 
 def _read_foam(keys: dict[str, Any], file: Path) -> Model:
     """Read foam's database: for each ``LINK::MESH``, the spheres by branching factor and depth, finest last."""
-    found: dict[str, list[Body]] = {}
+    parts: dict[str, list[Body]] = {}
     model = Model()
     if set(keys) == set(OF_FOAM):
         raise FileError(f"{shown(file)}: expected spheres by the names of links, found those of one mesh")
@@ -453,8 +453,8 @@ def _read_foam(keys: dict[str, Any], file: Path) -> Model:
         balls = [(keys["origin"].numbers(3), keys["radius"].number()) for keys in each]
         body = _of_positive(balls, name, WITHOUT_SIZE, model)
         if body is not None:
-            found.setdefault(link, []).append(body)
-    model.bodies |= {link: bodies[0] if len(bodies) == 1 else Body.union(bodies) for link, bodies in found.items()}
+            parts.setdefault(link, []).append(body)
+    model.bodies |= {link: bodies[0] if len(bodies) == 1 else Body.union(bodies) for link, bodies in parts.items()}
     return model
 
 

@@ -55,23 +55,23 @@ def cover(self: Robot, kind: Kind, *, n: int | None, protrusion: float | None, p
         raise InputError("n: expected none with protrusion, found both")
     else:
         bodies = _of_number(self, kind, _validate.whole_number(n, "n", 1), report)
-    made = with_bodies(self, bodies)
-    found = new_contacts(self, made)
-    pairs = [pair for pair, _, _ in found]
+    model = with_bodies(self, bodies)
+    contacts = new_contacts(self, model)
+    pairs = [pair for pair, _, _ in contacts]
     never = _never(self, pairs)
-    always = [f"{a} and {b}" for (a, b), _, share in found if share == 1.0 and (a, b) not in never]
+    always = [f"{a} and {b}" for (a, b), _, share in contacts if share == 1.0 and (a, b) not in never]
     if always:
         warn(
             f"shapes of links that may collide meet in all of {TRIED} configurations, so no motion of this cover is "
             f"free: {', '.join(always)}; take a smaller protrusion"
         )
-    return made.disabling(exempt_pairs(made) | never)
+    return model.disabling(exempt_pairs(model) | never)
 
 
 def with_bodies(robot: Robot, bodies: Mapping[str, Body], ignored: frozenset[Pair] | None = None) -> Robot:
     """Return the same robot with other bodies; if `ignored` is given, it replaces the robot's rules on pairs."""
-    made = replace(robot, bodies=Named("link with a body", bodies), shapes=Named("link with shapes of a URDF", {}))
-    return made if ignored is None else replace(made, disabled_pairs=ignored, _ruled=True)
+    variant = replace(robot, bodies=Named("link with a body", bodies), shapes=Named("link with shapes of a URDF", {}))
+    return variant if ignored is None else replace(variant, disabled_pairs=ignored, _ruled=True)
 
 
 def exempt_pairs(robot: Robot) -> frozenset[Pair]:
@@ -89,10 +89,10 @@ def new_contacts(robot: Robot, model: Robot) -> list[tuple[Pair, float, float]]:
     theirs = CollisionChecker(model)
     meets = theirs.collide_by_pair(Q)
     ours = CollisionChecker(with_bodies(robot, robot.bodies, exempt_pairs(model)))
-    known = dict(zip(ours.checked_pairs, ours.collide_by_pair(Q).T, strict=True))
+    own_hits = dict(zip(ours.checked_pairs, ours.collide_by_pair(Q).T, strict=True))
     none = np.zeros(TRIED, dtype=bool)
     shares = [
-        ((min(pair), max(pair)), float((hits & ~known.get(pair, none)).mean()), float(hits.mean()))
+        ((min(pair), max(pair)), float((hits & ~own_hits.get(pair, none)).mean()), float(hits.mean()))
         for pair, hits in zip(theirs.checked_pairs, meets.T, strict=True)
     ]
     return [row for row in shares if row[1] > 0]
@@ -140,12 +140,12 @@ def _of_number(robot: Robot, kind: Kind, n: int, progress: Progress) -> dict[str
     for step in range(STEPS):
         if n < len(robot.bodies):
             break
-        made = _covered(robot, kind, protrusion, progress, step, STEPS)
-        count = sum(len(body.pieces) for body in made.values())
+        bodies = _covered(robot, kind, protrusion, progress, step, STEPS)
+        count = sum(len(body.pieces) for body in bodies.values())
         if count > n:
             low = protrusion
         else:
-            high, best = protrusion, made
+            high, best = protrusion, bodies
             if count >= ENOUGH * n:
                 break
         guess = protrusion * (count / (0.96 * n)) ** POWER
@@ -160,14 +160,14 @@ def covered_by(self: Robot, model: Robot, tolerance: float | None, progress: Pro
     """Implement `Robot.covered_by`, whose signature has the defaults."""
     _validate.instance(model, "model", Robot)
     report = _validate.reporter(progress)
-    found = {}
+    reports = {}
     for number, (link, body) in enumerate(self.bodies.items(), 1):
         if link in model.bodies:
-            found[link] = body.covered_by(model.bodies[link], tolerance=tolerance)
+            reports[link] = body.covered_by(model.bodies[link], tolerance=tolerance)
         else:
-            found[link] = CoverReport("uncovered", (1.0, 1.0), (np.inf, np.inf), _point_of(body), (0.0, 0.0))
+            reports[link] = CoverReport("uncovered", (1.0, 1.0), (np.inf, np.inf), _point_of(body), (0.0, 0.0))
         report(number, len(self.bodies))
-    return found
+    return reports
 
 
 def _point_of(body: Body) -> Floats:

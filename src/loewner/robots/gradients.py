@@ -74,8 +74,8 @@ def distance(checker: Any) -> Measure:
     checked = _validate.instance(checker, "checker", CollisionChecker)
 
     def ask(Q: NDArray[Any], gradient: bool) -> tuple[Any, Any]:
-        found = checked.distance(Q, exact=True, gradient=gradient)
-        return found.distance, found.gradient
+        nearest = checked.distance(Q, exact=True, gradient=gradient)
+        return nearest.distance, nearest.gradient
 
     return Measure("distance", checked, ask)
 

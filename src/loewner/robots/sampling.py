@@ -68,17 +68,17 @@ def pairs_by_sampling(
     _validate.instance(robot, "robot", Robot)
     checker = CollisionChecker(replace(robot, disabled_pairs=frozenset()), skip_adjacent=False)
     counts = checker.collide_by_pair(robot.random_configurations(samples, seed)).sum(axis=0)
-    known = robot.checked(np.empty((0, robot.dof)) if known_free is None else known_free, "known_free")
-    overlapping = checker.collide_by_pair(known).sum(axis=tuple(range(known.ndim - 1))).tolist()
-    found = {}
+    free_Q = robot.checked(np.empty((0, robot.dof)) if known_free is None else known_free, "known_free")
+    overlapping = checker.collide_by_pair(free_Q).sum(axis=tuple(range(free_Q.ndim - 1))).tolist()
+    reasons = {}
     for (a, b), count, overlaps in zip(checker.checked_pairs, counts.tolist(), overlapping, strict=True):
         pair = (min(a, b), max(a, b))
         if pair in robot.adjacent_pairs:
-            found[pair] = "adjacent"
+            reasons[pair] = "adjacent"
         elif overlaps:
-            found[pair] = "default"
+            reasons[pair] = "default"
         elif count >= always * samples:
-            found[pair] = "always"
+            reasons[pair] = "always"
         elif count == 0:
-            found[pair] = "never"
-    return dict(sorted(found.items()))
+            reasons[pair] = "never"
+    return dict(sorted(reasons.items()))

@@ -153,10 +153,10 @@ def swept(
     _validate.callback(progress, "progress")
     errors = joint_errors(self, joint_error)
     ready: Problem = CollisionChecker(self, scene)._ready(timed=True)
-    given = _curve(self, Scene() if scene is None else scene, curve)
+    checked_curve = _curve(self, Scene() if scene is None else scene, curve)
     chosen = _chosen(self, ready, links)
     parts = [part for k, n in enumerate(chosen) for part in _parts(k, ready.packs[n], limit)]
-    knots = _knots(self, given._replace(off=given.off + errors), parts, ready.link[chosen], limit)
+    knots = _knots(self, checked_curve._replace(off=checked_curve.off + errors), parts, ready.link[chosen], limit)
     elements = [element for number in range(len(parts)) for element in _elements(parts, number, knots, limit)]
 
     def run(first: int, last: int) -> list[Polytope]:
@@ -196,12 +196,12 @@ def _chosen(robot: Robot, ready: Problem, links: str | Iterable[str] | None) -> 
     names = [links] if isinstance(links, str) else _validate.listed(links, "links")
     if not names:
         raise InputError("links: expected at least one link, found none")
-    known = {ready.names[k]: k for k in own}
+    numbers = {ready.names[k]: k for k in own}
     for name in names:
         if not isinstance(name, str):
             raise InputError(f"links: expected names of links, found {_validate.short(name)}")
-        _validate.known(name, "links: link with a body, or attached body", known)
-    return np.array([known[name] for name in dict.fromkeys(names)])
+        _validate.known(name, "links: link with a body, or attached body", numbers)
+    return np.array([numbers[name] for name in dict.fromkeys(names)])
 
 
 def _parts(body: int, packed: Packed, tolerance: float) -> Iterator[_Part]:
@@ -235,11 +235,11 @@ def _convex(packed: Packed, i: int, room: float) -> list[tuple[Floats, float]]:
     vertices = packed.points[row[columns.POINTS_FROM] : row[columns.POINTS_TO]]
     if (triangles == triangles[:, :1]).all():
         return _of_cloud(vertices[triangles[:, 0]], radius, room)
-    known = _known.setdefault(packed.trees[i], {})
-    if room not in known:
-        known[room] = _cut(vertices, triangles, kind == columns.SOLID, room)
+    cuts = _known.setdefault(packed.trees[i], {})
+    if room not in cuts:
+        cuts[room] = _cut(vertices, triangles, kind == columns.SOLID, room)
     grown, further = _grown_ball(radius, room) if radius > 0 else (np.zeros((1, 3)), 0.0)
-    return [((points[:, None] + grown).reshape(-1, 3), out + further) for points, out in known[room]]
+    return [((points[:, None] + grown).reshape(-1, 3), out + further) for points, out in cuts[room]]
 
 
 def _of_cloud(points: Floats, radius: float, room: float) -> list[tuple[Floats, float]]:
@@ -249,11 +249,11 @@ def _of_cloud(points: Floats, radius: float, room: float) -> list[tuple[Floats, 
     """
     grown, further = _grown_ball(radius, room / 2)
     cell = np.unique(np.floor(points / (CELLS * room)), axis=0, return_inverse=True)[1].ravel()
-    order, found = np.argsort(cell, kind="stable"), []
+    order, hulls = np.argsort(cell, kind="stable"), []
     for some in np.split(points[order], np.flatnonzero(np.diff(cell[order])) + 1):
         wide = math.sqrt(3 / 8) * float(lengths(np.ptp(some, axis=0))) * (1 + ROUNDINGS)
-        found.append(((some[:, None] + grown).reshape(-1, 3), wide + further))
-    return found
+        hulls.append(((some[:, None] + grown).reshape(-1, 3), wide + further))
+    return hulls
 
 
 def _cut(vertices: Floats, triangles: Ints, solid: bool, room: float) -> list[tuple[Floats, float]]:
@@ -284,17 +284,17 @@ def _grown_ball(radius: float, room: float) -> tuple[Floats, float]:
 
 def _around(kind: int, radius: float, center: Floats, factor: Floats, room: float) -> tuple[Floats, float]:
     """Return points whose hull contains a curved piece, and how far it sticks out."""
-    known, up = CURVED[kind], 1 + ROUNDINGS
-    if known.core is not None:  # a ball along a segment
-        ends = np.array([[known.core], [-known.core]]) * factor[:, 2]
+    shape, up = CURVED[kind], 1 + ROUNDINGS
+    if shape.core is not None:  # a ball along a segment
+        ends = np.array([[shape.core], [-shape.core]]) * factor[:, 2]
         corners, out = _grown_ball(radius * up, room)
         return (corners + ends[:, None] + center).reshape(-1, 3), out + radius * ROUNDINGS
     size = float(lengths(factor.T).max())
-    if known.is_ball:
+    if shape.is_ball:
         corners, out = _grown_ball(1.0, room / size)
         return image(factor, corners * up) + center, (out + ROUNDINGS) * size
-    unit, _ = known.mesh()
-    wider = up * unit / (known.inradii or inradius())
+    unit, _ = shape.mesh()
+    wider = up * unit / (shape.inradii or inradius())
     return image(factor, wider) + center, size * (float(lengths(wider - unit).max()) + ROUNDINGS)
 
 
@@ -419,9 +419,9 @@ def _elements(parts: list[_Part], number: int, knots: _Knots, tolerance: float) 
         best, beyond = None, last + 1
         while beyond - (i if best is None else best.last) > 1:
             j = min(i + step, last) if beyond > last else ((i if best is None else best.last) + beyond) // 2
-            found = between(i, j)
-            if found.excess <= tolerance:
-                best = found
+            element = between(i, j)
+            if element.excess <= tolerance:
+                best = element
                 step = 2 * step
             else:
                 beyond = j

@@ -172,9 +172,9 @@ def compiled_model(model: Any, data: Any, file: Path, tol: float, *, couplings: 
     unread = _unread(mujoco, model)
     if couplings:
         unread["constraints (equality)"] = int(np.count_nonzero(active)) - len(mimics)
-    found = [f"{count} {what}" for what, count in unread.items() if count]
-    if found:
-        warn(f"{file}: not read, although MuJoCo computes with it: {', '.join(found)}")
+    unread_parts = [f"{count} {what}" for what, count in unread.items() if count]
+    if unread_parts:
+        warn(f"{file}: not read, although MuJoCo computes with it: {', '.join(unread_parts)}")
     members = _members(model)
     part_names = {geoms: names.of_part(body, number, geoms) for body in range(model.nbody)
                   for number, geoms in enumerate(members[body])}  # fmt: skip
@@ -228,8 +228,8 @@ def _compiled(file: Path) -> Any:
     try:
         return mujoco.MjModel.from_xml_path(os.fspath(file))
     except Exception as error:  # usually a ValueError, but MuJoCo's own code or a lack of memory may raise any error
-        found = " ".join(str(error).split())
-        raise FileError(f"{file}: expected an MJCF file, found what MuJoCo refuses ({found})") from None
+        reason = " ".join(str(error).split())
+        raise FileError(f"{file}: expected an MJCF file, found what MuJoCo refuses ({reason})") from None
 
 
 def _unread(mujoco: Any, model: Any) -> dict[str, int]:

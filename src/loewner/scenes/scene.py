@@ -586,8 +586,8 @@ class Scene:
         moving = _validate.listed(names, "names", wanted="several names")
         poses = _validate.poses(Ts, "Ts")
         if poses.shape != (len(moving), 4, 4):
-            found = _validate.shape_text(poses.shape)
-            raise InputError(f"Ts: expected a pose for each of {len(moving)} names, shape (n, 4, 4), found {found}")
+            shape = _validate.shape_text(poses.shape)
+            raise InputError(f"Ts: expected a pose for each of {len(moving)} names, shape (n, 4, 4), found {shape}")
         off = _error(error, "error")
         with _CHANGING:
             moves = dict(zip(map(self._placed, moving), poses.copy(), strict=True))
@@ -1076,10 +1076,10 @@ class Scene:
             own: list[MarginKey] = [(name,) for name in pair]
             own += [(name, None) for name, other_is_link in zip(pair, reversed(links), strict=True) if other_is_link]
             for keys in (own, [pair]):
-                found = [key for key in keys if key in self._margins]
-                if not self._lowered.isdisjoint(found):
+                margin_keys = [key for key in keys if key in self._margins]
+                if not self._lowered.isdisjoint(margin_keys):
                     kept = 0.0
-                kept = max([kept, *(self._margins[key] for key in found)])
+                kept = max([kept, *(self._margins[key] for key in margin_keys)])
             return kept
 
     # -- queries ------------------------------------------------------------------------------
@@ -1108,8 +1108,8 @@ class Scene:
         now = self._standing_at(time)
         first, second = now._meeting().T
         bodies, poses, names = now.static_bodies, now.static_poses, now.static_names
-        found = queries.distance(bodies[first], poses[first], bodies[second], poses[second], exact=True)
-        return Contact.from_distances(((names[i], names[j]) for i, j in zip(first, second, strict=True)), found)
+        distances = queries.distance(bodies[first], poses[first], bodies[second], poses[second], exact=True)
+        return Contact.from_distances(((names[i], names[j]) for i, j in zip(first, second, strict=True)), distances)
 
     def collide(self, time: float | None = None) -> bool:
         """Decide whether any pair of bodies in the world collides, except allowed pairs; `pairs` lists the pairs.
@@ -1199,20 +1199,20 @@ class Scene:
         # below.
         off = self._off
         widest = max([self._margin, *self._margins.values()]) + sum(sorted(off.values())[-2:])
-        found = crowds.overlapping_pairs(bodies, poses, margin=widest)
+        pairs = crowds.overlapping_pairs(bodies, poses, margin=widest)
         if self._allowed:
-            found = found[[_pair(names[i], names[j]) not in self._allowed for i, j in found]]
+            pairs = pairs[[_pair(names[i], names[j]) not in self._allowed for i, j in pairs]]
         if not self._margins and not off:
-            return found
+            return pairs
         margins = np.array(
-            [self.margin_of(names[i], names[j]) + off.get(names[i], 0.0) + off.get(names[j], 0.0) for i, j in found]
+            [self.margin_of(names[i], names[j]) + off.get(names[i], 0.0) + off.get(names[j], 0.0) for i, j in pairs]
         )
-        meet = np.ones(len(found), dtype=bool)
+        meet = np.ones(len(pairs), dtype=bool)
         for margin in np.unique(margins[margins < widest]):
             at = np.flatnonzero(margins == margin)
-            first, second = found[at].T
+            first, second = pairs[at].T
             meet[at] = queries.collide(bodies[first], poses[first], bodies[second], poses[second], margin=margin)
-        return found[meet]
+        return pairs[meet]
 
     # -- names --------------------------------------------------------------------------------
 
@@ -1255,10 +1255,10 @@ def in_world(scene: Scene) -> tuple[Floats, dict[str, PosePath], dict[str, PoseB
     bounds : dict of str to PoseBounds
         The bounds of all bodies that follow motions: first of the bodies in ``following``, then of the bodies at rest.
     """
-    following, known = scene.following, scene.bounds
+    following, bounds = scene.following, scene.bounds
     resting = [name for name, path in following.items() if path.rests and name in scene._bounds]
     poses = [scene.static_poses, *(following.pop(name).poses(0.0)[None] for name in resting)]
-    return np.concatenate(poses), following, {name: known[name] for name in (*following, *resting) if name in known}
+    return np.concatenate(poses), following, {name: bounds[name] for name in (*following, *resting) if name in bounds}
 
 
 def poses_since(

@@ -226,11 +226,11 @@ class Drawing:
             look = {**LOOKS[layer], "color": self._colour} if layer in COLOURED else LOOKS[layer]
             if layer == "pieces" and any(piece.kind in ("surface", "solid") for piece in self._body.pieces):
                 look = {**look, "side": "double"}
-            made = self._parts(layer)
-            if not made:
+            shapes = self._parts(layer)
+            if not shapes:
                 self._nodes[layer] = None
-            self._layers[layer] = [layer, *(f"{layer} {k}" for k in range(1, len(made)))][: len(made)]
-            for name, part in zip(self._layers[layer], made, strict=True):
+            self._layers[layer] = [layer, *(f"{layer} {k}" for k in range(1, len(shapes)))][: len(shapes)]
+            for name, part in zip(self._layers[layer], shapes, strict=True):
                 self._nodes[name] = part.add(self._scene, f"{self._parent}/{name}", look)
                 self._listen(self._nodes[name])
         return self._layers[layer]
@@ -294,19 +294,19 @@ def parts(body: Body) -> list[Part]:
     round_ones = np.isin(kinds, BALLS)
     copied = np.flatnonzero(round_ones) if round_ones.sum() > MANY_PIECES else np.array([], dtype=np.int64)
     others = np.setdiff1d(np.arange(len(kinds)), [*clouds, *copied])
-    made: list[Part] = []
+    shapes: list[Part] = []
     if len(others):
-        made.append(Triangles(*joined(of_piece(packed, number) for number in others.tolist())))
+        shapes.append(Triangles(*joined(of_piece(packed, number) for number in others.tolist())))
     if len(copied):
         frames = packed.frames[copied]
         radii = frames[:, 0]  # radius of a ball around a point, or 0 for an ellipsoid
         balls = radii[:, None, None] * np.eye(3)
         factors = np.where((radii > 0)[:, None, None], balls, frames[:, 4:].reshape(-1, 3, 3))
-        made.append(Copies(frames[:, 1:4], factors))
+        shapes.append(Copies(frames[:, 1:4], factors))
     for number in clouds:
         row, radius = packed.layout[number], float(packed.frames[number, 0])
-        made.append(Points(packed.points[row[columns.POINTS_FROM] : row[columns.POINTS_TO]], radius))
-    return made
+        shapes.append(Points(packed.points[row[columns.POINTS_FROM] : row[columns.POINTS_TO]], radius))
+    return shapes
 
 
 def _is_cloud(packed: Packed, number: int) -> bool:

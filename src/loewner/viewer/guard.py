@@ -93,8 +93,8 @@ def listening(host: Any) -> Listening:
         )
     try:
         # The server gets this address instead of the name, so it listens at exactly the address that was checked.
-        found = socket.getaddrinfo(host, None, type=socket.SOCK_STREAM)
-        family, address = min((family, str(where[0])) for family, *_, where in found)
+        addresses = socket.getaddrinfo(host, None, type=socket.SOCK_STREAM)
+        family, address = min((family, str(where[0])) for family, *_, where in addresses)
         ipaddress.ip_address(address)
     except (OSError, ValueError) as error:
         reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)

@@ -202,10 +202,10 @@ class PairViewer(Viewer):
             self._ground.visible = self._marks["ground"].value
 
     def _answer(self) -> None:
-        asked: tuple[Any, ...] = self.a, self._movers["A"].T, self.b, self._movers["B"].T
-        self.verdict = classify(*asked, margin=self._margin)
-        self.colliding = collide(*asked, margin=self._margin)
-        self.found = distance(*asked, exact=True)
+        operands: tuple[Any, ...] = self.a, self._movers["A"].T, self.b, self._movers["B"].T
+        self.verdict = classify(*operands, margin=self._margin)
+        self.colliding = collide(*operands, margin=self._margin)
+        self.found = distance(*operands, exact=True)
         exactly = Verdict.COLLIDING if self.colliding else Verdict.FREE
         swatches = {f"on {name}": colour for name, colour in PAIR.items()}
         self._show_verdict(exactly.name, VERDICT_COLOURS[exactly], self._rows(), [], swatches)
@@ -217,16 +217,16 @@ class PairViewer(Viewer):
         self._normal.visible = False
 
     def _rows(self) -> list[tuple[str, str]]:
-        found = self.found
-        kind = "depth" if found.distance < 0 else "distance"
+        gap = self.found
+        kind = "depth" if gap.distance < 0 else "distance"
         rows = [
-            (kind, f"{abs(found.distance):.6g} m"),
+            (kind, f"{abs(gap.distance):.6g} m"),
             ("ellipsoids", certified_words(self.verdict)),
-            ("bounds", f"{found.lower:z.6g} .. {found.upper:z.6g} m"),
-            ("estimate", f"{found.estimate:z.6g} m"),
-            ("on A", _numbers(found.witness_a)),
-            ("on B", _numbers(found.witness_b)),
-            ("normal", _numbers(found.normal)),
+            ("bounds", f"{gap.lower:z.6g} .. {gap.upper:z.6g} m"),
+            ("estimate", f"{gap.estimate:z.6g} m"),
+            ("on A", _numbers(gap.witness_a)),
+            ("on B", _numbers(gap.witness_b)),
+            ("normal", _numbers(gap.normal)),
         ]
         return rows + ([("margin", f"{self._margin:g} m")] if self._margin else [])
 
@@ -238,10 +238,10 @@ class PairViewer(Viewer):
             self._near.hide()
             self._normal.visible = False
             return
-        found = self.found
-        self._near.show(found.witness_a, found.witness_b)
-        tip = found.witness_b + self._size / 12 * found.normal
-        self._normal.points = np.array([[found.witness_b, tip]], dtype=np.float32)
+        gap = self.found
+        self._near.show(gap.witness_a, gap.witness_b)
+        tip = gap.witness_b + self._size / 12 * gap.normal
+        self._normal.points = np.array([[gap.witness_b, tip]], dtype=np.float32)
         self._normal.visible = True
 
 

@@ -143,8 +143,8 @@ class Executed:
 
     def certify(self, checker: CollisionChecker) -> CertifiedTrajectory:
         """Prove the curve free."""
-        found: CertifiedTrajectory = checker.certify_trajectory(self.given)
-        return found
+        certified: CertifiedTrajectory = checker.certify_trajectory(self.given)
+        return certified
 
 
 Way = Trajectory | Path | Standing | Executed
@@ -223,8 +223,8 @@ def proven_along(checker: CollisionChecker, way: Way) -> Proof:
     rows = way.positions(times)
     clock = way.start_time + times
     timed: Any = {"t0": clock[:-1], "t1": clock[1:]} if checker.scene.following else {}
-    found = checker.certify_edges(rows[:-1], rows[1:], joint_error=ROUNDING, **timed)
-    return Proof(times, np.asarray(found.verdict), np.asarray(found.fraction))
+    edges = checker.certify_edges(rows[:-1], rows[1:], joint_error=ROUNDING, **timed)
+    return Proof(times, np.asarray(edges.verdict), np.asarray(edges.fraction))
 
 
 def worst_along(checker: CollisionChecker, way: Way, proof: Proof) -> float:
@@ -238,8 +238,8 @@ def worst_along(checker: CollisionChecker, way: Way, proof: Proof) -> float:
         return min(max(float(near.time[near.nearest]) - way.start_time, 0.0), way.duration)
     ended = (proof.times[:-1] + proof.fractions * np.diff(proof.times))[proof.verdicts != Verdict.FREE]
     times = np.append(np.linspace(0.0, way.duration, curves.MEASURED), ended.clip(0.0, way.duration))
-    found = checker.distance(way.positions(times), way.start_time + times, exact=True)
-    return float(times[np.argmin(found.distance)])
+    distances = checker.distance(way.positions(times), way.start_time + times, exact=True)
+    return float(times[np.argmin(distances.distance)])
 
 
 def sampled_strip(found: Ints, duration: float) -> str:

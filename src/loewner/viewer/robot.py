@@ -697,15 +697,15 @@ class RobotViewer(Viewer):
         return Verdict.COLLIDING if self.colliding else Verdict.FREE
 
     def _rows(self) -> Iterator[tuple[str, str]]:
-        found = self.bounds
+        bounds = self.bounds
         if self.path_verdict is not None:
             yield "path", ALONG[self.path_verdict]
             yield "here", self._here().name
-        if found.distance is None or found.names is None:
-            yield "clearance", f"not settled: {found.lower:.4g} .. {found.upper:.4g} m"
+        if bounds.distance is None or bounds.names is None:
+            yield "clearance", f"not settled: {bounds.lower:.4g} .. {bounds.upper:.4g} m"
         else:
-            yield "depth" if found.distance < 0 else "clearance", length_text(abs(found.distance))
-            yield "nearest pair", " – ".join(found.names)
+            yield "depth" if bounds.distance < 0 else "clearance", length_text(abs(bounds.distance))
+            yield "nearest pair", " – ".join(bounds.names)
         yield "ellipsoids", certified_words(self.verdict)
         yield "pairs", f"{len(self.contacts)} touch of {len(self.checker.checked_pairs)} checked"
         if self._way is not None:

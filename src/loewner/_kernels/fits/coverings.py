@@ -118,22 +118,22 @@ def choose_few(count, steps, start, by_point, by_candidate, chosen):
     missed = np.zeros(by_candidate.shape[1], np.int64)
     for p in range(count):
         missed[p // WORD] |= 1 << (p % WORD)
-    found = _greedy(start, by_candidate, missed, chosen)
+    chosen_count = _greedy(start, by_candidate, missed, chosen)
     for w in range(len(missed)):
         if missed[w] != 0:
             return -1
-    return _exchange(count, steps, by_point, by_candidate, missed, chosen, found) if steps > 0 else found
+    return _exchange(count, steps, by_point, by_candidate, missed, chosen, chosen_count) if steps > 0 else chosen_count
 
 
 @njit()
 def _greedy(start, by_candidate, missed, chosen):
     """Take the candidate that holds most missed points, until none holds any; return how many candidates were taken."""
     m, words = by_candidate.shape
-    gains, found = np.zeros(m, np.int64), 0
+    gains, chosen_count = np.zeros(m, np.int64), 0
     for k in start:
         if _drop_held(by_candidate, k, missed):
-            chosen[found] = k
-            found += 1
+            chosen[chosen_count] = k
+            chosen_count += 1
     for k in range(m):
         for w in range(words):
             gains[k] += bits_set(by_candidate[k, w] & missed[w])
@@ -144,7 +144,7 @@ def _greedy(start, by_candidate, missed, chosen):
             if gains[k] > gains[best]:
                 best = k
         if gains[best] == 0:
-            return found
+            return chosen_count
         some = 0
         for w in range(words):
             both = by_candidate[best, w] & missed[w]
@@ -155,8 +155,8 @@ def _greedy(start, by_candidate, missed, chosen):
             for j in range(some):
                 gains[k] -= bits_set(by_candidate[k, at[j]] & held[j])
         _drop_held(by_candidate, best, missed)
-        chosen[found] = best
-        found += 1
+        chosen[chosen_count] = best
+        chosen_count += 1
 
 
 @inline

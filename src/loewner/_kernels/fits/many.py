@@ -149,10 +149,10 @@ def solve_with_few(A, tol, x, low, lam):
     for _ in range(MAX_ROUNDS):
         fresh = 0
         for s in range(SECTORS):
-            known = best_at[s] < 0
+            is_listed = best_at[s] < 0
             for a in range(count):
-                known = known or index[a] == best_at[s]
-            if not known and count < capacity:
+                is_listed = is_listed or index[a] == best_at[s]
+            if not is_listed and count < capacity:
                 index[count] = best_at[s]
                 for k in range(n):
                     X[count, k] = A[best_at[s], k]

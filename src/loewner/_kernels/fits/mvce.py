@@ -517,10 +517,10 @@ def fit_outer(points, tol, flatness, center, factor):
             index[i] = i
     else:
         for j in range(2 * n):
-            known = False
+            is_listed = False
             for a in range(count):
-                known = known or index[a] == chosen[j]
-            if not known:
+                is_listed = is_listed or index[a] == chosen[j]
+            if not is_listed:
                 index[count] = chosen[j]
                 count += 1
     for a in range(count):
@@ -552,10 +552,10 @@ def fit_outer(points, tol, flatness, center, factor):
         reach = farthest_by_sector(points, center, factor, exponential(tol / n), far, far_at)
         fresh = 0
         for j in range(2 * n):
-            known = far_at[j] < 0
+            is_listed = far_at[j] < 0
             for a in range(count):
-                known = known or index[a] == far_at[j]
-            if known:
+                is_listed = is_listed or index[a] == far_at[j]
+            if is_listed:
                 far_at[j] = -1
             else:
                 fresh += 1

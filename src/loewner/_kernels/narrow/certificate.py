@@ -439,8 +439,8 @@ def _stages(fetch, prefetch, lanes, pose, size_of, unit, tiny, sure):
                 settled = overlap | distinct
                 if movemask(free | settled) != everything:
                     s, m = better(p.Q, q.Q, r, n)
-                    found, none = _common(p, q, r, m, s, size, unit, sure)
-                    overlap = overlap | found
+                    common, none = _common(p, q, r, m, s, size, unit, sure)
+                    overlap = overlap | common
                     distinct = distinct | none
             if asking and moved_a:
                 prefetch(Ta, 16, ahead.pose_a, at)

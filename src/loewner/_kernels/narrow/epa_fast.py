@@ -283,12 +283,12 @@ def _nearest(W, live):
 @inline
 def _not_above(W, live, bound):
     """Mask of the faces with an offset of at most `bound`."""
-    found = 0
+    mask = 0
     for c in range(0, MAX_FACES, 8):
         if live >> c == 0:
             break
-        found |= movemask(load(W, _OFFSET + c) <= bound) << c
-    return found & live
+        mask |= movemask(load(W, _OFFSET + c) <= bound) << c
+    return mask & live
 
 
 @inline
@@ -318,7 +318,7 @@ def _expand(W, K, live, seen, w):
             K[_RIM_FROM + count] = K[_ORIGIN + 4 * f + e]
             count += 1 - ((seen >> (twin >> 2)) & 1)
     unused = ~live | seen
-    made = 0
+    fan = 0
     fine = count >= 3
     last = 0
     for r in range(count):
@@ -326,7 +326,7 @@ def _expand(W, K, live, seen, w):
             return 0, nearest, least
         last = _first_bit(unused)
         unused &= unused - 1
-        made |= 1 << last
+        fan |= 1 << last
         twin = K[_RIM + r]
         u = K[_RIM_FROM + r]
         fine &= _make_face(W, K, last, u, K[_ORIGIN + twin], w)
@@ -347,7 +347,7 @@ def _expand(W, K, live, seen, w):
         back += g == last
     if not fine or back != 1 or g != last:
         return 0, nearest, least
-    return (live & ~seen) | made, nearest, least
+    return (live & ~seen) | fan, nearest, least
 
 
 @inline

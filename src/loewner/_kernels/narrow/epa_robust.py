@@ -302,10 +302,10 @@ def penetration(A, B, shift, accuracy, work, result):
 @inline
 def _known(S, count):
     """Return whether row `count` of the support points repeats an earlier row."""
-    known = False
+    is_repeated = False
     for k in range(count):
-        known |= S[k, 0] == S[count, 0] and S[k, 1] == S[count, 1] and S[k, 2] == S[count, 2]
-    return known
+        is_repeated |= S[k, 0] == S[count, 0] and S[k, 1] == S[count, 1] and S[k, 2] == S[count, 2]
+    return is_repeated
 
 
 @njit()

@@ -316,7 +316,7 @@ def settle(count, sa, la, xa, Ta, moved_a, sb, lb, xb, Tb, moved_b, memory):
         Address of a `Workspace`, whose `found` receives APART, TOUCHING or UNSETTLED. `takes` must hold for the pieces.
     """
     work = workspace_at(memory)
-    listed, N, W, found = work.listed, work.directions, work.vertices, work.found
+    listed, N, W, statuses = work.listed, work.directions, work.vertices, work.found
     fill(listed, count)
     for lane in range(count, SINGLE_LANES):
         for row in range(3):
@@ -380,6 +380,6 @@ def settle(count, sa, la, xa, Ta, moved_a, sb, lb, xb, Tb, moved_b, memory):
         if movemask(apart | touching) == SINGLE_ALL:
             break
         n, B, C, E, two, three = advance(A, B, C, E, two, three, f, g, h)
-    masked_store(found, 0, apart | ~apart, UNSETTLED)
-    masked_store(found, 0, touching, TOUCHING)
-    masked_store(found, 0, apart, APART)
+    masked_store(statuses, 0, apart | ~apart, UNSETTLED)
+    masked_store(statuses, 0, touching, TOUCHING)
+    masked_store(statuses, 0, apart, APART)

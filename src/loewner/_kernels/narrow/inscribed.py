@@ -448,7 +448,7 @@ def find_seeds(mesh, wanted, seeds, radii):
     for t in range(1, len(cumulated)):
         cumulated[t] += cumulated[t - 1]
     area = cumulated[-1]
-    found = 0
+    seed_count = 0
     if not area > 0.0:
         return 0
     outward = 1.0 if volume6 > 0.0 else -1.0
@@ -471,12 +471,12 @@ def find_seeds(mesh, wanted, seeds, radii):
             height, radius = ball_at(mesh, start, way)
             for place in PLACES:
                 if radius - (1.0 - place) * height > LEAST_AXIS * mesh.size:
-                    seeds[found, 0], seeds[found, 1], seeds[found, 2] = along(start, place * height, way)
-                    radii[found] = radius - (1.0 - place) * height
-                    found += 1
+                    seeds[seed_count, 0], seeds[seed_count, 1], seeds[seed_count, 2] = along(start, place * height, way)
+                    radii[seed_count] = radius - (1.0 - place) * height
+                    seed_count += 1
             if radius > 0.0:
                 break
-    return found
+    return seed_count
 
 
 @njit()
@@ -520,8 +520,8 @@ def spread(centers, factors, total, count, chosen):
     free = np.ones((total, POINTS), np.bool_)
     left = np.full(total, POINTS)
     largest = 0.0
-    found = 0
-    while found < count:
+    chosen_count = 0
+    while chosen_count < count:
         best = 0.0
         choice = -1
         for i in range(total):
@@ -530,10 +530,10 @@ def spread(centers, factors, total, count, chosen):
                 best = share
                 choice = i
         if choice < 0 or best < LEAST_VOLUME * largest:
-            return found
+            return chosen_count
         largest = max(largest, best)
-        chosen[found] = choice
-        found += 1
+        chosen[chosen_count] = choice
+        chosen_count += 1
         G = inverse(factors[choice])
         center = centers[choice, 0], centers[choice, 1], centers[choice, 2]
         for i in range(total):
@@ -547,7 +547,7 @@ def spread(centers, factors, total, count, chosen):
                     if i == choice or dot(y, y) < 1.0:
                         free[i, p] = False
                         left[i] -= 1
-    return found
+    return chosen_count
 
 
 @njit()
@@ -629,13 +629,13 @@ def inscribed_ellipsoids(table, size, far, origin, scale, centers, factors, memo
     tries = min(count + UNCUT - 1 + count // 4, len(seeds))
     capacity = tries + MOST_PLANES + REPAIRS * STEP + STEP
     mesh = Mesh(boxes.tree_at(table), size, far, memory, np.empty(4 * capacity), np.empty(capacity))
-    found = find_seeds(mesh, wanted, seeds, radii)
+    seed_count = find_seeds(mesh, wanted, seeds, radii)
     grown_centers = np.empty((tries, 3))
     grown_factors = np.zeros((tries, 3, 3))
     scores = radii.copy()
     grown = 0
-    while found > 0 and grown < tries:
-        seed = np.argmax(scores[:found])
+    while seed_count > 0 and grown < tries:
+        seed = np.argmax(scores[:seed_count])
         if not scores[seed] > 0.0:
             break
         center, factor = grown_centers[grown], grown_factors[grown]
@@ -644,7 +644,7 @@ def inscribed_ellipsoids(table, size, far, origin, scale, centers, factors, memo
             factor[k, k] = radii[seed]
         cut_off(mesh, center, grown_centers, grown_factors, grown)
         grow(mesh, grown if grown >= UNCUT else 0, center, factor)
-        discount(seeds, radii, scores, found, center, factor)
+        discount(seeds, radii, scores, seed_count, center, factor)
         scores[seed] = 0.0
         grown += 1
 

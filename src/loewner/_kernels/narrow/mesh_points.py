@@ -156,7 +156,7 @@ def facing_one_way(table, size, points, reach, normals, two_sided, least, steps,
     tree = tree_at(table)
     slack = np.float32(ROUNDINGS * size)
     for n in range(len(points)):
-        x, far, found, height = _point(points, n), reach[n] * reach[n], 0, walk.begun(memory)
+        x, far, count, height = _point(points, n), reach[n] * reach[n], 0, walk.begun(memory)
         ball = singles(x), slack, walk.rounded_up(far)
         while True:
             child, height = _next_in_ball(tree, memory, height, ball)
@@ -174,9 +174,9 @@ def facing_one_way(table, size, points, reach, normals, two_sided, least, steps,
                     corner = tree.blocks[at], tree.blocks[at + LEAF], tree.blocks[at + 2 * LEAF]
                     side = dot(minus(x, corner), normal)
                     normal = scaled(1.0 if side > 0.0 else -1.0 if side < 0.0 else 0.0, normal)
-                near[found, 0], near[found, 1], near[found, 2] = normal
-                found += 1
-        answers[n] = found > 0 and _face_one_way(near, found, least, steps)
+                near[count, 0], near[count, 1], near[count, 2] = normal
+                count += 1
+        answers[n] = count > 0 and _face_one_way(near, count, least, steps)
 
 
 @njit()

@@ -38,22 +38,22 @@ NO_INSIDE = 1e-100
 @njit()
 def surface_depth(A, B, shift, n, faces, edges, memory, result):
     """Lower bound on the depth of two pieces that meet; the operands are documented in `surface_distance`."""
-    found, back, own = 0.0, negated(shift), np.empty(9)
+    depth, back, own = 0.0, negated(shift), np.empty(9)
     result[0], result[1], result[2] = walk.unit(n)
     for c in range(6):
         result[3 + c] = 0.0
     if is_surface(A) and is_surface(B):
-        found = _deepest_triangles(A, B, shift, found, faces, edges, memory, own, result)
+        depth = _deepest_triangles(A, B, shift, depth, faces, edges, memory, own, result)
     elif is_surface(A):
-        found = _deepest_to_piece(A, B, shift, found, 1.0, faces, edges, memory, own, result)
+        depth = _deepest_to_piece(A, B, shift, depth, 1.0, faces, edges, memory, own, result)
     else:
-        found = _deepest_to_piece(B, A, back, found, -1.0, faces, edges, memory, own, result)
-    found = _depth_of_balls(A, B, shift, found, result)
+        depth = _deepest_to_piece(B, A, back, depth, -1.0, faces, edges, memory, own, result)
+    depth = _depth_of_balls(A, B, shift, depth, result)
     if is_solid(A):
-        found = _deepest_point(A, B, shift, found, 1.0, memory, own, result)
+        depth = _deepest_point(A, B, shift, depth, 1.0, memory, own, result)
     if is_solid(B):
-        found = _deepest_point(B, A, back, found, -1.0, memory, own, result)
-    return found
+        depth = _deepest_point(B, A, back, depth, -1.0, memory, own, result)
+    return depth
 
 
 @inline

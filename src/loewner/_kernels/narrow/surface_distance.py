@@ -275,12 +275,12 @@ def _nearest_to_piece(A, B, shift, limit, memory):
     placed, planes = walk.placed_of(memory), walk.planes_of(memory)
     ends, box = (LEAF, place_piece(B, shift, W, LEAF)), boxes.box_in_frame(A, B, shift, 0.0, size)
     center = image(R, walk.ORIGIN, box.middle)
-    best, found, searches, height = limit, -1, 0, walk.begun(memory)
+    best, nearest, searches, height = limit, -1, 0, walk.begun(memory)
     while True:
         kept = min(searches, walk.PLANES)
         child, height = walk.next_nearest(a, box.single, box.wide, kept, best * best, memory, height)
         if child >= 0:
-            return found
+            return nearest
         leaf = leaf_of(child)
         bits = walk.lanes_in(child, walk.gap_to_box(a.blocks, leaf, box) * BELIEVED <= best * best)
         bits = walk.not_beyond_any(a.blocks, leaf, planes, kept, best, bits)
@@ -301,5 +301,5 @@ def _nearest_to_piece(A, B, shift, limit, memory):
                     piece = walk.triangle_piece(A, leaf * LEAF + lane, 0.0, walk.first_of(memory))
                     above, _ = _between_pieces(piece, B, shift, n, memory, result)
                 if above <= best:
-                    best, found = max(above, 0.0), leaf * LEAF + lane
+                    best, nearest = max(above, 0.0), leaf * LEAF + lane
             bits &= walk.not_beyond(a.blocks, leaf, planes, k, best)

@@ -64,9 +64,9 @@ def surface_pair(A, B, near, far, memory, listed_at, room, steps=NO_LIMIT):
     open_pairs : int
     """
     # Addresses of NumPy arrays have another integer type. Without this conversion, everything would be compiled again.
-    asked = Asked(near, far, np.int64(memory), np.int64(listed_at), room)
-    walk.left_of(asked.memory)[0] = steps
-    return _settled(A, B, asked) if is_surface(A) else _settled(B, A, asked)
+    query = Asked(near, far, np.int64(memory), np.int64(listed_at), room)
+    walk.left_of(query.memory)[0] = steps
+    return _settled(A, B, query) if is_surface(A) else _settled(B, A, query)
 
 
 # A call copies the records of both pieces through memory (76 words), and the callee counts references again. Therefore,
@@ -208,9 +208,9 @@ def _with_piece(A, B, shift, size, asked):
     placed, planes = walk.placed_of(memory), walk.planes_of(memory)
     box, ends = oval_in_frame(A, B, shift, far, size), (LEAF, LEAF)
     center, closer = walk.ORIGIN, False
-    height, open_pairs, found, left = walk.resumed(memory), 0, 0, walk.left_of(memory)
+    height, open_pairs, plane_count, left = walk.resumed(memory), 0, 0, walk.left_of(memory)
     while True:
-        kept = min(found, walk.PLANES)
+        kept = min(plane_count, walk.PLANES)
         child, height = walk.next_in_box(a, box, kept, far, memory, height)
         if child >= 0:
             return open_pairs + (height > 0)
@@ -242,7 +242,7 @@ def _with_piece(A, B, shift, size, asked):
             if status != APART:
                 open_pairs = _list(asked, open_pairs, leaf * LEAF + lane, -1)
                 continue
-            k = found % walk.PLANES
-            found += 1
+            k = plane_count % walk.PLANES
+            plane_count += 1
             walk.keep_plane(B, shift, R, n, size, planes, k)
             bits &= walk.not_beyond(a.blocks, leaf, planes, k, far)

@@ -45,7 +45,7 @@ def parts_tier(a, i, Ta, ka, b, j, Tb, kb, margin):
     rows_a, rows_b = a.parts if of_surface_a else a.hot, b.parts if of_surface_b else b.hot
     memory, tier, normals = np.empty(_SIZE), np.empty(CHUNK, np.int8), np.empty(3 * BLOCK)
     listed = _listed_at(memory.ctypes.data)
-    found = OPEN
+    pair_tier = OPEN
     for turn in range(2):
         # First try all pairs of inner ellipsoids, any of which may overlap, and then all pairs of outer ellipsoids, all
         # of which must be apart.
@@ -64,16 +64,16 @@ def parts_tier(a, i, Ta, ka, b, j, Tb, kb, margin):
             for n in range(count):
                 apart_all = apart_all and (tier[n] == BY_OUTER or tier[n] == BY_SPHERE)
                 if turn == 0 and tier[n] == BY_INNER:
-                    found = BY_INNER
-            if found == BY_INNER or (turn == 1 and not apart_all):
+                    pair_tier = BY_INNER
+            if pair_tier == BY_INNER or (turn == 1 and not apart_all):
                 break
-        if found == BY_INNER:
+        if pair_tier == BY_INNER:
             break
         # Ellipsoids around triangles need not contain the volume that the triangles enclose.
         if apart_all and _none_within(placed(a, i, Ta, ka), placed(b, j, Tb, kb)):
-            found = BY_OUTER
+            pair_tier = BY_OUTER
     held(memory)
-    return found
+    return pair_tier
 
 
 @njit()
@@ -81,9 +81,9 @@ def _none_within(A, B):
     """Return whether two pieces whose surfaces do not meet are proven not to lie within each other."""
     memory, shift = np.empty(WALK // 8), shift_between(A, B)
     left_of(memory.ctypes.data)[0] = NO_LIMIT
-    found = within_either(A, B, shift, lengths(A, B, shift), memory.ctypes.data)
+    location = within_either(A, B, shift, lengths(A, B, shift), memory.ctypes.data)
     held(memory)
-    return found == OUTSIDE
+    return location == OUTSIDE
 
 
 @inline

@@ -28,12 +28,12 @@ LEAN_I, LEAN_J = 0.07391, 0.61803
 @inline
 def within_either(A, B, shift, size, memory):
     """Return whether a part of one of two pieces lies within the other piece, if that is a solid."""
-    found = OUTSIDE
+    location = OUTSIDE
     if is_solid(A):
-        found = _parts_within(A, B, shift, size, memory)
-    if is_solid(B) and found != WITHIN:
-        found = max(found, _parts_within(B, A, negated(shift), size, memory))
-    return found
+        location = _parts_within(A, B, shift, size, memory)
+    if is_solid(B) and location != WITHIN:
+        location = max(location, _parts_within(B, A, negated(shift), size, memory))
+    return location
 
 
 @apart
@@ -42,16 +42,16 @@ def _parts_within(A, B, shift, size, memory):
     if not is_surface(B):
         return point_within(A, plus(placed_support(B, (1.0, 0.0, 0.0)), shift), size, memory)
     parts, R, left = surface_of(B).parts, rotation_of(B), walk.left_of(memory)
-    found = OUTSIDE
+    location = OUTSIDE
     for at in range(0, len(parts), 3):
         if left[0] <= 0:
             return UNKNOWN
         left[0] -= 1
         x = image(R, shift, (parts[at], parts[at + 1], parts[at + 2]))
-        found = max(found, point_within(A, x, size, memory))
-        if found == WITHIN:
+        location = max(location, point_within(A, x, size, memory))
+        if location == WITHIN:
             break
-    return found
+    return location
 
 
 @njit()
@@ -106,9 +106,9 @@ def winding_number(a, q, size, memory):
         k = way >> 1
         i, j = (k + 1) % 3, (k + 2) % 3
         lean = LEAN_I + 0.1 * turn, LEAN_J - 0.1 * turn
-        found = _windings(a, (q[i], q[j], q[k]), i, j, k, way & 1, lean, size, memory)
-        if found != UNCOUNTED:
-            return found
+        windings = _windings(a, (q[i], q[j], q[k]), i, j, k, way & 1, lean, size, memory)
+        if windings != UNCOUNTED:
+            return windings
     return UNCOUNTED
 
 

@@ -163,7 +163,7 @@ def map_within(vertices, slack):
     columns = np.empty(4 * count, np.int64)
     used = 0
     nodes = np.empty(4 * count)
-    made = 6
+    node_count = 6
     # Each level of the current path has a row: node of the first child, number of children done, face, level, s and t
     # of the first child, first entry of the parent's list, and the index after its last entry.
     path = np.zeros((DEEPEST + 2, 8), np.int64)
@@ -191,14 +191,14 @@ def map_within(vertices, slack):
             used += blocks * BLOCK
             nodes[2 * node + 1] = used
             continue
-        nodes = _grown(nodes, 2 * (made + 4))
-        nodes[2 * node] = made
+        nodes = _grown(nodes, 2 * (node_count + 4))
+        nodes[2 * node] = node_count
         nodes[2 * node + 1] = -1.0
         depth += 1
-        path[depth, 0], path[depth, 1], path[depth, 2], path[depth, 3] = made, 0, face, level + 1
+        path[depth, 0], path[depth, 1], path[depth, 2], path[depth, 3] = node_count, 0, face, level + 1
         path[depth, 4], path[depth, 5], path[depth, 6], path[depth, 7] = 2 * s, 2 * t, stop, end
-        made += 4
-    table = np.empty((made, 2))
-    for node in range(made):
+        node_count += 4
+    table = np.empty((node_count, 2))
+    for node in range(node_count):
         table[node, 0], table[node, 1] = nodes[2 * node], nodes[2 * node + 1]
     return columns[:used].copy(), table

@@ -176,11 +176,11 @@ _side_at, (_a_at, _b_at) = SIDE.whole(), MEMORY.addresses("a b")
 def next_pieces(pair, pose_a, pose_b, body_b, operands, reach, steps, numbers, work):
     """Fill the front of the queue with the next piece pairs that a walk finds within `reach`; return their number."""
     a, b, pairs = pieces_of(operands.a), pieces_of(operands.b), queue_of(work).pairs
-    found = piece_tree.more(a, b, body_b, reach, steps, numbers, pairs.piece_a[:WALKED], pairs.piece_b[:WALKED])
-    pairs.pair[:found] = pair
-    pairs.pose_a[:found] = pose_a
-    pairs.pose_b[:found] = pose_b
-    return found
+    count = piece_tree.more(a, b, body_b, reach, steps, numbers, pairs.piece_a[:WALKED], pairs.piece_b[:WALKED])
+    pairs.pair[:count] = pair
+    pairs.pose_a[:count] = pose_a
+    pairs.pose_b[:count] = pose_b
+    return count
 
 
 @inline
@@ -496,10 +496,10 @@ def estimate_range(margin, start, stop, plan, rows, pack_a, Ta, pack_b, Tb, out)
                 count = 0
             piece_tree.begin(a, ia, Ta, ka, b, ib, Tb, kb, steps, numbers)
             while out[k] != COLLIDING:
-                found = next_pieces(k, ka, kb, ib, operands, margin, steps, numbers, work)
-                if found == 0:
+                pair_count = next_pieces(k, ka, kb, ib, operands, margin, steps, numbers, work)
+                if pair_count == 0:
                     break
-                _decide(margin, found, operands, work, out)
+                _decide(margin, pair_count, operands, work, out)
             continue
         for i in range(a.piece_start[ia], a.piece_start[ia + 1]):
             for j in range(b.piece_start[ib], b.piece_start[ib + 1]):

@@ -263,7 +263,7 @@ def _placed_eight(R, pieces, rows, at):
 @njit()
 def _measure_round(count, operands, work, distance):
     """Measure the queued pairs of ellipsoids, eight at a time; a pair that needs more care gets an infinite gap."""
-    a, b, queue, found = pieces_of(operands.a), pieces_of(operands.b), queue_of(queued_at(work)), round_of(work)
+    a, b, queue, answers = pieces_of(operands.a), pieces_of(operands.b), queue_of(queued_at(work)), round_of(work)
     pairs = queue.pairs
     pair_list.fill(pairs, count)
     for first in range(0, count, LANES):
@@ -274,7 +274,7 @@ def _measure_round(count, operands, work, distance):
             if wide_a and wide_b and queue.below[k] < distance[pairs.pair[k]]:
                 bits |= 1 << (k - first)
         if bits == 0:
-            store(found.gap, first, broadcast(np.inf))
+            store(answers.gap, first, broadcast(np.inf))
             continue
         pose_a = pose_of(borrowed(operands.poses_a), pairs.pose_a, first, True)
         pose_b = pose_of(borrowed(operands.poses_b), pairs.pose_b, first, True)
@@ -286,11 +286,11 @@ def _measure_round(count, operands, work, distance):
         n = selected((length > 0.0) & (length < np.inf), scaled(1.0 / length, n), (0.0, 0.0, 1.0))
         size = load(queue.size, first)
         n, h, slope, proven = descend_eight(FA, FB, minus(two, one), n, size, mask_of(bits))
-        store(found.distance, first, -h)
-        store(found.gap, first, select(proven, slope, np.inf))
+        store(answers.distance, first, -h)
+        store(answers.gap, first, select(proven, slope, np.inf))
         result = n + plus(one, support(FA, n)) + minus(two, support(FB, n))
         for c in range(9):
-            store(found.result, c * QUEUED + first, result[c])
+            store(answers.result, c * QUEUED + first, result[c])
 
 
 @inline
@@ -368,8 +368,8 @@ def measure_near(count, operands, work, exact):
         if lane + AHEAD < count:
             prefetch_points(a.layout, a.points, pairs.piece_a[lane + AHEAD])
             prefetch_points(b.layout, b.points, pairs.piece_b[lane + AHEAD])
-        known = distance[pairs.pair[lane]]
-        if not queue.below[lane] < known:
+        least = distance[pairs.pair[lane]]
+        if not queue.below[lane] < least:
             continue
         A = placed(a, pairs.piece_a[lane], Ta, pairs.pose_a[lane])
         B = placed(b, pairs.piece_b[lane], Tb, pairs.pose_b[lane])
@@ -377,7 +377,7 @@ def measure_near(count, operands, work, exact):
         if eight.gap[lane] < np.inf:
             measured = _of_eight(eight, lane, result)
         elif is_surface(A) or is_surface(B):
-            measured = _of_surfaces(A, B, lane, queue, known, searches)
+            measured = _of_surfaces(A, B, lane, queue, least, searches)
         elif is_round(A) and is_round(B):
             measured = _of_balls(A, B, lane, queue, result)
         else:
@@ -505,13 +505,13 @@ def _measure_many(wanted, k, ia, ka, ib, kb, operands, work, kept, left, bounds,
     # A first bound on the distance lets the walk skip most pairs.
     i, j = piece_tree.nearest_centers(a, ia, b, ib, numbers, SEED_ROUNDS)
     pair_list.put(queue_of(queued_at(work)).pairs, 0, k, i, j, ka, kb)
-    found = 1
-    while found > 0:
-        kept, left = _measure(wanted, found, operands, work, kept, left, bounds, exact)
+    pair_count = 1
+    while pair_count > 0:
+        kept, left = _measure(wanted, pair_count, operands, work, kept, left, bounds, exact)
         cut = bounds.upper[k]
         if wanted:
             cut = min(cut, exact.distance[k] + SETTLED * numbers[piece_tree.SIZE])
-        found = next_pieces(k, ka, kb, ib, operands, max(cut, 0.0), steps, numbers, queued_at(work))
+        pair_count = next_pieces(k, ka, kb, ib, operands, max(cut, 0.0), steps, numbers, queued_at(work))
     return kept, left
 
 

@@ -50,10 +50,10 @@ def settle_open(margin, start, stop, plan, rows, pack_a, Ta, pack_b, Tb, out):
         out[k] = FREE
         piece_tree.begin(a, ia, Ta, ka, b, ib, Tb, kb, steps, numbers)
         while out[k] != COLLIDING:
-            found = piece_tree.more(a, b, ib, margin, steps, numbers, found_a, found_b)
-            if found == 0:
+            count = piece_tree.more(a, b, ib, margin, steps, numbers, found_a, found_b)
+            if count == 0:
                 break
-            for c in range(found):
+            for c in range(count):
                 A, B = placed(a, found_a[c], Ta, ka), placed(b, found_b[c], Tb, kb)
                 surfaces = is_surface(A) or is_surface(B)
                 verdict = _with_surface(A, B, margin, work) if surfaces else _piece_pair(A, B, margin, work)
@@ -113,10 +113,10 @@ def open_triangles(margin, k, plan, rows, pack_a, Ta, pack_b, Tb, listed):
     piece_tree.begin(a, ia, Ta, ka, b, ib, Tb, kb, steps, numbers)
     count = 0
     while True:
-        found = piece_tree.more(a, b, ib, margin, steps, numbers, found_a, found_b)
-        if found == 0:
+        pair_count = piece_tree.more(a, b, ib, margin, steps, numbers, found_a, found_b)
+        if pair_count == 0:
             return count
-        for c in range(found):
+        for c in range(pair_count):
             A, B = placed(a, found_a[c], Ta, ka), placed(b, found_b[c], Tb, kb)
             if not (is_surface(A) or is_surface(B)):
                 continue

@@ -444,7 +444,7 @@ def _between_bodies(a, ia, b, ib, margin, tolerance, memory):
     if a.piece_start[ia + 1] - first_a == 1 and b.piece_start[ib + 1] - first_b == 1:
         A, B = placed(a, first_a, poses, 0), placed(b, first_b, poses, 1)
         return _between_pieces(A, B, 1.0, margin, tolerance, memory)
-    steps, numbers, found = steps_of(memory), numbers_of(memory), found_of(memory)
+    steps, numbers, pieces = steps_of(memory), numbers_of(memory), found_of(memory)
     far_a = far_b = 0.0
     for i in range(first_a, a.piece_start[ia + 1]):
         far_a = max(far_a, a.table[i, REACH])
@@ -457,11 +457,11 @@ def _between_bodies(a, ia, b, ib, margin, tolerance, memory):
     piece_tree.begin(a, ia, poses, 0, b, ib, poses, 1, steps, numbers)
     verdict, free, touching, horizon, rounds = FREE, np.inf, np.inf, 1.0, 0
     while horizon > 0.0:
-        count = piece_tree.more(a, b, ib, margin + 0.5 * speed + slack, steps, numbers, found[0], found[1])
+        count = piece_tree.more(a, b, ib, margin + 0.5 * speed + slack, steps, numbers, pieces[0], pieces[1])
         if count == 0:
             break
         for c in range(count):
-            A, B = placed(a, found[0, c], poses, 0), placed(b, found[1, c], poses, 1)
+            A, B = placed(a, pieces[0, c], poses, 0), placed(b, pieces[1, c], poses, 1)
             result, until, hit, r = _between_pieces(A, B, horizon, margin, tolerance, memory)
             free, rounds = min(free, until), rounds + r
             if result != FREE:

@@ -236,17 +236,17 @@ def _walk(query, count, work, out, tally):
     """Settle up to sixteen pairs of small polytopes."""
     a, b = pieces_of(query.a), pieces_of(query.b)
     walk = gjk_batch.workspace_at(walk_of(work))
-    listed, N, found = walk.listed, walk.directions, walk.found
+    listed, N, statuses = walk.listed, walk.directions, walk.found
     if count >= gjk_batch.FEW:
         gjk_batch.settle(
             count, a.single, a.layout, a.vertices, query.poses_a, query.moved_a, b.single, b.layout, b.vertices,
             query.poses_b, query.moved_b, walk_of(work),
         )  # fmt: skip
     else:
-        found[:count] = UNSETTLED
+        statuses[:count] = UNSETTLED
     for n in range(count):
         k = listed.pair[n]
-        if found[n] == UNSETTLED:
+        if statuses[n] == UNSETTLED:
             normal = N[n], N[SINGLE_LANES + n], N[2 * SINGLE_LANES + n]
             _search_one(
                 query, k, listed.piece_a[n], listed.piece_b[n], listed.pose_a[n], listed.pose_b[n], normal, work, out,
@@ -254,7 +254,7 @@ def _walk(query, count, work, out, tally):
             )  # fmt: skip
         else:
             tally[BY_SEARCH] += 1
-            if found[n] == TOUCHING:
+            if statuses[n] == TOUCHING:
                 out[k] = COLLIDING
 
 

@@ -315,20 +315,20 @@ def courses_of_brakes(times, states, counts, courses, seconds):
     int
         Number of pieces.
     """
-    made, degree = 0, courses.shape[1] - 1
+    piece_count, degree = 0, courses.shape[1] - 1
     for n in range(len(counts)):
         for k in range(counts[n] - 1):
             T = times[n, k + 1] - times[n, k]
             for c in range(courses.shape[2]):
                 q, v, a = states[n, k, 0, c], states[n, k, 1, c], states[n, k, 2, c]
-                courses[made, 0, c] = q
-                courses[made, 1, c] = q + v * (T / degree)
+                courses[piece_count, 0, c] = q
+                courses[piece_count, 1, c] = q + v * (T / degree)
                 if degree == 3:
-                    courses[made, 2, c] = q + 2.0 * v * (T / 3.0) + a * (T * T / 6.0)
-                courses[made, degree, c] = states[n, k + 1, 0, c]
-            seconds[made] = T
-            made += 1
-    return made
+                    courses[piece_count, 2, c] = q + 2.0 * v * (T / 3.0) + a * (T * T / 6.0)
+                courses[piece_count, degree, c] = states[n, k + 1, 0, c]
+            seconds[piece_count] = T
+            piece_count += 1
+    return piece_count
 
 
 @inline

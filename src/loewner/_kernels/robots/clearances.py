@@ -181,12 +181,12 @@ def _stand(pack, problem_handle, memory, dof):
             t = T[k, 3], T[k, 7], T[k, 11]
             for piece in range(first, last):
                 at = (piece - piece_start[moving]) * _ROW
-                found = _placed(hot, piece, R, t)
+                ellipsoid = _placed(hot, piece, R, t)
                 for c in range(3):
-                    to.standing[at + c] = found.center[c]
+                    to.standing[at + c] = ellipsoid.center[c]
                 for c in range(6):
-                    to.standing[at + 3 + c] = found.shape[c]
-                to.standing[at + 9] = found.size
+                    to.standing[at + 3 + c] = ellipsoid.shape[c]
+                to.standing[at + 9] = ellipsoid.size
             middle = plus(apply(R, middle), t)
             for c in range(3):
                 store(to.middles, (_MIDDLE * body + c) * LANES, broadcast(middle[c]))
@@ -221,12 +221,12 @@ def _place(pack, problem_handle, memory, Q, first, last):
             store(to.middles, (_MIDDLE * body + c) * LANES, middle[c])
         store(to.middles, (_MIDDLE * body + 3) * LANES, lengths)
         for piece in range(piece_start[body], piece_start[body + 1]):
-            at, found = piece * (_ROW * LANES), _placed(hot, piece, R, t)
+            at, ellipsoid = piece * (_ROW * LANES), _placed(hot, piece, R, t)
             for c in range(3):
-                store(to.moving, at + c * LANES, found.center[c])
+                store(to.moving, at + c * LANES, ellipsoid.center[c])
             for c in range(6):
-                store(to.moving, at + (3 + c) * LANES, found.shape[c])
-            store(to.moving, at + 9 * LANES, found.size)
+                store(to.moving, at + (3 + c) * LANES, ellipsoid.shape[c])
+            store(to.moving, at + 9 * LANES, ellipsoid.size)
 
 
 @inline

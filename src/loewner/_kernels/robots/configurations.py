@@ -469,12 +469,12 @@ def _walk(query, keep, code, one, other, pose_a, pose_b, S, count, held):
     steps, numbers, found_a, found_b = _steps_of(work), _numbers_of(work), _found_a_of(work), _found_b_of(work)
     piece_tree.begin(pieces, one, poses, pose_a, pieces, other, poses, pose_b, steps, numbers)
     while verdicts[s] != COLLIDING:
-        found = piece_tree.more(pieces, pieces, other, keep, steps, numbers, found_a[: BLOCK - count], found_b)
-        if found == 0:
+        pair_count = piece_tree.more(pieces, pieces, other, keep, steps, numbers, found_a[: BLOCK - count], found_b)
+        if pair_count == 0:
             break
-        for c in range(found):
+        for c in range(pair_count):
             _list(work, count + c, code, found_a[c], found_b[c], S, counts.moving_pieces, pose_a, pose_b)
-        count += found
+        count += pair_count
         if count == BLOCK:
             held = _certify(query, keep, count, held)
             count = 0

@@ -464,11 +464,11 @@ def follow_line(chain, constants, ranges, start, target, wanted):
         store(turned, 1, after[1])
         store(cosines, 1, after[2])
         before = load(off, 0), load(turned, 0), load(cosines, 0)
-        found = strays_of(chain, constants, line, need, before, after, load(u, 0), load(u, 1), middle, d)
-        near = movemask((found.position <= need.position) & (found.rotation <= need.rotation))
-        kept = movemask(found.cosine >= need.cosine)
-        store(bounds, 0, found.bends)
-        store(bounds, LANES, found.twists)
+        strays = strays_of(chain, constants, line, need, before, after, load(u, 0), load(u, 1), middle, d)
+        near = movemask((strays.position <= need.position) & (strays.rotation <= need.rotation))
+        kept = movemask(strays.cosine >= need.cosine)
+        store(bounds, 0, strays.bends)
+        store(bounds, LANES, strays.twists)
         if count + LANES > len(rows):
             rows = _with_room(rows)
         good, longest = 0, 1.0 / GROWTH

@@ -771,11 +771,11 @@ def _halve(motion, near, back, low, high, n, tally):
             keep = within + near.slack + back.bend * w * w / 8.0
             world = m if stands else _to_world(poses, both + a, m)
             _count(tally, SEARCHES, 1)
-            found, _, _ = _proven_moving(
+            is_apart, _, _ = _proven_moving(
                 motion, near.j, near.i, poses, at + a, both + a, at + b, both + b, keep, keep,
                 _to_body(poses, at + a, negated(world)),
             )  # fmt: skip
-            if found:
+            if is_apart:
                 by_triangles = False
                 continue
             more = MOST_MORE if depth > 1 or _moved(near, w) <= enough else MORE**depth
@@ -1330,7 +1330,7 @@ def _certify(motion, tally):
         blocks *= 2
         if blocks > MOST_BLOCKS:
             return Found(TOO_LONG, np.nan, -1)
-    found = Found(FREE, np.nan, -1)
+    answer = Found(FREE, np.nan, -1)
     for number in range(blocks):
         # Take the first block, then the middle one, then the other blocks in the order of their numbers with reversed
         # bits.
@@ -1341,15 +1341,15 @@ def _certify(motion, tally):
             bit //= 2
         low, high = block / blocks, (block + 1) / blocks
         if tally[STEPS_LEFT] < 0:
-            found = Found(UNFINISHED, low, -1)
+            answer = Found(UNFINISHED, low, -1)
             break
         if blocks > 1 and motion.points > 2:
             write_part(course, low, high, _scratch_points_of(motion), _part_of(motion))
             _measure(motion, _part_of(motion), high - low)
-        found = _settle_block(motion, low, high, found, tally)
-        if _hit(found):
+        answer = _settle_block(motion, low, high, answer, tally)
+        if _hit(answer):
             break
-    return Found(AMBIGUOUS, found.t, found.pair) if found.verdict == UNFINISHED else found
+    return Found(AMBIGUOUS, answer.t, answer.pair) if answer.verdict == UNFINISHED else answer
 
 
 @inline
@@ -1461,10 +1461,10 @@ def certify_motions(
             _write_growth(motion, off[k])
         most = tallies[k, STEPS_LEFT] if tallies[k, STEPS_LEFT] >= 0 else left
         tallies[k, POSES], tallies[k, SEARCHES], tallies[k, STEPS_LEFT] = 0, 0, most
-        found = _certify(motion, tallies[k])
+        answer = _certify(motion, tallies[k])
         left = tallies[k, STEPS_LEFT]
         tallies[k, STEPS_LEFT] = most - left
-        out[k], t_out[k], pair_out[k] = found.verdict, found.t, found.pair
+        out[k], t_out[k], pair_out[k] = answer.verdict, answer.t, answer.pair
 
 
 @njit()
@@ -1485,16 +1485,16 @@ def certified(pack, problem_handle, tables_handle, tolerance, error, ends, tally
         allowed, off = floats_at(error, (dof,)), _off_of(motion)
         for c in range(dof):  # The sum is rounded as in `loewner.robots.proofs.proofs.deviations`.
             off[c] = allowed[c] + 2.0 * VALUE_ROUNDINGS * max(abs(ends[0, c]), abs(ends[1, c]))
-    found = _certify(motion, tally)
-    if found.pair >= 0:
+    answer = _certify(motion, tally)
+    if answer.pair >= 0:
         order = _order_of(motion)
         k = 0
-        while order[k] != found.pair:
+        while order[k] != answer.pair:
             k += 1
         for at in range(k, k // 2, -1):
             order[at] = order[at - 1]
-        order[k // 2] = found.pair
-    return found.verdict == FREE
+        order[k // 2] = answer.pair
+    return answer.verdict == FREE
 
 
 @njit()

@@ -98,8 +98,8 @@ def _least_distances(a, b):
     z = absolute(r[2]) * down - (a.half[2] + b.half[2]) * up
     u, v, w = maximum(x, nought), maximum(y, nought), maximum(z, nought)
     boxes = sqrt(u * u + v * v + w * w) * down
-    found = maximum(balls, select(boxes > nought, boxes, maximum(maximum(x, y), z)))
-    return select(found < np.float32(np.inf), found, np.float32(-np.inf))
+    bounds = maximum(balls, select(boxes > nought, boxes, maximum(maximum(x, y), z)))
+    return select(bounds < np.float32(np.inf), bounds, np.float32(-np.inf))
 
 
 @inline
@@ -162,11 +162,11 @@ def _walk(turn, p, s, body_a, row_a, body_b, row_b, operands, place):
         cut = upper[s] + SETTLED * numbers[piece_tree.SIZE]
         if turn == 1:
             cut = min(cut, distance[s] + SETTLED * numbers[piece_tree.SIZE])
-        found = next_pieces(s, row_a, row_b, body_b, operands, max(cut, 0.0), steps, numbers, queued)
-        if found == 0:
+        count = next_pieces(s, row_a, row_b, body_b, operands, max(cut, 0.0), steps, numbers, queued)
+        if count == 0:
             return
-        _bodies_of(place)[:found] = p
-        _take(turn, found, operands, place)
+        _bodies_of(place)[:count] = p
+        _take(turn, count, operands, place)
 
 
 @njit()
@@ -305,10 +305,10 @@ def _bound_pairs(problem, bounds, moving, least, seeds):
         one, other = problem.pairs[p, 0], problem.pairs[p, 1]
         a = bounds_at(bounds, one * BOUNDS * S, S)
         if other < moving:
-            found = _least_distances(a, bounds_at(bounds, other * BOUNDS * S, S))
+            lower = _least_distances(a, bounds_at(bounds, other * BOUNDS * S, S))
         else:
-            found = _least_distances(a, bounds_standing(problem.standing, other - moving))
-        store(least, p * S, found)
-        nearer = found < best
-        best, which = select(nearer, found, best), select(nearer, broadcast(np.float32(p)), which)
+            lower = _least_distances(a, bounds_standing(problem.standing, other - moving))
+        store(least, p * S, lower)
+        nearer = lower < best
+        best, which = select(nearer, lower, best), select(nearer, broadcast(np.float32(p)), which)
     store(seeds, 0, which)

@@ -137,8 +137,8 @@ def lay_out(pack, handle, lasting, block):
     made : int
         Handle of the problem in the block.
     """
-    pieces, given = pieces_of(pack), problem_of(handle)
-    tree, pairs, moving, bodies = given.tree, given.pairs, len(given.link), len(pieces.piece_start) - 1
+    pieces, draft = pieces_of(pack), problem_of(handle)
+    tree, pairs, moving, bodies = draft.tree, draft.pairs, len(draft.link), len(pieces.piece_start) - 1
     links, rows = len(tree.parent), pieces.piece_start[bodies] - pieces.piece_start[moving]
     depths, counts = np.empty(links, np.int64), np.zeros(moving, np.int64)
     joints = in_groups = 0

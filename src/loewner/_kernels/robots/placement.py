@@ -173,10 +173,10 @@ def _place_pieces(pieces, ball, body, R, t, S, at, to, write):
     """Place the pieces of a body whose link is at the pose R, t, and bound them: center, radius and half widths."""
     piece_start, hot = pieces.piece_start, pieces.hot
     p = piece_start[body]
-    found = _ellipsoids(hot, p, R, t)
-    write(hot, p, found, S, at, to)
-    center, half = found.outer, _half_widths(found)
-    wide = (OFF * found.length + LEAST) + ball[body, 3] * UP
+    ellipsoids = _ellipsoids(hot, p, R, t)
+    write(hot, p, ellipsoids, S, at, to)
+    center, half = ellipsoids.outer, _half_widths(ellipsoids)
+    wide = (OFF * ellipsoids.length + LEAST) + ball[body, 3] * UP
     if piece_start[body + 1] - p > 1:
         # This box around the ball's center contains the boxes of the pieces if there are few pieces, and otherwise the
         # ball.
@@ -184,12 +184,12 @@ def _place_pieces(pieces, ball, body, R, t, S, at, to, write):
         length = (absolute(t[0]) + absolute(t[1]) + absolute(t[2]) + ball[body, 4]) * UP
         wide = wide + OFF * length
         few = pieces.roots[body] < 0
-        half = _around(center, found.outer, half) if few else (wide, wide, wide)
+        half = _around(center, ellipsoids.outer, half) if few else (wide, wide, wide)
         for other in range(p + 1, piece_start[body + 1]):
-            found = _ellipsoids(hot, other, R, t)
-            write(hot, other, found, S, at, to)
+            ellipsoids = _ellipsoids(hot, other, R, t)
+            write(hot, other, ellipsoids, S, at, to)
             if few:
-                reach = _around(center, found.outer, _half_widths(found))
+                reach = _around(center, ellipsoids.outer, _half_widths(ellipsoids))
                 half = _wider(reach[0], half[0]), _wider(reach[1], half[1]), _wider(reach[2], half[2])
         slack = OFF * length
         half = minimum(half[0] + slack, wide), minimum(half[1] + slack, wide), minimum(half[2] + slack, wide)

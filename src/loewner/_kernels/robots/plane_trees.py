@@ -137,7 +137,7 @@ def support(model, cluster, n):
     """The farthest point of a cluster of pieces along n, in the frame of its link; n is not zero."""
     points, length = model.points, np.sqrt(dot(n, n))
     begin, end = model.clusters[cluster, BEGIN], model.clusters[cluster, END]
-    found, reached = (0.0, 0.0, 0.0), -np.inf
+    farthest, reached = (0.0, 0.0, 0.0), -np.inf
     if end > begin:
         best, at = broadcast(-np.inf), numbers_from(begin)
         for column in range(begin, end, LANES):
@@ -149,8 +149,8 @@ def support(model, cluster, n):
         column = entry_at_highest(best, at)
         k = 4 * (column & ~(LANES - 1)) + (column & (LANES - 1))
         grown = points[k + 3 * LANES] / length
-        found = plus((points[k], points[k + LANES], points[k + 2 * LANES]), scaled(grown, n))
-        reached = dot(found, n)
+        farthest = plus((points[k], points[k + LANES], points[k + 2 * LANES]), scaled(grown, n))
+        reached = dot(farthest, n)
     if model.clusters[cluster, CURVED] > 0:
         for piece in range(model.clusters[cluster, FIRST], model.clusters[cluster, LAST]):
             kind = int(model.pieces[piece, 0])
@@ -160,8 +160,8 @@ def support(model, cluster, n):
                 x = image(M, _three(model.pieces, piece, CENTER), unit_support(kind, v[0], v[1], v[2]))
                 x = plus(x, scaled(model.pieces[piece, RADIUS] / length, n))
                 if dot(x, n) > reached:
-                    found, reached = x, dot(x, n)
-    return found
+                    farthest, reached = x, dot(x, n)
+    return farthest
 
 
 @inline
@@ -650,7 +650,7 @@ def plane_trees(handle, tree_handle, course, speeds, room, state, tokens, normal
     links, still = len(tree.parent), len(tree.parent) == 0
     memory = np.empty(_WORDS)
     at = np.int64(memory.ctypes.data)
-    frames, known = np.zeros((SLOTS, links + 1, POSE)), np.zeros(KEPT + 1, dtype=np.bool_)
+    frames, placed_slots = np.zeros((SLOTS, links + 1, POSE)), np.zeros(KEPT + 1, dtype=np.bool_)
     for slot in range(SLOTS):
         frames[slot, links, 0] = frames[slot, links, 4] = frames[slot, links, 8] = 1.0
     rows = np.empty(LANES, dtype=np.int64)
@@ -698,7 +698,7 @@ def plane_trees(handle, tree_handle, course, speeds, room, state, tokens, normal
             else:
                 middle = first
                 if token == HALVED:
-                    middle = _slot_between(low, high, level, tree, course, known, frames, scratch)
+                    middle = _slot_between(low, high, level, tree, course, placed_slots, frames, scratch)
                 for part in range(1, -1, -1):  # The first part is pushed last, so that it is taken next.
                     ends[count, 0], ends[count, 1] = low, high
                     stack[count, 0], stack[count, 1] = clusters

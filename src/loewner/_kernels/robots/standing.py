@@ -235,15 +235,15 @@ def place_static(pack, handle, block, poses):
     int
         Handle of the new problem.
     """
-    words, made = len(block) - LINE, np.int64(block.ctypes.data)
-    made += -made % CACHE_LINE
-    old, new = integers_at(handle, (words,)), integers_at(made, (words,))
-    for k in range(words if made != handle else 0):
+    words, new_handle = len(block) - LINE, np.int64(block.ctypes.data)
+    new_handle += -new_handle % CACHE_LINE
+    old, new = integers_at(handle, (words,)), integers_at(new_handle, (words,))
+    for k in range(words if new_handle != handle else 0):
         new[k] = old[k]
     for at in range(0, TABLE, ENTRIES):
         if handle <= new[at] < handle + 8 * words:
-            new[at] += made - handle
-    pieces, problem, tables = pieces_of(pack), problem_of(made), motion_tables_of(made + MOTIONS)
+            new[at] += new_handle - handle
+    pieces, problem, tables = pieces_of(pack), problem_of(new_handle), motion_tables_of(new_handle + MOTIONS)
     balls = np.empty((len(problem.tree.parent) + 1, 4))
     moving, anything = len(problem.link), False
     for k in range(len(poses)):
@@ -259,7 +259,7 @@ def place_static(pack, handle, block, poses):
     if anything:
         _write_groups(problem, tables, moving)
     held(block)
-    return made
+    return new_handle
 
 
 @njit()

@@ -212,10 +212,10 @@ class Arena:
         if not self._record:
             return address.value
         starts = dict(self._starts(counts))
-        found = [
+        elements = [
             self._fields[name].read(context, builder, address + starts[name], counts) for name in self._record._fields
         ]
-        return context.make_tuple(builder, self.kind, found)
+        return context.make_tuple(builder, self.kind, elements)
 
     def accessors(self, names: str) -> Any:
         """Make functions for kernels that return the named fields; the names are words of one string.

@@ -44,12 +44,12 @@ def eight_at(typingctx, address, at):
     """Read eight float32 that start at entry `at`, which must be aligned to sixteen bytes."""
 
     def generate(context, builder, sig, args):
-        four, found = ir.VectorType(ir.FloatType(), 4), []
+        four, elements = ir.VectorType(ir.FloatType(), 4), []
         first = builder.bitcast(_place(builder, ir.FloatType(), *args), four.as_pointer())
         for half in range(2):
             both = builder.load(builder.gep(first, [ir.Constant(_HALF, half)]), align=16)
-            found += [builder.extract_element(both, ir.Constant(_HALF, lane)) for lane in range(4)]
-        return context.make_tuple(builder, sig.return_type, found)
+            elements += [builder.extract_element(both, ir.Constant(_HALF, lane)) for lane in range(4)]
+        return context.make_tuple(builder, sig.return_type, elements)
 
     return signature(types.UniTuple(scalar, 8), types.int64, types.int64), generate
 

@@ -285,10 +285,10 @@ def _reduction(name, comparison, what):
     @intrinsic
     def reduction(typingctx, x):
         def generate(context, builder, sig, args):
-            found = args[0]
+            lanes = args[0]
             for half in _halves(x.llvm.count):
-                found = _choice(builder, comparison, *_split(builder, found, half))
-            return builder.extract_element(found, ir.Constant(ir.IntType(32), 0))
+                lanes = _choice(builder, comparison, *_split(builder, lanes, half))
+            return builder.extract_element(lanes, ir.Constant(ir.IntType(32), 0))
 
         return signature(types.float64 if x == vector else types.float32, x), generate
 

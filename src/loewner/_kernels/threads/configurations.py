@@ -409,24 +409,24 @@ def certify_survivor(
     more = astray * (UP / OFF)  # With this additional length, positions have a slack of `astray`.
     i, last_a = pieces_of(bodies, one)
     first_b, last_b = pieces_of(bodies, other)
-    found = SO_FAR_FREE
+    pair_state = SO_FAR_FREE
     with_margin = holds(number_at(margins, p) > 0.0)
     if (last_a - i) * (last_b - first_b) > MOST_PIECE_PAIRS:
-        found, i = LEFT_OPEN, last_a
+        pair_state, i = LEFT_OPEN, last_a
     while i < last_a:
         j = first_b
-        while j < last_b and found != HIT:
+        while j < last_b and pair_state != HIT:
             tier = OPEN
             if not with_margin:  # With a margin, the near points need the best s, in double precision.
                 tier = tier_of_one(a, rows + 4 * HOT * i, b, rows + 4 * HOT * j, more)
             if tier == BY_INNER:
-                found = HIT
+                pair_state = HIT
             elif tier not in (BY_SPHERE, BY_OUTER) and not list_piece_pair(code, i, j, searches, capacity):
-                found = LEFT_OPEN
+                pair_state = LEFT_OPEN
             j += 1
         i += 1
-    if found != SO_FAR_FREE:
-        raise_to(state, s, found)
+    if pair_state != SO_FAR_FREE:
+        raise_to(state, s, pair_state)
 
 
 class Cell(NamedTuple):
@@ -532,9 +532,9 @@ def search_survivor(thread, S, log_S, table, placed, state, searches, capacity):
     R, t, off = pose_in(cell, placed, upper, lower, margin, S, s)
     a, b = core_at(cell.cores, cell.numbers, cell.vertices, i), core_at(cell.cores, cell.numbers, cell.vertices, j)
     n = from_lower(cell, i, j, R, t)
-    found = search(a, (R, t), (R, t), False, b, n, margin, off)
-    if found != APART:
-        raise_to(state, s, HIT if found == TOUCHING else LEFT_OPEN)
+    status = search(a, (R, t), (R, t), False, b, n, margin, off)
+    if status != APART:
+        raise_to(state, s, HIT if status == TOUCHING else LEFT_OPEN)
 
 
 @njit()
@@ -547,13 +547,13 @@ def conclude(thread, first, state, dof, Q0, Q1, verdicts, left):
     Q0, Q1 : float32, shape (n, dof)
         Ends of the motion. If a number is not finite, the CPU refuses the motion, even if the number does not matter.
     """
-    found = integer_at(state, thread)
+    outcome = integer_at(state, thread)
     k = 0
     while k < dof:
         at = thread * dof + k
         if not holds((absolute(number_at(Q0, at)) < np.inf) & (absolute(number_at(Q1, at)) < np.inf)):
-            found = LEFT_OPEN
+            outcome = LEFT_OPEN
         k += 1
-    put_byte(verdicts, first + thread, COLLIDING if found == HIT else (AMBIGUOUS if found == LEFT_OPEN else FREE))
-    if found == LEFT_OPEN:
+    put_byte(verdicts, first + thread, COLLIDING if outcome == HIT else (AMBIGUOUS if outcome == LEFT_OPEN else FREE))
+    if outcome == LEFT_OPEN:
         append(left, first + thread)

@@ -359,15 +359,15 @@ def certify_interval(
     if thread >= min(integer_at(survivors, 0), capacity):
         return
     cell, code = cell_at(table), integer_at(survivors, 1 + thread)
-    asked = _asked(cell, code, log_S, most, items, bends)
-    if integer_at(state, asked.motion) == HIT:
+    interval = _asked(cell, code, log_S, most, items, bends)
+    if integer_at(state, interval.motion) == HIT:
         return
-    first, last, off = _ends_of(cell, asked, placed, S)
-    keep = asked.margin + asked.bend + off
-    j, last_a = pieces_of(cell.bodies, asked.upper)
-    first_b, last_b = pieces_of(cell.bodies, asked.lower)
+    first, last, off = _ends_of(cell, interval, placed, S)
+    keep = interval.margin + interval.bend + off
+    j, last_a = pieces_of(cell.bodies, interval.upper)
+    first_b, last_b = pieces_of(cell.bodies, interval.lower)
     if (last_a - j) * (last_b - first_b) > MOST_PIECE_PAIRS:
-        raise_to(state, asked.motion, LEFT_OPEN)
+        raise_to(state, interval.motion, LEFT_OPEN)
         j = last_a
     while j < last_a:
         k = first_b
@@ -375,7 +375,7 @@ def certify_interval(
             lengths = maximum(one_norm(first[1]), one_norm(last[1])) + _reach(cell, j) + _reach(cell, k)
             apart = _ellipsoids_apart(cell, j, k, first, last, keep + OFF * lengths)
             if not apart and not list_piece_pair(code, j, k, searches, capacity):
-                raise_to(flags, asked.i, 1)
+                raise_to(flags, interval.i, 1)
             k += 1
         j += 1
 
@@ -430,25 +430,25 @@ def search_interval(thread, S, log_S, most, table, items, placed, bends, state, 
         integer_at(searches, 3 * thread + 1), integer_at(searches, 3 * thread + 2), integer_at(searches, 3 * thread + 3)
     )  # fmt: skip
     cell = cell_at(table)
-    asked = _asked(cell, code, log_S, most, items, bends)
-    if integer_at(state, asked.motion) == HIT:
+    interval = _asked(cell, code, log_S, most, items, bends)
+    if integer_at(state, interval.motion) == HIT:
         return
     a, b = core_at(cell.cores, cell.numbers, cell.vertices, j), core_at(cell.cores, cell.numbers, cell.vertices, k)
-    first, last, off = _ends_of(cell, asked, placed, S)
+    first, last, off = _ends_of(cell, interval, placed, S)
     n = scaled(0.5, plus(from_lower(cell, j, k, first[0], first[1]), from_lower(cell, j, k, last[0], last[1])))
     # Search the hull of both ends first, then the later end, then the first end of the whole motion.
-    last_attempt = 2 if asked.node & (asked.node - 1) == 0 else 1
-    attempt, keep = 0, asked.margin + asked.bend
+    last_attempt = 2 if interval.node & (interval.node - 1) == 0 else 1
+    attempt, keep = 0, interval.margin + interval.bend
     while attempt <= last_attempt:
         pose = last if attempt == 1 else first
-        found = search(a, pose, last, attempt == 0, b, n, keep * UP, off)
-        if found == APART and attempt == 0:
+        status = search(a, pose, last, attempt == 0, b, n, keep * UP, off)
+        if status == APART and attempt == 0:
             return
-        if found == TOUCHING and attempt > 0:
-            raise_to(state, asked.motion, HIT)
+        if status == TOUCHING and attempt > 0:
+            raise_to(state, interval.motion, HIT)
             return
-        attempt, keep = attempt + 1, asked.margin
-    raise_to(flags, asked.i, 1)
+        attempt, keep = attempt + 1, interval.margin
+    raise_to(flags, interval.i, 1)
 
 
 @njit()

@@ -342,17 +342,17 @@ def _later_leaves(leaf, margin, boxes, level_start, stack, depth, near, numbers)
             above += 1
         while above > 0:
             above -= 1
-            found = stack[above]
+            descendant = stack[above]
             below = depth[above] - 1
             if below > 0:
-                mask = meeting(boxes, level_start[below] + found, lx, ly, lz, ux, uy, uz)
+                mask = meeting(boxes, level_start[below] + descendant, lx, ly, lz, ux, uy, uz)
                 while mask != 0:
                     lane, mask = next_lane(mask)
-                    stack[above], depth[above] = found * WIDE + lane, below
+                    stack[above], depth[above] = descendant * WIDE + lane, below
                     above += 1
                 continue
-            numbers[count] = found
-            source = (level_start[1] + found // WIDE) * ROWS + found % WIDE
+            numbers[count] = descendant
+            source = (level_start[1] + descendant // WIDE) * ROWS + descendant % WIDE
             target = count // WIDE * ROWS + count % WIDE
             for row in range(6):
                 near[target + row * WIDE] = boxes[source + row * WIDE]

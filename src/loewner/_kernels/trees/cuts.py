@@ -332,8 +332,8 @@ def _place_of_cut(corners, n, begin, items, numbers, grown, rows, listed, bins, 
         Scratch memory.
     """
     nothing, step = broadcast(np.inf), max(items // MANY, 1)
-    asked = (items + step - 1) // step
-    for item in range(asked):
+    sample_count = (items + step - 1) // step
+    for item in range(sample_count):
         low, high = (np.inf, np.inf, np.inf), (-np.inf, -np.inf, -np.inf)
         for k in range(begin[step * item], begin[step * item + 1]):
             for corner in range(len(corners) // (3 * n)):
@@ -344,15 +344,15 @@ def _place_of_cut(corners, n, begin, items, numbers, grown, rows, listed, bins, 
         rows[at], rows[at + 1], rows[at + 2] = low
         rows[at + 3], rows[at + 4], rows[at + 5] = -high[0], -high[1], -high[2]
         rows[at + 6] = rows[at + 7] = 0.0
-    least = max(asked // LEAST_SHARE, 1)
+    least = max(sample_count // LEAST_SHARE, 1)
     axis, slot, start, scale = -1, 0, 0.0, 0.0
-    if asked > FEW:
-        axis, slot, start, scale = _boundary(rows, asked, least, grown, bins, held)
+    if sample_count > FEW:
+        axis, slot, start, scale = _boundary(rows, sample_count, least, grown, bins, held)
     if axis >= 0:
         # List the items in the two bins at the boundary, and find boxes around the items in the bins before and after.
         count, before, ahead, behind = 0, 0, nothing, nothing
         left, right = -np.inf, np.inf
-        for item in range(asked):
+        for item in range(sample_count):
             middle = _middle(rows, item, axis)
             own = int((middle - start) * scale)
             if own < slot - 1:
@@ -367,18 +367,18 @@ def _place_of_cut(corners, n, begin, items, numbers, grown, rows, listed, bins, 
         store(bins, 0, ahead)
         store(bins, ROW, behind)
         _sort(rows, axis, listed, count)
-        _, rank = _sweep(rows, listed, count, before, asked, max(least // 2, 1), grown, bins, 0, 1)
+        _, rank = _sweep(rows, listed, count, before, sample_count, max(least // 2, 1), grown, bins, 0, 1)
         if rank > 0:
             return axis, _between(rows, listed, rank - before, count, axis, left, right)
     store(bins, 0, nothing)
     smallest, best, key = np.inf, 0, 0.0
     for axis in range(3):
-        for item in range(asked):
+        for item in range(sample_count):
             listed[item] = item
-        _sort(rows, axis, listed, asked)
-        volume, rank = _sweep(rows, listed, asked, 0, asked, least, grown, bins, 0, 0)
+        _sort(rows, axis, listed, sample_count)
+        volume, rank = _sweep(rows, listed, sample_count, 0, sample_count, least, grown, bins, 0, 0)
         if axis == 0 or volume < smallest:
-            smallest, best, key = volume, axis, _between(rows, listed, rank, asked, axis, 0.0, 0.0)
+            smallest, best, key = volume, axis, _between(rows, listed, rank, sample_count, axis, 0.0, 0.0)
     return best, key
 
 

@@ -158,24 +158,24 @@ def more(a, b, ib, margin, steps, numbers, pieces_a, pieces_b):
             count += 1
         elif steps[B_HEIGHT] > 0:
             steps[B_HEIGHT] -= 1
-            found = steps[B_STACK + steps[B_HEIGHT]]
-            if found < 0:
+            node = steps[B_STACK + steps[B_HEIGHT]]
+            if node < 0:
                 pieces_a[count] = steps[PIECE]
-                pieces_b[count] = ~found
+                pieces_b[count] = ~node
                 count += 1
             else:
-                _open(groups_b, children_b, found, numbers, PIECE_BOX, B_SLACK, reach, steps, B_STACK, B_HEIGHT)
+                _open(groups_b, children_b, node, numbers, PIECE_BOX, B_SLACK, reach, steps, B_STACK, B_HEIGHT)
         else:
             if steps[A_NEXT] < steps[A_END]:
                 piece = steps[A_NEXT]
                 steps[A_NEXT] += 1
             elif steps[A_HEIGHT] > 0:
                 steps[A_HEIGHT] -= 1
-                found = steps[A_STACK + steps[A_HEIGHT]]
-                if found >= 0:
-                    _open(groups_a, children_a, found, numbers, B_BOX, A_SLACK, reach, steps, A_STACK, A_HEIGHT)
+                node = steps[A_STACK + steps[A_HEIGHT]]
+                if node >= 0:
+                    _open(groups_a, children_a, node, numbers, B_BOX, A_SLACK, reach, steps, A_STACK, A_HEIGHT)
                     continue
-                piece = ~found
+                piece = ~node
             else:
                 return count
             steps[PIECE] = piece

@@ -75,15 +75,15 @@ def part_vertices(count, triangles):
                 parent[max(a, b)] = min(a, b)
                 a = min(a, b)
     seen = np.zeros(count, np.bool_)
-    found = np.empty(count, np.int64)
+    vertices = np.empty(count, np.int64)
     parts = 0
     for t in range(len(triangles)):
         root = _root(parent, triangles[t, 0])
         if not seen[root]:
             seen[root] = True
-            found[parts] = root
+            vertices[parts] = root
             parts += 1
-    return found[:parts].copy()
+    return vertices[:parts].copy()
 
 
 @inline

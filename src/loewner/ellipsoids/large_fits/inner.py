@@ -98,26 +98,26 @@ def largest_inside(
     target = 0.25 * tol if len(active.index) == len(R) else max(0.25 * tol, 0.02 * n)
     x, steps, volume = np.zeros(n), 0, np.inf
     for turn in range(MAX_ROUNDS):
-        found = _solve(R[active.index], x, active, target, reporter)
-        steps += found.steps
-        if not found.gap < np.inf:  # the intersection is unbounded, or nearly unbounded
+        fit = _solve(R[active.index], x, active, target, reporter)
+        steps += fit.steps
+        if not fit.gap < np.inf:  # the intersection is unbounded, or nearly unbounded
             if len(active.index) == len(R):
                 break
             active = _WorkingSet(np.arange(len(R)), np.ones(len(R)), bold=False)
             x = np.zeros(n)
             continue
-        ratio = _ratios(R, found)
+        ratio = _ratios(R, fit)
         shrink = float(ratio.min())
-        gap = found.gap - n * np.log(shrink) if shrink > 0.0 else np.inf
+        gap = fit.gap - n * np.log(shrink) if shrink > 0.0 else np.inf
         reporter.reached(gap)
         if gap <= 0.5 * tol or turn == MAX_ROUNDS - 1:
             break
         # Added half-spaces cannot enlarge the ellipsoid; if it grew, half-spaces that were dropped mattered.
-        if found.volume - found.gap > volume or turn > BOLD_ROUNDS:
+        if fit.volume - fit.gap > volume or turn > BOLD_ROUNDS:
             active.bold = False
-        volume = found.volume
+        volume = fit.volume
         cut = np.setdiff1d(np.flatnonzero(ratio < 1.0), active.index)
-        if len(cut) == 0 and found.gap > target:
+        if len(cut) == 0 and fit.gap > target:
             if not active.bold:
                 break  # rounding allows no further improvement
             active.bold = False
@@ -128,14 +128,14 @@ def largest_inside(
             target = max(0.25 * tol, min(target, 0.1 * min(gap, n)))
         active.add(cut if finish or len(cut) <= most else cut[np.argpartition(ratio[cut], most)[:most]])
         # The start moves back towards the first center, which is inside all half-spaces.
-        x = found.x * min(1.0, INSIDE / max(float((R[active.index] @ found.x).max()), 1e-300))
+        x = fit.x * min(1.0, INSIDE / max(float((R[active.index] @ fit.x).max()), 1e-300))
     else:
         return center, np.zeros((n, n)), lam, steps
-    if not found.gap < np.inf:
+    if not fit.gap < np.inf:
         return center, np.zeros((n, n)), lam, steps
-    lam[distinct[active.index]] = active.y * np.linalg.norm(R[active.index] @ found.root, axis=1) / slack[active.index]
-    factor = frame @ found.root
-    return center + frame @ found.x, lower_root(factor.T), lam, steps
+    lam[distinct[active.index]] = active.y * np.linalg.norm(R[active.index] @ fit.root, axis=1) / slack[active.index]
+    factor = frame @ fit.root
+    return center + frame @ fit.x, lower_root(factor.T), lam, steps
 
 
 def _distinct(A: Floats, b: Floats) -> Ints:

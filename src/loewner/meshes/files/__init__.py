@@ -45,7 +45,7 @@ def read(path: Path) -> tuple[Floats, Triangles]:
     told: dict[str, list[str]] = {}
     try:
         with np.errstate(all="ignore"):  # non-finite results are noticed later
-            found = _reader(suffix, path.parent)(data, lambda text, place: told.setdefault(text, []).append(place))
+            mesh = _reader(suffix, path.parent)(data, lambda text, place: told.setdefault(text, []).append(place))
     except Refusal as refusal:
         where = f", line {refusal.line}" if refusal.line else ""
         raise FileError(f"{name}{where}: {refusal}") from None
@@ -57,7 +57,7 @@ def read(path: Path) -> tuple[Floats, Triangles]:
     for text, places in told.items():
         where = ", ".join(filter(None, [name, places[0]]))
         warn(f"{where}: {text}" + (f" ({len(places) - 1} more of this kind)" if len(places) > 1 else ""))
-    return found
+    return mesh
 
 
 def _reader(suffix: str, folder: Path) -> Callable[[bytes, Tell], tuple[Floats, Triangles]]:

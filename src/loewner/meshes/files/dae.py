@@ -188,9 +188,9 @@ class _Scene:
             if element.tag in _PARTS:
                 _check_parts(element, _PARTS[element.tag])
             if element.tag == "unit":
-                found = _metres(element)
-                right = found == metres
-                element.expect(right, f"expected the file's unit, {metres:g} m, found {found:g} m")
+                unit = _metres(element)
+                right = unit == metres
+                element.expect(right, f"expected the file's unit, {metres:g} m, found {unit:g} m")
             if element.tag.startswith("library_") or element.tag == "mesh":
                 _check_attributes(element, _NAMES)
             if element.tag not in ("extra", "technique"):  # by the standard, these contain data of other programs
@@ -199,9 +199,9 @@ class _Scene:
         self.points: dict[str, Floats] = {}
 
     def find(self, tag: str, name: str, line: int) -> _Element:
-        found = self.named.get((tag, name), [])
-        expect(len(found) == 1, f"expected one <{tag}> with id {quoted(name)}, found {len(found)}", line)
-        return found[0]
+        elements = self.named.get((tag, name), [])
+        expect(len(elements) == 1, f"expected one <{tag}> with id {quoted(name)}, found {len(elements)}", line)
+        return elements[0]
 
     def meshes(self) -> Iterator[tuple[Floats, Triangles]]:
         """Return the geometries of the scene, each at its place, in the order of the file."""
@@ -245,8 +245,12 @@ class _Scene:
                 if child.tag in _PRIMITIVES:
                     parts.append(self.primitive(child, _PRIMITIVES[child.tag]))
                 else:
-                    known = child.tag in _NO_SURFACE
-                    expect(known, f"<mesh>: expected triangles or polygons, found <{quoted(child.tag)}>", child.line)
+                    has_no_surface = child.tag in _NO_SURFACE
+                    expect(
+                        has_no_surface,
+                        f"<mesh>: expected triangles or polygons, found <{quoted(child.tag)}>",
+                        child.line,
+                    )
             self.made[name] = joined(parts)
         return self.made[name]
 
@@ -310,8 +314,8 @@ def _check_parts(element: _Element, known: frozenset[str]) -> None:
     for child in element.children:
         if child.tag not in known and not (element.tag == "COLLADA" and child.tag[:8] == "library_"):
             listed = ", ".join(sorted(name for name in known if name[0] != "@")) or "none"
-            found = f"<{quoted(child.tag)}>"
-            raise Refusal(f"<{element.tag}>: expected elements of Collada ({listed}), found {found}", child.line)
+            child_tag = f"<{quoted(child.tag)}>"
+            raise Refusal(f"<{element.tag}>: expected elements of Collada ({listed}), found {child_tag}", child.line)
     _check_attributes(element, known)
 
 
@@ -320,8 +324,10 @@ def _check_attributes(element: _Element, known: frozenset[str]) -> None:
     for name in element.attributes:
         if "@" + name not in known and "}" not in name:
             listed = ", ".join(sorted(one[1:] for one in known if one[0] == "@")) or "none"
-            found = quoted(name)
-            raise Refusal(f"<{element.tag}>: expected attributes of Collada ({listed}), found {found}", element.line)
+            attribute = quoted(name)
+            raise Refusal(
+                f"<{element.tag}>: expected attributes of Collada ({listed}), found {attribute}", element.line
+            )
 
 
 def _axes(params: list[_Element]) -> list[int]:

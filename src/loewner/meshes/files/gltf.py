@@ -95,12 +95,12 @@ def read(data: bytes, folder: Path, binary: bool, limit: int, tell: Tell) -> tup
     """Read the vertices, in metres, and the triangles of the file's scene."""
     text, body = _chunks(data) if binary else (data, None)
     reader = _Reader(_parsed(text), body, folder, limit)
-    found = joined(reader.meshes())
+    mesh = joined(reader.meshes())
     if reader.unknown:
         names = ", ".join(f"{quoted(key)} in {where}" for key, where in list(reader.unknown.items())[:_LISTED])
         more = f" and {len(reader.unknown) - _LISTED} more" if len(reader.unknown) > _LISTED else ""
         tell(f"{_UNKNOWN}: {names}{more}", "")
-    return found
+    return mesh
 
 
 def _chunks(data: bytes) -> tuple[bytes, bytes | None]:
@@ -167,13 +167,13 @@ class _Reader:
 
     def item(self, kind: str, index: int) -> tuple[dict[str, Any], str]:
         """Return an object from one of the file's lists, and its name for messages."""
-        found = self.tree.get(kind, [])
-        expect(isinstance(found, list), f"{kind}: expected a list, found {type(found).__name__}")
-        expect(index < len(found), f"expected one of {len(found)} {kind}, found number {index}")
+        objects = self.tree.get(kind, [])
+        expect(isinstance(objects, list), f"{kind}: expected a list, found {type(objects).__name__}")
+        expect(index < len(objects), f"expected one of {len(objects)} {kind}, found number {index}")
         where = f"{kind}[{index}]"
-        expect(isinstance(found[index], dict), f"{where}: expected an object, found {type(found[index]).__name__}")
-        self.check(found[index], where, kind)
-        return found[index], where
+        expect(isinstance(objects[index], dict), f"{where}: expected an object, found {type(objects[index]).__name__}")
+        self.check(objects[index], where, kind)
+        return objects[index], where
 
     def check(self, holder: dict[str, Any], where: str, kind: str) -> None:
         """Refuse extensions of an object that may change the shape, and note keys that are unknown for its kind.
@@ -184,8 +184,8 @@ class _Reader:
             self.unknown.setdefault(key, where)
         extensions = holder.get("extensions", {})
         expect(isinstance(extensions, dict), f"{where}: expected extensions, an object")
-        found = ", ".join(quoted(name) for name in extensions if not name.startswith(_HARMLESS))
-        expect(not found, f"{where}: expected no extension that changes the shape, found {found}")
+        harmful = ", ".join(quoted(name) for name in extensions if not name.startswith(_HARMLESS))
+        expect(not harmful, f"{where}: expected no extension that changes the shape, found {harmful}")
 
     @staticmethod
     def integer(holder: dict[str, Any], where: str, key: str, default: int | None = None, least: int = 0) -> int:
@@ -260,9 +260,9 @@ class _Reader:
         mesh, where = self.item("meshes", index)
         self.expect_rigid(mesh, where)
         if index not in self.made:
-            found = self.items(mesh, where, "primitives", dict)
-            expect(found, f"{where}: expected primitives, found none")
-            parts = (self.primitive(p, f"{where}.primitives[{k}]") for k, p in enumerate(found))
+            primitives = self.items(mesh, where, "primitives", dict)
+            expect(primitives, f"{where}: expected primitives, found none")
+            parts = (self.primitive(p, f"{where}.primitives[{k}]") for k, p in enumerate(primitives))
             self.made[index] = joined(part for part in parts if part is not None)
         yield self.made[index]
 
@@ -297,8 +297,8 @@ class _Reader:
         expect(count <= 3 * MOST, f"{where}: expected a count of at most {3 * MOST}, found {count}")
         kind = self.integer(accessor, where, "componentType")
         expect(kind in _TYPES, f"{where}: expected a componentType, found {kind}")
-        found = accessor.get("type")
-        expect(found == shape, f"{where}: expected type {shape}, found {quoted(repr(found))}")
+        element_type = accessor.get("type")
+        expect(element_type == shape, f"{where}: expected type {shape}, found {quoted(repr(element_type))}")
         expect("bufferView" in accessor or "sparse" in accessor, f"{where}: expected a bufferView, found none")
         if "bufferView" in accessor:
             values = self.view(accessor, where, count, kind, _SHAPES[shape])

@@ -59,8 +59,8 @@ def read(data: bytes, tell: Tell) -> tuple[Floats, Triangles]:
                 face_numbers.append(number)
                 seen.append(total + len(vertex_lines))
             else:
-                found = quoted(head.strip())
-                raise Refusal(f"expected a line of an OBJ file, found one that begins with {found}", number)
+                keyword = quoted(head.strip())
+                raise Refusal(f"expected a line of an OBJ file, found one that begins with {keyword}", number)
         if vertex_lines:
             points.append(_coordinates(vertex_lines, vertex_numbers, len(points[0][0]) if points else 0))
             total += len(vertex_lines)
@@ -97,9 +97,9 @@ def _continued(match: re.Match[bytes]) -> bytes:
     line = text.replace(b"\\\n", b" ")
     head = line.split(None, 1)[:1]
     if not head or head[0] not in _CONTINUED or b"#" in text[: text.rindex(b"\\\n")]:
-        found = f"one that begins with {quoted(b''.join(head))}" if b"#" not in text else "a comment"
+        description = f"one that begins with {quoted(b''.join(head))}" if b"#" not in text else "a comment"
         number = match.string.count(b"\n", 0, match.start()) + 1
-        raise Refusal(f"expected a vertex or a face where a backslash continues a line, found {found}", number)
+        raise Refusal(f"expected a vertex or a face where a backslash continues a line, found {description}", number)
     return line + b"\n" * text.count(b"\\\n")
 
 
@@ -125,10 +125,10 @@ def _coordinates(vertex_lines: list[bytes], numbers: list[int], width: int) -> F
             return np.stack([floats(flat[k :: width + 1]) for k in range(1, width + 1)], axis=1)
         except Refusal:
             pass
-    asked = f"{width} numbers as in the lines before" if width in _WIDTHS else "3, 4, 6 or 7 numbers"
+    requirement = f"{width} numbers as in the lines before" if width in _WIDTHS else "3, 4, 6 or 7 numbers"
     for number, line in zip(numbers, vertex_lines, strict=True):
         words = line.split()[1:]
-        expect(len(words) == width in _WIDTHS, f"expected a vertex of {asked}, found {len(words)}", number)
+        expect(len(words) == width in _WIDTHS, f"expected a vertex of {requirement}, found {len(words)}", number)
         in_line(number, floats, words)
     raise Refusal("expected vertices, found something else")
 
@@ -154,14 +154,14 @@ def _corners(flat: list[bytes], numbers: Ints, seen: Ints) -> Ints:
                 raise Refusal(f"expected a corner as v, v/vt, v//vn or v/vt/vn, found {quoted(word)}", int(numbers[k]))
         flat = [word.partition(b"/")[0] for word in flat]
     try:
-        given = integers(flat)
+        indices = integers(flat)
     except Refusal as refusal:
         k = next((k for k, word in enumerate(flat) if not is_integer(word)), 0)
         raise Refusal(str(refusal), int(numbers[k])) from None
-    corners = np.where(given > 0, given - 1, given + seen)
-    wrong = (given == 0) | (corners < 0)
+    corners = np.where(indices > 0, indices - 1, indices + seen)
+    wrong = (indices == 0) | (corners < 0)
     if wrong.any():
         k = int(np.argmax(wrong))
         where = int(numbers[k])
-        raise Refusal(f"expected a vertex counted from 1, or back from -1, found {given[k]} of {seen[k]}", where)
+        raise Refusal(f"expected a vertex counted from 1, or back from -1, found {indices[k]} of {seen[k]}", where)
     return corners

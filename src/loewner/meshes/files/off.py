@@ -56,8 +56,8 @@ def _face(line: list[bytes], number: int, count: int) -> Ints:
     """Read the corners of one face, which may have a colour."""
     size = int(in_line(number, integers, line[:1])[0])
     expect(size >= 3, f"expected a face of at least 3 corners, found {size}", number)
-    found = f"expected a face of {size} corners and perhaps a colour, found {len(line) - 1} numbers"
-    expect(len(line) - 1 - size in _COLOURS, found, number)
+    message = f"expected a face of {size} corners and perhaps a colour, found {len(line) - 1} numbers"
+    expect(len(line) - 1 - size in _COLOURS, message, number)
     corners = in_line(number, integers, line[1 : 1 + size])
     check_range(corners, count, "a face", number)
     in_line(number, floats, line[1 + size :])

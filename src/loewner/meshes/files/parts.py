@@ -96,10 +96,10 @@ def cut(vertices: Floats, corners: Ints, sizes: Ints, tell: Tell, place: Callabl
         for some in (same[k : k + step] for k in range(0, len(same), step)):
             rings = corners[starts[some] + np.arange(n)[:, None]]
             doubtful = np.flatnonzero(_may_leave(x[rings], y[rings], z[rings]))
-            found, uncut = _cut_rings(vertices[rings[:, doubtful].T])
+            ring_triangles, uncut = _cut_rings(vertices[rings[:, doubtful].T])
             which = some[doubtful]  # a polygon of n corners has n - 2 triangles
             triangles[(starts - 2 * np.arange(len(sizes)))[which, None] + np.arange(n - 2)] = rings[
-                found, doubtful[:, None, None]
+                ring_triangles, doubtful[:, None, None]
             ]
             for k in uncut:
                 tell(_NO_PLANE, place(int(which[k])))
@@ -120,14 +120,14 @@ def _cut_rings(P: Floats) -> tuple[Ints, list[int]]:
 
     Returns
     -------
-    found : ndarray of int, shape (polygons, n - 2, 3)
+    triangles : ndarray of int, shape (polygons, n - 2, 3)
         Triangles, as numbers of corners.
     uncut : list of int
         The polygons for which no triangles were found except the fan about the first corner.
     """
     n = P.shape[1]
     fan = fans(np.arange(n), np.array([n]))
-    found, uncut = np.tile(fan, (len(P), 1, 1)), []
+    triangles, uncut = np.tile(fan, (len(P), 1, 1)), []
     waiting = np.flatnonzero(np.isfinite(P).all(axis=(1, 2)))  # the other polygons are refused later
     size, flat = abs(P[waiting]).max(axis=(1, 2)), _in_plane(P[waiting] - P[waiting, :1])
     extent = abs(flat).max(axis=(1, 2))
@@ -138,7 +138,7 @@ def _cut_rings(P: Floats) -> tuple[Ints, list[int]]:
         turned = (np.arange(n) + k) % n
         x, y = np.moveaxis(flat[left][:, turned] - flat[left, k : k + 1], 2, 0)
         within = (x[:, 1:-1] * y[:, 2:] - y[:, 1:-1] * x[:, 2:] >= -_ROUNDING).all(axis=1)
-        found[waiting[left[within]]] = turned[fan]
+        triangles[waiting[left[within]]] = turned[fan]
         left = left[~within]
     expect(n <= MOST_CORNERS or not len(left), f"expected polygons with notches of {MOST_CORNERS} corners, found {n}")
     for i in left:
@@ -146,8 +146,8 @@ def _cut_rings(P: Floats) -> tuple[Ints, list[int]]:
         if ears is None:
             uncut.append(int(waiting[i]))
         else:
-            found[waiting[i]] = ears
-    return found, uncut
+            triangles[waiting[i]] = ears
+    return triangles, uncut
 
 
 def _in_plane(P: Floats) -> Floats:
@@ -205,21 +205,21 @@ def _ears(x: Floats, y: Floats, noise: float) -> Ints | None:
         return None
 
     inward = np.array([b for b in range(n) if area(before[b], b, after[b]) <= 0], dtype=np.int64)
-    known: dict[tuple[int, int, int], int] = {}  # obstacles
+    obstacles: dict[tuple[int, int, int], int] = {}
     gone = [False] * n
     triangles: list[tuple[int, int, int]] = []
     b = misses = 0
     while len(triangles) < n - 3:
         ear = before[b], b, after[b]
-        found = area(*ear) > 0 and (ear not in known or gone[known[ear]])
-        if found and (v := obstacle(*ear)) is not None:
-            found, known[ear] = False, v
-        if not found and misses == n - len(triangles):
+        is_ear = area(*ear) > 0 and (ear not in obstacles or gone[obstacles[ear]])
+        if is_ear and (v := obstacle(*ear)) is not None:
+            is_ear, obstacles[ear] = False, v
+        if not is_ear and misses == n - len(triangles):
             b = min((k for k in range(n) if not gone[k]), key=lambda k: abs(height(k)))
             if abs(height(b)) > noise:
                 return None
-            ear, found, inward = (before[b], b, after[b]), True, inward[inward != b]
-        if found:
+            ear, is_ear, inward = (before[b], b, after[b]), True, inward[inward != b]
+        if is_ear:
             a, _, c = ear
             triangles.append(ear)
             after[a], before[c], gone[b] = c, a, True

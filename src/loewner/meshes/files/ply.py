@@ -182,8 +182,8 @@ def _text_element(element: _Element, lines: list[list[bytes]], numbers: list[int
     for line, number in zip(lines, numbers, strict=True):
         k = 0
         for p in properties:
-            found = f"expected more numbers for a {element.name}, found {len(line)}"
-            expect(k < len(line), found, number)
+            message = f"expected more numbers for a {element.name}, found {len(line)}"
+            expect(k < len(line), message, number)
             if p.length is None:
                 columns[p.name].append(line[k])
                 k += 1
@@ -307,5 +307,5 @@ def _binary_rows(element: _Element, data: bytes, start: int, order: str) -> tupl
                 corner_kind = kind
             start += n * size
     expect(start <= len(data), f"expected {element.count} of {element.name}, found the file's end")
-    found = np.frombuffer(b"".join(corners), corner_kind).astype(np.int64) if corners else _no_integers()
-    return _Content(scalars, found, np.array(sizes, dtype=np.int64)), start
+    corner_numbers = np.frombuffer(b"".join(corners), corner_kind).astype(np.int64) if corners else _no_integers()
+    return _Content(scalars, corner_numbers, np.array(sizes, dtype=np.int64)), start

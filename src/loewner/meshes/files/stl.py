@@ -35,8 +35,8 @@ def read(data: bytes, tell: Tell) -> tuple[Floats, Triangles]:
         tell_unit(data.lstrip()[:512].splitlines()[0], tell)  # a unit may follow the name of the first solid
         corners = _text(data)
     else:  # a binary file's header may also begin with "solid"
-        found = f"{len(data)} bytes where its header asks for {HEADER + FACET * count}"
-        raise Refusal(f"expected an STL mesh, found {found if len(data) >= HEADER else 'no header'}")
+        description = f"{len(data)} bytes where its header asks for {HEADER + FACET * count}"
+        raise Refusal(f"expected an STL mesh, found {description if len(data) >= HEADER else 'no header'}")
     return corners.reshape(-1, 3), np.arange(3 * len(corners), dtype=np.int64).reshape(-1, 3)
 
 
@@ -72,9 +72,9 @@ def _refuse_first(data: bytes, begins: list[int], ends: list[int]) -> None:
     for first, last in zip(begins, ends, strict=True):
         for i in range(first + 1, last):
             words, count = _LINES[(i - first - 1) % len(_LINES)]
-            line, asked = lines[i], b" ".join(words).decode() + (f" and {count} numbers" if count else "")
+            line, requirement = lines[i], b" ".join(words).decode() + (f" and {count} numbers" if count else "")
             right = len(line) == len(words) + count and all(a.lower() == b for a, b in zip(line, words, strict=False))
-            expect(right, f"expected {asked}, found {quoted(b' '.join(line))}", numbers[i])
+            expect(right, f"expected {requirement}, found {quoted(b' '.join(line))}", numbers[i])
             if words == _VERTEX:
                 in_line(numbers[i], floats, line[1:])
         expect((last - first - 1) % len(_LINES) == 0, "expected a whole facet, found endsolid", numbers[last])

@@ -55,21 +55,21 @@ def prepared(robot: Robot, scene: Scene, skipped: Iterable[Pair], version: int, 
     whole = with_moving_bodies(robot, tuple(following)) if following else robot
     names, packs, link = _bodies(robot, scene, list(following))
     on_links = link[link < len(robot.link_names)]  # bodies of the scene are not checked against each other
-    pairs, given = _pairs(robot, scene, names, on_links, skipped)
+    pairs, scene_margins = _pairs(robot, scene, names, on_links, skipped)
     leaving, reaching = (_of_rules(rules, names, pairs) for rules in (scene.leaving, scene.reaching))
     bounds = scene.bounds
     _check_ruled(names, packs, pairs[leaving | reaching], bounds)
     errors = np.array([0.0 if name in growing or name not in bounds else bounds[name].off(0.0) for name in names])
-    margins = given + errors[pairs].sum(axis=1) if errors.any() else given
+    margins = scene_margins + errors[pairs].sum(axis=1) if errors.any() else scene_margins
     count = len(link)
     same = before is not None and count == len(before.link) and all(map(is_, packs[:count], before.packs))
-    made = Problem.of(
+    problem = Problem.of(
         whole, (version, structure_version), names, packs, link, pairs, margins, leaving, reaching,
         before.moving if same and before is not None else None,
     ).with_poses(poses, version)  # fmt: skip
     if errors.any():
-        made = made.with_errors(given, errors)
-    return made.with_paths(tuple(following.values()), growing) if following or growing else made
+        problem = problem.with_errors(scene_margins, errors)
+    return problem.with_paths(tuple(following.values()), growing) if following or growing else problem
 
 
 # -- names and pairs --------------------------------------------------------------------------
@@ -111,10 +111,10 @@ def _bodies(robot: Robot, scene: Scene, following: list[str]) -> tuple[tuple[str
 
 def _on_link(body: Body, held: Attachment) -> Packed:
     """Return an attached body in the frame of its link, made once for each attachment."""
-    known = _carried.get(held)
-    if known is None or known[0] is not body:
-        known = _carried[held] = body, packed_of(body.transformed(held.T_link_body))
-    return known[1]
+    entry = _carried.get(held)
+    if entry is None or entry[0] is not body:
+        entry = _carried[held] = body, packed_of(body.transformed(held.T_link_body))
+    return entry[1]
 
 
 def _pairs(
@@ -144,13 +144,13 @@ def _pairs(
     rules = np.array(rows, dtype=float).reshape(-1, 5)
     marks = [(name not in scene, (name,) in lowered, (name, None) in lowered) for name in names]
     own = [(margins.get((name,), 0.0), margins.get((name, None), 0.0)) for name in names]
-    pairs, found = np.empty((most, 2), dtype=np.int64), np.empty(most)
+    pairs, pair_margins = np.empty((most, 2), dtype=np.int64), np.empty(most)
     count = entries.list_pairs(
         robot.tree.parent, robot.tree.kind, link, np.array(marks, dtype=np.int64).reshape(-1, 3),
         np.array(own).reshape(-1, 2), np.array([scene.margin, margins.get((None, None), 0.0)]),
-        rules[:, :4].astype(np.int64), rules[:, 4].copy(), pairs, found,
+        rules[:, :4].astype(np.int64), rules[:, 4].copy(), pairs, pair_margins,
     )  # fmt: skip
-    return pairs[:count].copy(), found[:count].copy()
+    return pairs[:count].copy(), pair_margins[:count].copy()
 
 
 def _of_rules(rules: Iterable[Pair], names: tuple[str, ...], pairs: Ints) -> Bools:

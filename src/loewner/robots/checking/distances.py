@@ -156,8 +156,8 @@ def nearest_columns(ready: Problem, Q: Floats, exact: bool, *, care: bool = True
         distance[status != 0] = np.nan
         return [lower, upper, distance, bodies, *vectors]
     for k in np.flatnonzero(status):
-        distance[k], bodies[k], *found = _nearest_with_care(ready, Q[k])
-        for column, vector in zip(vectors, found, strict=True):
+        distance[k], bodies[k], *row = _nearest_with_care(ready, Q[k])
+        for column, vector in zip(vectors, row, strict=True):
             column[k] = vector
     return [lower, upper, distance, bodies, *vectors]
 
@@ -170,8 +170,8 @@ def near_pairs(ready: Problem, Q: Floats, within: float) -> Ints:
         operands = within, 0, len(Q), Q, ready.packed.handle, ready.handle, memory
         count = entries.near_pairs(*operands, listed, 0)
         if count <= len(listed):
-            found = listed[:count]
-            return found[np.lexsort((found[:, 1], found[:, 0]))]
+            rows = listed[:count]
+            return rows[np.lexsort((rows[:, 1], rows[:, 0]))]
         _validate.fits_memory(16 * count, f"{count} pairs")
         listed = np.empty((count, 2), dtype=np.int64)
 
@@ -193,9 +193,9 @@ def by_pair(ready: Problem, Q: Floats, within: float, gradient: bool) -> PairDis
         for p in np.unique(listed[start:stop, 1]):
             rows = start + np.flatnonzero(listed[start:stop, 1] == p)
             at, (a, b) = listed[rows, 0] - first, (int(body) for body in ready.pairs[p])
-            found = queries.distance(ready.body(a), T[at, a], ready.body(b), T[at, b], exact=True)
-            distance[rows] = found.distance
-            for column, values in zip(vectors, (found.witness_a, found.witness_b, found.normal), strict=True):
+            gaps = queries.distance(ready.body(a), T[at, a], ready.body(b), T[at, b], exact=True)
+            distance[rows] = gaps.distance
+            for column, values in zip(vectors, (gaps.witness_a, gaps.witness_b, gaps.normal), strict=True):
                 column[rows] = values
     near = distance <= within
     listed, distance, vectors = listed[near], distance[near], [column[near] for column in vectors]
@@ -247,13 +247,13 @@ def _nearest_with_care(ready: Problem, q: Floats) -> tuple[Any, ...]:
     T = ready.poses(q[None])[0]
     a, b = ready.pairs.T
     bounds = queries.distance(ready.bodies[a], T[a], ready.bodies[b], T[b])
-    best, nearest, found = np.inf, 0, None
+    best, nearest, gap = np.inf, 0, None
     for p in np.argsort(bounds.lower, kind="stable"):
         if bounds.lower[p] > min(best, bounds.upper.min()):
             break
         i, j = (int(body) for body in ready.pairs[p])
         one = queries.distance(ready.body(i), T[i], ready.body(j), T[j], exact=True)
         if one.distance < best:
-            best, nearest, found = one.distance, int(p), one
-    assert found is not None  # the first lower bound is below all upper bounds
-    return best, ready.pairs[nearest], found.witness_a, found.witness_b, found.normal
+            best, nearest, gap = one.distance, int(p), one
+    assert gap is not None  # the first lower bound is below all upper bounds
+    return best, ready.pairs[nearest], gap.witness_a, gap.witness_b, gap.normal

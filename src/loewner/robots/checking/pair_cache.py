@@ -27,18 +27,18 @@ _ARRAYS = ("lower", "upper", "nearest", "colliding", "free")
 
 def known_pairs(robot: Any) -> dict[Pair, tuple[ProvenPair, int]]:
     """Return the cached answers for a robot, each with the number of boxes that was allowed for it."""
-    known, start = {}, _start(robot)
+    answers, start = {}, _start(robot)
     with suppress(OSError, _sealed.DamagedFileError, ValueError, KeyError, TypeError):
         if any(path.name.startswith(start) for path in FOLDER.iterdir()):  # first, as `_path` takes milliseconds
             for row in _json.loads(_sealed.read(_path(robot))):
-                known[tuple(row["names"])] = _row(row), int(row["allowed"])
-    return known
+                answers[tuple(row["names"])] = _row(row), int(row["allowed"])
+    return answers
 
 
 def keep(robot: Any, rows: Iterable[ProvenPair], allowed: int) -> None:
     """Add answers to the cache; if there is no writable folder, do nothing."""
-    known = known_pairs(robot) | {row.names: (row, allowed) for row in rows}
-    content = json.dumps([_entry(row, allowed) for row, allowed in known.values()]).encode()
+    answers = known_pairs(robot) | {row.names: (row, allowed) for row in rows}
+    content = json.dumps([_entry(row, allowed) for row, allowed in answers.values()]).encode()
     with suppress(OSError):
         FOLDER.mkdir(parents=True, exist_ok=True)
         _sealed.write(_path(robot), content)

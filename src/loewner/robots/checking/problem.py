@@ -139,10 +139,10 @@ class Problem:
         moving = join(packs[: len(link)]) if moving is None else moving
         packed = join([moving, *packs[len(link) :]]) if packed is None else packed
         order, hits = np.arange(len(pairs)), np.zeros(len(pairs), dtype=np.int64)
-        given = records.table_of((*robot.tree, link, _NONE, pairs, margins, order, _NONE, _NONE, _NONE))
-        sizes = entries.lay_out(packed.handle, given.ctypes.data, _NONE, _NONE)
+        table = records.table_of((*robot.tree, link, _NONE, pairs, margins, order, _NONE, _NONE, _NONE))
+        sizes = entries.lay_out(packed.handle, table.ctypes.data, _NONE, _NONE)
         lasting, block = records.aligned(sizes[0]), np.empty(sizes[1])
-        handle = entries.lay_out(packed.handle, given.ctypes.data, lasting, block)[2]
+        handle = entries.lay_out(packed.handle, table.ctypes.data, lasting, block)[2]
         return cls(
             robot, *versions, names, tuple(packs), moving, packed, link, pairs, margins,
             never if leaving is None else leaving, never if reaching is None else reaching, order, hits,
@@ -155,17 +155,17 @@ class Problem:
         self, pairs: Ints, margins: Floats, leaving: Bools | None = None, reaching: Bools | None = None, **changes: Any
     ) -> Problem:
         """Set other pairs and, on request, other attributes."""
-        made = Problem.of(
+        problem = Problem.of(
             self.robot, (self.version, self.structure_version), self.names, self.packs, self.link, pairs, margins,
             leaving, reaching, self.moving, self.packed,
         )  # fmt: skip
-        return made._placed(self.standing.poses, version=self.version, paths=self.paths, **changes)
+        return problem._placed(self.standing.poses, version=self.version, paths=self.paths, **changes)
 
     def only(self, pairs: Ints) -> Problem:
         """Select pairs by index."""
-        given = None if self.given is None else self.given[pairs]
+        scene_margins = None if self.given is None else self.given[pairs]
         rules = self.leaving[pairs], self.reaching[pairs]
-        chosen = self.with_pairs(self.pairs[pairs], self.margins[pairs], *rules, given=given, off=self.off)
+        chosen = self.with_pairs(self.pairs[pairs], self.margins[pairs], *rules, given=scene_margins, off=self.off)
         for value in (Problem.cut, Problem.open_cut):
             value.hand_on(self, chosen, lambda cut: cut and cut.only(pairs))
         return chosen
@@ -190,10 +190,10 @@ class Problem:
         return self._changed(given=given, off=np.stack([at, raised, raised], axis=1).ravel())
 
     def _changed(self, **changes: Any) -> Problem:
-        made = object.__new__(Problem)
-        vars(made).update(vars(self), **changes)
-        vars(made).pop("_without_errors", None)
-        return made
+        problem = object.__new__(Problem)
+        vars(problem).update(vars(self), **changes)
+        vars(problem).pop("_without_errors", None)
+        return problem
 
     def with_poses(self, poses: Floats, version: int) -> Problem:
         """Place the static bodies at their poses, shape (bodies, 4, 4), for a version of the scene."""
@@ -210,10 +210,10 @@ class Problem:
         block = np.empty(len(self.block))
         handle = entries.place_static(self.packed.handle, self.handle, block, poses.reshape(-1, 16))
         # `dataclasses.replace` would take a fifth of the total time.
-        known, made = vars(self), object.__new__(Problem)
-        lasting = {name: known[name] for name in _LASTING if name in known}
-        vars(made).update(lasting, block=block, handle=handle, **changes)
-        return made
+        fields, problem = vars(self), object.__new__(Problem)
+        lasting = {name: fields[name] for name in _LASTING if name in fields}
+        vars(problem).update(lasting, block=block, handle=handle, **changes)
+        return problem
 
     # -- for kernels --------------------------------------------------------------------------
 
@@ -358,12 +358,12 @@ class Problem:
 
     def grouped(self, margins: Floats) -> list[OfMargin]:
         """All pairs, grouped by the given margins."""
-        found = []
+        groups = []
         for margin in np.unique(margins).tolist():
             at = np.flatnonzero(margins == margin)
             plan = np.array([[len(at)], [1], [1], [1], [1]], dtype=np.int64)
-            found.append(OfMargin(margin, at, plan, np.ascontiguousarray(self.pairs[at].T)))
-        return found
+            groups.append(OfMargin(margin, at, plan, np.ascontiguousarray(self.pairs[at].T)))
+        return groups
 
     @kept
     def ruled(self) -> Ints:

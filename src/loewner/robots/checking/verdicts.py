@@ -181,8 +181,8 @@ def sampled(ready: Problem, a: Floats, b: Floats, step: float) -> tuple[NDArray[
     for edge, at in edges.rounds(parts, free):
         out = classified(ready, codes.EXACT, interpolated(ready.robot, a[edge], b[edge], at[:, None])).verdicts
         for verdict in (codes.AMBIGUOUS, codes.COLLIDING):  # a collision takes precedence
-            found = np.flatnonzero(out == verdict)
-            verdicts[edge[found]], fractions[edge[found]] = verdict, at[found]
+            rows = np.flatnonzero(out == verdict)
+            verdicts[edge[rows]], fractions[edge[rows]] = verdict, at[rows]
         free[:] = verdicts == codes.FREE
     return verdicts, fractions
 
@@ -200,9 +200,9 @@ def pair_verdicts(ready: Problem, T: Floats, off: Floats | None = None) -> NDArr
     groups = ready.grouped(ready.margins + off) if off is not None and off.any() else ready.by_margin
     pack, verdicts = ready.packed.handle, np.full(len(ready.pairs), codes.AMBIGUOUS, dtype=np.int8)
     for margin, at, plan, rows in groups:
-        found = np.empty(len(at), dtype=np.int8)
-        if settle(codes.EXACT, margin, 0, len(at), (plan, rows, pack, T, pack, T), found) is not None:
-            verdicts[at] = found
+        group_verdicts = np.empty(len(at), dtype=np.int8)
+        if settle(codes.EXACT, margin, 0, len(at), (plan, rows, pack, T, pack, T), group_verdicts) is not None:
+            verdicts[at] = group_verdicts
     return verdicts
 
 
@@ -215,19 +215,19 @@ def collisions_by_pair(ready: Problem, Q: Floats, t: Floats | None = None) -> Bo
     out = np.empty((len(Q), len(ready.pairs)), dtype=bool)
     for first, poses in ready.poses_in_turn(Q):
         for at, T in enumerate(poses, first):
-            found = pair_verdicts(ready, T, None if t is None else ready.off_at(float(t[at])))
-            expect_pairs_settled(ready, Q[at], found)
-            out[at] = found == codes.COLLIDING
+            verdicts = pair_verdicts(ready, T, None if t is None else ready.off_at(float(t[at])))
+            expect_pairs_settled(ready, Q[at], verdicts)
+            out[at] = verdicts == codes.COLLIDING
     return out
 
 
 def always(ready: Problem, Q: Floats) -> Bools:
     """Return which pairs collide at all given configurations, shape (pairs,), as far as arithmetic settles them."""
-    found = np.ones(len(ready.pairs), dtype=bool)
+    colliding = np.ones(len(ready.pairs), dtype=bool)
     for _, poses in ready.poses_in_turn(Q):
         for T in poses:
-            found &= pair_verdicts(ready, T) == codes.COLLIDING
-    return found
+            colliding &= pair_verdicts(ready, T) == codes.COLLIDING
+    return colliding
 
 
 def expect_pairs_settled(ready: Problem, q: Floats, verdicts: NDArray[np.int8]) -> None:
@@ -256,21 +256,21 @@ def contacts(ready: Problem, q: Floats, t: float | None = None) -> tuple[tuple[C
     T = ready.poses(q[None])[0]
     verdicts = pair_verdicts(ready, T, None if t is None else ready.off_at(t))
     a, b = ready.pairs[verdicts == codes.COLLIDING].T
-    found = queries.distance(ready.bodies[a], T[a], ready.bodies[b], T[b], exact=True)
+    distances = queries.distance(ready.bodies[a], T[a], ready.bodies[b], T[b], exact=True)
     names = ((ready.names[i], ready.names[j]) for i, j in zip(a, b, strict=True))
     doubt = "".join(unsettled(ready, int(pair), q) for pair in _ambiguous(verdicts)[:1])
-    return Contact.from_distances(names, found), doubt
+    return Contact.from_distances(names, distances), doubt
 
 
 def lengths(ready: Problem, a: Floats, b: Floats, step: float) -> Floats:
     """Compute lengths of motions, one motion at a time if the last bit decides the number of steps."""
-    found = np.asarray(ready.robot._distances(a, b))
+    motion_lengths = np.asarray(ready.robot._distances(a, b))
     if ready.robot.runs_straight:
         with np.errstate(over="ignore"):
-            quotients = found / step
+            quotients = motion_lengths / step
         for k in edges.nearly_whole(quotients):
-            found[k] = ready.robot._distances(a[k], b[k])
-    return found
+            motion_lengths[k] = ready.robot._distances(a[k], b[k])
+    return motion_lengths
 
 
 def _worst(verdicts: NDArray[np.int8]) -> int:

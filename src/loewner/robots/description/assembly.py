@@ -114,17 +114,17 @@ def joined(kind: type[R], parts: Mapping[str, R], poses: Mapping[str, ArrayLike 
         _validate.known(name, "part in poses", parts)
     placed: dict[str, Any] = dict(parts)
     placed |= {name: placed[name].placed(T) for name, T in (poses or {}).items()}
-    made = _combined([_Piece(f"{name}/", robot) for name, robot in placed.items()], " and ".join(parts))
+    assembly = _combined([_Piece(f"{name}/", robot) for name, robot in placed.items()], " and ".join(parts))
     if any(robot._lists_pairs for robot in placed.values()):
         left = [(f"{name}/", robot) for name, robot in placed.items() if not robot._lists_pairs]
         more = {(prefix + a, prefix + b) for prefix, robot in left for a, b in robot.adjacent_pairs}
-        made = replace(made, disabled_pairs=made.disabled_pairs | more)
-    at, of_parts = 0, dict(made._parts)
+        assembly = replace(assembly, disabled_pairs=assembly.disabled_pairs | more)
+    at, of_parts = 0, dict(assembly._parts)
     for name, robot in placed.items():
         joints, links = _prefixed(f"{name}/", robot.joint_names), _prefixed(f"{name}/", robot.link_names)
         of_parts[name] = Part(robot, slice(at, at + robot.dof), joints, links, robot.tree)
         at += robot.dof
-    return cast(R, replace(made, _parts=of_parts))
+    return cast(R, replace(assembly, _parts=of_parts))
 
 
 def part(self: R, name: str) -> Part[R]:
@@ -360,7 +360,7 @@ def with_body(
     if parent is not None and (not isinstance(parent, str) or parent not in robot.link_names):
         raise _validate.unknown_name("parent", parent, robot.link_names)
     T = _validate.pose(T_parent_joint, "T_parent_joint")
-    made = _chain(self, f"{name}/world", [(name, joint, unit_axis(axis, "axis").tolist())])
+    branch = _chain(self, f"{name}/world", [(name, joint, unit_axis(axis, "axis").tolist())])
     if (limits is None) == (joint in LIMITED):
         expected = "two numbers for prismatic and revolute joints, and none for others"
         raise InputError(f"limits: expected {expected}, found {limits} for a {joint} joint")
@@ -369,18 +369,18 @@ def with_body(
         if low > high:
             raise InputError(f"limits: expected a lower and an upper one, found {limits}")
         ends = np.array([low]), np.array([high])
-        made = replace(made, lower=ends[0], upper=ends[1], hard_lower=ends[0], hard_upper=ends[1])
+        branch = replace(branch, lower=ends[0], upper=ends[1], hard_lower=ends[0], hard_upper=ends[1])
     if velocity is not None:
-        fastest = np.full(made.dof, _validate.positive_scalar(velocity, "velocity"))
-        made = replace(made, velocity=fastest)
+        fastest = np.full(branch.dof, _validate.positive_scalar(velocity, "velocity"))
+        branch = replace(branch, velocity=fastest)
     if mimic is not None:
         mimic = checked_mimic(mimic, "mimic")
-    for what, given in (("velocity", velocity), ("mimic", mimic)):
-        if given is not None and made.dof != 1:
-            raise InputError(f"{what}: expected None for a {joint} joint, found {given}")
-    made = replace(made, bodies={name: body}).placed(T)
+    for what, argument in (("velocity", velocity), ("mimic", mimic)):
+        if argument is not None and branch.dof != 1:
+            raise InputError(f"{what}: expected None for a {joint} joint, found {argument}")
+    branch = replace(branch, bodies={name: body}).placed(T)
     adjacent = {(min(name, parent), max(name, parent))} if parent in robot.bodies and parent is not None else set()
-    robot = _combined([_Piece("", robot), _Piece("", made, parent, without_root=True)], robot.name)
+    robot = _combined([_Piece("", robot), _Piece("", branch, parent, without_root=True)], robot.name)
     if mimic is not None:
         robot = replace(_coupled(robot, *mimic), _layout=cast(Any, self)._layout)
     in_world = (*robot._in_world, name) if parent is None else robot._in_world
@@ -479,12 +479,12 @@ def _prefixed(prefix: str, names: Sequence[str]) -> tuple[str, ...]:
 
 def _chain(robot: Any, root: str, joints: list[tuple[str, str, list[float]]]) -> Any:
     """Make a robot of links without bodies from joints given by name, kind and axis; each link has its joint's name."""
-    made, above = {}, root
+    by_name, above = {}, root
     for name, kind, axis in joints:
-        made[name] = Joint(name, kind, above, name, np.eye(4), np.array(axis))
+        by_name[name] = Joint(name, kind, above, name, np.eye(4), np.array(axis))
         above = name
-    shapes: dict[str, tuple[Any, ...]] = {root: (), **dict.fromkeys(made, ())}
-    description = Description(root, Path(root), shapes, made, {joint.child: joint for joint in made.values()}, ())
+    shapes: dict[str, tuple[Any, ...]] = {root: (), **dict.fromkeys(by_name, ())}
+    description = Description(root, Path(root), shapes, by_name, {joint.child: joint for joint in by_name.values()}, ())
     made_robot = type(robot)._of(description, {}, Semantics(), frozenset(), (), "none", None)
     return replace(made_robot, _sources=())
 

@@ -125,11 +125,11 @@ def _moves(plant: Any, joint: Any, name: str) -> Iterator[tuple[Joint, tuple[int
 
     def single(suffix: str, kind: Any, axis: Floats, at: int, *, rated: bool = True) -> tuple[Joint, tuple[int, ...]]:
         velocity, acceleration = (float(most[at]) if rated and 0 < most[at] < math.inf else None for most in rates)
-        made = Joint(
+        single_joint = Joint(
             name + suffix, kind, "", "", axis=axis, lower=lower[at], upper=upper[at], velocity=velocity,
             acceleration=acceleration,
         )  # fmt: skip
-        return made, (at,)
+        return single_joint, (at,)
 
     if kind == "revolute":
         yield single("", "revolute", joint.revolute_axis(), 0)
@@ -178,9 +178,9 @@ def _shapes(plant: Any, inspector: Any, links: Mapping[int, str], tol: float) ->
                 unread.append(repr(name))
                 continue
             T = inspector.GetPoseInFrame(geometry).GetAsMatrix4()
-            made = made_body(partial(_body, inspector, geometry, tol), f"geometry {name!r}")
+            shape_body = made_body(partial(_body, inspector, geometry, tol), f"geometry {name!r}")
             geometries.append(geometry)
-            shapes.append(Shape(links[int(body.index())], name, made, T))
+            shapes.append(Shape(links[int(body.index())], name, shape_body, T))
     if unread:
         warn(f"not read, although Drake checks it: geometry that is deformable or not of the plant: {some(unread)}")
     return geometries, shapes

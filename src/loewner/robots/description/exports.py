@@ -157,9 +157,9 @@ def _joints(robot: Any, top: str | None) -> Iterator[Joint]:
         if kind not in (*ONE_VALUE, columns.FIXED):
             _refuse_bounds(robot, name)
         limits = _limits(robot, int(tree.column[k]), mimic) if kind in ONE_VALUE else {}
-        made = Joint(name, NAMES[kind], parent or top or "", child, pose, axis, mimic=mimic, **limits)
-        endless = kind == columns.REVOLUTE and made.range == (-math.inf, math.inf)
-        yield replace(made, kind="continuous") if endless else made
+        joint = Joint(name, NAMES[kind], parent or top or "", child, pose, axis, mimic=mimic, **limits)
+        endless = kind == columns.REVOLUTE and joint.range == (-math.inf, math.inf)
+        yield replace(joint, kind="continuous") if endless else joint
 
 
 def _pose_and_axis(constants: Floats, kind: int, offset: float) -> tuple[Floats, Floats]:
@@ -243,16 +243,16 @@ def mjcf_text(robot: Any, wider: float) -> str:
     asset, world = ElementTree.SubElement(root, "asset"), ElementTree.SubElement(root, "worldbody")
     contact, equality = (ElementTree.SubElement(root, name) for name in ("contact", "equality"))
     above = {joint.child: joint for joint in _joints(robot, None)}
-    made: dict[str, ElementTree.Element] = {}
+    elements: dict[str, ElementTree.Element] = {}
     for name in robot.link_names:
         joint = above.get(name)
         if name == "world":  # MuJoCo's own name for the world, which no other body may have
             if joint is not None or name in robot.bodies:
-                found = f"below the joint {joint.name!r}" if joint is not None else "with shapes"
-                raise InputError(f"expected a link 'world' only as a root without shapes, found one {found}")
-            made[name] = world
+                fault = f"below the joint {joint.name!r}" if joint is not None else "with shapes"
+                raise InputError(f"expected a link 'world' only as a root without shapes, found one {fault}")
+            elements[name] = world
             continue
-        body = made[name] = ElementTree.SubElement(made[joint.parent] if joint else world, "body", name=name)
+        body = elements[name] = ElementTree.SubElement(elements[joint.parent] if joint else world, "body", name=name)
         T = joint.origin if joint else constant_pose(robot.tree.constants[robot.link_names.index(name)])
         body.set("pos", numbers(T[:3, 3]))
         body.set("quat", numbers(quaternions_of(T[None, :3, :3])[0]))
@@ -269,11 +269,11 @@ def _add_mjcf_joint(body: ElementTree.Element, equality: ElementTree.Element, jo
     if joint.kind in ("planar", "floating"):
         raise InputError(f"expected joints of one value, found the {joint.kind} joint {joint.name!r}")
     kind = "slide" if joint.kind == "prismatic" else "hinge"
-    made = ElementTree.SubElement(body, "joint", name=joint.name, type=kind, axis=numbers(joint.axis))
+    element = ElementTree.SubElement(body, "joint", name=joint.name, type=kind, axis=numbers(joint.axis))
     ends = joint.lower, joint.upper
     if all(map(math.isfinite, ends)):
-        made.set("range", numbers(ends))
-        made.set("limited", "true")
+        element.set("range", numbers(ends))
+        element.set("limited", "true")
     if joint.mimic is not None:
         other, multiplier, offset = joint.mimic
         follows = numbers([offset, multiplier, 0.0, 0.0, 0.0])

@@ -100,7 +100,7 @@ def link_bodies(
     for folder in folders:
         if not os.path.isdir(folder):
             raise FileError(f"{folder}: expected a folder of packages, found no such folder")
-    total, done, made, told = sum(len(shapes) for shapes in robot.shapes.values()), 0, {}, {}
+    total, done, bodies, told = sum(len(shapes) for shapes in robot.shapes.values()), 0, {}, {}
     placed: list[tuple[str, str, Body]] = []
     for link, shapes in robot.shapes.items():
         parts = []
@@ -110,7 +110,7 @@ def link_bodies(
             done += 1
             progress(done, total)
         if parts:
-            made[link] = parts[0] if len(parts) == 1 else _union(parts)
+            bodies[link] = parts[0] if len(parts) == 1 else _union(parts)
             told[link] = tuple(
                 described(part) if shape.kind == "mesh" else shape.kind
                 for shape, part in zip(shapes, parts, strict=True)
@@ -129,7 +129,7 @@ def link_bodies(
     doubts = (f"{robot.path}, link {name!r}: expected {doubt}" for name, doubt in _doubts(placed) if doubt)
     for first in islice(doubts, 1):
         warn(first)
-    return made, told
+    return bodies, told
 
 
 def _doubts(placed: list[tuple[str, str, Body]]) -> Iterator[tuple[str, str]]:
@@ -227,19 +227,19 @@ def _key(file: Path, shape: Shape, model: str, tol: float) -> str:
 def _union(parts: list[Body]) -> Body:
     """Make one body from all shapes of a link, with the covering of their meshes."""
     body = Body.union(parts)
-    known = [part.covering for part in parts if part.covering is not None]
-    if not known:
+    coverings = [part.covering for part in parts if part.covering is not None]
+    if not coverings:
         return body
     return Body(
         packed_of(body),
         Covering(
-            kind=known[0].kind if len({c.kind for c in known}) == 1 else "decomposition",
-            exact=all(c.exact for c in known),
-            max_uncovered=max(c.max_uncovered for c in known),
+            kind=coverings[0].kind if len({c.kind for c in coverings}) == 1 else "decomposition",
+            exact=all(c.exact for c in coverings),
+            max_uncovered=max(c.max_uncovered for c in coverings),
             excess_volume=float("nan"),
-            samples=sum(c.samples for c in known),
+            samples=sum(c.samples for c in coverings),
             # A piece that sticks out of its own mesh may lie inside another mesh; the bound is still valid.
-            max_protrusion=float(np.max([c.max_protrusion for c in known])),  # NaN if one is unknown
+            max_protrusion=float(np.max([c.max_protrusion for c in coverings])),  # NaN if one is unknown
         ),
     )
 
@@ -299,16 +299,16 @@ def _expect_one(shape: Shape, link: str, urdf: Path, places: Iterable[Iterable[P
 def _candidates(name: str, homes: Sequence[Path], folders: Sequence[str | os.PathLike[str]]) -> Iterator[Path]:
     """List the places where a mesh may be: the given packages, ROS's packages, then the URDF's parent folders."""
     scheme, separator, rest = name.rpartition("://")
-    given = [Path(folder) for folder in folders]
+    package_folders = [Path(folder) for folder in folders]
     if separator and scheme in ("package", "model"):
         package, _, inside = rest.partition("/")
         above = (folder for home in homes for folder in (home, *home.parents))
-        for folder in (*given, *_ros_folders(), *above):
+        for folder in (*package_folders, *_ros_folders(), *above):
             yield folder / package / inside
             if folder.name == package:
                 yield folder / inside
     elif not separator or scheme == "file":
-        for folder in (*homes, *given):
+        for folder in (*homes, *package_folders):
             yield folder / rest  # an absolute path is kept
 
 

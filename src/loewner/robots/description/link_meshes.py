@@ -81,10 +81,10 @@ def warn_of_open_meshes(title: object, named: Iterable[tuple[str, str]], instead
     instead : str
         The option that keeps triangles without change.
     """
-    found: dict[str, list[str]] = {kind: [] for kind in OPENED}
+    names_by_kind: dict[str, list[str]] = {kind: [] for kind in OPENED}
     for name, words in named:
-        found.get(words.partition(",")[0], []).append(name)
-    groups = [f"{len(names)} {OPENED[kind]} ({', '.join(names)})" for kind, names in found.items() if names]
+        names_by_kind.get(words.partition(",")[0], []).append(name)
+    groups = [f"{len(names)} {OPENED[kind]} ({', '.join(names)})" for kind, names in names_by_kind.items() if names]
     if groups:
         warn(
             f"{title}: expected closed meshes, found {' and '.join(groups)}; bodies wholly within them collide, "

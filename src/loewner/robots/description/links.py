@@ -107,11 +107,11 @@ def described(
     bodies = {link: body for link, shapes in links.items() if (body := _body(link, shapes)) is not None}
     listed = _validate.listed(joints, "joints", wanted="a list of loewner.Joint")
     names = dict.fromkeys(links)  # in order; links for frames of joints follow
-    made: dict[str, urdf.Joint] = {}
+    joints_by_name: dict[str, urdf.Joint] = {}
     above: dict[str, urdf.Joint] = {}
     for joint in listed:
         _validate.instance(joint, "joints", Joint)
-        if _validate.expect_name(joint.name, "expected a name of a joint") in made:
+        if _validate.expect_name(joint.name, "expected a name of a joint") in joints_by_name:
             raise InputError(f"joints: expected names that differ, found {joint.name!r} twice")
         for end in (joint.parent, joint.child):
             _validate.known(end, f"link of joint {joint.name!r}", links)
@@ -126,15 +126,15 @@ def described(
             names[frame] = None
             checked = replace(checked, child=frame)
             above[joint.child] = urdf.Joint(joint.child, "fixed", frame, joint.child, behind)
-        above[checked.child] = made[joint.name] = checked
+        above[checked.child] = joints_by_name[joint.name] = checked
     path = Path(name)
-    for checked in made.values():
-        if checked.mimic is not None and checked.mimic.joint not in made:
-            raise _validate.unknown_name(f"joint that {checked.name!r} mimics", checked.mimic.joint, made)
-    made = urdf.narrowed(urdf.without_chains(made, path), path)
-    above |= {joint.child: joint for joint in made.values()}
+    for checked in joints_by_name.values():
+        if checked.mimic is not None and checked.mimic.joint not in joints_by_name:
+            raise _validate.unknown_name(f"joint that {checked.name!r} mimics", checked.mimic.joint, joints_by_name)
+    joints_by_name = urdf.narrowed(urdf.without_chains(joints_by_name, path), path)
+    above |= {joint.child: joint for joint in joints_by_name.values()}
     order = urdf.parents_first(_fault, list(names), above)
-    return Description(name, path, dict.fromkeys(order, ()), made, above, ()), bodies
+    return Description(name, path, dict.fromkeys(order, ()), joints_by_name, above, ()), bodies
 
 
 def _fault(expected: str, found: str) -> NoReturn:
@@ -177,11 +177,11 @@ def _joint(joint: Joint) -> tuple[urdf.Joint, Floats | None]:
     ends = (float(lower[0]), float(upper[0])) if single else (-math.inf, math.inf)
     if kind == "revolute" and ends == (-math.inf, math.inf):
         kind = "continuous"
-    made = urdf.Joint(
+    urdf_joint = urdf.Joint(
         joint.name, kind, joint.parent, joint.child, origin, axis, *ends, mimic=mimic, reference=reference,
         bounds=(lower, upper) if not single and np.isfinite([lower, upper]).any() else None, **rates,
     )  # fmt: skip
-    return made, None if np.array_equal(behind, np.eye(4)) else behind
+    return urdf_joint, None if np.array_equal(behind, np.eye(4)) else behind
 
 
 def _pose(T: ArrayLike | None, name: str) -> Floats:
@@ -206,11 +206,11 @@ def _limits(joint: Joint, kind: str, what: str) -> tuple[Floats, Floats]:
     count = 1 if len(VALUES[kind]) == 1 else LIMITED_VALUES.get(kind, 0)
     ends = []
     for name in ("lower", "upper"):
-        given = _validate.float_array(getattr(joint, name), f"{name} of {what}")
-        if given.ndim and given.shape != (count,):
+        bounds = _validate.float_array(getattr(joint, name), f"{name} of {what}")
+        if bounds.ndim and bounds.shape != (count,):
             expected = f"shape {_validate.shape_text((count,))}" if count else "a number"
-            raise InputError(f"{name} of {what}: expected {expected}, found {_validate.shape_text(given.shape)}")
-        ends.append(np.broadcast_to(given, (max(count, 1),)))
+            raise InputError(f"{name} of {what}: expected {expected}, found {_validate.shape_text(bounds.shape)}")
+        ends.append(np.broadcast_to(bounds, (max(count, 1),)))
     lower, upper = ends
     if not (lower <= upper).all() or (lower == math.inf).any() or (upper == -math.inf).any():
         raise InputError(f"limits of {what}: expected lower ones up to upper ones, found {lower} and {upper}")

@@ -162,9 +162,9 @@ def layout_of(
             own[at] = theirs[0]
     for column, value in order.constants.items():
         offsets[column] = value
-    made = source, factors, offsets, own, np.array(turning, dtype=np.int64).reshape(-1, 3)
-    read_only(*made)
-    return Layout(tuple(names), *made)
+    arrays = source, factors, offsets, own, np.array(turning, dtype=np.int64).reshape(-1, 3)
+    read_only(*arrays)
+    return Layout(tuple(names), *arrays)
 
 
 def chained(
@@ -205,20 +205,20 @@ def with_shapes(
     classes: dict[tuple[str, object], list[int]] = {}
     for k, shape in enumerate(shapes):
         classes.setdefault((shape.link, k if shape.link == links[0] else checked[k].tobytes()), []).append(k)
-    made: dict[str, list[tuple[Body, Floats]] | None] = dict.fromkeys(links)
+    all_links: dict[str, list[tuple[Body, Floats]] | None] = dict.fromkeys(links)
     all_joints = {joint.name: joint for joint in joints}
     names, firsts = [], []
     for (link, _), members in classes.items():
         first, name = shapes[members[0]], link
-        if link == links[0] or made[link] is not None:
-            name = _validate.unused(first.name if link == links[0] else f"{link}/{first.name}", made)
+        if link == links[0] or all_links[link] is not None:
+            name = _validate.unused(first.name if link == links[0] else f"{link}/{first.name}", all_links)
             joint = _validate.unused(name, all_joints)
             all_joints[joint] = Joint(joint, "fixed", link, name)
-        made[name] = [(shapes[k].body, shapes[k].T_link_body) for k in members]
+        all_links[name] = [(shapes[k].body, shapes[k].T_link_body) for k in members]
         names.append(name)
         firsts.append(members[0])
     skipped = np.argwhere(np.tril(~checked[np.ix_(firsts, firsts)], -1)).tolist()
-    return made, list(all_joints.values()), [(names[a], names[b]) for a, b in skipped]
+    return all_links, list(all_joints.values()), [(names[a], names[b]) for a, b in skipped]
 
 
 def warn_of_fixed_contacts(
@@ -231,22 +231,22 @@ def warn_of_fixed_contacts(
         name: (int(groups[k]), constant_pose(tree.constants[k]) if fixed[k] else np.eye(4))
         for k, name in enumerate(names) if name in bodies
     }  # fmt: skip
-    found = [
+    contacts = [
         f"{a!r} and {b!r}" for a, b in combinations(sorted(poses), 2)
         if poses[a][0] == poses[b][0] and (a, b) not in skipped
         and queries.collide(bodies[a], poses[a][1], bodies[b], poses[b][1])
     ]  # fmt: skip
-    if found:
-        warn(f"{model.name}: not checked, since they are fixed to each other, although they collide: {some(found)}")
+    if contacts:
+        warn(f"{model.name}: not checked, since they are fixed to each other, although they collide: {some(contacts)}")
 
 
 def unique(names: Sequence[str], scopes: Sequence[str]) -> list[str]:
     """Return unique names: a name that occurs twice gets its scope, and underscores if the scope is not enough."""
-    found: list[str] = []
+    unique_names: list[str] = []
     for name, scope in zip(names, scopes, strict=True):
-        made = name if names.count(name) == 1 else f"{scope}::{name}"
-        found.append(_validate.unused(made, found))
-    return found
+        candidate = name if names.count(name) == 1 else f"{scope}::{name}"
+        unique_names.append(_validate.unused(candidate, unique_names))
+    return unique_names
 
 
 def expect(given: object, kind: str, what: str) -> None:

@@ -146,8 +146,8 @@ class ProvenPairs:
         head = "".join(f"<th>{title}</th>" for title in ("pair", "verdict", "least distance [mm]", "range", "reason"))
         lines = []
         for row in self.rows:
-            found = "" if np.isnan(row.distance) else f"{1e3 * row.distance:.3f}"
-            cells = (" – ".join(row.names), str(row.verdict), found, row.range_text, row.reason)
+            distance = "" if np.isnan(row.distance) else f"{1e3 * row.distance:.3f}"
+            cells = (" – ".join(row.names), str(row.verdict), distance, row.range_text, row.reason)
             lines.append("<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in cells) + "</tr>")
         return f"<table><tr>{head}</tr>{''.join(lines)}</table>"
 
@@ -200,8 +200,8 @@ class ProvenPairs:
                     f"expected proofs without a margin, found that {' and '.join(row.names)} are always within "
                     f"{row.margin:g} m, which is no contact"
                 )
-        before, known = _srdf(target, self.robot)
-        new = [row for row in rows if frozenset(row.names) not in known]
+        before, listed_pairs = _srdf(target, self.robot)
+        new = [row for row in rows if frozenset(row.names) not in listed_pairs]
         lines = "".join(
             f"  <disable_collisions link1={quoteattr(row.names[0])} link2={quoteattr(row.names[1])} "
             f'reason="{REASONS[row.verdict]}"/>  <!-- proven: {row.range_text.replace("--", "- -")} -->\n'

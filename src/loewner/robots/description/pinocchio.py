@@ -128,8 +128,8 @@ def _moves(model: Any, joint: Any, name: str) -> Moves:
     elif kind == "JointModelComposite":
         yield from _composite(model, joint.extract(), name)
     elif kind == "JointModelFreeFlyer":
-        made = Joint(name, "floating", "", "", lower=lower[q : q + 3], upper=upper[q : q + 3])
-        yield made, (q, q + 1, q + 2, q + 6, q + 3, q + 4, q + 5)
+        free_flyer = Joint(name, "floating", "", "", lower=lower[q : q + 3], upper=upper[q : q + 3])
+        yield free_flyer, (q, q + 1, q + 2, q + 6, q + 3, q + 4, q + 5)
     elif kind == "JointModelSpherical":
         yield Joint(name, "ball", "", ""), (q + 3, q, q + 1, q + 2)
     elif kind == "JointModelSphericalZYX":

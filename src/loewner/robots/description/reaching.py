@@ -157,11 +157,11 @@ def chain(tree: Tree, link: int, moves: Bools, limits: Floats, usual: Floats) ->
 
 def links_above(tree: Tree, link: int) -> list[int]:
     """List a link and all links above it, from the link upwards; the list is empty for the world, which is -1."""
-    found = []
+    links = []
     while link >= 0:
-        found.append(link)
+        links.append(link)
         link = int(tree.parent[link])
-    return found
+    return links
 
 
 def wrapping(tree: Tree, dof: int) -> Bools:
@@ -217,14 +217,14 @@ def seeded(chain: Chain, count: int) -> Floats:
 
 def checked_tolerance(tolerance: ArrayLike) -> Floats:
     """Check the tolerances of six coordinates, and convert angles to 2 sin(angle / 2), as the kernel takes them."""
-    given = _validate.float_array(tolerance, "tolerance")
-    if given.shape != (6,) or not (given >= 0).all():
+    tolerances = _validate.float_array(tolerance, "tolerance")
+    if tolerances.shape != (6,) or not (tolerances >= 0).all():
         raise InputError(
             "tolerance: expected six numbers >= 0 or infinity (x, y, z [m], tilt about x and y, spin about z [rad]), "
             f"found {_validate.short(tolerance)}"
         )
-    checked = np.where(given >= np.pi, np.inf, 2 * _elementary.sin(np.minimum(given, np.pi) / 2))
-    checked[:3] = given[:3]
+    checked = np.where(tolerances >= np.pi, np.inf, 2 * _elementary.sin(np.minimum(tolerances, np.pi) / 2))
+    checked[:3] = tolerances[:3]
     return checked
 
 
@@ -283,18 +283,18 @@ def solve(chain: Chain, T: Floats, starts: Floats, seeds: Floats, most: int, tol
     starts = starts.clip(chain.ranges[columns.LEAST], chain.ranges[columns.MOST])
     count, values = len(T), len(chain.columns)
     _validate.fits_memory(8 * count * (most + 1) * (values + 3), f"{most} solutions for each of {count} poses")
-    found, counts = np.empty((count, most, values)), np.zeros(count, dtype=np.int64)
+    solutions, counts = np.empty((count, most, values)), np.zeros(count, dtype=np.int64)
     nearest = np.empty((count, values + 3))
     chained = max(1, min(CHAINED, SEEDS_OF_A_CHAIN // len(seeds)))
 
     def run(first: int, last: int) -> None:
         entries.reach_poses(
             *chain[:3], tolerance, T, starts, seeds, chained, chained * first, min(chained * last, count),
-            found, counts, nearest,
+            solutions, counts, nearest,
         )  # fmt: skip
 
     in_shares(run, -(-count // chained), 1)
-    return Answers(found, counts, nearest)
+    return Answers(solutions, counts, nearest)
 
 
 class Solutions(NamedTuple):
@@ -343,11 +343,13 @@ def reach(
     Q[:, chain.columns] = answers.nearest[:, :values]
     lists, numbers = None, None
     if every or checker is not None:
-        found = Solutions.of(answers, chain, starts, checker)
-        found.choose(Q, reached)
+        solutions = Solutions.of(answers, chain, starts, checker)
+        solutions.choose(Q, reached)
     if every:
-        lists = tuple(np.split(found.Q, np.cumsum(answers.counts)))[:count]
-        numbers = None if checker is None else np.bincount(found.poses[found.free], minlength=count).reshape(shape)
+        lists = tuple(np.split(solutions.Q, np.cumsum(answers.counts)))[:count]
+        numbers = (
+            None if checker is None else np.bincount(solutions.poses[solutions.free], minlength=count).reshape(shape)
+        )
     for most in () if every or checker is None else (FEW, seeds + 2):
         left = np.flatnonzero(~reached & (answers.counts > 0))
         if len(left):

@@ -311,8 +311,8 @@ class Robot(KeepsReadOnly):
             if srdf is not None:
                 raise InputError("pairs: expected none with an SRDF, which lists the pairs that need no check")
         progress = _validate.reporter(progress)
-        given = [package_dirs] if isinstance(package_dirs, (str, os.PathLike)) else package_dirs
-        listed = _validate.listed(given, "package_dirs", wanted="a path or several")
+        folders = [package_dirs] if isinstance(package_dirs, (str, os.PathLike)) else package_dirs
+        listed = _validate.listed(folders, "package_dirs", wanted="a path or several")
         places = [_validate.path(folder, "package_dirs") for folder in listed]
         used: set[str] = set()
         text = _text_of(path, text, xacro_args, places, used)
@@ -323,11 +323,13 @@ class Robot(KeepsReadOnly):
         robot = read_urdf("URDF text" if path is None else path, text)
         semantics = Semantics() if srdf is None else read_srdf(srdf, robot, rules)
         bodies, shapes = link_bodies(robot, places, model=model, tol=tol, cache=cache, progress=progress)
-        made = cls._of(robot, bodies, semantics, adjacent_pairs(robot), places, "URDF", text, shapes)
-        if pairs != "proven" or not made.bodies:
-            return made
-        others = [pair for pair in combinations(sorted(made.bodies), 2) if pair not in made.adjacent_pairs]
-        return made.disabling(made.adjacent_pairs | made.prove_pairs(others, cache=cache, progress=progress).exempt)
+        new_robot = cls._of(robot, bodies, semantics, adjacent_pairs(robot), places, "URDF", text, shapes)
+        if pairs != "proven" or not new_robot.bodies:
+            return new_robot
+        others = [pair for pair in combinations(sorted(new_robot.bodies), 2) if pair not in new_robot.adjacent_pairs]
+        return new_robot.disabling(
+            new_robot.adjacent_pairs | new_robot.prove_pairs(others, cache=cache, progress=progress).exempt
+        )
 
     @classmethod
     def _of(
@@ -500,11 +502,13 @@ class Robot(KeepsReadOnly):
         """Make the robot of a model that MuJoCo has compiled."""
         robot, bodies = description_of(model)
         doubt_limits(robot.path, robot.joints)
-        made = cls._of(robot, bodies, semantics_of(model, robot), model.related_pairs, (), format, None)
+        new_robot = cls._of(robot, bodies, semantics_of(model, robot), model.related_pairs, (), format, None)
         theirs = qpos_columns(robot)
         order = Order(sum(map(len, theirs.values())), theirs, {})
         references = {joint.name: joint.reference for joint in robot.joints.values()}
-        return replace(made, _layout=layout_of(order, made._columns, joints_above(made), made.tree, references))
+        return replace(
+            new_robot, _layout=layout_of(order, new_robot._columns, joints_above(new_robot), new_robot.tree, references)
+        )
 
     @classmethod
     @guarded
@@ -598,8 +602,8 @@ class Robot(KeepsReadOnly):
         robot, bodies = described(links, joints, name)
         doubt_limits(robot.path, robot.joints)
         semantics = Semantics(ruled=disabled is not None)
-        made = cls._of(robot, bodies, semantics, adjacent_pairs(robot, bodies), (), "links", None)
-        return made if disabled is None else made.disabling(disabled)
+        new_robot = cls._of(robot, bodies, semantics, adjacent_pairs(robot, bodies), (), "links", None)
+        return new_robot if disabled is None else new_robot.disabling(disabled)
 
     @classmethod
     @guarded
@@ -718,9 +722,9 @@ class Robot(KeepsReadOnly):
     def _of_model(cls, model: Model) -> Robot:
         """Make the robot of another library's model."""
         links, joints, disabled = other_models.with_shapes(model.links, model.joints, model.shapes, model.checked)
-        made = cls.from_links(links, joints, disabled=disabled, name=model.name)
-        other_models.warn_of_fixed_contacts(model, made.bodies, made.link_names, made.tree, made.disabled_pairs)
-        return replace(made, _layout=layout_of(model.order, made._columns, joints_above(made), made.tree, {}))
+        robot = cls.from_links(links, joints, disabled=disabled, name=model.name)
+        other_models.warn_of_fixed_contacts(model, robot.bodies, robot.link_names, robot.tree, robot.disabled_pairs)
+        return replace(robot, _layout=layout_of(model.order, robot._columns, joints_above(robot), robot.tree, {}))
 
     @guarded
     def exported(self, Q: ArrayLike) -> Floats:
@@ -774,8 +778,8 @@ class Robot(KeepsReadOnly):
         False
         """
         layout = self._known_layout
-        given = _validate.finite_array(q, "q", ("...", len(layout.source)))
-        return self.checked(layout.imported(given, _validate.positive_scalar(tolerance, "tolerance", zero=True)))
+        model_q = _validate.finite_array(q, "q", ("...", len(layout.source)))
+        return self.checked(layout.imported(model_q, _validate.positive_scalar(tolerance, "tolerance", zero=True)))
 
     @property
     def _known_layout(self) -> Layout:
@@ -1403,17 +1407,17 @@ class Robot(KeepsReadOnly):
         InputError
             If an entry is not a pair of two different links.
         """
-        found, known = set(), dict.fromkeys(self.link_names)
+        sorted_pairs, links = set(), dict.fromkeys(self.link_names)
         for pair in _validate.listed(pairs, name, wanted="pairs of names of links"):
             names = tuple(_validate.listed(pair, f"{name}, one of them", wanted="a pair of names of links"))
             if len(names) != 2:
                 raise InputError(f"{name}: expected pairs of names of links, found {_validate.short(pair)} among them")
             for link in names:
-                _validate.known(link, f"link in {name}", known)
+                _validate.known(link, f"link in {name}", links)
             if names[0] == names[1]:
                 raise InputError(f"{name}: expected two links, found {names[0]!r} twice")
-            found.add((min(names), max(names)))
-        return frozenset(found)
+            sorted_pairs.add((min(names), max(names)))
+        return frozenset(sorted_pairs)
 
     @guarded
     def forward_kinematics(self, Q: ArrayLike) -> Floats:
@@ -1669,8 +1673,8 @@ class Robot(KeepsReadOnly):
         """
         checked = self.checked(q, name)
         if checked.ndim != 1:
-            found = _validate.shape_text(checked.shape)
-            raise InputError(f"{name}: expected one configuration, shape ({self.dof},), found {found}")
+            shape = _validate.shape_text(checked.shape)
+            raise InputError(f"{name}: expected one configuration, shape ({self.dof},), found {shape}")
         return checked
 
     def configuration(self, values: Mapping[str, ArrayLike] | str | None = None) -> Floats:
@@ -1716,8 +1720,8 @@ class Robot(KeepsReadOnly):
                     f"set {followed!r}"
                 )
             at = places[_validate.known(name, "joint", places)]
-            given = np.atleast_1d(_validate.float_array(value, name))
-            q[at] = _validate.finite_array(given, name, (at.stop - at.start,))
+            numbers = np.atleast_1d(_validate.float_array(value, name))
+            q[at] = _validate.finite_array(numbers, name, (at.stop - at.start,))
         return self.checked(q, "values")
 
     @guarded
@@ -1888,10 +1892,10 @@ def chain_to(robot: Robot, link: str, joints: str | Iterable[str] | None = None)
         for joint in moving:
             moves[robot._columns[joint]] = True
         limits, usual = np.stack([robot.lower, robot.upper]), np.stack(robot.usual_range(np.pi))
-        made = reaching.chain(robot.tree, robot.link_names.index(link), moves, limits, usual)
-        if not made.moving.any():
+        chain = reaching.chain(robot.tree, robot.link_names.index(link), moves, limits, usual)
+        if not chain.moving.any():
             raise InputError(f"link: expected one that the joints move ({', '.join(moving)}), found {link!r}")
-        robot._chains[key] = made
+        robot._chains[key] = chain
     return robot._chains[key]
 
 
@@ -1900,11 +1904,11 @@ def _expect_order(robot: Robot, Q: object, name: str) -> None:
     labels = getattr(Q, "columns" if hasattr(Q, "columns") else "index", None)
     if labels is None or callable(labels) or isinstance(Q, np.ndarray):
         return
-    found, expected = [str(label) for label in labels], list(robot.configuration_names)
-    if found != expected and set(found) & set(expected):
+    column_names, expected = [str(label) for label in labels], list(robot.configuration_names)
+    if column_names != expected and set(column_names) & set(expected):
         raise InputError(
             f"{name}: expected columns in the order {_validate.short(', '.join(expected))}, found "
-            f"{_validate.short(', '.join(found))}; choose them by list(robot.configuration_names)"
+            f"{_validate.short(', '.join(column_names))}; choose them by list(robot.configuration_names)"
         )
 
 

@@ -97,15 +97,15 @@ class _Names:
             return
         foreign = [key for key in self.unknown if key[0] != "group"]
         could = min(len(self.known) + len(foreign), len(self.robot.shapes) + len(self.robot.joints))
-        found = ", ".join(f"{kind} {name!r} (line {e.line})" for (kind, name), e in list(self.unknown.items())[:8])
+        listing = ", ".join(f"{kind} {name!r} (line {e.line})" for (kind, name), e in list(self.unknown.items())[:8])
         if len(self.unknown) > 8:
-            found += f" and {len(self.unknown) - 8} more"
+            listing += f" and {len(self.unknown) - 8} more"
         if len(self.known) < LEAST_IN_COMMON * could:
             raise UnknownNameError(
                 f"{path}: expected an SRDF for {self.robot.name!r} ({self.robot.path}), found one for another robot, "
-                f"with {found}; links: {known(self.robot.shapes)}; joints: {known(self.robot.joints)}"
+                f"with {listing}; links: {known(self.robot.shapes)}; joints: {known(self.robot.joints)}"
             )
-        warn(f"{path}: left out what names things that neither it nor {self.robot.path} has: {found}")
+        warn(f"{path}: left out what names things that neither it nor {self.robot.path} has: {listing}")
 
 
 def read_srdf(path: str | os.PathLike[str], robot: Description, text: str | None = None) -> Semantics:
@@ -233,9 +233,9 @@ def _groups(root: Element, names: _Names) -> dict[str, tuple[str, ...]]:
     for name, element in elements.items():
         listed: list[str] = []
         for e in (e for tag in ("joint", "link", "chain") for e in element.all(tag)):
-            found = _named_joints(e, names, depth)
-            count(len(found), e)
-            listed += found
+            joints = _named_joints(e, names, depth)
+            count(len(joints), e)
+            listed += joints
         own[name] = frozenset(listed)
         inside = (names.group(e, "name", elements) for e in element.all("group"))
         inner[name] = [group for group in dict.fromkeys(inside) if group is not None]
@@ -282,16 +282,16 @@ def _innermost_first(elements: dict[str, Element], inner: dict[str, list[str]]) 
 
 def _chain(robot: Description, depth: dict[str, int], base: str | None, tip: str | None) -> list[str]:
     """List the joints between two links."""
-    found: list[str] = []
+    joints: list[str] = []
     if base is None or tip is None:
-        return found
+        return joints
     while base != tip:
         if depth[base] < depth[tip]:
             base, tip = tip, base
         above = robot.joint_above[base]
-        found.append(above.name)
+        joints.append(above.name)
         base = above.parent
-    return found
+    return joints
 
 
 def _states(

@@ -321,10 +321,10 @@ def parents_first(
 def _version(root: Element) -> tuple[int, int]:
     """Read the version of URDF; a file without a version has the first version."""
     text = root.get("version")
-    found = re.fullmatch(r"(\d{1,3})(?:\.(\d{1,3}))?", "1.0" if text is None else text.strip())
-    if found is None or int(found[1]) != 1:
+    match = re.fullmatch(r"(\d{1,3})(?:\.(\d{1,3}))?", "1.0" if text is None else text.strip())
+    if match is None or int(match[1]) != 1:
         root.fault("URDF of version 1.0, 1.1 or 1.2", f"version {cut(text or '')}")
-    return 1, int(found[2] or 0)
+    return 1, int(match[2] or 0)
 
 
 def _joint(element: Element, links: Collection[str], version: tuple[int, int]) -> Joint:
@@ -412,14 +412,14 @@ def _range(joint: Element, limit: Element, kind: str) -> tuple[float, float]:
 
 def _rates(limit: Element, version: tuple[int, int]) -> dict[str, float]:
     """Read the largest velocity, acceleration and jerk of a joint with one value; NaN if there is none."""
-    found = {}
+    largest_rates = {}
     kinds = ("velocity",), ("acceleration", "deceleration"), ("jerk",)
     for names in kinds if version >= WITH_ACCELERATIONS else kinds[:1]:
         rates = {name: limit.numbers(name, 1, "0")[0] for name in names}
         # Many files write 0 for "no limit"; a rate below 0 is neither a limit nor a valid rate.
         limit.disown(*("@" + name for name, rate in rates.items() if rate < 0))
-        found[names[0]] = min((rate for rate in rates.values() if 0 < rate < math.inf), default=math.nan)
-    return found
+        largest_rates[names[0]] = min((rate for rate in rates.values() if 0 < rate < math.inf), default=math.nan)
+    return largest_rates
 
 
 def _soft(joint: Element, kind: str, lower: float, upper: float) -> tuple[float, float]:
@@ -462,11 +462,11 @@ def _with_known_mimics(joints: dict[str, Joint], path: Path) -> dict[str, Joint]
 
 def without_chains(joints: dict[str, Joint], path: Path) -> dict[str, Joint]:
     """Let each mimicking joint follow the joint at the end of its chain."""
-    found = {name: joint for name, joint in joints.items() if joint.mimic is None}
+    settled = {name: joint for name, joint in joints.items() if joint.mimic is None}
     for start in joints.values():
         chain: dict[str, Joint] = {}  # from the start up to a settled joint, in order
         at = start
-        while at.name not in found:
+        while at.name not in settled:
             if at.name in chain:
                 raise InputError(
                     f"{place(path, start)}: expected {start.name!r} to mimic a joint with a value of its own, "
@@ -475,8 +475,8 @@ def without_chains(joints: dict[str, Joint], path: Path) -> dict[str, Joint]:
             chain[at.name] = at
             at = joints[at.mimic.joint if at.mimic else at.name]
         for joint in reversed(chain.values()):
-            found[joint.name] = _mimicking(joint, found[joint.mimic.joint if joint.mimic else joint.name], path)
-    return {name: found[name] for name in joints}
+            settled[joint.name] = _mimicking(joint, settled[joint.mimic.joint if joint.mimic else joint.name], path)
+    return {name: settled[name] for name in joints}
 
 
 def _mimicking(joint: Joint, followed: Joint, path: Path) -> Joint:
@@ -609,11 +609,11 @@ def _origin(element: Element, version: tuple[int, int]) -> Floats:
     origin = element.one("origin")
     if origin is None:
         return T
-    known = ("xyz", "rpy") if version < WITH_QUATERNIONS else ("xyz", "rpy", "quat_xyzw")
-    unknown = next((name for name in origin.attributes if name not in known), None)
+    allowed_names = ("xyz", "rpy") if version < WITH_QUATERNIONS else ("xyz", "rpy", "quat_xyzw")
+    unknown = next((name for name in origin.attributes if name not in allowed_names), None)
     if unknown is not None:
         advice = "write a rotation as rpy" + (', or version="1.1" in <robot>' if unknown == "quat_xyzw" else "")
-        expected = f"only {', '.join(known[:-1])} and {known[-1]} as attributes of <origin>"
+        expected = f"only {', '.join(allowed_names[:-1])} and {allowed_names[-1]} as attributes of <origin>"
         origin.fault(expected, f"{unknown!r}; {advice}")
     T[:3, 3] = origin.finite("xyz", 3, "0 0 0")
     T[:3, :3] = from_rpy(*origin.finite("rpy", 3, "0 0 0"))
@@ -632,11 +632,11 @@ def _shape(owner: Element, version: tuple[int, int]) -> Shape:
     """Read the shape of a <collision> or <visual> element."""
     geometry = owner.the("geometry")
     kinds = ("mesh", *SIZES)
-    found = [child for kind in kinds for child in geometry.all(kind)]
-    if len(found) != 1 or len(geometry.children) != 1:
+    shapes = [child for kind in kinds for child in geometry.all(kind)]
+    if len(shapes) != 1 or len(geometry.children) != 1:
         tags = ", ".join(f"<{c.tag}>" for c in geometry.children) or "none"
         geometry.fault(f"one shape among {', '.join(kinds)} in <geometry>", tags)
-    element, origin = found[0], _origin(owner, version)
+    element, origin = shapes[0], _origin(owner, version)
     if element.tag == "mesh":
         text = element.get("scale") or "1 1 1"
         count = 1 if len(text.split()) == 1 else 3

@@ -68,14 +68,14 @@ def expanded(
         If an argument is not a string, a number or a bool.
     """
     file = _validate.path(path, "path", wanted="a path to a xacro file").absolute()
-    given = {name: _text(name, value) for name, value in arguments.items()}
+    texts = {name: _text(name, value) for name, value in arguments.items()}
     if not os.path.isfile(file):  # Path.is_file raises if a name is too long
         raise FileError(f"{path}: expected a xacro file, but there is no such file")
     purpose = f"reading {file.name} needs the package xacro"
     xacro, substitution = (imported(name, purpose, "xacro") for name in ("xacro", "xacro.substitution_args"))
     with _alone, _finding(substitution, file, folders):
         try:
-            document = xacro.process_file(str(file), mappings=_Arguments(given, used), verbosity=0)
+            document = xacro.process_file(str(file), mappings=_Arguments(texts, used), verbosity=0)
             return str(document.documentElement.toprettyxml(indent="  "))
         except Exception as error:  # expressions in the file can raise any error
             if isinstance(getattr(error, "exc", None), FileError):

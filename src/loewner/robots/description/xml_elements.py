@@ -62,15 +62,15 @@ class Element(_xml.Element):
 
     def text(self, attribute: str) -> str:
         """Return an attribute, which must exist and not be empty."""
-        found = (self.get(attribute) or "").strip()
-        if not found:
+        text = (self.get(attribute) or "").strip()
+        if not text:
             self.fault(f"an attribute {attribute!r} of <{self.tag}>", "none")
-        return found
+        return text
 
     def numbers(self, attribute: str, count: int, default: str | None = None) -> list[float]:
         """Read an attribute that must contain `count` numbers; infinity is allowed, NaN is not."""
-        given = self.get(attribute)
-        text = default if given is None else given
+        raw_text = self.get(attribute)
+        text = default if raw_text is None else raw_text
         if text is None:
             self.fault(f"an attribute {attribute!r} of <{self.tag}>", "none")
         try:  # Python would accept "1_0" as ten, and digits of other scripts
@@ -87,8 +87,8 @@ class Element(_xml.Element):
         """Read an attribute that must contain `count` numbers, none larger than `LARGEST`."""
         values = self.numbers(attribute, count, default)
         if not all(abs(v) <= LARGEST for v in values):
-            found = cut(self.attributes[attribute])
-            self.fault(f"finite numbers as {attribute!r} of <{self.tag}>, none beyond {LARGEST:g}", found)
+            excerpt = cut(self.attributes[attribute])
+            self.fault(f"finite numbers as {attribute!r} of <{self.tag}>, none beyond {LARGEST:g}", excerpt)
         return values
 
     def fault(self, expected: str, found: str, kind: type[Exception] = InputError) -> NoReturn:

@@ -159,9 +159,9 @@ def closest(self: Any, curve: Any, *, t0: float | None = None) -> ClosestApproac
     True
     """
     ready: Problem = self._ready(timed=True)
-    given = curves_of(self.robot, self.scene, curve, t0)
-    found = tuple(measured(ready, cut_in_time(self.robot, ready, one), k) for k, one in enumerate(given))
-    return found if isinstance(curve, (list, tuple)) else found[0]
+    curves = curves_of(self.robot, self.scene, curve, t0)
+    approaches = tuple(measured(ready, cut_in_time(self.robot, ready, one), k) for k, one in enumerate(curves))
+    return approaches if isinstance(curve, (list, tuple)) else approaches[0]
 
 
 def measured(ready: Problem, curve: Curve, number: int = 0) -> ClosestApproach:
@@ -176,11 +176,11 @@ def measured(ready: Problem, curve: Curve, number: int = 0) -> ClosestApproach:
             break
         before = search.distance[open_pieces]
         clear = np.maximum(before - _allowed(before), 0.0)
-        found = motions.settle(ready, curve.courses[open_pieces], NEAR / 2, curve.off[open_pieces], clear)
-        expect_short(found.verdicts, curve.times, number)
-        free = found.verdicts == codes.FREE
+        answers = motions.settle(ready, curve.courses[open_pieces], NEAR / 2, curve.off[open_pieces], clear)
+        expect_short(answers.verdicts, curve.times, number)
+        free = answers.verdicts == codes.FREE
         lower[open_pieces[free]] = clear[free]
-        left, shares, before = open_pieces[~free], found.fractions[~free], before[~free]
+        left, shares, before = open_pieces[~free], answers.fractions[~free], before[~free]
         search.look(left, shares)
         search.descend(left, shares)
         # The other pieces are measured by parts.
@@ -241,8 +241,8 @@ def along(checker: Any, curve: Curve, unproven: Ints) -> Measured:
 
 def worst(checker: Any, given: Any) -> ClosestApproach:
     """Measure a curve in any form; pairs that may touch count only where they keep their margins or are not proven."""
-    curve, found = proven(checker, given, 0.0)
-    return along(checker, curve, np.flatnonzero(found.segments.verdict != codes.FREE)).near
+    curve, trajectory = proven(checker, given, 0.0)
+    return along(checker, curve, np.flatnonzero(trajectory.segments.verdict != codes.FREE)).near
 
 
 def contacts(ready: Problem, curve: Curve, pieces: Ints, approach: ClosestApproach) -> Floats:
@@ -254,7 +254,7 @@ def contacts(ready: Problem, curve: Curve, pieces: Ints, approach: ClosestApproa
         Times in seconds. The robot collides at both times, which are as near to the ends of the collision as
         floating-point numbers get. A collision ends at the latest where the pieces end.
     """
-    found: list[tuple[float, float]] = []
+    intervals: list[tuple[float, float]] = []
     for group in np.split(pieces, np.flatnonzero(np.diff(pieces) > 1) + 1) if len(pieces) else []:
         begin, end = curve.times[group], curve.times[group + 1]
         times = np.unique(np.append(begin + (end - begin) * TICKS[:, None], [*end, *approach.time[group]]))
@@ -271,8 +271,8 @@ def contacts(ready: Problem, curve: Curve, pieces: Ints, approach: ClosestApproa
                 at = np.zeros(len(middle), dtype=bool)
                 at[hits(ready, curve, middle)] = True
                 inside[side], free = np.where(at, middle, inside[side]), np.where(at, free, middle)
-        found += zip(*(side.tolist() for side in inside), strict=True)
-    return np.array(found).reshape(-1, 2)
+        intervals += zip(*(side.tolist() for side in inside), strict=True)
+    return np.array(intervals).reshape(-1, 2)
 
 
 def _allowed(distance: Floats) -> Floats:
@@ -324,8 +324,8 @@ class Search:
             if len(pieces) == 0:
                 return
             tried = np.clip(middle + half * np.array([-1.0, -0.5, 0.0, 0.5, 1.0])[:, None], 0.0, 1.0)
-            found = self.look(np.tile(pieces, len(tried)), tried.ravel()).reshape(tried.shape)
-            middle = tried[found.argmin(axis=0), np.arange(len(pieces))]
+            distances = self.look(np.tile(pieces, len(tried)), tried.ravel()).reshape(tried.shape)
+            middle = tried[distances.argmin(axis=0), np.arange(len(pieces))]
             half *= NARROWER
 
 
@@ -375,28 +375,28 @@ class _Motion(NamedTuple):
 
 def _slides(tree: Any, off: Floats) -> Floats:
     """Bound how far joints slide, shape (..., links), if values change by `off`, shape (..., dof)."""
-    found = np.zeros((*off.shape[:-1], len(tree.kind)))
+    slides = np.zeros((*off.shape[:-1], len(tree.kind)))
     for link, (kind, at, by) in enumerate(zip(tree.kind, tree.column, tree.multiplier, strict=True)):
         if kind == columns.PRISMATIC:
-            found[..., link] = abs(by) * off[..., at]
+            slides[..., link] = abs(by) * off[..., at]
         elif kind in (columns.FLOATING, columns.PLANAR):
-            found[..., link] = off[..., at : at + (3 if kind == columns.FLOATING else 2)].sum(axis=-1)
-    return found
+            slides[..., link] = off[..., at : at + (3 if kind == columns.FLOATING else 2)].sum(axis=-1)
+    return slides
 
 
 def _turns(tree: Any, off: Floats) -> Floats:
     """Bound how far joints turn points, relative to the distance from the axes, if values change by `off`."""
-    found = np.zeros((*off.shape[:-1], len(tree.kind)))
+    turns = np.zeros((*off.shape[:-1], len(tree.kind)))
     for link, (kind, at, by) in enumerate(zip(tree.kind, tree.column, tree.multiplier, strict=True)):
         if kind == columns.REVOLUTE:
-            found[..., link] = abs(by) * off[..., at]
+            turns[..., link] = abs(by) * off[..., at]
         elif kind == columns.PLANAR:
-            found[..., link] = off[..., at + 2]
+            turns[..., link] = off[..., at + 2]
         elif kind in (columns.FLOATING, columns.BALL):
             first = at + 3 * (kind == columns.FLOATING)
             far = np.sqrt((off[..., first : first + 4] ** 2).sum(axis=-1))
-            found[..., link] = np.where(far <= NEAR_TURNS, TURNS * far, MOST_TURN)
-    return np.minimum(found, MOST_TURN)
+            turns[..., link] = np.where(far <= NEAR_TURNS, TURNS * far, MOST_TURN)
+    return np.minimum(turns, MOST_TURN)
 
 
 def _changes(robot: Robot, courses: Floats, low: Floats, high: Floats) -> Floats:

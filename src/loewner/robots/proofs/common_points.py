@@ -86,16 +86,16 @@ def _innermost(a: _Piece, b: _Piece, middle: Floats, scale: float, away: float) 
     best, deepest = np.zeros(3), 0.0
     for _ in range(ROUNDS):
         rows = np.column_stack([planes[:, :3], np.ones(len(planes))])
-        found = linprog([0.0, 0.0, 0.0, -1.0], rows, planes[:, 3] / scale, bounds=[(-away, away)] * 4)
-        if found.x is None or found.x[3] <= deepest:
+        solution = linprog([0.0, 0.0, 0.0, -1.0], rows, planes[:, 3] / scale, bounds=[(-away, away)] * 4)
+        if solution.x is None or solution.x[3] <= deepest:
             break
-        step = scale * found.x[:3]
+        step = scale * solution.x[:3]
         more = np.concatenate([*(piece.planes(middle + step) for piece in curved), planes[:0]])
         more[:, 3] += more[:, :3] @ step
         depth = float((np.concatenate([planes, more]) @ np.append(-step, 1.0)).min()) / scale
         if depth > deepest:
             best, deepest = step, depth
-        if deepest > found.x[3] / 2:
+        if deepest > solution.x[3] / 2:
             break
         planes = np.concatenate([planes, more])
     return best, scale * deepest
@@ -142,13 +142,13 @@ class _Piece:
         corners = self.points[self.triangles]
         n = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         n /= np.maximum(np.linalg.norm(n, axis=1), 1e-300)[:, None]
-        away, found = ((corners[:, 0] - x) * n).sum(axis=1), []
+        away, exact_planes = ((corners[:, 0] - x) * n).sum(axis=1), []
         for triangle in self.triangles[away < reach + ROUNDED * self.size]:
             (o, p, q, r), unit = placed([(np.eye(4), x), *((self.T, self.own[k]) for k in triangle)])
             normal = cross(minus(q, p), minus(r, p))
             length = math.isqrt(dot(normal, normal)) or 1
-            found.append([*(y / length for y in normal), dot(normal, minus(p, o)) / length * float(unit)])
-        return np.array(found, dtype=np.float64).reshape(-1, 4)
+            exact_planes.append([*(y / length for y in normal), dot(normal, minus(p, o)) / length * float(unit)])
+        return np.array(exact_planes, dtype=np.float64).reshape(-1, 4)
 
     def planes(self, x: Floats) -> Floats:
         """Return planes around the piece that are tight near a point."""

@@ -119,19 +119,19 @@ def first_contact(
     """
     tolerance = _validate.positive_scalar(tolerance, "tolerance")
     ready: Problem = self._ready(timed=True)
-    found = []
+    contacts = []
     for k, one in enumerate(curves_of(self.robot, self.scene, curve, t0)):
         # On courses of degree 1, parts of a body's turn would have to be made in another way.
         cubic = one._replace(courses=elevated(one.courses, max(0, 4 - one.courses.shape[1])))
-        found.append(_by_rules(ready, cut_in_time(self.robot, ready, cubic), tolerance, k))
-    return tuple(found) if isinstance(curve, (list, tuple)) else found[0]
+        contacts.append(_by_rules(ready, cut_in_time(self.robot, ready, cubic), tolerance, k))
+    return tuple(contacts) if isinstance(curve, (list, tuple)) else contacts[0]
 
 
 def _by_rules(ready: Problem, curve: Curve, tolerance: float, number: int) -> TrajectoryContact:
     """Find the first contact on one curve that no rule allows, for pairs without rules and each pair with a rule."""
     if not len(ready.ruled):
         return _first(ready, ready, curve, tolerance, number)
-    found, lengths = [_first(ready, ready.unruled, curve, tolerance, number)], np.diff(curve.times)
+    candidates, lengths = [_first(ready, ready.unruled, curve, tolerance, number)], np.diff(curve.times)
     off = curve.off[:, : curve.courses.shape[2]]
     for pair in ready.ruled.tolist():
         a, b = (ready.names[n] for n in ready.pairs[pair])
@@ -144,8 +144,8 @@ def _by_rules(ready: Problem, curve: Curve, tolerance: float, number: int) -> Tr
                 continue
             if least is not None:
                 one = replace(one, touching_at=_deeper(ready, pair, curve, (one.free_until, times[-1]), least))
-            found.append(replace(one, names=(a, b)))
-    first, touching = min(found, key=lambda one: one.free_until), min(one.touching_at for one in found)
+            candidates.append(replace(one, names=(a, b)))
+    first, touching = min(candidates, key=lambda one: one.free_until), min(one.touching_at for one in candidates)
     ambiguous = first.verdict == Verdict.FREE or touching == np.inf
     return replace(first, verdict=first.verdict if ambiguous else Verdict.COLLIDING, touching_at=touching)
 
@@ -187,9 +187,9 @@ def _first(ready: Problem, problem: Problem, curve: Curve, tolerance: float, num
         return np.flatnonzero(hit == codes.COLLIDING)
 
     # A collision that is known only up to rounding may not exist.
-    known = touching < np.inf and len(colliding(np.array([touching]))) > 0
-    touching = _earlier(colliding, free, touching) if known else np.inf
-    verdict = Verdict.COLLIDING if known else Verdict.AMBIGUOUS
+    is_confirmed = touching < np.inf and len(colliding(np.array([touching]))) > 0
+    touching = _earlier(colliding, free, touching) if is_confirmed else np.inf
+    verdict = Verdict.COLLIDING if is_confirmed else Verdict.AMBIGUOUS
     return TrajectoryContact(verdict, free, touching, (a, b))
 
 

@@ -196,17 +196,17 @@ def stages(ready: Problem, pair: int, courses: Floats, off: Floats, tolerance: f
     See `settle` for the parameters. A contact at the end that is deeper than its rule allows does not count as an
     allowed contact.
     """
-    found, alone = [], ready.only(np.array([pair]))
+    parts, alone = [], ready.only(np.array([pair]))
     for run, leaving, deepest in _runs(ready, pair, courses, off, tolerance):
         left = _leave(ready, pair, run, tolerance, deepest, Work(None))
         if left.beside is None or (left.doubts and not leaving):
-            found.append(Stage(alone, run if leaving else run.backwards(), tolerance))
+            parts.append(Stage(alone, run if leaving else run.backwards(), tolerance))
             continue
         stretch, rest = run.cut(ready.robot, left.until)
         if leaving:
-            found.append(Stage(left.beside, stretch, left.for_proof, left.least))
-        found.append(Stage(alone, rest if leaving else rest.backwards(), tolerance))
-    return [stage for stage in found if len(stage.run.number)]
+            parts.append(Stage(left.beside, stretch, left.for_proof, left.least))
+        parts.append(Stage(alone, rest if leaving else rest.backwards(), tolerance))
+    return [stage for stage in parts if len(stage.run.number)]
 
 
 def deeper_than_ends(ready: Problem, path: Floats, rows: Ints, tolerance: float) -> tuple[int, int] | None:
@@ -277,9 +277,9 @@ def _leave(ready: Problem, pair: int, run: Run, tolerance: float, deepest: float
     """Prove that a pair that may be in contact at the start of a run leaves it."""
     alone = ready.only(np.array([pair]))
     margin, at_start = float(ready.margins[pair]), distance_at(ready, pair, run.courses[0, 0])
-    found = _settled(alone, run.courses, FOR_PROOF * tolerance, run.off, work)
-    unproven = np.flatnonzero(found.verdicts != codes.FREE).tolist()
-    apart = [(k, float(found.fractions[k]), margin) for k in unproven]
+    answers = _settled(alone, run.courses, FOR_PROOF * tolerance, run.off, work)
+    unproven = np.flatnonzero(answers.verdicts != codes.FREE).tolist()
+    apart = [(k, float(answers.fractions[k]), margin) for k in unproven]
     if not unproven or at_start > margin + tolerance:  # there is no contact to leave
         return _Left(apart)
     if at_start < -deepest:
@@ -310,9 +310,9 @@ def _leave(ready: Problem, pair: int, run: Run, tolerance: float, deepest: float
 def _settled(problem: Problem, courses: Floats, tolerance: float, off: Floats, work: Work) -> Found:
     """Let the kernel settle motions; a motion that is too long to be settled is doubtful from its start."""
     limit = None if work.most is None else Limit(work.most - work.taken, np.array([0, len(courses)]))
-    found = motions.settle(problem, courses, tolerance, off, limit=limit)
-    work.taken += int(found.work[:, STEPS].sum())
-    return found._replace(fractions=np.nan_to_num(found.fractions))
+    answers = motions.settle(problem, courses, tolerance, off, limit=limit)
+    work.taken += int(answers.work[:, STEPS].sum())
+    return answers._replace(fractions=np.nan_to_num(answers.fractions))
 
 
 def _end_of_contact(ready: Problem, pair: int, run: Run, near: float, parted: float) -> tuple[int, float]:
@@ -456,14 +456,14 @@ def _touched(ready: Problem, pair: int, T: Floats, reach: float, tolerance: floa
     # Two pieces that just touch have no computable normal; slightly later on the motion, or slightly moved apart, they
     # have a normal. Any normal is safe, since the proof fails with a bad normal.
     u, v = planes.T
-    found = queries.distance(ours[u], T[:, None, i], theirs[v], T[:, None, j], exact=True)
-    when, nth = (np.abs(found.distance) > LEAST_SHARE * reach).argmax(axis=0), np.arange(len(planes))
+    gaps = queries.distance(ours[u], T[:, None, i], theirs[v], T[:, None, j], exact=True)
+    when, nth = (np.abs(gaps.distance) > LEAST_SHARE * reach).argmax(axis=0), np.arange(len(planes))
     moved = np.tile(T[0, i], (len(planes), 1, 1))
-    moved[:, :3, 3] -= LEAST_SHARE * reach * found.normal[0]
+    moved[:, :3, 3] -= LEAST_SHARE * reach * gaps.normal[0]
     apart_by_little = queries.distance(ours[u], moved, theirs[v], T[0, j], exact=True).normal
     # Convert normals to the frame of the second body, which carries the planes.
     R = T[when, j, :3, :3]
-    normals = -np.einsum("kri,kr->ki", R, np.where((when > 0)[:, None], found.normal[when, nth], apart_by_little))
+    normals = -np.einsum("kri,kr->ki", R, np.where((when > 0)[:, None], gaps.normal[when, nth], apart_by_little))
     return _Touched(ours, theirs, apart, planes, at_start[touching], normals)
 
 
@@ -496,13 +496,13 @@ def _beside_planes(ready: Problem, pair: int, run: Run, end: float, tolerance: f
     count = len(bodies) - first
     moves = j < len(ready.link)
     link = np.concatenate([np.full(first, ready.link[i]), np.full(count * moves, ready.link[j if moves else i])])
-    made = Problem.of(
+    problem = Problem.of(
         ready.robot, (ready.version, ready.structure_version), tuple(map(str, range(len(bodies)))),
         [packed_of(body) for body in bodies], link.astype(np.int64), pairs,
         np.where(np.arange(len(pairs)) < len(apart), margin, 0.0),
     )  # fmt: skip
     for_proof = float(back.min(initial=tolerance)) * FOR_PROOF / (1 - FOR_PROOF)
-    return made.with_poses(np.tile(T[0, j], (0 if moves else count, 1, 1)), ready.version), for_proof
+    return problem.with_poses(np.tile(T[0, j], (0 if moves else count, 1, 1)), ready.version), for_proof
 
 
 def _pieces(ready: Problem, body: int) -> Bodies:

@@ -55,11 +55,11 @@ def between(robot: Robot, courses: Floats, low: Floats, high: Floats) -> Floats:
 
 def parts(courses: Floats, low: Floats, high: Floats) -> Floats:
     """Return the part of each course between two fractions, shape (N,) each, by de Casteljau's scheme."""
-    degree, made = courses.shape[1] - 1, np.empty_like(courses)
+    degree, cut_courses = courses.shape[1] - 1, np.empty_like(courses)
     for k in range(degree + 1):
         points = courses
         for step in range(degree):
             t = (high if step < k else low)[:, None, None]
             points = (1.0 - t) * points[:, :-1] + t * points[:, 1:]
-        made[:, k] = points[:, 0]
-    return made
+        cut_courses[:, k] = points[:, 0]
+    return cut_courses

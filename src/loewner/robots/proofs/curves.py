@@ -141,7 +141,7 @@ def certified(
     curves = [curve._replace(off=curve.off + joint_error) for curve in curves]
     curves = [cut_in_time(robot, ready, curve) for curve in curves]
     degrees = np.array([curve.courses.shape[1] for curve in curves])
-    found: list[CertifiedTrajectory | None] = [None] * len(curves)
+    trajectories: list[CertifiedTrajectory | None] = [None] * len(curves)
     for degree in np.unique(degrees):
         at = np.flatnonzero(degrees == degree).tolist()
         courses = np.concatenate([curves[k].courses for k in at])
@@ -157,8 +157,8 @@ def certified(
             if model is not None and one.verdict == Verdict.FREE:
                 deeper = None if joint_error.any() else tolerance
                 one = replace(one, proof=proof_of(model, ready, *_joined(curves[k]), deeper))
-            found[k] = one
-    return [one for one in found if one is not None]
+            trajectories[k] = one
+    return [one for one in trajectories if one is not None]
 
 
 def _joined(curve: Curve) -> tuple[Floats, Floats]:
@@ -281,10 +281,10 @@ def expect_carried(held: Mapping[str, str], carried: Iterable[Pair]) -> None:
                 f"its message only, found it on {held[body]!r}"
             )
         if link and held.get(body) != link:
-            found = f"it on {held[body]!r}" if body in held else "none"
+            carrier = f"it on {held[body]!r}" if body in held else "none"
             raise InputError(
                 f"expected a body {body!r} attached to the link {link!r}, which carries it on this trajectory, found "
-                f"{found}; attach it in the scene (Scene.attach, or --attach on the command line)"
+                f"{carrier}; attach it in the scene (Scene.attach, or --attach on the command line)"
             )
 
 
@@ -410,7 +410,7 @@ def _refuse_other_values(robot: Robot, given: Any, curve: Curve, name: str) -> N
     t = t[segments, samples]
     try:
         values = np.asarray(given(t)).astype(np.float64, casting="safe")
-        found = np.moveaxis(values, given.axis, 0).reshape(len(t), robot.dof)
+        actual = np.moveaxis(values, given.axis, 0).reshape(len(t), robot.dof)
     except Exception as error:
         raise InputError(
             f"{name}: expected {robot.dof} values at each of {len(t)} times, found {type(error).__name__}: {error}"
@@ -421,10 +421,10 @@ def _refuse_other_values(robot: Robot, given: Any, curve: Curve, name: str) -> N
     rates = degree * np.abs(np.diff(courses, axis=1)).max(axis=1, initial=0.0) / (end - begin)
     # A periodic curve subtracts whole periods from the times, which rounds them.
     allowed = AGREEMENT * (curve.off + rates * np.spacing(np.abs(curve.times).max())) + np.finfo(np.float64).tiny
-    for k, joint in np.argwhere(~(np.abs(found - wanted) <= allowed[segments]))[:1].tolist():
+    for k, joint in np.argwhere(~(np.abs(actual - wanted) <= allowed[segments]))[:1].tolist():
         raise InputError(
             f"{name}: expected the values that its coefficients define, such as {wanted[k, joint]:g} for "
-            f"{robot.configuration_names[joint]} at the time {t[k]:.15g}, found {found[k, joint]:g} when it is called"
+            f"{robot.configuration_names[joint]} at the time {t[k]:.15g}, found {actual[k, joint]:g} when it is called"
         )
 
 
@@ -468,8 +468,8 @@ def _in_order(robot: Robot, curve: Curve, name: str) -> Curve:
             "the unknown": [joint for joint in curve.names if joint not in wanted],
             "more than one for": sorted({joint for joint in curve.names if curve.names.count(joint) > 1}),
         }
-        found = ", and ".join(f"{what} {', '.join(joints)}" for what, joints in faults.items() if joints)
-        raise InputError(f"{name}: expected the joints {', '.join(wanted)}, found {found}")
+        mismatch = ", and ".join(f"{what} {', '.join(joints)}" for what, joints in faults.items() if joints)
+        raise InputError(f"{name}: expected the joints {', '.join(wanted)}, found {mismatch}")
     order = [curve.names.index(joint) for joint in wanted]
     return curve._replace(names=wanted, courses=curve.courses[..., order], off=curve.off[..., order])
 
@@ -477,8 +477,8 @@ def _in_order(robot: Robot, curve: Curve, name: str) -> Curve:
 def _refuse_faults(robot: Robot, curve: Curve, name: str) -> None:
     times, courses = curve.times, curve.courses
     if courses.ndim != 3 or courses.shape[2] != robot.dof:
-        found = courses.shape[2] if courses.ndim == 3 else f"values of shape {courses.shape[2:]}"
-        raise InputError(f"{name}: expected {robot.dof} values at each time, found {found}")
+        width = courses.shape[2] if courses.ndim == 3 else f"values of shape {courses.shape[2:]}"
+        raise InputError(f"{name}: expected {robot.dof} values at each time, found {width}")
     if len(courses) == 0 or times.shape != (len(courses) + 1,):
         raise InputError(f"{name}: expected one segment or more, found {len(courses)}")
     if not (np.isfinite(times).all() and np.isfinite(courses).all()):

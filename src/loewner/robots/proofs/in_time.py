@@ -77,9 +77,9 @@ def free_at(ready: Problem, Q: Floats, t: Floats) -> Bools:
     if paths is None or not paths.bounds:
         return verdicts.free(ready, Q)
     off = np.concatenate([np.zeros_like(Q), paths.off(t, t)], axis=1)
-    found = motions.settle(ready, np.stack([Q, Q], axis=1), STILL, off)
-    refuse_starts(ready.as_given, Q, found)
-    return np.asarray(found.verdicts == codes.FREE)
+    answers = motions.settle(ready, np.stack([Q, Q], axis=1), STILL, off)
+    refuse_starts(ready.as_given, Q, answers)
+    return np.asarray(answers.verdicts == codes.FREE)
 
 
 def pieces(robot: Robot, paths: PackedPaths, courses: Floats, off: Floats, t0: Floats, t1: Floats) -> Pieces:
@@ -137,10 +137,10 @@ def _joined(paths: PackedPaths, begin: Floats, end: Floats, courses: Floats, off
     """Append the courses of all bodies between times, and how far values may deviate from the courses."""
     M, points, dof = courses.shape
     width = dof + WIDTH * len(paths.far)
-    made, allowed = np.empty((M, points, width)), np.empty((M, width + 3 * len(paths.bounds)))
-    made[..., :dof], allowed[:, :dof] = courses, off
-    write_bodies(paths, begin, end, made[..., dof:], allowed[:, dof:])
-    return made, allowed
+    all_courses, allowed = np.empty((M, points, width)), np.empty((M, width + 3 * len(paths.bounds)))
+    all_courses[..., :dof], allowed[:, :dof] = courses, off
+    write_bodies(paths, begin, end, all_courses[..., dof:], allowed[:, dof:])
+    return all_courses, allowed
 
 
 def write_bodies(paths: PackedPaths, begin: Floats, end: Floats, courses: Floats, off: Floats) -> None:
@@ -157,8 +157,8 @@ def write_bodies(paths: PackedPaths, begin: Floats, end: Floats, courses: Floats
     off[:, values:] = paths.off(begin, end, TIME_ROUNDINGS * (farthest + paths.spans.max(initial=0.0)))
     if values == 0:
         return
-    made, errors = (x.reshape(*x.shape[:-1], len(paths.far), WIDTH) for x in (courses, off[:, :values]))
-    bent = _write_courses(paths.values(begin), paths.values(end), made)
+    body_courses, errors = (x.reshape(*x.shape[:-1], len(paths.far), WIDTH) for x in (courses, off[:, :values]))
+    bent = _write_courses(paths.values(begin), paths.values(end), body_courses)
     ticks = TIME_ROUNDINGS * (farthest[:, None] + paths.spans)  # (M, bodies)
     errors[..., :3] = (VALUE_ROUNDINGS * paths.far + paths.speeds * ticks)[..., None]
     errors[..., 3:] = (VALUE_ROUNDINGS + paths.turns * ticks + bent)[..., None]
@@ -208,29 +208,31 @@ def prove_edges(
     cut = pieces(robot, paths, courses, np.zeros_like(a) if off is None else off, t0, t1)
     first = np.searchsorted(cut.owner, np.arange(len(a) + 1))
     limit = None if steps is None else Limit(steps, first)
-    found = motions.settle(ready, cut.courses, tolerance, cut.off, limit=limit, as_given=True)
-    refuse_starts(ready.as_given, cut.courses[:, 0], found)
+    piece_answers = motions.settle(ready, cut.courses, tolerance, cut.off, limit=limit, as_given=True)
+    refuse_starts(ready.as_given, cut.courses[:, 0], piece_answers)
     if off is None:
-        apply_rules(ready, cut.courses, cut.off, first, tolerance, found, steps)
-    found.verdicts[found.verdicts == codes.BY_CARE] = codes.COLLIDING  # confirmed below, like all collisions
-    made = found if len(cut.owner) == len(a) else _gathered(cut, found, len(a))
-    at = (made.verdicts == codes.COLLIDING).nonzero()[0]
+        apply_rules(ready, cut.courses, cut.off, first, tolerance, piece_answers, steps)
+    piece_answers.verdicts[piece_answers.verdicts == codes.BY_CARE] = (
+        codes.COLLIDING
+    )  # confirmed below, like all collisions
+    answers = piece_answers if len(cut.owner) == len(a) else _gathered(cut, piece_answers, len(a))
+    at = (answers.verdicts == codes.COLLIDING).nonzero()[0]
     if len(at):
-        fractions = made.fractions[at]
+        fractions = answers.fractions[at]
         Q = interpolated(robot, a[at], b[at], fractions[:, None])
         Q = with_bodies(ready, Q, t0[at] + fractions * (t1 - t0)[at])
         hit = verdicts.classified(ready.as_given, codes.EXACT, Q).verdicts == codes.COLLIDING
-        made.verdicts[at] = np.where(hit, codes.COLLIDING, codes.AMBIGUOUS)
-    return made
+        answers.verdicts[at] = np.where(hit, codes.COLLIDING, codes.AMBIGUOUS)
+    return answers
 
 
 def _gathered(cut: Pieces, found: Found, total: int) -> Found:
     """Combine the answers about pieces into answers about motions: the worst answer, where it first occurs."""
     work = np.add.reduceat(found.work, np.flatnonzero(np.diff(cut.owner, prepend=-1)))
-    made = Found(np.full(total, codes.FREE, dtype=np.int8), np.full(total, np.nan), np.full(total, -1), work)
+    answers = Found(np.full(total, codes.FREE, dtype=np.int8), np.full(total, np.nan), np.full(total, -1), work)
     for verdict in (codes.AMBIGUOUS, codes.COLLIDING, codes.TOO_LONG):  # a later verdict overrides an earlier one
         at = np.flatnonzero(found.verdicts == verdict)[::-1]  # the first piece of a motion is written last
         at_owner = cut.owner[at]
-        made.verdicts[at_owner], made.pairs[at_owner] = verdict, found.pairs[at]
-        made.fractions[at_owner] = cut.low[at] + found.fractions[at] * (cut.high[at] - cut.low[at])
-    return made
+        answers.verdicts[at_owner], answers.pairs[at_owner] = verdict, found.pairs[at]
+        answers.fractions[at_owner] = cut.low[at] + found.fractions[at] * (cut.high[at] - cut.low[at])
+    return answers

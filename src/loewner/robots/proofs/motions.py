@@ -76,8 +76,8 @@ class CertifiedMotions(_validate.Brief):
 
     @pictured
     def _repr_html_(self) -> str:
-        found = np.ravel(self.verdict)
-        return verdicts(found, np.arange(len(found) + 1.0), "number of the motion")
+        flat_verdicts = np.ravel(self.verdict)
+        return verdicts(flat_verdicts, np.arange(len(flat_verdicts) + 1.0), "number of the motion")
 
 
 class Limit(NamedTuple):
@@ -180,21 +180,21 @@ def settle(
         off = np.concatenate([off, np.tile(ready.off, (total, 1))], axis=1)
         ready = ready.as_given
     ready = ready.in_parts
-    found = Found(
+    answers = Found(
         np.full(total, as_given, dtype=np.int8), np.empty(total), np.empty(total, dtype=np.int64),
         np.full((total, 3), codes.NO_LIMIT if limit is None else -1, dtype=np.int64),
     )  # fmt: skip
     first = np.arange(total + 1) if limit is None else limit.first
     if limit is not None:
         full = first[:-1] < first[1:]
-        found.work[first[:-1][full], STEPS] = np.maximum(np.broadcast_to(limit.steps, full.shape), 0)[full]
+        answers.work[first[:-1][full], STEPS] = np.maximum(np.broadcast_to(limit.steps, full.shape), 0)[full]
     strays = NO_STRAYS if off is None else off
 
     def share(begin: int, end: int) -> None:
         entries.certify_motions(
             first[begin], first[end], courses, strays, clear, tolerance, ready.packed.handle, ready.handle,
-            ready.handle_of_motions, *found, workspace(ready.memory_of_motions),
+            ready.handle_of_motions, *answers, workspace(ready.memory_of_motions),
         )  # fmt: skip
 
     in_shares(share, len(first) - 1, LEAST_SHARE)
-    return found
+    return answers

@@ -72,21 +72,21 @@ def prove(
     model, parts = model_of_pair(packs, cut, poses, keep), any(pack.trees for pack in cut)
     if not queries.collide(a, poses[0], b, poses[1], margin=keep):
         return _apart(model, parts, lambda: queries.distance(a, poses[0], b, poses[1], exact=True))
-    found = queries.distance(a, poses[0], b, poses[1], exact=True)
-    if 0.0 < found.distance <= keep:
+    gap = queries.distance(a, poses[0], b, poses[1], exact=True)
+    if 0.0 < gap.distance <= keep:
         raise ConvergenceError(
             f"proof: expected bodies that have a common point, or are apart by more than the margin of {keep:g} m, "
-            f"found a distance of {found.distance:.3g} m"
+            f"found a distance of {gap.distance:.3g} m"
         )
-    for block in common_points.blocks(cut, poses, np.stack([found.witness_a, found.witness_b])):
+    for block in common_points.blocks(cut, poses, np.stack([gap.witness_a, gap.witness_b])):
         proof = assembled(COMMON, model.data, block)
         if _holds(proof):
             return proof
-    if found.distance > keep:  # `collide` counts bodies as touching if only rounding errors separate them
-        return _apart(model, parts, lambda: found)
+    if gap.distance > keep:  # `collide` counts bodies as touching if only rounding errors separate them
+        return _apart(model, parts, lambda: gap)
     raise ConvergenceError(
         f"proof: expected a point that is inside both bodies by more than rounding, found none; their overlap is "
-        f"{-found.distance:.3g} m deep{', and a surface has no inside' if any(pack.trees for pack in packs) else ''}"
+        f"{-gap.distance:.3g} m deep{', and a surface has no inside' if any(pack.trees for pack in packs) else ''}"
     )
 
 

@@ -133,9 +133,9 @@ class _Question:
 
     def configuration(self, q: Floats) -> Floats:
         """Return the configuration of the robot with the given values between the bodies."""
-        found = self.base.copy()
-        found[self.columns] = q
-        return found
+        configuration = self.base.copy()
+        configuration[self.columns] = q
+        return configuration
 
     def try_some(self) -> None:
         """Search for configurations with and without contact: at corners, in the middle, and in between."""
@@ -150,11 +150,11 @@ class _Question:
 
     def look_at(self, Q: Floats) -> None:
         """Note a configuration with contact and a configuration without, if the robot's own kinematics confirm them."""
-        found = verdicts.classified(self.ready, codes.EXACT, Q).verdicts
+        row_verdicts = verdicts.classified(self.ready, codes.EXACT, Q).verdicts
         for verdict, name in ((codes.COLLIDING, "colliding"), (codes.FREE, "free")):
             if getattr(self, name) is not None:
                 continue
-            for k in np.flatnonzero(found == verdict)[:STARTS].tolist():
+            for k in np.flatnonzero(row_verdicts == verdict)[:STARTS].tolist():
                 q = self.configuration(Q[k])
                 if verdicts.classified(self.whole, codes.EXACT, q[None]).verdicts[0] == verdict:
                     setattr(self, name, q)
@@ -174,10 +174,10 @@ class _Question:
         ways = np.concatenate([np.eye(count), -np.eye(count)])
         for _ in range(STEPS):
             tried = np.clip(Q[:, None] + step[:, None] * ways, self.lower, self.upper)
-            found = self.signed(tried.reshape(-1, count)).reshape(len(Q), -1)
-            at, row = np.where(np.isnan(found), np.inf, found).argmin(axis=1), np.arange(len(Q))
-            better = found[row, at] < values
-            Q, values = np.where(better[:, None], tried[row, at], Q), np.where(better, found[row, at], values)
+            gaps = self.signed(tried.reshape(-1, count)).reshape(len(Q), -1)
+            at, row = np.where(np.isnan(gaps), np.inf, gaps).argmin(axis=1), np.arange(len(Q))
+            better = gaps[row, at] < values
+            Q, values = np.where(better[:, None], tried[row, at], Q), np.where(better, gaps[row, at], values)
             step = np.where(better[:, None], step, step / 2)
         if np.isnan(values).all():
             return
@@ -243,11 +243,11 @@ class _Question:
             # With this tolerance, motions of such lengths are not halved, and their deviations do not count as
             # rounding.
             some, tolerance = courses[like], 2.0 * float(moved[like].max()) + LEAST_TOLERANCE
-            found = proofs.prove(self.ready, some, tolerance, proofs.deviations(some, half[like]))
-            proven[like] = found.verdicts == codes.FREE
-            met = np.flatnonzero(found.verdicts == codes.COLLIDING)[:STARTS]
+            answers = proofs.prove(self.ready, some, tolerance, proofs.deviations(some, half[like]))
+            proven[like] = answers.verdicts == codes.FREE
+            met = np.flatnonzero(answers.verdicts == codes.COLLIDING)[:STARTS]
             if len(met) and self.colliding is None:
-                share = found.fractions[met, None]
+                share = answers.fractions[met, None]
                 self.look_at(np.where(share == 1, some[met, 1], some[met, 0] + share * (some[met, 1] - some[met, 0])))
         if (self.ready.packed.layout[:, kernel_columns.KIND] <= kernel_columns.SURFACE).any():
             open_ones = np.flatnonzero(~proven)
@@ -340,17 +340,17 @@ def _chain(whole: Robot, links: list[int], joints: list[int], columns: Ints) -> 
     tree, kept = whole.tree, sorted({*links, *joints} - {-1})
     number = {link: k for k, link in enumerate(kept)}
     place = {int(column): k for k, column in enumerate(columns)}
-    made = Tree(*(np.ascontiguousarray(np.asarray(array)[kept]) for array in tree))
+    branch = Tree(*(np.ascontiguousarray(np.asarray(array)[kept]) for array in tree))
     for k, link in enumerate(kept):
-        made.parent[k] = number.get(int(tree.parent[link]), -1)
+        branch.parent[k] = number.get(int(tree.parent[link]), -1)
         if link in joints:
-            made.column[k] = place.get(int(tree.column[link]), 0)
+            branch.column[k] = place.get(int(tree.column[link]), 0)
         elif tree.kind[link] != kernel_columns.FIXED:  # it carries the first joints
-            made.parent[k], made.kind[k], made.column[k], made.constants[k] = -1, kernel_columns.FIXED, 0, 0.0
-            made.constants[k, kernel_columns.ROTATION + np.array([0, 4, 8])] = 1.0
+            branch.parent[k], branch.kind[k], branch.column[k], branch.constants[k] = -1, kernel_columns.FIXED, 0, 0.0
+            branch.constants[k, kernel_columns.ROTATION + np.array([0, 4, 8])] = 1.0
     names = tuple(whole.configuration_names[k] for k in columns)
     chain = replace(
-        whole, tree=made, link_names=tuple(whole.link_names[k] for k in kept), configuration_names=names,
+        whole, tree=branch, link_names=tuple(whole.link_names[k] for k in kept), configuration_names=names,
         joint_names=names, lower=whole.hard_lower[columns], upper=whole.hard_upper[columns],
         hard_lower=whole.hard_lower[columns], hard_upper=whole.hard_upper[columns],
         _columns={name: slice(k, k + 1) for k, name in enumerate(names)},
@@ -404,16 +404,16 @@ def _range(whole: Robot, joints: list[int], column: int, turns: bool) -> tuple[f
 
 def _values(whole: Robot, joints: list[int]) -> tuple[dict[int, bool], str]:
     """Return the columns on which joints depend, whether each is only an angle, and a reason if there is no range."""
-    tree, found = whole.tree, dict[int, bool]()
+    tree, is_angle = whole.tree, dict[int, bool]()
     for k in joints:
         kind, at = int(tree.kind[k]), int(tree.column[k])
         if kind in (kernel_columns.FLOATING, kernel_columns.BALL):
             return {}, f"the joint above {whole.link_names[k]} turns about any axis, and has no range"
         if kind == kernel_columns.PLANAR:
-            found |= {at: False, at + 1: False, at + 2: True}
+            is_angle |= {at: False, at + 1: False, at + 2: True}
         elif tree.multiplier[k] != 0.0:
-            found[at] = found.get(at, True) and kind == kernel_columns.REVOLUTE
-    return dict(sorted(found.items())), ""
+            is_angle[at] = is_angle.get(at, True) and kind == kernel_columns.REVOLUTE
+    return dict(sorted(is_angle.items())), ""
 
 
 # -- the questions ------------------------------------------------------------------------------
@@ -439,32 +439,32 @@ def prove_pairs(
     boxes = _validate.whole_number(boxes, "boxes", 1)
     report = _validate.reporter(progress)
     scene = _standing(self, scene)
-    given = _checked_limits(self, limits)
+    ranges = _checked_limits(self, limits)
     stated = None
     if _validate.flag(proof, "proof"):
         ready = prepared(self, scene, self._usually_skipped, scene.version, None)
         stated = model_of(ready), ready  # refused at once if there is no model
     every = prepared(self, scene, (), scene.version, None)
-    asked = _asked(self, every, pairs)
-    kept = cache and not given and margin == 0.0 and not scene.names and not scene.margins
-    known = known_pairs(self) if kept else {}
-    found: dict[Pair, Any] = {}
-    for pair in asked:
+    body_pairs = _asked(self, every, pairs)
+    kept = cache and not ranges and margin == 0.0 and not scene.names and not scene.margins
+    cached_answers = known_pairs(self) if kept else {}
+    answers: dict[Pair, Any] = {}
+    for pair in body_pairs:
         names = _sorted(every, pair)
-        row, allowed = known.get(names, (None, 0))
-        if row is not None and (row.verdict not in UNDECIDED or allowed >= boxes / len(asked)):
-            found[names] = row
+        row, allowed = cached_answers.get(names, (None, 0))
+        if row is not None and (row.verdict not in UNDECIDED or allowed >= boxes / len(body_pairs)):
+            answers[names] = row
         else:
-            found[names] = _question(self, every, pair, max(margin, scene.margin_of(*names)), given)
-    questions = {names: one for names, one in found.items() if isinstance(one, _Question)}
+            answers[names] = _question(self, every, pair, max(margin, scene.margin_of(*names)), ranges)
+    questions = {names: one for names, one in answers.items() if isinstance(one, _Question)}
     _settle(list(questions.values()), boxes, report, only_free=only_free)
-    found |= {names: question.answer() for names, question in questions.items()}
+    answers |= {names: question.answer() for names, question in questions.items()}
     if kept and questions and not only_free:
-        keep(self, (found[names] for names in questions), boxes // len(asked))
-    rigid = tuple(names for names, one in found.items() if one is None)
-    rows = tuple(one for one in found.values() if one is not None)
-    made = None if stated is None else proof_of_ranges(*stated, _claims(self, every, rows))
-    return ProvenPairs(self.name, rows, rigid, made)
+        keep(self, (answers[names] for names in questions), boxes // len(body_pairs))
+    rigid = tuple(names for names, one in answers.items() if one is None)
+    rows = tuple(one for one in answers.values() if one is not None)
+    range_proof = None if stated is None else proof_of_ranges(*stated, _claims(self, every, rows))
+    return ProvenPairs(self.name, rows, rigid, range_proof)
 
 
 @guarded
@@ -486,18 +486,18 @@ def free_range(
     if not names or len(set(names)) < len(names):
         raise InputError(f"joints: expected one name or several different ones, found {_validate.short(joints)}")
     margin, boxes = _validate.positive_scalar(margin, "margin", zero=True), _validate.whole_number(boxes, "boxes", 1)
-    scene, given = _standing(self, scene), _checked_limits(self, limits)
+    scene, ranges = _standing(self, scene), _checked_limits(self, limits)
     q = self.configuration() if about is None else self.checked_one(about, "about")
     every = prepared(self, scene, self._usually_skipped if pairs is None else (), scene.version, None)
-    asked = [(int(a), int(b)) for a, b in every.pairs] if pairs is None else _asked(self, every, pairs)
-    if not asked:
+    body_pairs = [(int(a), int(b)) for a, b in every.pairs] if pairs is None else _asked(self, every, pairs)
+    if not body_pairs:
         raise InputError("pairs: expected at least one, found none: any range would count as free")
-    kept = np.array([max(margin, scene.margin_of(every.names[a], every.names[b])) for a, b in asked])
-    ready = every.with_pairs(np.array(asked), kept)
-    columns = [_column(self, name, q, given) for name in names]
+    kept = np.array([max(margin, scene.margin_of(every.names[a], every.names[b])) for a, b in body_pairs])
+    ready = every.with_pairs(np.array(body_pairs), kept)
+    columns = [_column(self, name, q, ranges) for name in names]
     if not verdicts.free(ready, q[None])[0]:
-        found = verdicts.verdicts_at(ready, q)
-        a, b = asked[int((found != codes.FREE).argmax())]
+        pair_verdicts = verdicts.verdicts_at(ready, q)
+        a, b = body_pairs[int((pair_verdicts != codes.FREE).argmax())]
         raise InputError(
             f"about: expected a free configuration, found contact of {every.names[a]} and {every.names[b]}"
         )
@@ -508,7 +508,7 @@ def free_range(
     def proven(share: float) -> bool:
         ends = {k: (float(value), float(value)) for k, value in enumerate(q)}
         ends |= {at: (q[at] - share * (q[at] - low), q[at] + share * (high - q[at])) for at, low, high in columns}
-        asked_now = [_question(self, every, pair, keeps, ends) for pair, keeps in zip(asked, kept, strict=True)]
+        asked_now = [_question(self, every, pair, keeps, ends) for pair, keeps in zip(body_pairs, kept, strict=True)]
         for one in asked_now:
             if isinstance(one, ProvenPair):  # a box of size 0 would silently be the answer
                 raise InputError(f"pairs: expected ranges, found none for {' and '.join(one.names)}: {one.reason}")
@@ -530,7 +530,7 @@ def _claims(whole: Robot, every: Problem, rows: tuple[ProvenPair, ...]) -> list[
     """Return the rows as a proof states them; all rows must be NEVER."""
     if not rows:
         raise InputError("proof: expected pairs with joints between them, found none; there is nothing to prove")
-    place, found = {name: k for k, name in enumerate(every.names)}, list[Claim]()
+    place, claims = {name: k for k, name in enumerate(every.names)}, list[Claim]()
     for row in rows:
         if row.verdict is not PairVerdict.NEVER:
             why = f" ({row.reason})" if row.reason else ""
@@ -540,8 +540,8 @@ def _claims(whole: Robot, every: Problem, rows: tuple[ProvenPair, ...]) -> list[
             )
         a, b = sorted(place[name] for name in row.names)
         columns = np.array([whole.configuration_names.index(name) for name in row.columns], dtype=np.int64)
-        found.append(Claim((a, b), row.margin, columns, row.lower, row.upper))
-    return found
+        claims.append(Claim((a, b), row.margin, columns, row.lower, row.upper))
+    return claims
 
 
 def _standing(whole: Robot, scene: Scene | None) -> Scene:
@@ -580,18 +580,18 @@ def _column(whole: Robot, name: Any, q: Floats, given: Mapping[int, tuple[float,
 
 def _end(ready: Problem, q: Floats, column: int, end: float) -> float:
     """Find how far towards an end of its range one value is proven free."""
-    known, step = float(q[column]), end - float(q[column])
+    free_end, step = float(q[column]), end - float(q[column])
     a, b = q.copy(), q.copy()
-    while known != end and abs(step) > FINEST:
-        a[column] = known
-        b[column] = end if abs(step) >= abs(end - known) else known + step
-        if b[column] == known:  # no number is left between the two
+    while free_end != end and abs(step) > FINEST:
+        a[column] = free_end
+        b[column] = end if abs(step) >= abs(end - free_end) else free_end + step
+        if b[column] == free_end:  # no number is left between the two
             break
         if proofs.prove(ready, straight(ready.robot, a[None], b[None]), FINEST).verdicts[0] == codes.FREE:
-            known, step = float(b[column]), 2.0 * step
+            free_end, step = float(b[column]), 2.0 * step
         else:
-            step = 0.5 * (float(b[column]) - known)
-    return known
+            step = 0.5 * (float(b[column]) - free_end)
+    return free_end
 
 
 def _largest_share(proven: Callable[[float], bool]) -> float:
@@ -609,14 +609,14 @@ def _checked_limits(whole: Robot, limits: Mapping[str, tuple[float, float]] | No
     """Return the given ranges, keyed by column."""
     if limits is not None and not isinstance(limits, Mapping):
         raise InputError(f"limits: expected a mapping from joints to (lower, upper), found {_validate.short(limits)}")
-    found = {}
+    ranges = {}
     for name, ends in (limits or {}).items():
         _expect_value(whole, name, "limits")
         low, high = _validate.finite_array(ends, f"limits of {name}", (2,)).tolist()
         if low > high:
             raise InputError(f"limits of {name}: expected (lower, upper), found {low:g} above {high:g}")
-        found[whole.configuration_names.index(name)] = low, high
-    return found
+        ranges[whole.configuration_names.index(name)] = low, high
+    return ranges
 
 
 def _expect_value(whole: Robot, name: Any, argument: str) -> None:
@@ -650,8 +650,8 @@ def _asked(whole: Robot, every: Problem, pairs: Iterable[Pair] | None) -> list[t
                     f"pairs: expected one body that moves with a link at least, found {both[0]!r}, {both[1]!r}"
                 )
             names.append(both)
-    found = {frozenset(pair): pair for pair in names}
-    return [tuple(sorted(place[name] for name in found[key])) for key in sorted(found, key=sorted)]  # type: ignore[misc]
+    unique_pairs = {frozenset(pair): pair for pair in names}
+    return [tuple(sorted(place[name] for name in unique_pairs[key])) for key in sorted(unique_pairs, key=sorted)]  # type: ignore[misc]
 
 
 def _sorted(every: Problem, pair: tuple[int, int]) -> Pair:
@@ -671,10 +671,10 @@ def _question(
         return None
     columns = np.array(list(values), dtype=np.int64)
     ranges = [_range(whole, joints, k, turns) for k, turns in values.items()]
-    ends = [given.get(k, found[:2]) for k, found in zip(values, ranges, strict=True)]
-    reasons = [reason, *(found[2] for k, found in zip(values, ranges, strict=True) if k not in given)]
+    ends = [given.get(k, span[:2]) for k, span in zip(values, ranges, strict=True)]
+    reasons = [reason, *(span[2] for k, span in zip(values, ranges, strict=True) if k not in given)]
     lower, upper = np.array(ends).reshape(-1, 2).T.copy()
-    complete = all(end[0] <= found[0] and end[1] >= found[1] for end, found in zip(ends, ranges, strict=True))
+    complete = all(end[0] <= span[0] and end[1] >= span[1] for end, span in zip(ends, ranges, strict=True))
     labels = tuple(whole.configuration_names[k] for k in columns)
     for why in filter(None, reasons):
         return ProvenPair(names, PairVerdict.OPEN, labels, lower, upper, margin, complete=complete, reason=why)

@@ -163,9 +163,9 @@ def model_of(ready: Problem) -> Model:
     InputError
         If the format cannot express the model.
     """
-    known = _known.get(ready)
-    if known is not None:
-        return known
+    model = _known.get(ready)
+    if model is not None:
+        return model
     _refuse(ready)
     robot, cut = ready.robot, ready.in_small_parts
     links, at, turns, shifts = _links(robot.tree, robot.link_names)
@@ -176,8 +176,8 @@ def model_of(ready: Problem) -> Model:
     placed = Placed(ready.names, link, turn, shift, pieces_of(cut.packed), _hollow(ready.packs, cut.packs))
     limits = list(zip(robot.configuration_names, robot.hard_lower, robot.hard_upper, strict=True))
     rules = AT_START * ready.leaving + AT_END * ready.reaching
-    known = _known[ready] = _model(links, limits, placed, ready.pairs, ready.margins, rules)
-    return known
+    model = _known[ready] = _model(links, limits, placed, ready.pairs, ready.margins, rules)
+    return model
 
 
 def model_of_pair(packs: Sequence[Packed], cut: Sequence[Packed], poses: Floats, margin: float) -> Model:
@@ -285,8 +285,8 @@ def _links(tree: Tree, names: tuple[str, ...]) -> tuple[Links, Ints, Floats, Flo
     column: list[Any] = [list(entries) for entries in zip(*rows, strict=True)]
     above_, moves, values, own = (np.array(column[k], dtype=np.int64) for k in (1, 2, 3, 9))
     numbers = np.array(column[4]), np.array(column[5]), quaternions_of(np.stack(column[6]))
-    made = Links(column[0], above_, moves, values, *numbers, np.stack(column[7]), np.stack(column[8]) + 0.0, own)
-    return made, at, turns, shifts
+    links = Links(column[0], above_, moves, values, *numbers, np.stack(column[7]), np.stack(column[8]) + 0.0, own)
+    return links, at, turns, shifts
 
 
 def _groups(links: Links, link: Ints) -> Ints:
@@ -385,7 +385,7 @@ def contents(data: bytes) -> tuple[list[str], dict[str, Any]]:
     struct.error, IndexError
         If the bytes are not a model.
     """
-    at, values, found, links, bodies = 0, list[str](), dict[str, Any](), list[str](), list[str]()
+    at, values, contents_by_part, links, bodies = 0, list[str](), dict[str, Any](), list[str](), list[str]()
 
     def take(form: str) -> Any:
         nonlocal at
@@ -403,10 +403,10 @@ def contents(data: bytes) -> tuple[list[str], dict[str, Any]]:
         links.append(name())
         (above, *joint), numbers = take("iBi"), take("12d")
         parts = {"link above": links[above] if above >= 0 else None, "joint": (joint, numbers[:2])}
-        found[f"link {links[-1]}"] = parts | {"place": numbers[2:9], "axis": numbers[9:]}
+        contents_by_part[f"link {links[-1]}"] = parts | {"place": numbers[2:9], "axis": numbers[9:]}
     for _ in range(*take("I")):
         values.append(name())
-        found[f"limits of {values[-1]}"] = take("2d")
+        contents_by_part[f"limits of {values[-1]}"] = take("2d")
     for _ in range(*take("I")):
         bodies.append(name())
         (link, hollow), place, (count,) = take("iB"), take("12d"), take("I")
@@ -415,17 +415,17 @@ def contents(data: bytes) -> tuple[list[str], dict[str, Any]]:
             kind, _ = take("Bd")
             take(f"{12 if 0 < kind < 4 else (3 if kind == HULL else 4) * take('I')[0]}d")
         parts = {"link": links[link] if link >= 0 else None, "place": place, "interior": hollow}
-        found[f"body {bodies[-1]}"] = parts | {"pieces": data[first:at]}
+        contents_by_part[f"body {bodies[-1]}"] = parts | {"pieces": data[first:at]}
     for _ in range(*take("I")):
-        found[f"pair left out, {pair()}"] = True
-    found["usual margin"] = take("d")
+        contents_by_part[f"pair left out, {pair()}"] = True
+    contents_by_part["usual margin"] = take("d")
     for _ in range(*take("I")):
         part = f"margin of {pair()}"
-        found[part] = take("d")
+        contents_by_part[part] = take("d")
     for _ in range(*take("I") if at < len(data) else (0,)):
         part = f"ends of motions at which contact is allowed for {pair()}"
-        found[part] = take("B")
-    return values, found
+        contents_by_part[part] = take("B")
+    return values, contents_by_part
 
 
 def differences(one: bytes, other: bytes) -> list[str]:

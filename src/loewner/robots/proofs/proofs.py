@@ -34,10 +34,10 @@ def prove(
     Found
         Results whose verdict is TOO_LONG for motions that would take too many intervals.
     """
-    found = motions.settle(ready, courses, tolerance, off, limit=limit, as_given=True)
-    _confirm(ready.as_given, courses, found)
-    refuse_starts(ready.as_given, courses[:, 0], found)
-    return found
+    answers = motions.settle(ready, courses, tolerance, off, limit=limit, as_given=True)
+    _confirm(ready.as_given, courses, answers)
+    refuse_starts(ready.as_given, courses[:, 0], answers)
+    return answers
 
 
 def prove_by_rules(
@@ -57,10 +57,10 @@ def prove_by_rules(
     off = deviations(courses, joint_error)
     first = np.arange(len(courses) + 1)
     limit = None if steps is None else Limit(steps, first)
-    found = prove(ready, courses, tolerance, off, limit)
+    answers = prove(ready, courses, tolerance, off, limit)
     if off is None:
-        apply_rules(ready, courses, np.zeros_like(courses[:, 0]), first, tolerance, found, steps)
-    return found
+        apply_rules(ready, courses, np.zeros_like(courses[:, 0]), first, tolerance, answers, steps)
+    return answers
 
 
 def apply_rules(

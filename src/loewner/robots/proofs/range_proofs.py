@@ -351,14 +351,14 @@ class _Search:
         done, tried = np.zeros(len(gap), dtype=bool), np.full(len(gap), -1)
         for low in (0, 1):
             away = normal if low == 0 else -np.einsum("nji,nj->ni", turn, normal)
-            given = away @ self.shapes[low].turn
-            given = np.where(fine[:, None], given, np.rint(LONGEST * given))
-            holds, left, sides = self._conditions(boxes, parts, low, given)
+            directions = away @ self.shapes[low].turn
+            directions = np.where(fine[:, None], directions, np.rint(LONGEST * directions))
+            holds, left, sides = self._conditions(boxes, parts, low, directions)
             better = (left > room) & ~done
             room, takes = np.where(better, left, room), np.where(better[:, None], sides, takes)
             for k in np.flatnonzero(better | (holds & ~done)).tolist():
                 tried[k] = len(self.planes)
-                self.planes.append((low, given[k], bool(fine[k])))
+                self.planes.append((low, directions[k], bool(fine[k])))
                 if holds[k]:
                     self._leaf(int(boxes.node[k]), int(tried[k]), parts)
             done |= holds
@@ -367,14 +367,14 @@ class _Search:
 
     def _with_known_planes(self, boxes: _Boxes, parts: Parts) -> _Boxes:
         """Prove boxes with the planes of the boxes above them, and return the remaining boxes."""
-        known = np.flatnonzero(boxes.plane >= 0)
+        rows = np.flatnonzero(boxes.plane >= 0)
         left = np.ones(len(boxes.node), dtype=bool)
-        frames = np.array([self.planes[k][0] for k in boxes.plane[known].tolist()], dtype=np.int64)
+        frames = np.array([self.planes[k][0] for k in boxes.plane[rows].tolist()], dtype=np.int64)
         for low in (0, 1):
-            at = known[frames == low]
+            at = rows[frames == low]
             if len(at):
-                given = np.stack([self.planes[k][1] for k in boxes.plane[at].tolist()])
-                holds, *_ = self._conditions(boxes.some(at), parts, low, given)
+                directions = np.stack([self.planes[k][1] for k in boxes.plane[at].tolist()])
+                holds, *_ = self._conditions(boxes.some(at), parts, low, directions)
                 for k in at[holds].tolist():
                     self._leaf(int(boxes.node[k]), int(boxes.plane[k]), parts)
                 left[at] = ~holds
@@ -394,10 +394,10 @@ class _Search:
         poses[1, :, :3, 3] = shift + turn @ self.shapes[1].shift
         one, other = (shape.body(part) for shape, part in zip(self.shapes, parts, strict=True))
         try:
-            found = queries.distance(one, poses[0], other, poses[1], exact=True)
+            gaps = queries.distance(one, poses[0], other, poses[1], exact=True)
         except ConvergenceError as error:
             raise self._too_near("their distance is not computed") from error
-        return np.asarray(found.distance), np.asarray(found.normal)
+        return np.asarray(gaps.distance), np.asarray(gaps.normal)
 
     def _conditions(self, boxes: _Boxes, parts: Parts, low: int, given: Floats) -> tuple[Bools, Floats, Floats]:
         """Return whether planes satisfy their condition, the room at the centers of boxes, and the room each side
@@ -492,9 +492,9 @@ class _Search:
                 continue
             if self.plane[node] != last:
                 last = self.plane[node]
-                low, given, fine = self.planes[last]
+                low, direction, fine = self.planes[last]
                 token = (DOUBLES if fine else NORMAL) + low
-                numbers = given.tolist() if fine else [int(x) for x in given]
+                numbers = direction.tolist() if fine else [int(x) for x in direction]
                 data.append(struct.pack("<B3d" if fine else "<B3h", token, *numbers))
             else:
                 data.append(struct.pack("<B", LAST))

@@ -83,25 +83,25 @@ def trees(
     speeds, memory = prepared.speeds(courses, deviations), _Memory.of(model)
     # Motions that are joined are one curve.
     first = np.flatnonzero(np.append(True, (courses[1:, 0] != courses[:-1, -1]).any(axis=1)))
-    ruled, touching, found = np.flatnonzero(model.rules), list[Contact](), list[list[bytes]]()
+    ruled, touching, all_trees = np.flatnonzero(model.rules), list[Contact](), list[list[bytes]]()
     for low, high in pairwise(sorted({0, len(model.pairs), *ruled.tolist(), *(ruled + 1).tolist()})):
-        deeper, made = tolerance if low in ruled else None, list[bytes | Failed]()
+        deeper, group_trees = tolerance if low in ruled else None, list[bytes | Failed]()
         for course, speed in zip(courses, speeds, strict=True):
             tree = prepared.trees(course, speed, ROOM, memory, slice(low, high))
-            made.append(tree)
+            group_trees.append(tree)
             if isinstance(tree, Failed):
                 if deeper is None:
                     break
                 memory.state[low, NAMED] = 0.0  # the planes of this tree are not in the file
         for begin, end in pairwise([*first.tolist(), len(courses)]):
             own = slice(begin, end)
-            if deeper is not None and any(isinstance(tree, Failed) for tree in made[own]):
+            if deeper is not None and any(isinstance(tree, Failed) for tree in group_trees[own]):
                 search = _Search(prepared, ready, model, begin, courses[own], speeds[own], low, memory, deeper)
-                made[own] = search.with_contacts(made[own], touching)
+                group_trees[own] = search.with_contacts(group_trees[own], touching)
         touches, off = deeper is not None, bool(deviations.any())
-        found.append([_expect_tree(ready, model, k, tree, touches, off) for k, tree in enumerate(made)])
+        all_trees.append([_expect_tree(ready, model, k, tree, touches, off) for k, tree in enumerate(group_trees)])
     touching.sort()
-    return touching, b"".join(chain.from_iterable(zip(*found, strict=True)))
+    return touching, b"".join(chain.from_iterable(zip(*all_trees, strict=True)))
 
 
 def _expect_tree(
@@ -261,25 +261,25 @@ class _Search(NamedTuple):
             for end, count in enumerate((min(failed[-1], middle) + 1, len(trees) - max(failed[0], middle)))
             if rules & (AT_START, AT_END)[end]
         }
-        made, start, end = list[Contact](), [(0.0, 1.0, 0)], [(0.0, 1.0, 1)]
+        pair_contacts, start, end = list[Contact](), [(0.0, 1.0, 0)], [(0.0, 1.0, 1)]
         halves = [(0.0, 0.5, 0), (0.5, 1.0, 1)]
         for k in failed:
             # In the motion between the two contacts, each half may be in contact at its outer end, or else the whole
             # motion at one end.
             for way in [halves, start, end] if k == middle else [start] if k < middle else [end]:
                 new = list[Contact]()
-                found = [self._part(k, *part, touches[part[2]], new) for part in way]
-                done = [tree for tree in found if not isinstance(tree, Failed)]
-                if len(done) == len(found):
-                    made += new
-                    trees[k] = b"\0" * (len(found) - 1) + b"".join(done)
+                part_trees = [self._part(k, *part, touches[part[2]], new) for part in way]
+                done = [tree for tree in part_trees if not isinstance(tree, Failed)]
+                if len(done) == len(part_trees):
+                    pair_contacts += new
+                    trees[k] = b"\0" * (len(part_trees) - 1) + b"".join(done)
                     break
             else:
                 return trees
         self.memory.state[self.pair, NAMED] = 0.0  # planes were not named in the order of the file
         # A contact lasts from the start of the curve to its last motion in contact, or from its first motion in contact
         # to the end.
-        ends = {end: [contact for contact in made if contact.end == end] for end in (0, 1)}
+        ends = {end: [contact for contact in pair_contacts if contact.end == end] for end in (0, 1)}
         for last in ends[0][-1:]:
             touching += [last._replace(motion=k, k=0) for k in range(self.first, last.motion)] + [last]
         for last in ends[1][:1]:

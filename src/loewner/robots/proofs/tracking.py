@@ -99,13 +99,13 @@ def joint_error(
         raise InputError("weights: expected one or more above 0, found none")
     ready: Problem = self._ready()
     a, b = rows[:-1].copy(), rows[1:].copy()
-    found = prove_by_rules(ready, a, b, tolerance)
-    found.expect_short(a, b)
-    for k in np.flatnonzero(found.verdicts != codes.FREE)[:1]:
-        one, other = (ready.names[n] for n in ready.pairs[found.pairs[k]])
-        where = f" at the fraction {found.fractions[k]:.6g} of the motion from row {k} to row {k + 1}"
+    answers = prove_by_rules(ready, a, b, tolerance)
+    answers.expect_short(a, b)
+    for k in np.flatnonzero(answers.verdicts != codes.FREE)[:1]:
+        one, other = (ready.names[n] for n in ready.pairs[answers.pairs[k]])
+        where = f" at the fraction {answers.fractions[k]:.6g} of the motion from row {k} to row {k + 1}"
         raise InputError(
             f"path: expected {'a configuration that is' if still else 'motions that are'} proven free, found {one} "
-            f"and {other} {Verdict(int(found.verdicts[k])).name}{'' if still else where}"
+            f"and {other} {Verdict(int(answers.verdicts[k])).name}{'' if still else where}"
         )
     return largest(ready, a, b, shares, most, tolerance)

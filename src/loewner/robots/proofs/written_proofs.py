@@ -103,17 +103,17 @@ class Proof:
         claim = _HEAD.unpack_from(self.data)[2]
         if claim != FREE:
             raise InputError(f"data: expected motions, found {'a common point' if claim == COMMON else 'ranges'}")
-        block, found = self.data[-32 - self.size : -32], list[Floats]()
+        block, motions = self.data[-32 - self.size : -32], list[Floats]()
         try:
             dof = len(contents(self.model)[0])
             at = 8 * dof + 4
             for _ in range(*struct.unpack_from("<I", block, at - 4)):
                 shape = block[at] + 1, dof
-                found.append(np.array(struct.unpack_from(f"<{shape[0] * dof}d", block, at + 1)).reshape(shape))
+                motions.append(np.array(struct.unpack_from(f"<{shape[0] * dof}d", block, at + 1)).reshape(shape))
                 at += 1 + 8 * shape[0] * dof
         except (struct.error, IndexError, ValueError):
             raise InputError("data: expected motions, found something else") from None
-        return found
+        return motions
 
     def verify(self) -> Report:
         """Verify the proof with `loewner.verify.verify`, which shares no code with the rest of the library.
@@ -257,6 +257,6 @@ def proof_of(model: Model, ready: Problem, courses: Floats, deviations: Floats, 
             f"proof: expected values below {LARGEST:g} and joints that turn to {FARTHEST_TURN:g} rad at most, found "
             "others"
         )
-    touching, found = separations.trees(ready, model, courses, deviations, tolerance)
-    block = separations.written(deviations, courses) + separations.written_contacts(model, touching) + found
+    touching, trees = separations.trees(ready, model, courses, deviations, tolerance)
+    block = separations.written(deviations, courses) + separations.written_contacts(model, touching) + trees
     return assembled(FREE, model.data, block, VERSION if model.rules.any() else WITHOUT_RULES)

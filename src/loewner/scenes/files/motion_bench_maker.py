@@ -146,10 +146,10 @@ def _add(scene: Scene, kind: str, node: JsonNode, make: Callable[..., Body]) -> 
     """Add one obstacle of a file to the scene."""
     sizes = OBSTACLE_KEYS[kind]
     keys = node.mapping(("name", *sizes, *PLACE_KEYS), required=("name", "position", *sizes))
-    given = keys["half_extents"].numbers(3) if kind == "box" else [keys[size].number() for size in sizes]
+    lengths = keys["half_extents"].numbers(3) if kind == "box" else [keys[size].number() for size in sizes]
     name, T = keys["name"].text(), _pose(keys)
     with node.blamed():
-        scene.add(name, make(kind, *given), T)
+        scene.add(name, make(kind, *lengths), T)
 
 
 def _obstacle(kind: str, *sizes: float) -> Body:

@@ -35,30 +35,30 @@ def _boxes(entry: Node) -> Recipe:
 
 
 def _half_space(entry: Node) -> Recipe:
-    given = entry.mapping(*keys_of("half_space"))
-    normal, offset = given["normal"].numbers(3), given["offset"].number()
-    sizes = {"extent": given["extent"].number()} if "extent" in given else {}
+    keys = entry.mapping(*keys_of("half_space"))
+    normal, offset = keys["normal"].numbers(3), keys["offset"].number()
+    sizes = {"extent": keys["extent"].number()} if "extent" in keys else {}
     return (*normal, offset, *sizes.values()), functools.partial(Body.half_space, normal, offset, **sizes)
 
 
 def _cloud(entry: Node) -> Recipe:
-    given = entry.mapping(*keys_of("cloud"))
-    file = _file(given["file"])
-    sizes = {key: given[key].number() for key in ("radius", "voxel") if key in given}
+    keys = entry.mapping(*keys_of("cloud"))
+    file = _file(keys["file"])
+    sizes = {key: keys[key].number() for key in ("radius", "voxel") if key in keys}
     return (file, *sizes.items()), lambda: Body.from_cloud(read_array(file), **sizes)
 
 
 def _voxels(entry: Node) -> Recipe:
-    given = entry.mapping(*keys_of("voxels"))
-    file, size = _file(given["file"]), given["size"].number()
-    origin = given["origin"].numbers(3) if "origin" in given else [0.0] * 3
+    keys = entry.mapping(*keys_of("voxels"))
+    file, size = _file(keys["file"]), keys["size"].number()
+    origin = keys["origin"].numbers(3) if "origin" in keys else [0.0] * 3
     return (file, size, *origin), lambda: Body.from_voxels(read_array(file), size, origin=origin)
 
 
 def _height_field(entry: Node) -> Recipe:
-    given = entry.mapping(*keys_of("height_field"))
-    file, spacing = _file(given["file"]), given["spacing"].numbers(2)
-    base = given["base"].number() if "base" in given else None
+    keys = entry.mapping(*keys_of("height_field"))
+    file, spacing = _file(keys["file"]), keys["spacing"].numbers(2)
+    base = keys["base"].number() if "base" in keys else None
     return (file, *spacing, base), lambda: Body.height_field(read_array(file), spacing, base=base)
 
 
@@ -104,10 +104,10 @@ def read_array(path: Path) -> Any:
     data = read_regular(path, "numbers in .npy, .xyz, .txt or .csv", MOST_BYTES)
     if suffix == ".npy":
         return _archives.numbers(data, str(path), "an array of numbers")
-    found = _tables.table(data, str(path), commas=suffix == ".csv")
+    table = _tables.table(data, str(path), commas=suffix == ".csv")
     for doubt in _doubts("\n".join(_tables.COMMENT.findall(data.decode("ascii")))):
         warn(f"{path}: expected {doubt}")
-    return found
+    return table
 
 
 def _doubts(comments: str) -> Iterator[str]:

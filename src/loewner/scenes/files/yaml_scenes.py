@@ -98,9 +98,9 @@ def load_scene(path: str | PathLike[str]) -> Scene:
     scene = Scene()
     if "margin" in top:
         scene.set_margin(top["margin"].length())
-    made: dict[Any, Body] = {}
+    bodies_by_recipe: dict[Any, Body] = {}
     for name, entry in top["bodies"].mapping(None).items():
-        _add(scene, name, entry, made)
+        _add(scene, name, entry, bodies_by_recipe)
     for key, rule in (("allow", scene.allow), ("leave", scene.leave), ("reach", scene.reach)):
         for entry in top[key].items() if key in top else []:
             a, b = (item.text() for item in entry.items(2))
@@ -241,10 +241,10 @@ def _add(scene: Scene, name: str, entry: YamlNode, made: dict[Any, Body]) -> Non
     keys = entry.mapping(None)
     shapes = [key for key in keys if key in SHAPES]
     if len(shapes) != 1:
-        found = " and ".join(shapes) or some(keys) or "nothing"
-        raise entry.error(f"expected one shape among {', '.join(SHAPES)}; found {found}")
-    known = (*shapes, *BODY_KEYS, *KEYS_OF_SHAPES.get(shapes[0], ()))
-    keys = entry.mapping(known)
+        listing = " and ".join(shapes) or some(keys) or "nothing"
+        raise entry.error(f"expected one shape among {', '.join(SHAPES)}; found {listing}")
+    allowed_keys = (*shapes, *BODY_KEYS, *KEYS_OF_SHAPES.get(shapes[0], ()))
+    keys = entry.mapping(allowed_keys)
     recipe, make = _recipe(shapes[0], keys)
     with keys[shapes[0]].blamed():
         if recipe not in made:
@@ -281,7 +281,7 @@ def _add_moving(scene: Scene, name: str, body: Body, margin: float | None, entry
     rows = [(row, row.mapping(*of_row)) for row in keys["poses"].items()]
     if not rows:
         raise keys["poses"].error("expected one row or more, found none")
-    times, poses = [given["time"].number() for _, given in rows], [_pose(row, given) for row, given in rows]
+    times, poses = [row_keys["time"].number() for _, row_keys in rows], [_pose(row, row_keys) for row, row_keys in rows]
     repeat = "repeat" in keys and keys["repeat"].flag()
     bounds: dict[str, Any] = {key: keys[key].number() for key in ("speed", "turn", "since") if key in keys}
     if "error" in keys:
@@ -299,8 +299,8 @@ def _recipe(shape: str, keys: dict[str, YamlNode]) -> tuple[Any, Callable[[], Bo
         return (shape, *axes), functools.partial(AXIS_SHAPES[shape], axes)
     if shape in ROUND_SHAPES:
         make, names = ROUND_SHAPES[shape]
-        given = entry.mapping(*keys_of(shape))
-        lengths = [given[name].number() for name in names]
+        shape_keys = entry.mapping(*keys_of(shape))
+        lengths = [shape_keys[name].number() for name in names]
         return (shape, *lengths), functools.partial(make, *lengths)
     if shape == "points":
         points = entry.rows(3)
@@ -356,28 +356,28 @@ def _scale(entry: YamlNode) -> list[float]:
 
 def _pose(entry: YamlNode, keys: dict[str, YamlNode]) -> Floats:
     """Read the pose of a body; parts that are not given are the identity."""
-    given = [key for key in POSE_KEYS if key in keys]
-    if "pose" in given and len(given) > 1:
-        raise entry.error(f"expected either pose or position and a rotation, found {' and '.join(given)}")
-    if "rpy" in given and "quaternion_wxyz" in given:
+    present_keys = [key for key in POSE_KEYS if key in keys]
+    if "pose" in present_keys and len(present_keys) > 1:
+        raise entry.error(f"expected either pose or position and a rotation, found {' and '.join(present_keys)}")
+    if "rpy" in present_keys and "quaternion_wxyz" in present_keys:
         raise entry.error("expected one rotation, found rpy and quaternion_wxyz")
     T = np.eye(4)
-    if "pose" in given:
+    if "pose" in present_keys:
         try:
             rows = [row.numbers(4) for row in keys["pose"].items(4)]
             with keys["pose"].blamed():
                 T = _validate.poses(rows, "matrix")
         except FileError as error:
             raise FileError(f"{error}; {POSE_HINT}") from None
-    if "position" in given:
+    if "position" in present_keys:
         T[:3, 3] = keys["position"].numbers(3, "x, y, z")
-    if "rpy" in given:
+    if "rpy" in present_keys:
         rpy = keys["rpy"].numbers(3, "roll, pitch, yaw")
         doubt = doubt_about_rpy(rpy)
         if doubt:
             warn(f"{entry.file}, line {keys['rpy'].line}: expected {doubt}")
         T[:3, :3] = from_rpy(*rpy)
-    if "quaternion_wxyz" in given:
+    if "quaternion_wxyz" in present_keys:
         wxyz = keys["quaternion_wxyz"].numbers(4, "w, x, y, z")
         with keys["quaternion_wxyz"].blamed():
             T[:3, :3] = from_quaternion(wxyz, "rotation")
