@@ -371,7 +371,7 @@ def test_clearance_within(row_of_boxes, capsys):
         (["a.npz"], "BODY: expected two bodies or more, found 1"),
         (["a.npz", "none.npz"], "none.npz: expected"),
         (["a.npz", "b.npz", "--within", "-1"], "--within: expected"),
-        (["a.npz", "b.npz", "--csv", "none/pairs.csv"], "none/pairs.csv: could not be written"),
+        (["a.npz", "b.npz", "--csv", "none/pairs.csv"], "--csv: expected a file in a folder that exists, found none/pairs.csv"),
     ],
 )
 def test_clearance_errors(row_of_boxes, capsys, arguments, message):
@@ -775,6 +775,37 @@ def test_a_plan_in_time_can_be_viewed_and_audited(with_end, capsys, monkeypatch)
         assert (status, json.loads(out)["begins"], shown.pop().start_time) == (0, begins, begins)
 
 
+@pytest.mark.parametrize(
+    ("output", "message"),
+    [
+        ("./b.npz", "--csv: expected a file of its own, found b.npz, also given as bodies"),
+        ("nowhere/x.csv", "--csv: expected a file in a folder that exists, found nowhere/x.csv"),
+    ],
+)
+def test_outputs_are_checked_before_the_work(saved, capsys, output, message):
+    """No input is overwritten, and no result is computed that could not be written."""
+    before = Path("b.npz").read_bytes()
+    assert run(capsys, "clearance", "a.npz", "b.npz", "--csv", output) == (2, "", f"loewner: error: {message}\n")
+    assert Path("b.npz").read_bytes() == before
+
+
+def test_two_outputs_have_two_files(with_end, capsys):
+    """The second would replace the first."""
+    status, out, err = run(capsys, *AROUND, "-o", "path.csv", "--proof", "path.csv")
+    assert (status, out) == (2, "")
+    assert "expected a file of its own, found path.csv, also given as" in err
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device that is always full")
+def test_a_full_disk_is_an_error():
+    """The status is 2, as for every error, and there is one line."""
+    with Path("/dev/full").open("w") as full:
+        command = [sys.executable, "-m", "loewner", "--help"]
+        done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, check=False)
+    message = "standard output: expected room for the output, found: No space left on device"
+    assert (done.returncode, done.stderr) == (2, f"loewner: error: {message}\n")
+
+
 @pytest.mark.parametrize("kind", ["no path", "ambiguous", "audit", "bad goal"])
 def test_an_older_proof_does_not_pass_for_the_new_one(with_end, capsys, kind):
     """Where no proof can be written, none of that name is left, and a file that is no proof is left alone."""
@@ -1020,7 +1051,7 @@ def test_plan_with_a_planner_of_ompl(with_end, capsys):
         (["--start", HERE, "--goal", THERE, "--resolution", "0.1"], "--resolution: expected --sampled or --planner"),
         (["--start", HERE, "--goal", THERE, "--sampled", "--resolution", "0"], "resolution: expected a finite number"),
         (["--start", HERE, "--goal", THERE, "-o", "path.txt"], "--out: expected a .csv or .json file, found path.txt"),
-        (["--start", HERE, "--goal", THERE, "-o", "none/path.csv"], "none/path.csv: could not be written"),
+        (["--start", HERE, "--goal", THERE, "-o", "none/path.csv"], "--out: expected a file in a folder that exists, found none/path.csv"),
         (["--start", HERE, "--goal", THERE, "--scene", "none.yaml"], "none.yaml"),
     ],
 )

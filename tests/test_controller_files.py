@@ -84,6 +84,13 @@ def test_a_part_is_no_whole_trajectory(moved, robot, alone, tmp_path):
     assert Trajectory.load(tmp_path / "mixed.json").certify(alone).verdict == Verdict.FREE
 
 
+def test_accelerations_alone_are_no_trajectory(tmp_path):
+    """They are not dropped: the motion between the positions would be another one than the file describes."""
+    (tmp_path / "bent.csv").write_text("time,a,a acceleration\n0,0,5\n1,1,-5\n")
+    with pytest.raises(FileError, match="accelerations without velocities and blends"):
+        Trajectory.load(tmp_path / "bent.csv")
+
+
 @pytest.mark.parametrize(
     ("options", "error", "message"),
     [

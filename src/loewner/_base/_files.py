@@ -72,6 +72,14 @@ def read_regular(path: str | os.PathLike[str], what: str, limit: int) -> bytes:
     return parts[0] if len(parts) == 1 else b"".join(parts)
 
 
+def folder_exists(path: Path) -> bool:
+    """Return whether a folder exists; False also for names that no file system accepts, such as overlong names."""
+    try:
+        return path.is_dir()
+    except OSError:
+        return False
+
+
 def shown(path: str | os.PathLike[str]) -> str:
     """Write a path for a message, escaped where a terminal could not print it."""
     name = os.fsdecode(path)

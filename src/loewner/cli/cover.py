@@ -25,7 +25,7 @@ The file is read again, and the shapes that were read are proven to contain each
 
 formats: curobo (.yml: the keys of a configuration for spheres and pairs), vamp and foam (a URDF of spheres, and an SRDF
   of the same stem), pyroki (.json, and ignored pairs in STEM.ignored.json), urdf (.urdf: a capsule becomes a cylinder
-  and two spheres), mjcf (.xml), scene (.yaml). cuRobo, VAMP, foam and pyroki have spheres only.
+  and two spheres), mjcf (.xml), scene (with --for scene). cuRobo, VAMP, foam and pyroki have spheres only.
 
 pairs: shapes that stick out can meet where the links never do. Pairs of links that are proven never to collide are
   written as ignored; all others stay checked.

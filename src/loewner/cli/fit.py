@@ -51,6 +51,7 @@ def add(commands: Any) -> None:
     option("meshes", nargs="+", type=Path, metavar="MESH", help="STL, OBJ, PLY, OFF, GLB, glTF or DAE, in metres")
     option("-o", "--out", type=Path, required=True, metavar="DIR", help="folder for the .npz files")
     inputs.add_mesh_options(fit, "pieces")
+    fit.set_defaults(makes_folder=True)
     option("--tol", type=float, help="certified log-volume gap of the fits of pieces and hulls (1e-4)")
     option("-j", "--jobs", type=int, metavar="N", help="number of meshes at a time, each in a separate process (1)")
     option(

@@ -45,7 +45,7 @@ def command(
     """Add a command whose help ends with examples; unless it has commands of its own, `run` runs it."""
     raw = argparse.RawDescriptionHelpFormatter
     added: argparse.ArgumentParser = commands.add_parser(name, help=what, epilog=examples, formatter_class=raw)
-    added.set_defaults(default=added.get_default, run=run)
+    added.set_defaults(default=added.get_default, run=run, makes_folder=False)
     return added
 
 

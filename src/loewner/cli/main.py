@@ -15,6 +15,7 @@ output ends before it has read everything (``| head``).
 from __future__ import annotations
 
 import argparse
+import os
 import re
 import sys
 import traceback
@@ -26,6 +27,7 @@ from typing import Any, NoReturn
 
 import loewner
 from loewner._base import _validate
+from loewner._base._files import folder_exists, shown
 from loewner.cli import (
     audit,
     check,
@@ -46,8 +48,12 @@ from loewner.cli import (
 )
 from loewner.cli.completion import SHELLS, PrintCompletion
 from loewner.cli.output import ERROR, PrintPath, standard_output
-from loewner.errors import InputError, LoewnerError
+from loewner.errors import FileError, InputError, LoewnerError
 from loewner.scenes.files.schema import SCHEMA_FILE
+
+# Options that name files to write, and the two that name the file to which `clash` adds pairs.
+OUTPUTS = {"out", "proof", "csv", "json", "picture", "program", "screenshot", "write_srdf"}
+UPDATED = {"write_srdf", "srdf"}
 
 # The error of argparse if the numbers of a configuration are not in quotes.
 STRAY_NUMBER = re.compile(r"unrecognized arguments: -?\.?\d")
@@ -78,6 +84,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         with standard_output(), _warnings_as_lines():
             options = _parser().parse_args(None if arguments is None else _words(arguments))
+            _expect_separate_files(options)
             return int(options.run(options))
     except LoewnerError as error:
         print(f"loewner: error: {error}", file=sys.stderr)
@@ -89,6 +96,25 @@ def main(arguments: Sequence[str] | None = None) -> int:
         # Python's own status for a crash is 1, which here means "colliding".
         traceback.print_exc()
     return ERROR
+
+
+def _expect_separate_files(options: argparse.Namespace) -> None:
+    """Refuse, before the work begins, to write a file that is read or written anyway, or in a folder that is missing.
+
+    Raises
+    ------
+    InputError, FileError
+    """
+    listed = ((name, value if isinstance(value, list) else [value]) for name, value in vars(options).items())
+    paths = [(name, path) for name, values in listed for path in values if isinstance(path, Path)]
+    for name, path in paths:
+        if name not in OUTPUTS or folder_exists(path):
+            continue
+        if not folder_exists(path.parent) and not options.makes_folder:
+            raise FileError(f"--{name}: expected a file in a folder that exists, found {shown(path)}")
+        for other, its in paths:
+            if other != name and {name, other} != UPDATED and os.path.realpath(path) == os.path.realpath(its):
+                raise InputError(f"--{name}: expected a file of its own, found {shown(path)}, also given as {other}")
 
 
 def _words(arguments: Any) -> list[str]:

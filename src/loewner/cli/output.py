@@ -63,13 +63,20 @@ class PrintPath(argparse.Action):
 
 
 class _Descriptor(io.FileIO):
-    """A file whose reader may end early (`| head`): further output is discarded, and the exit status is unaffected."""
+    """A file that discards all further output once it cannot be written.
+
+    If a reader has ended early (`| head`), the exit status is unaffected; any other reason is kept in `fault`.
+    """
+
+    fault: OSError | None = None
 
     def write(self, data: Any) -> int:
-        """Write the data, or discard them if there is no reader."""
+        """Write the data, or discard them."""
         try:
             return super().write(data)
-        except BrokenPipeError:
+        except OSError as error:
+            if not isinstance(error, BrokenPipeError):
+                self.fault = error
             os.dup2(os.open(os.devnull, os.O_WRONLY), self.fileno())
             return super().write(data)
 
@@ -77,7 +84,13 @@ class _Descriptor(io.FileIO):
 @contextmanager
 def standard_output() -> Iterator[None]:
     """Keep standard output usable after its reader has ended, and escape characters that its encoding lacks, for
-    example in file names."""
+    example in file names.
+
+    Raises
+    ------
+    FileError
+        If a part of the output could not be written.
+    """
     out = sys.stdout
     try:
         raw = _Descriptor(out.fileno(), "w", closefd=False)
@@ -93,6 +106,8 @@ def standard_output() -> Iterator[None]:
     finally:
         sys.stdout.flush()
         sys.stdout = out
+        if raw.fault is not None:
+            raise FileError(f"standard output: expected room for the output, found: {raw.fault.strerror}")
 
 
 def remove_older_proof(path: Path | None) -> None:

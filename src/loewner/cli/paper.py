@@ -27,6 +27,7 @@ def add(commands: Any) -> None:
     paper.add_argument("--dataset", default="radius", help="radius (the paper's) or volume")
     paper.add_argument("--out", type=Path, metavar="DIR", help="folder for the report and figures")
     paper.add_argument("--json", type=Path, metavar="FILE", help="file for the counts")
+    paper.set_defaults(makes_folder=True)
 
 
 def _run(options: argparse.Namespace) -> int:

@@ -5,11 +5,11 @@ from __future__ import annotations
 import json as _json
 import os
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 
 from loewner._base import _validate
+from loewner._base._files import folder_exists
 from loewner.bodies import Bodies
 from loewner.errors import FileError
 from loewner.paper import detectors, report
@@ -122,11 +122,3 @@ def _counted(number: int, name: str, answers: Answers, truth: Bools, *microsecon
     chosen = answers.ambiguous
     every, hard = Confusion.of(answers.collides, truth), Confusion.of(answers.collides[chosen], truth[chosen])
     return Result(number, name, answers, every, hard, *microseconds)
-
-
-def folder_exists(path: Path) -> bool:
-    """Return whether a folder exists; False also for names that no file system accepts, such as overlong names."""
-    try:
-        return path.is_dir()
-    except OSError:
-        return False

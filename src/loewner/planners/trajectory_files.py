@@ -77,6 +77,8 @@ def read(source: Path) -> Rows:
             rows = rows_of_table(data.decode())
         if (rows.rates is None) != (rows.blended is None):
             raise ValueError("velocities or blends without the others")
+        if rows.rates is None and rows.bends is not None:
+            raise ValueError("accelerations without velocities and blends")
         if rows.rates is None and (not len(rows.times) or not (np.diff(rows.times) > 0).all()):
             raise ValueError("times that do not increase")  # between which velocities are differences
         if rows.rates is None and len(rows.times) != len(rows.knots):
@@ -150,6 +152,7 @@ def saved_rows(root: Node) -> Rows:
             raise root.error("expected jumps: true with times and positions alone")
         return Rows(names, times, knots, None, None, None, start_time)
     if "blended" not in keys or rates is None:
-        raise root.error("expected the keys velocities and blended, or jumps, found neither")
+        present = ", ".join(key for key in ("velocities", "blended") if key in keys) or "neither"
+        raise root.error(f"expected the keys velocities and blended, or jumps, found {present}")
     blended = np.array([each.flag() for each in keys["blended"].items()], dtype=bool)
     return Rows(names, times, knots, rates, blended, bends, start_time)
