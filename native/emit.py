@@ -420,6 +420,12 @@ def work(folder: Path, level: str, number: int, nice: int = 0, *later: str) -> N
     in_background = {name for group in later for name in groups[group]}
     before = list[Path]()  # Codes of the groups whose objects are taken.
     parent = os.getppid()
+    first_objects = [folder / f"{level}-{group}.o" for group in groups if group not in later]
+
+    def waited() -> bool:
+        """Whether an object for which programs wait is left; on two cores, each process can then make one."""
+        return not all(path.with_suffix(".taken").exists() for path in first_objects)
+
     # A parent that is killed cannot end its processes, so that each process checks that the parent still runs.
     while (objects or codes) and os.getppid() == parent:
         to, needed = next(iter(objects.items()), (None, []))
@@ -429,7 +435,7 @@ def work(folder: Path, level: str, number: int, nice: int = 0, *later: str) -> N
                 print(to.stem, flush=True)
                 write_object(needed, before, to)
             before += needed
-        elif codes:
+        elif codes and not (number < 2 and next(iter(codes.values())) in in_background and waited()):
             to = next(iter(codes))
             name = codes.pop(to)
             if is_mine(to):
