@@ -371,7 +371,7 @@ def test_clearance_within(row_of_boxes, capsys):
         (["a.npz"], "BODY: expected two bodies or more, found 1"),
         (["a.npz", "none.npz"], "none.npz: expected"),
         (["a.npz", "b.npz", "--within", "-1"], "--within: expected"),
-        (["a.npz", "b.npz", "--csv", "none/pairs.csv"], "--csv: expected a file in a folder that exists, found none/pairs.csv"),
+        (["a.npz", "b.npz", "--csv", "none/pairs.csv"], "--csv: expected a file in a folder that exists"),
     ],
 )
 def test_clearance_errors(row_of_boxes, capsys, arguments, message):
@@ -1051,7 +1051,7 @@ def test_plan_with_a_planner_of_ompl(with_end, capsys):
         (["--start", HERE, "--goal", THERE, "--resolution", "0.1"], "--resolution: expected --sampled or --planner"),
         (["--start", HERE, "--goal", THERE, "--sampled", "--resolution", "0"], "resolution: expected a finite number"),
         (["--start", HERE, "--goal", THERE, "-o", "path.txt"], "--out: expected a .csv or .json file, found path.txt"),
-        (["--start", HERE, "--goal", THERE, "-o", "none/path.csv"], "--out: expected a file in a folder that exists, found none/path.csv"),
+        (["--start", HERE, "--goal", THERE, "-o", "none/path.csv"], "--out: expected a file in a folder that exists"),
         (["--start", HERE, "--goal", THERE, "--scene", "none.yaml"], "none.yaml"),
     ],
 )
