@@ -113,8 +113,16 @@ def _expect_separate_files(options: argparse.Namespace) -> None:
         if not folder_exists(path.parent) and not options.makes_folder:
             raise FileError(f"--{name}: expected a file in a folder that exists, found {shown(path)}")
         for other, its in paths:
-            if other != name and {name, other} != UPDATED and os.path.realpath(path) == os.path.realpath(its):
+            if other != name and {name, other} != UPDATED and _is_same(path, its):
                 raise InputError(f"--{name}: expected a file of its own, found {shown(path)}, also given as {other}")
+
+
+def _is_same(path: Path, other: Path) -> bool:
+    """Return whether two paths lead to the same place; False for names that no file system accepts."""
+    try:
+        return os.path.realpath(path) == os.path.realpath(other)
+    except (OSError, ValueError):
+        return False
 
 
 def _words(arguments: Any) -> list[str]:
