@@ -196,7 +196,7 @@ def plan_drive(
     checker : CollisionChecker
         A checker whose robot has a base from `Robot.footprint` or `Robot.add_base`; the base faces along x at theta =
         0. The origin of the base follows arcs and lines. Put the origin midway between the driven wheels of a
-           differential base, or in the middle of a car's rear axle.
+        differential base, or in the middle of a car's rear axle.
     start, goal : array_like, shape (dof,)
         Only the base moves, so all other joints must have the same values at the start and the goal.
     base : {"differential", "car"}
