@@ -84,6 +84,15 @@ def test_a_part_is_no_whole_trajectory(moved, robot, alone, tmp_path):
     assert Trajectory.load(tmp_path / "mixed.json").certify(alone).verdict == Verdict.FREE
 
 
+@pytest.mark.parametrize("flag", ["nan", "0.5", "-1"])
+def test_a_blend_is_0_or_1(tmp_path, flag):
+    """Any other number is an error of the file, not a blend."""
+    (tmp_path / "blend.csv").write_text(f"time,a,a velocity,blend\n0,0,0,{flag}\n1,0.5,1,0\n")
+    for kind in (Trajectory, ControllerPoints):
+        with pytest.raises(FileError, match=f"blend {flag}, where 0 or 1 should be"):
+            kind.load(tmp_path / "blend.csv")
+
+
 def test_accelerations_alone_are_no_trajectory(tmp_path):
     """They are not dropped: the motion between the positions would be another one than the file describes."""
     (tmp_path / "bent.csv").write_text("time,a,a acceleration\n0,0,5\n1,1,-5\n")

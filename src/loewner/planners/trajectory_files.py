@@ -136,7 +136,10 @@ def rows_of_table(text: str) -> Rows:
         return np.asarray(table[:, [header.index(name + kind) for name in names]])
 
     rates, bends = (columns(kind) if names and names[0] + kind in held else None for kind in used)
-    blended = table[:-1, header.index(BLEND)] != 0 if BLEND in held else None
+    flags = table[:, header.index(BLEND)] if BLEND in held else None
+    if flags is not None and not np.isin(flags, (0, 1)).all():
+        raise ValueError(f"the {BLEND} {flags[~np.isin(flags, (0, 1))][0]:g}, where 0 or 1 should be")
+    blended = None if flags is None else flags[:-1] != 0
     return Rows(tuple(names), table[:, 0], columns(""), rates, blended, bends, start_time)
 
 
