@@ -313,7 +313,8 @@ def build_all(
                 running.remove((process, command))
                 if process.returncode:
                     said = command.said.with_suffix(".log").read_text(encoding="utf-8", errors="replace")
-                    raise BuildError(f"{command.what}: this could not be compiled:\n{said.strip()[-4000:]}")
+                    ended = f"a process ended with status {process.returncode}"
+                    raise BuildError(f"{command.what}: {ended}:\n{said.strip()[-4000:]}")
             made = list(takewhile(Path.exists, objects))  # Each object may call functions of earlier objects.
             if len(made) > there:
                 there = len(made)
