@@ -31,6 +31,10 @@ import time
 from contextlib import suppress
 from pathlib import Path
 
+# Numba imports SciPy to check its version. No kernel needs SciPy, and pip may be writing its files at this moment.
+if "scipy" not in sys.modules:
+    sys.modules["scipy"] = None
+
 import llvmlite.binding as llvm
 import numba
 import numpy as np

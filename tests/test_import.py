@@ -176,6 +176,15 @@ def test_public_names_exist_and_are_listed_once():
     assert all(hasattr(loewner, name) for name in loewner.__all__)
 
 
+def test_a_build_does_not_import_scipy(tmp_path):
+    # `make demo` builds while pip still writes SciPy's files; a process that loads a part of one dies of a bus error.
+    (tmp_path / "scipy").mkdir()
+    (tmp_path / "scipy" / "__init__.py").write_text("import os\nos.abort()\n")
+    emit = Path(__file__).parents[1] / "native" / "emit.py"
+    done = subprocess.run([sys.executable, str(emit)], env=os.environ | {"PYTHONPATH": str(tmp_path)}, check=False)
+    assert done.returncode == 0
+
+
 def test_the_build_begins_before_other_packages_are_there():
     """In a fresh clone it runs while pip still installs SciPy; with an import of it, users would have no library."""
     native, blocked = Path(__file__).resolve().parents[1] / "native", ["scipy", "yaml", "rich", "matplotlib"]
