@@ -59,15 +59,14 @@ CPU_OF = {"arm64": "generic"}
 # copy of it, so that groups with many common functions are merged. For other machines, each level has a single object
 # file, which takes the least space.
 GROUPS = {
-    "bodies": ("fits.hulls", "fits.pieces", "fits.mv", "pieces.", "trees.piece_tree", "narrow.mesh_points",
-               "elementary"),
+    "bodies": ("fits.hulls", "fits.pieces", "fits.mv", "pieces.", "trees.piece_tree", "trees.triangle_tree",
+               "narrow.mesh_points", "elementary"),
     "verdicts": ("pipeline.verdicts", "pipeline.workspace"),
     "paper": ("ellipsoids.", "paper."),
     "robots": ("robots.configurations", "robots.motions", "robots.standing", "robots.pair_lists", "robots.kinematics",
                "low_discrepancy"),
     "planning": ("robots.planning", "robots.shortening"),
-    "distances": ("pipeline.distances", "pipeline.fallback", "pipeline.bounds", "robots.nearest",
-                  "trees.triangle_tree"),
+    "distances": ("pipeline.distances", "pipeline.fallback", "pipeline.bounds", "robots.nearest"),
     "arms": ("robots.",),
     "others": ("",),
 }  # fmt: skip
