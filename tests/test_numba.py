@@ -69,9 +69,12 @@ FUNCTIONS = {
     ],
     "the native library": [
         (_numba.BaseFunction.get_call_type, "self context args kws", "replaced: operators are remembered"),
-        (_numba.BaseContext.get_abi_sizeof, "self ty", "replaced: sizes are remembered"),
+        (_numba.base.BaseContext.get_abi_sizeof, "self ty", "replaced: sizes are remembered"),
         (_numba.NRTContext.get_meminfos, "self builder ty val", "replaced: numbers are not taken out of arrays"),
         (_numba.Inst._rec_list_vars, "self val", "replaced: no search in names and numbers"),
+        (_numba.postproc.PostProcessor.run, "self emit_dels extend_lifetimes", "replaced: lifetimes are found once"),
+        (_numba.postproc.transforms.canonicalize_cfg, "blocks", "what remains of it"),
+        (_numba.base._has_loc, "fn", "replaced: remembered"),
         (context.load_additional_registries, "self", "replaced: what is declared is imported once"),
         (type(_numba.cpu_target.typing_context).load_additional_registries, "self", "likewise"),
         (context.install_registry, "self registry", "finds what is declared later"),

@@ -4,8 +4,7 @@ A new Numba may rename the objects imported here, or change their parameters. `t
 with its purpose, and fails with the name that has changed.
 """
 
-from numba.core import cgutils, errors, event, typed_passes, untyped_passes
-from numba.core.base import BaseContext
+from numba.core import base, cgutils, errors, event, postproc, typed_passes, untyped_passes
 from numba.core.bytecode import FunctionIdentity
 from numba.core.caching import NullCache
 from numba.core.codegen import CPUCodeLibrary, JITCodeLibrary
@@ -24,8 +23,9 @@ from numba.core.typing.templates import AbstractTemplate, infer_global, signatur
 from numba.np.arrayobj import populate_array
 
 __all__ = [
-    "AbstractTemplate", "BaseContext", "BaseFunction", "CPUCodeLibrary", "CPUDispatcher", "CompileResult", "Compiler",
-    "FunctionIdentity", "Inst", "JITCodeLibrary", "NRTContext", "NullCache", "PassManager", "Var", "cgutils",
+    "AbstractTemplate", "BaseFunction", "CPUCodeLibrary", "CPUDispatcher", "CompileResult", "Compiler",
+    "FunctionIdentity", "Inst", "JITCodeLibrary", "NRTContext", "NullCache", "PassManager", "Var", "base", "cgutils",
     "compile_result", "cpu_target", "default_manager", "dumps", "errors", "event", "global_compiler_lock",
-    "infer_global", "normalize_signature", "populate_array", "rtsys", "signature", "typed_passes", "untyped_passes",
+    "infer_global", "normalize_signature", "populate_array", "postproc", "rtsys", "signature", "typed_passes",
+    "untyped_passes",
 ]  # fmt: skip
