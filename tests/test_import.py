@@ -177,8 +177,8 @@ def test_public_names_exist_and_are_listed_once():
     assert all(hasattr(loewner, name) for name in loewner.__all__)
 
 
-def test_a_build_does_not_import_scipy(tmp_path):
-    # `make demo` builds while pip still writes SciPy's files; a process that loads a part of one dies of a bus error.
+def test_the_build_does_not_import_scipy(tmp_path):
+    """In a fresh clone, pip writes SciPy's files during the build; whoever loads half a library dies of a bus error."""
     (tmp_path / "scipy").mkdir()
     (tmp_path / "scipy" / "__init__.py").write_text("import os\nos.abort()\n")
     emit = Path(__file__).parents[1] / "native" / "emit.py"
