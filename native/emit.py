@@ -153,7 +153,7 @@ def list_variables_by_type() -> None:
 def find_lifetimes_once() -> None:
     """Let Numba find out where each variable is last used once, before it generates code: a thirtieth of the time.
 
-    Otherwise, Numba also does so after four earlier passes over each function, and uses none of these results.
+    Otherwise, Numba also does so after four earlier passes over each function, where nothing uses the result.
     """
     run = postproc.PostProcessor.run
 
