@@ -472,7 +472,7 @@ def test_robot_check_prints_tables(folder, capsys):
     """`robot check` prints how many configurations collide, what settled each of them, and which pairs met."""
     status, out, err = run(capsys, "robot", "check", *ROBOT, "--scene", "wall.yaml", "--random", 500)
     assert (status, err) == (1, "")
-    colliding = int(re.match(r"COLLIDING  (\d+) of 500 configurations collide", out)[1])
+    colliding = int(re.match(r"COLLIDING  (\d+) of 500 configurations in collision", out)[1])
     settled = [line for line in out.splitlines() if re.match(r"\W*(bounding|ellipsoids|planes|exact)", line)]
     assert sum(int(n) for line in settled for n in re.findall(r"\d+", line)) == 500
     assert 0 < colliding < 500
@@ -603,7 +603,7 @@ def test_robot_check_files(folder, capsys):
         assert answer["outside_limits_of"] == ["x"]
     assert run(capsys, "robot", "check", *ROBOT, "--scene", "wall.yaml", "--configs", "one.npy")[0] == 0
     out = run(capsys, "robot", "check", *WITH_WALL, "--configs", "many.npy")[1]
-    assert "note: 1 configurations are outside the limits, the first in row 2: x" in out
+    assert "note: 1 configuration outside the limits, the first in row 2: x" in out
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ from loewner._base import _validate
 from loewner._base._nodes import some
 from loewner._base._validate import Floats
 from loewner.cli import configurations, inputs, trajectories
-from loewner.cli.output import COLLIDING, OVERLAP, STATUS, print_table, remove_older_proof
+from loewner.cli.output import COLLIDING, OVERLAP, STATUS, counted, print_table, remove_older_proof
 from loewner.planners import limit_use
 from loewner.planners.controller_points import START_TOLERANCE
 from loewner.robots import ClosestApproach
@@ -298,7 +298,7 @@ def _picture(times: Floats, verdicts: Any) -> str:
 
 def _print_answer(answer: dict[str, Any]) -> None:
     unit, comma_unit = (" s", ", s") if answer["timed"] else ("", "")
-    count = "1 piece" if answer["pieces"] == 1 else f"{answer['pieces']} pieces"
+    count = counted(answer["pieces"], "piece")
     if answer["before"] and answer["before"]["verdict"] != "FREE":
         pair = " and ".join(answer["before"]["pair"])
         print(f"{answer['before']['verdict']}  before the first point: {pair}; the trajectory itself:")
@@ -372,7 +372,7 @@ def _print_unproven(answer: dict[str, Any], comma_unit: str) -> None:
             " and ".join(piece["pair"]), "the same" if same else " and ".join(piece["nearest_pair"]),
             f"{piece['nearest_time']:.6g}", f"{1e3 * piece['nearest']:z.3f}",
         ))  # fmt: skip
-    print_table(columns, rows, f"{answer['robot']}, {answer['checked_pairs']} pairs checked")
+    print_table(columns, rows, f"{answer['robot']}, {counted(answer['checked_pairs'], 'pair')} checked")
     for pair, margin in {tuple(piece["pair"]): piece["margin"] for piece in answer["unproven"]}.items():
         if margin:
             print(f"margin    {1e3 * margin:.6g} mm, which {' and '.join(pair)} have to keep")

@@ -16,7 +16,7 @@ from loewner._base._files import shown
 from loewner._base._rotations import quaternions_of
 from loewner._base._validate import Floats, Pair
 from loewner.cli import configurations, inputs
-from loewner.cli.output import STATUS, model_text, print_answer, progress_of, remove_older_proof
+from loewner.cli.output import STATUS, counted, model_text, print_answer, progress_of, remove_older_proof
 from loewner.cli.pair_tables import print_pairs
 from loewner.errors import InputError
 from loewner.queries.pose_paths import path_of
@@ -134,7 +134,7 @@ def _run(options: argparse.Namespace) -> int:
         _draw(proven_pairs, robot, scene, options.out)
     if options.write_srdf is not None:
         written = proven_pairs.to_srdf(options.write_srdf, narrower=options.narrower)
-        print(f"{shown(options.write_srdf)}: {len(written)} pairs added")
+        print(f"{shown(options.write_srdf)}: {counted(len(written), 'pair')} added")
     verdicts = {row.verdict for row in proven_pairs}
     if verdicts & {PairVerdict.ALWAYS, PairVerdict.SOMETIMES, PairVerdict.CAN}:
         return STATUS["COLLIDING"]

@@ -14,7 +14,7 @@ from loewner._base import _validate
 from loewner._base._files import replacing
 from loewner._base._validate import Bools, Floats, Ints
 from loewner.cli import inputs
-from loewner.cli.output import COLLIDING, FREE, is_surface, print_table, progress_bar
+from loewner.cli.output import COLLIDING, FREE, counted, is_surface, print_table, progress_bar
 from loewner.errors import ConvergenceError, InputError
 
 EXAMPLES = """examples:
@@ -65,7 +65,7 @@ def _run(options: argparse.Namespace) -> int:
     _tell([str(path) for path in options.bodies], clearances, options.csv)
     many = len(bodies) * (len(bodies) - 1) // 2
     near = "" if within is None else f", {len(clearances.pairs)} at most {within:g} m apart"
-    print(f"{many} pairs{near}, {int(clearances.colliding.sum())} colliding")
+    print(f"{counted(many, 'pair')}{near}, {int(clearances.colliding.sum())} colliding")
     if (clearances.distance < 0).any() and any(map(is_surface, bodies)):
         print("note: a depth of surfaces is at least what is told; the way apart may be longer")
     return COLLIDING if clearances.colliding.any() else FREE

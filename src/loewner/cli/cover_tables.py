@@ -13,7 +13,7 @@ from loewner import plots
 from loewner.bodies import packed_of
 from loewner.bodies.triangulated import of_pieces
 from loewner.cli.inputs import numbers
-from loewner.cli.output import AMBIGUOUS, COLLIDING, FREE, print_table, progress_of
+from loewner.cli.output import AMBIGUOUS, COLLIDING, FREE, counted, print_table, progress_of
 from loewner.meshes.coverage import CoverReport
 
 STATUS = {"covered": FREE, "undecided": AMBIGUOUS, "uncovered": COLLIDING}
@@ -43,7 +43,7 @@ def print_reports(
         )
         for number, (link, report) in enumerate(reports.items())
     ]  # fmt: skip
-    print_table(columns, rows, f"{robot.name}: {len(robot.bodies)} links with bodies")
+    print_table(columns, rows, f"{robot.name}: {counted(len(robot.bodies), 'link')} with bodies")
     counts = {name: sum(report.outcome == name for report in reports.values()) for name in STATUS}
     told = ", ".join(f"{count} {name}" for name, count in counts.items() if count)
     largest = max(report.excess[1] for report in reports.values())
@@ -54,7 +54,8 @@ def print_reports(
         ]
         print(f"{_interval(ends, 100.0, '%')} of the surface of all links is outside")
     print(
-        f"{told} of {len(reports)} links; {sum(len(body.pieces) for body in model.bodies.values())} shapes, "
+        f"{told} of {counted(len(reports), 'link')}; "
+        f"{counted(sum(len(body.pieces) for body in model.bodies.values()), 'shape')}, "
         f"which stick out by up to {_number(1e3 * largest, np.ceil)} mm"
     )
 

@@ -15,7 +15,7 @@ from loewner._base import _tables
 from loewner._base._files import replacing, shown
 from loewner._base._validate import Floats, finite_array, positive_scalar
 from loewner.cli import configurations, inputs
-from loewner.cli.output import FREE, print_answer, print_table, progress_of, remove_older_proof
+from loewner.cli.output import FREE, counted, print_answer, print_table, progress_of, remove_older_proof
 from loewner.errors import InputError
 from loewner.planners.drives import base_columns
 from loewner.scenes import maps
@@ -182,12 +182,14 @@ def _print_answer(answer: dict[str, Any]) -> None:
         for k, motion in enumerate(motions)
     ]  # fmt: skip
     columns = ("motion", "length, m", "turn, degrees", "nearest, mm", "body", "other body")
-    print_table(columns, rows, f"{answer['robot']}, {answer['checked_pairs']} pairs checked")
+    print_table(columns, rows, f"{answer['robot']}, {counted(answer['checked_pairs'], 'pair')} checked")
     print(
-        f"length    {answer['length']:.6g} m, {np.rad2deg(answer['turn']):.4g} degrees, {changes} "
-        f"change{'s' * (changes != 1)} of direction"
+        f"length    {answer['length']:.6g} m, {np.rad2deg(answer['turn']):.4g} degrees, {counted(changes, 'change')} "
+        "of direction"
     )
-    print(f"found in  {1e3 * answer['seconds']:.3g} ms, from {answer['poses']:,} poses, this machine, this run")
+    print(
+        f"found in  {1e3 * answer['seconds']:.3g} ms, from {counted(answer['poses'], 'pose')}, this machine, this run"
+    )
     for name in ("out", "proof"):
         if answer[name] is not None:
             print(f"written   {shown(answer[name])}")

@@ -21,7 +21,7 @@ from loewner._base._files import read_regular, replacing, shown
 from loewner._base._rotations import from_quaternion
 from loewner._base._validate import Floats, short
 from loewner.cli import inputs
-from loewner.cli.output import COLLIDING, FREE, print_table
+from loewner.cli.output import COLLIDING, FREE, counted, print_table
 from loewner.errors import FileError, InputError, LoewnerError
 from loewner.judging import PARTS, Finding, Judgement
 from loewner.reproductions import reproduction
@@ -311,8 +311,7 @@ def _print(
     said: Judgement, named: Sequence[tuple[str, str]], bodies: dict[str, loewner.Body], written: str | None
 ) -> None:
     worst = said.worst().tolist()
-    count = f"{len(worst)} of {len(named)} answers" if worst else f"{len(named)} answers"
-    print(f"{count} proven wrong" if worst else f"none of {count} is proven wrong")
+    print(f"{len(worst) or 'none'} of {counted(len(named), 'answer')} proven wrong")
     rows = []
     for kind, number in said.counts().items():
         first, wrong = said.worst(kind)[0], kind > Finding.UNDECIDED

@@ -195,6 +195,11 @@ def progress_bar() -> Progress | NoProgress:
     return Progress(console=_console(stderr=True), transient=True, disable=not sys.stderr.isatty())
 
 
+def counted(number: int, what: str) -> str:
+    """Return a number and what it counts, in the singular or the plural: "1 pair", "2,000 pairs"."""
+    return f"{number:,} {what}{'s' * (number != 1)}"
+
+
 def print_table(columns: Sequence[str], rows: Iterable[Sequence[str]], title: str | None = None) -> None:
     """Print a table on standard output, in plain text if Rich is not installed; rows may have fewer cells."""
     try:

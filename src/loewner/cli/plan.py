@@ -17,7 +17,7 @@ from loewner._base import _archives, _tables
 from loewner._base._files import read_regular, shown
 from loewner._base._validate import Floats
 from loewner.cli import configurations, drives, inputs
-from loewner.cli.output import NO_PATH, STATUS, print_answer, print_table, progress_of, remove_older_proof
+from loewner.cli.output import NO_PATH, STATUS, counted, print_answer, print_table, progress_of, remove_older_proof
 from loewner.errors import ConvergenceError, InputError, PlanningError
 
 # Number of configurations of each motion, including its ends, for which the distance of the nearest pair is measured.
@@ -304,7 +304,7 @@ def _print_answer(answer: dict[str, Any]) -> None:
         for k, motion in enumerate(motions)
     ]  # fmt: skip
     columns = ("motion", "length", "verdict", "nearest, mm", "body", "other body", "poses", "searches")
-    print_table(columns, rows, f"{answer['robot']}, {answer['checked_pairs']} pairs checked")
+    print_table(columns, rows, f"{answer['robot']}, {counted(answer['checked_pairs'], 'pair')} checked")
     if motions:
         k = min(range(len(motions)), key=lambda k: motions[k]["nearest"])
         print(
@@ -319,7 +319,7 @@ def _print_answer(answer: dict[str, Any]) -> None:
     else:
         print(
             f"cost      {answer['cost']:.6g}, weighted length; every path from start to goal costs at least "
-            f"{answer['cost_bound']:.6g}; {answer['improvements']} rounds of improvement"
+            f"{answer['cost_bound']:.6g}; {counted(answer['improvements'], 'round')} of improvement"
         )
     print(
         f"proof     {work[0]:,} poses, {work[1]:,} searches on pairs of pieces, {1e3 * answer['proof_seconds']:.3g} ms"

@@ -16,7 +16,7 @@ import loewner
 from loewner._base import _validate
 from loewner._base._validate import Floats
 from loewner.cli import configurations, inputs
-from loewner.cli.output import COLLIDING, FREE, is_surface, print_answer, print_table, progress_bar
+from loewner.cli.output import COLLIDING, FREE, counted, is_surface, print_answer, print_table, progress_bar
 from loewner.cli.pair_tables import print_pairs
 from loewner.errors import InputError
 
@@ -93,11 +93,11 @@ def _info(options: argparse.Namespace) -> int:
     print_table(
         ("link", "pieces", "vertices", "gap", "shapes"),
         ((name, *shapes.get(name, ("-",) * 4)) for name in robot.link_names),
-        f"{robot.name}: {len(robot.link_names)} links",
+        f"{robot.name}: {counted(len(robot.link_names), 'link')}",
     )
     columns = zip(robot.configuration_names, *limits, strict=True)
     rows = [(name, *(f"{end:.6g}" for end in ends)) for name, *ends in columns]
-    print_table(("column", *heads), rows, f"{len(robot.joint_names)} joints, dof {robot.dof}")
+    print_table(("column", *heads), rows, f"{counted(len(robot.joint_names), 'joint')}, dof {robot.dof}")
     count = len(robot.bodies)
     checker = loewner.CollisionChecker(robot) if count else None
     checked = checker.checked_pairs if checker is not None else ()
@@ -199,16 +199,18 @@ def _checked_configurations(checker: loewner.CollisionChecker, Q: Floats) -> dic
 
 def _print_checked(answer: dict[str, Any]) -> None:
     count, colliding = answer["configurations"], answer["colliding"]
-    print(f"{'COLLIDING' if colliding else 'FREE'}  {colliding:,} of {count:,} configurations collide")
+    print(f"{'COLLIDING' if colliding else 'FREE'}  {colliding:,} of {counted(count, 'configuration')} in collision")
     settled = [(text, [answer["tiers"].get(f"{kind}_by_{name}") for kind in VERDICTS]) for name, text in TIERS.items()]
     rows = [(text, *("-" if cell is None else f"{cell:,}" for cell in cells)) for text, cells in settled]
-    print_table(("settled by", *VERDICTS), rows, f"{answer['robot']}, {answer['checked_pairs']} pairs checked")
+    print_table(
+        ("settled by", *VERDICTS), rows, f"{answer['robot']}, {counted(answer['checked_pairs'], 'pair')} checked"
+    )
     if pairs := answer["pairs"]:
         often = [(a, b, f"{hits:,}", f"{100 * hits / count:.1f} %") for a, b, hits in pairs[:LISTED]]
         more = [(f"and {len(pairs) - LISTED} more",)] if len(pairs) > LISTED else []
         print_table(("body", "other body", "collides", "of all"), [*often, *more])
     if answer["outside_limits"]:
         rows, names = answer["outside_limits"], ", ".join(answer["outside_limits_of"])
-        print(f"note: {len(rows):,} configurations are outside the limits, the first in row {rows[0]}: {names}")
+        print(f"note: {counted(len(rows), 'configuration')} outside the limits, the first in row {rows[0]}: {names}")
     if answer["per_second"] is not None:
         print(f"{answer['per_second']:,.0f} configurations a second, this machine, this run")

@@ -12,7 +12,7 @@ import loewner
 from loewner import planners
 from loewner.bodies import for_pictures, packed_of
 from loewner.cli import inputs, trajectories
-from loewner.cli.output import FREE, progress_of
+from loewner.cli.output import FREE, counted, progress_of
 from loewner.errors import FileError
 from loewner.meshes import decomposition as meshes
 from loewner.robots.swept import united
@@ -67,7 +67,7 @@ def _run(options: argparse.Namespace) -> int:
         vertices, triangles = meshes.load(options.out)
         if not np.array_equal(vertices[triangles], for_pictures(packed_of(body)).corners):
             raise FileError(f"{options.out}: expected the body that was written, found another one when reading it")
-    print(f"{options.out}  {len(body.pieces)} pieces")
+    print(f"{options.out}  {counted(len(body.pieces), 'piece')}")
     print(f"contains  the links at every time; sticks out by {1e3 * excess:.3g} mm at most")
     for part in parts:
         print(f"curve     {_described(part)}")
