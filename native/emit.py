@@ -61,6 +61,9 @@ from loewner._kernels._numba import (
 from loewner._kernels.simd import vectors
 from loewner._native.entries import ENTRIES, Entry, types_of
 
+if sys.modules["scipy"] is None:  # A program that imports this file may need SciPy.
+    del sys.modules["scipy"]
+
 SLOT = ir.IntType(64)
 PREFIX = "loewner_"
 

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 import trimesh
 
+from gantry import gantry_robot
 from loewner import (
     Body,
     CollisionChecker,
@@ -433,6 +434,21 @@ def test_a_scene_in_millimetres_is_told_once():
         Scene().add("far", Body.sphere(0.1), T)
     with pytest.warns(UserWarning, match="'dust': .*was it scaled twice"):
         Scene().add("dust", Body.sphere(1e-6))
+
+
+def test_a_scene_far_beyond_the_robot_is_told_once(tmp_path):
+    """Small bodies hundreds of metres away are FREE, and probably in millimetres; one body nearby suffices."""
+    robot, q, scene, T = gantry_robot(tmp_path), np.zeros(3), Scene(), np.eye(4)
+    T[0, 3] = 500.0
+    scene.add("part", Body.box([300.0, 200.0, 100.0]), T)
+    checker = CollisionChecker(robot, scene)
+    with pytest.warns(UserWarning, match="found no body within .* of gantry, .*; is it in millimetres"):
+        assert not checker.collide(q)
+    scene.add("other", Body.sphere(1.0), T)
+    assert not checker.collide(q)
+    T[0, 3] = 3.0
+    scene.add("shelf", Body.box([1.0, 1.0, 1.0]), T)
+    assert not CollisionChecker(robot, scene).collide(q)
 
 
 def test_a_robot_in_millimetres_is_told_once(tmp_path):

@@ -148,7 +148,7 @@ def test_a_build_hands_out_what_is_done_and_prints_what_it_does(tmp_path, capsys
     said = capsys.readouterr().err
     assert re.search(r"native library: +\d+ s, about \d+ s left: one", said)
     broken = build.Command("kernels for a level", ["-c", "raise SystemExit('of no use')"], {}, tmp_path / "broken")
-    with pytest.raises(build.BuildError, match="kernels for a level: this could not be compiled:\nof no use"):
+    with pytest.raises(build.BuildError, match="kernels for a level: a process ended with status 1:\nof no use"):
         build.build_all([broken], [])
 
 

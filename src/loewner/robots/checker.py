@@ -16,13 +16,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from loewner._base import _validate
 from loewner._base._guard import guarded
+from loewner._base._matrices import lengths
 from loewner._base._pictures import LINKS, bodies, pictured
 from loewner._base._plausible import warn
 from loewner._base._validate import Bools, Floats, OneOrMany, Pair
 from loewner._kernels import codes
-from loewner.bodies import packed_of
+from loewner.bodies import Body, packed_of, reach_of
 from loewner.errors import ConvergenceError, InputError
-from loewner.queries.pairs import VERDICTS, Verdict
+from loewner.queries.pairs import VERDICTS, Verdict, collide
 from loewner.robots.checking import cells, distances, edges, pair_cache, self_filter, verdicts
 from loewner.robots.checking.checked_pairs import prepared
 from loewner.robots.checking.distances import PairDistances, StateDistance
@@ -44,6 +45,10 @@ FIRST_LOOK = 32
 
 # Number of random configurations in which a pair must also collide before it is suspected of always colliding.
 SUSPECTED = 64
+
+# A scene whose bodies are all farther away than FAR times the robot's reach, found from TRIED random configurations, is
+# probably in millimetres.
+FAR, TRIED = 100.0, 8
 
 # Version of the scene, queries for one configuration, and the prepared pairs; one tuple is thread-safe and fast.
 UNPREPARED: tuple[int, Any, Any] = (-1, None, None)
@@ -113,7 +118,7 @@ class CollisionChecker:
         _validate.instance(robot, "robot", Robot)
         if scene is not None and not isinstance(scene, Scene):
             raise InputError(f"scene: expected loewner.Scene or None, found {type(scene).__name__}")
-        if not any(packed_of(body).piece_start[-1] > 0 for body in robot.bodies.values()):
+        if all(map(_is_empty, robot.bodies.values())):
             raise InputError(
                 f"robot: expected a robot with collision geometry, found none in {robot.name!r}; "
                 f"links with <visual> only: {', '.join(robot._only_visual) or 'none'}"
@@ -129,6 +134,7 @@ class CollisionChecker:
         self._prepared = UNPREPARED
         self._still: tuple[int, CollisionChecker] | None = None  # result of `without_motions`, and the scene's version
         self._seen, self._next_look, self._suspected = 0, FIRST_LOOK, False
+        self._is_near = False  # whether a body of the scene was found near the robot, or the user was told of none
 
     def __getstate__(self) -> dict[str, Any]:
         """Leave the prepared pairs out of copies and pickles: their handle is an address, valid only in this object."""
@@ -905,8 +911,32 @@ class CollisionChecker:
             scene = self._scene.snapshot()
             ready = prepared(self._robot, scene, self._skipped, scene.version, ready)
             self._seen, self._next_look, self._suspected = 0, FIRST_LOOK, False
+            if not self._is_near:
+                self._doubt_lengths(scene)
         self._keep(ready)
         return ready
+
+    def _doubt_lengths(self, scene: Scene) -> None:
+        """Warn if all bodies that stand in the scene are far beyond the robot's reach."""
+        standing = [name for name in scene.static_names if not _is_empty(scene[name])]
+        if not standing:
+            return
+        self._is_near = True
+        robot = self._robot
+        poses = robot.forward_kinematics(robot.random_configurations(TRIED))
+        away = lengths(poses[:, :, :3, 3] - poses[:, :1, :3, 3])
+        reach = float(away.max()) + max(map(reach_of, robot.bodies.values()))
+        link, body = next((link, body) for link, body in robot.bodies.items() if not _is_empty(body))
+        place = poses[0, robot.link_names.index(link)]
+        if not any(collide(body, place, scene[name], scene.pose(name), margin=FAR * reach) for name in standing):
+            warn(
+                f"scene: expected lengths in metres, found no body within {FAR * reach:.3g} m of {robot.name}, "
+                f"which reaches about {reach:.3g} m; is it in millimetres?"
+            )
+
+
+def _is_empty(body: Body) -> bool:
+    return bool(packed_of(body).piece_start[-1] == 0)
 
 
 def _warn_of_refuted(robot: Robot) -> None:
