@@ -32,8 +32,8 @@ from contextlib import suppress
 from functools import cache
 from pathlib import Path
 
-# Numba imports SciPy to check its version. No kernel needs SciPy, and pip may be writing its files at this moment.
-if "scipy" not in sys.modules:
+# Numba imports SciPy if it is there. No kernel needs SciPy, and pip may be writing its files at this moment.
+if __name__ == "__main__":
     sys.modules["scipy"] = None
 
 import llvmlite.binding as llvm
@@ -60,9 +60,6 @@ from loewner._kernels._numba import (
 )
 from loewner._kernels.simd import vectors
 from loewner._native.entries import ENTRIES, Entry, types_of
-
-if sys.modules["scipy"] is None:  # A program that imports this file may need SciPy.
-    del sys.modules["scipy"]
 
 SLOT = ir.IntType(64)
 PREFIX = "loewner_"

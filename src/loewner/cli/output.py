@@ -195,9 +195,9 @@ def progress_bar() -> Progress | NoProgress:
     return Progress(console=_console(stderr=True), transient=True, disable=not sys.stderr.isatty())
 
 
-def counted(number: int, what: str) -> str:
-    """Return a number and what it counts, in the singular or the plural: "1 pair", "2,000 pairs"."""
-    return f"{number:,} {what}{'s' * (number != 1)}"
+def counted(number: int, noun: str) -> str:
+    """Return a number with a noun, in the singular or the plural: "1 pair", "2,000 pairs"."""
+    return f"{number:,} {noun}{'s' * (number != 1)}"
 
 
 def print_table(columns: Sequence[str], rows: Iterable[Sequence[str]], title: str | None = None) -> None:

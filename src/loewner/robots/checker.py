@@ -134,7 +134,7 @@ class CollisionChecker:
         self._prepared = UNPREPARED
         self._still: tuple[int, CollisionChecker] | None = None  # result of `without_motions`, and the scene's version
         self._seen, self._next_look, self._suspected = 0, FIRST_LOOK, False
-        self._is_near = False  # whether a body of the scene was found near the robot, or the user was told of none
+        self._is_near = False  # whether some body of the scene is near the robot, or a warning was issued
 
     def __getstate__(self) -> dict[str, Any]:
         """Leave the prepared pairs out of copies and pickles: their handle is an address, valid only in this object."""
@@ -917,7 +917,7 @@ class CollisionChecker:
         return ready
 
     def _doubt_lengths(self, scene: Scene) -> None:
-        """Warn if all bodies that stand in the scene are far beyond the robot's reach."""
+        """Warn if all static bodies of the scene are far beyond the robot's reach."""
         standing = [name for name in scene.static_names if not _is_empty(scene[name])]
         if not standing:
             return
