@@ -1234,7 +1234,7 @@ def test_audit_of_a_path_that_collides(with_end, capsys):
 @pytest.mark.parametrize(
     ("text", "told"),
     [
-        ("0,0.7,1.5\n1,0.7,1.5\n", "where time and different joints should be named"),
+        ("0,0.7,1.5\n1,0.7,1.5\n", "expected a header that names the time and different joints"),
         ("x,y,tool\n0,0.7,1.5\n1,0.7,1.5\n", "found 'tool'"),
         ("x,y\n0,0.7\n1,0.7\n", "found none for turn"),
         ("x,y,turn\n0,0.7,1.5\n1,nan,1.5\n", "expected 3 finite numbers in each row, found 1,nan,1.5 in row 2"),

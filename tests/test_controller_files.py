@@ -89,14 +89,14 @@ def test_a_blend_is_0_or_1(tmp_path, flag):
     """Any other number is an error of the file, not a blend."""
     (tmp_path / "blend.csv").write_text(f"time,a,a velocity,blend\n0,0,0,{flag}\n1,0.5,1,0\n")
     for kind in (Trajectory, ControllerPoints):
-        with pytest.raises(FileError, match=f"blend {flag}, where 0 or 1 should be"):
+        with pytest.raises(FileError, match=f"column 'blend': expected 0 or 1, found {flag}"):
             kind.load(tmp_path / "blend.csv")
 
 
 def test_accelerations_alone_are_no_trajectory(tmp_path):
     """They are not dropped: the motion between the positions would be another one than the file describes."""
     (tmp_path / "bent.csv").write_text("time,a,a acceleration\n0,0,5\n1,1,-5\n")
-    with pytest.raises(FileError, match="accelerations without velocities and blends"):
+    with pytest.raises(FileError, match="expected accelerations beside velocities and blends, found them alone"):
         Trajectory.load(tmp_path / "bent.csv")
 
 

@@ -9,7 +9,7 @@ import re
 import numpy as np
 
 from loewner._base._validate import Floats, short
-from loewner.errors import FileError
+from loewner.errors import FileError, InputError
 
 # Line ends; a comment, up to the end of its line; the spaces of an otherwise empty line; and a number.
 LINE_END, COMMENT = re.compile(r"\r\n|\r|\n"), re.compile("#[^\r\n]*")
@@ -63,11 +63,17 @@ def number(cell: str) -> float:
 
 
 def below(header: list[str], rows: list[list[str]]) -> Floats:
-    """Read the numbers of rows below a header, shape (rows, columns); a ValueError describes any other row."""
-    for number_of_row, cells in enumerate(rows, 1):
+    """Read the numbers of rows below a header, shape (rows, columns); an InputError describes any other row."""
+    table = np.empty((len(rows), len(header)))
+    for at, cells in enumerate(rows):
         if len(cells) != len(header):
-            raise ValueError(f"{len(cells)} cells in row {number_of_row} below a header of {len(header)}")
-    return np.array([[number(cell.strip()) for cell in cells] for cells in rows]).reshape(-1, len(header))
+            raise InputError(f"row {at + 1} below the header: expected {len(header)} cells, found {len(cells)}")
+        for column, cell in enumerate(cells):
+            try:
+                table[at, column] = number(cell.strip())
+            except ValueError as error:
+                raise InputError(f"row {at + 1} below the header, column {header[column]!r}: {error}") from None
+    return table
 
 
 def table(data: bytes, name: str, *, commas: bool = False) -> Floats:

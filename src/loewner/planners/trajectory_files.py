@@ -76,16 +76,18 @@ def read(source: Path) -> Rows:
         else:
             rows = rows_of_table(data.decode())
         if (rows.rates is None) != (rows.blended is None):
-            raise ValueError("velocities or blends without the others")
+            raise InputError("expected velocities and blends, or neither of them, found one of the two")
         if rows.rates is None and rows.bends is not None:
-            raise ValueError("accelerations without velocities and blends")
+            raise InputError("expected accelerations beside velocities and blends, found them alone")
         if rows.rates is None and (not len(rows.times) or not (np.diff(rows.times) > 0).all()):
-            raise ValueError("times that do not increase")  # between which velocities are differences
+            raise InputError("expected times that increase, found others")  # between which velocities are differences
         if rows.rates is None and len(rows.times) != len(rows.knots):
-            raise ValueError(f"{len(rows.times)} times and {len(rows.knots)} positions")
+            raise InputError(f"expected a time for each position, found {len(rows.times)} and {len(rows.knots)}")
         return rows
     except FileError as error:
         raise FileError(f"{error}{OTHERS}") from None
+    except InputError as error:
+        raise FileError(f"{shown(source)}: {error}{OTHERS}") from None
     except (ValueError, KeyError, TypeError, OverflowError, RecursionError, csv.Error) as error:
         why = f"no {error}" if isinstance(error, KeyError) else _validate.short(str(error))
         raise FileError(f"{shown(source)}: expected a trajectory, found {why}{OTHERS}") from None
@@ -122,7 +124,9 @@ def rows_of_table(text: str) -> Rows:
     rows = [[cell.strip() for cell in row] for row in csv.reader(io.StringIO(text), strict=True) if row]
     header = rows[0] if rows else []
     if set(header) <= {*TIMES, BLEND} or header[0] not in TIMES or len(set(header)) < len(header):
-        raise ValueError(f"the header {','.join(header)}, where time and different joints should be named")
+        raise InputError(
+            f"expected a header that names the time and different joints, found {_validate.short(','.join(header))}"
+        )
     table = _tables.below(header, rows[1:])
     names = [name for name in header[1:] if name != BLEND and not name.endswith((VELOCITY, ACCELERATION))]
     held, used = set(header), [VELOCITY, ACCELERATION]
@@ -138,7 +142,7 @@ def rows_of_table(text: str) -> Rows:
     rates, bends = (columns(kind) if names and names[0] + kind in held else None for kind in used)
     flags = table[:, header.index(BLEND)] if BLEND in held else None
     if flags is not None and not np.isin(flags, (0, 1)).all():
-        raise ValueError(f"the {BLEND} {flags[~np.isin(flags, (0, 1))][0]:g}, where 0 or 1 should be")
+        raise InputError(f"column {BLEND!r}: expected 0 or 1, found {flags[~np.isin(flags, (0, 1))][0]:g}")
     blended = None if flags is None else flags[:-1] != 0
     return Rows(tuple(names), table[:, 0], columns(""), rates, blended, bends, start_time)
 
