@@ -12,6 +12,7 @@ import pytest
 
 import loewner
 import mechanisms
+from families import translation
 from loewner import Body, CollisionChecker, InputError, Robot, Scene, UnknownNameError, cli
 from loewner.errors import FileError
 from loewner.robots.checking import distances, pair_cache
@@ -437,6 +438,21 @@ def test_pairs_on_one_rigid_part_are_listed_apart():
     found = robot.prove_pairs(cache=False)
     assert len(found) == 0
     assert found.rigid == (("frame", "plate"),)
+
+
+def test_a_body_of_the_scene_and_a_link_without_a_joint_are_judged():
+    """A checker checks such a pair, so the answer is not left out; it exempts no pair from checking."""
+    robot = mechanisms.robot(
+        link("frame", ball(0.1)), link("arm", ball(0.1)), joint("turn", "revolute", "frame", "arm", limits=(0, 1))
+    )  # fmt: skip
+    for height, verdict, distance in ((0.05, "ALWAYS", -0.15), (1.0, "NEVER", 0.8)):
+        scene = Scene()
+        scene.add("ball", Body.sphere(0.1), translation(0, 0, height))
+        found = robot.prove_pairs([("frame", "ball")], scene=scene)
+        (row,) = found
+        assert (row.verdict, row.columns, found.rigid, found.exempt) == (verdict, (), (), frozenset())
+        assert row.distance == pytest.approx(distance)
+        assert (row.colliding is None) == (verdict == "NEVER")
 
 
 def test_default_pairs():

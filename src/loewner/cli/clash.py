@@ -96,7 +96,12 @@ def add(commands: Any) -> None:
     )
     option("--write-srdf", type=Path, metavar="FILE", help="add the pairs that are proven to this SRDF")
     option("--narrower", action="store_true", help="with --write-srdf: also pairs proven for less than the hard limits")
-    option("--proof", type=Path, metavar="FILE", help="write a proof of all pairs, for loewner verify")
+    option(
+        "--proof",
+        type=Path,
+        metavar="FILE",
+        help="write a proof of all pairs with a joint between their bodies, for loewner verify",
+    )
     option("--json", action="store_true", help="print JSON")
     unused = dict.fromkeys((*inputs.OF_PIECES, *inputs.OF_SURFACES))
     clash.set_defaults(usual_model="surface", hull=False, **unused)
@@ -128,7 +133,10 @@ def _run(options: argparse.Namespace) -> int:
         proven_pairs = robot.prove_pairs(pairs, progress=progress, proof=options.proof is not None, **arguments)
     if proven_pairs.proof is not None:
         proven_pairs.proof.save(options.proof)
-    answer = {"robot": proven_pairs.robot, "pairs": [_entry(row, robot) for row in proven_pairs]}
+    answer = {
+        "robot": proven_pairs.robot, "pairs": [_entry(row, robot) for row in proven_pairs],
+        "never_checked": [list(pair) for pair in proven_pairs.rigid],
+    }  # fmt: skip
     print_answer(options, answer, lambda: print_pairs(proven_pairs, robot))
     if options.out is not None:
         _draw(proven_pairs, robot, scene, options.out)
@@ -138,7 +146,7 @@ def _run(options: argparse.Namespace) -> int:
     verdicts = {row.verdict for row in proven_pairs}
     if verdicts & {PairVerdict.ALWAYS, PairVerdict.SOMETIMES, PairVerdict.CAN}:
         return STATUS["COLLIDING"]
-    return STATUS["AMBIGUOUS" if PairVerdict.OPEN in verdicts else "FREE"]
+    return STATUS["FREE" if verdicts == {PairVerdict.NEVER} else "AMBIGUOUS"]
 
 
 def _run_motion(options: argparse.Namespace) -> int:

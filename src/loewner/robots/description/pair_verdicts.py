@@ -104,7 +104,8 @@ class ProvenPairs:
     rows : tuple of ProvenPair
         One row per pair, sorted by names.
     rigid : tuple of pairs of str
-        The requested pairs whose bodies are on the same rigid part. Such pairs are never checked.
+        The requested pairs whose bodies are on the same rigid part of the robot. Such pairs are never checked. If one
+        of two bodies without a joint between them belongs to the scene, the pair has a row, whose range is empty.
     proof : Proof or None
         A proof of all rows, if all are NEVER, for other programs to verify; None if no proof was requested.
 
@@ -158,14 +159,18 @@ class ProvenPairs:
 
     @property
     def exempt(self) -> frozenset[Pair]:
-        """The pairs that are proven never to collide or always to collide, for `Robot.disabling`."""
-        return frozenset(row.names for row in self.with_verdict(PairVerdict.NEVER, PairVerdict.ALWAYS))
+        """The pairs that are proven never to collide or always to collide, for `Robot.disabling`.
+
+        Pairs without a joint between them are left out.
+        """
+        return frozenset(row.names for row in self.with_verdict(*REASONS) if row.columns)
 
     def to_srdf(self, path: str | os.PathLike[str], *, narrower: bool = False) -> tuple[Pair, ...]:
         """Add the proven pairs to an SRDF, as pairs that are exempt from checking.
 
         A pair that is proven never to collide gets the reason "Never", and a pair that always collides gets the reason
-        "Always". A comment gives the range of each proof. The existing contents of the file stay unchanged.
+        "Always". A comment gives the range of each proof. Pairs without a joint between them are left out. The existing
+        contents of the file stay unchanged.
 
         Parameters
         ----------
@@ -188,7 +193,7 @@ class ProvenPairs:
             If the file is not an SRDF of this robot, or cannot be read or written.
         """
         target = _validate.path(path, "path", wanted="the path of an SRDF")
-        rows = self.with_verdict(*REASONS)
+        rows = [row for row in self.with_verdict(*REASONS) if row.columns]
         for row in rows:
             if not row.complete and not _validate.flag(narrower, "narrower"):
                 raise InputError(

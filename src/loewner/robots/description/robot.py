@@ -1101,9 +1101,9 @@ class Robot(KeepsReadOnly):
         progress : callable, optional
             Called as ``progress(done, total)`` with numbers of pairs.
         proof : bool
-            Write a proof of all rows, `ProvenPairs.proof`, for other programs to verify. All rows must be NEVER, all
-            bodies must consist of convex pieces, and all joints must turn or slide. Between the two bodies of a pair,
-            at most eight values may have a range.
+            Write a proof of all rows with joints, `ProvenPairs.proof`, for other programs to verify. All rows must be
+            NEVER, all bodies must consist of convex pieces, and all joints must turn or slide. Between the two bodies
+            of a pair, at most eight values may have a range.
 
         Returns
         -------

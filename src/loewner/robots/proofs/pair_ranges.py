@@ -461,6 +461,9 @@ def prove_pairs(
     answers |= {names: question.answer() for names, question in questions.items()}
     if kept and questions and not only_free:
         keep(self, (answers[names] for names in questions), boxes // len(body_pairs))
+    checked = {_sorted(every, (int(a), int(b))) for a, b in every.pairs}
+    for names in [names for names, one in answers.items() if one is None and names in checked]:
+        answers[names] = _constant(self, every, names, max(margin, scene.margin_of(*names)))
     rigid = tuple(names for names, one in answers.items() if one is None)
     rows = tuple(one for one in answers.values() if one is not None)
     range_proof = None if stated is None else proof_of_ranges(*stated, _claims(self, every, rows))
@@ -527,8 +530,8 @@ robot.answers |= {"prove_pairs": prove_pairs, "free_range": free_range}
 
 
 def _claims(whole: Robot, every: Problem, rows: tuple[ProvenPair, ...]) -> list[Claim]:
-    """Return the rows as a proof states them; all rows must be NEVER."""
-    if not rows:
+    """Return the rows with joints as a proof states them; all rows must be NEVER."""
+    if not any(row.columns for row in rows):
         raise InputError("proof: expected pairs with joints between them, found none; there is nothing to prove")
     place, claims = {name: k for k, name in enumerate(every.names)}, list[Claim]()
     for row in rows:
@@ -538,6 +541,8 @@ def _claims(whole: Robot, every: Problem, rows: tuple[ProvenPair, ...]) -> list[
                 f"proof: expected pairs that are NEVER nearer than their margins, found {row.verdict} for "
                 f"{' and '.join(row.names)}{why}; leave it out"
             )
+        if not row.columns:  # no range to divide into boxes
+            continue
         a, b = sorted(place[name] for name in row.names)
         columns = np.array([whole.configuration_names.index(name) for name in row.columns], dtype=np.int64)
         claims.append(Claim((a, b), row.margin, columns, row.lower, row.upper))
@@ -689,6 +694,20 @@ def _question(
             ready = _pair_problem(chain, packs[::-1], numbers[::-1], margin, standing)
     base = np.clip(whole.configuration(), whole.hard_lower, whole.hard_upper)
     return _Question(names, pair, every, columns, ready, base, lower, upper, complete)
+
+
+def _constant(whole: Robot, every: Problem, names: Pair, margin: float) -> ProvenPair:
+    """Answer for a pair without a joint between its bodies, one of which belongs to the scene."""
+    pair = sorted(every.names.index(name) for name in names)
+    q, ready = whole.configuration(), every.with_pairs(np.array([pair]), np.array([margin]))
+    verdict = verdicts.classified(ready, codes.EXACT, q[None]).verdicts[0]
+    distance = float(distances.nearest_columns(ready.without_margins, q[None], True, care=False)[2][0])
+    kinds = {codes.FREE: PairVerdict.NEVER, codes.COLLIDING: PairVerdict.ALWAYS}
+    return ProvenPair(
+        names, kinds.get(verdict, PairVerdict.OPEN), (), np.empty(0), np.empty(0), margin, distance, q,
+        q if verdict == codes.COLLIDING else None, q if verdict == codes.FREE else None, 1,
+        float(verdict in kinds), reason="" if verdict in kinds else "the exact test did not settle the pair",
+    )  # fmt: skip
 
 
 def _pair_problem(chain: Robot, packs: list[Packed], numbers: Ints, margin: float, standing: Floats) -> Problem:
