@@ -583,6 +583,7 @@ def test_a_program_of_a_chosen_row(table, capsys):
         assert re.search(message, err), err
     assert "--row: expected it with --program, found it alone" in judge(capsys, "said.csv", *files, "--row", "2")[2]
     table("pose_b,distance\n3 0 0,2\n")
+    assert "row 1: expected body_a, or two files of bodies, found neither" in judge(capsys, "said.csv", "a.npz")[2]
     assert "is proven wrong (none), found 1" in judge(
         capsys, "said.csv", "a.npz", "b.npz", "--program", "wrong.py", "--row", "1"
     )[2]  # fmt: skip

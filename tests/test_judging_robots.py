@@ -176,6 +176,15 @@ def test_a_table_of_configurations_is_judged(judge, tmp_path):
     assert found["configurations"] == 30
     assert [row["row"] - 1 for row in found["wrong"]] == sorted([missed, alarm], key=lambda k: -abs(exact[k]))
     assert judge(text(), "--tolerance", "100")[0] == 0
+    said[[missed, alarm]] ^= True
+    with_margin = wall()
+    with_margin.set_margin(10.0, "wall")
+    save_scene(with_margin, "wall.yaml")  # verdicts are about contact: its margin does not count
+    assert judge(text())[0] == 0
+    said[:] = True
+    found = json.loads(judge(text(), "--json")[1])
+    assert sorted(row["row"] - 1 for row in found["wrong"]) == np.flatnonzero(~truth).tolist()
+    assert {row["finding"] for row in found["wrong"]} == {"WRONG_COLLIDING"}
 
 
 @pytest.mark.parametrize(

@@ -133,8 +133,6 @@ def _bodies(options: argparse.Namespace) -> dict[str, loewner.Body]:
         loewner.Body.load(path) if path.suffix.lower() == ".npz" else inputs.from_mesh(path, taken)
         for path in options.files
     ]
-    if len(bodies) == 1:
-        bodies, names = bodies * 2, names * 2
     if len(bodies) == 2:
         return {"A": bodies[0], "B": bodies[1], **dict(zip(names, bodies, strict=True))}
     return dict(zip(names, bodies, strict=True))
@@ -194,6 +192,8 @@ def _pair(row: dict[str, Any], bodies: dict[str, loewner.Body], where: str) -> t
     names = []
     for column, usual in zip(NAMES, "AB", strict=True):
         name = row.get(column, usual if usual in bodies else None)
+        if name is None:
+            raise InputError(f"{where}: expected {column}, or two files of bodies, found neither")
         if name not in bodies:
             raise InputError(f"{where}: {column}: expected one of {', '.join(bodies)}, found {short(name)}")
         names.append(str(name))

@@ -13,13 +13,13 @@ from loewner._base._files import read_regular
 from loewner._base._validate import Bools, Floats, short
 from loewner.cli import configurations, inputs
 from loewner.cli.judge_answers import SHOWN, TOLERANCE, WORDS
-from loewner.cli.output import COLLIDING, FREE, print_answer
+from loewner.cli.output import COLLIDING, FREE, counted, print_answer
 from loewner.errors import FileError
 
 TABLE = """--configurations: a .csv file whose header names the joint values, in any order, and a column colliding.
   A verdict, true or false, 1 or 0, is wrong if bodies overlap, or all are apart, by more than the tolerance; depths of
-  curved shapes are accurate to a thousandth of their size. --scene has the obstacles; pairs that the SRDF exempts are
-  not checked.
+  curved shapes are accurate to a thousandth of their size. --scene has the obstacles, whose margins do not count; pairs
+  that the SRDF exempts are not checked.
 """
 
 ANSWER = "colliding"
@@ -32,12 +32,15 @@ def run(options: argparse.Namespace) -> int:
     scene = None if options.scene is None else loewner.load_scene(options.scene)
     checker = loewner.CollisionChecker(robot, scene)
     Q, said = table(options.configurations, robot)
-    rows = np.flatnonzero(checker.collide(Q) != said)
+    # A verdict is about contact, so that a body within a margin may be called free or colliding.
+    keeps = scene is not None and max(scene.margin, *scene.margins.values(), 0.0) > 0
+    rows = np.flatnonzero((checker.collide(Q) != said) | (said & keeps))
     wrong: list[dict[str, Any]] = []
     if len(rows):
         distances = checker.distance(Q[rows], exact=True)
-        for k in np.argsort(-np.abs(distances.distance), kind="stable").tolist():
-            if abs(distances.distance[k]) > tolerance:
+        error = np.where(said[rows], distances.distance, -distances.distance)
+        for k in np.argsort(-error, kind="stable").tolist():
+            if error[k] > tolerance:
                 finding = "WRONG_COLLIDING" if said[rows[k]] else "WRONG_FREE"
                 row = {"row": int(rows[k]) + 1, "finding": finding, "bodies": distances.names[k].tolist()}
                 wrong.append(row | {"distance": float(distances.distance[k])})
@@ -46,7 +49,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _print(wrong: list[dict[str, Any]], count: int) -> None:
-    print(f"{len(wrong)} of {count} verdicts proven wrong")
+    print(f"{len(wrong)} of {counted(count, 'verdict')} proven wrong")
     for kind, text in (("WRONG_FREE", "collisions missed"), ("WRONG_COLLIDING", "false alarms")):
         print(f"{text:<18} {sum(row['finding'] == kind for row in wrong)}")
     for row in wrong[:SHOWN]:
