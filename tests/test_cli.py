@@ -603,7 +603,7 @@ def test_robot_check_files(folder, capsys):
         assert answer["outside_limits_of"] == ["x"]
     assert run(capsys, "robot", "check", *ROBOT, "--scene", "wall.yaml", "--configs", "one.npy")[0] == 0
     out = run(capsys, "robot", "check", *WITH_WALL, "--configs", "many.npy")[1]
-    assert "note: 1 configuration outside the limits, the first in row 2: x" in out
+    assert "note: 1 configuration outside the limits, the first in row 3: x" in out
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ from loewner._base import _validate
 from loewner._base._nodes import some
 from loewner._base._validate import Floats
 from loewner.cli import configurations, inputs, trajectories
-from loewner.cli.output import COLLIDING, OVERLAP, STATUS, counted, print_table, remove_older_proof
+from loewner.cli.output import COLLIDING, OVERLAP, STATUS, counted, heading, pairs_of, print_table, remove_older_proof
 from loewner.planners import limit_use
 from loewner.planners.controller_points import START_TOLERANCE
 from loewner.robots import ClosestApproach
@@ -221,7 +221,7 @@ def _answer(
             _allowed(checker, pair, each) for pair, each in allowed.items() if list(pair) not in unproven_pairs
         ],
         "picture": _picture(times, certified.segments.verdict),
-        "checked_pairs": len(checker.checked_pairs),
+        **pairs_of(checker),
         "proof": str(written) if certified.proof is not None else None,
         "moving": list(checker.scene.following),
         "limits": [_for_json(use._asdict()) for use in uses if np.isfinite(use.limit)],
@@ -372,7 +372,7 @@ def _print_unproven(answer: dict[str, Any], comma_unit: str) -> None:
             " and ".join(piece["pair"]), "the same" if same else " and ".join(piece["nearest_pair"]),
             f"{piece['nearest_time']:.6g}", f"{1e3 * piece['nearest']:z.3f}",
         ))  # fmt: skip
-    print_table(columns, rows, f"{answer['robot']}, {counted(answer['checked_pairs'], 'pair')} checked")
+    print_table(columns, rows, heading(answer))
     for pair, margin in {tuple(piece["pair"]): piece["margin"] for piece in answer["unproven"]}.items():
         if margin:
             print(f"margin    {1e3 * margin:.6g} mm, which {' and '.join(pair)} have to keep")

@@ -15,7 +15,16 @@ from loewner._base import _tables
 from loewner._base._files import replacing, shown
 from loewner._base._validate import Floats, finite_array, positive_scalar
 from loewner.cli import configurations, inputs
-from loewner.cli.output import FREE, counted, print_answer, print_table, progress_of, remove_older_proof
+from loewner.cli.output import (
+    FREE,
+    counted,
+    heading,
+    pairs_of,
+    print_answer,
+    print_table,
+    progress_of,
+    remove_older_proof,
+)
 from loewner.errors import InputError
 from loewner.planners.drives import base_columns
 from loewner.scenes import maps
@@ -161,7 +170,7 @@ def _answer(checker: loewner.CollisionChecker, drive: planners.Drive, options: a
         "turn": drive.turn,
         "reversals": drive.reversals,
         "measured": MEASURED,
-        "checked_pairs": len(checker.checked_pairs),
+        **pairs_of(checker),
         "poses": drive.iterations,
         "seconds": drive.seconds,
         "out": None if options.out is None else str(options.out),
@@ -182,7 +191,7 @@ def _print_answer(answer: dict[str, Any]) -> None:
         for k, motion in enumerate(motions)
     ]  # fmt: skip
     columns = ("motion", "length, m", "turn, degrees", "nearest, mm", "body", "other body")
-    print_table(columns, rows, f"{answer['robot']}, {counted(answer['checked_pairs'], 'pair')} checked")
+    print_table(columns, rows, heading(answer))
     print(
         f"length    {answer['length']:.6g} m, {np.rad2deg(answer['turn']):.4g} degrees, {counted(changes, 'change')} "
         "of direction"

@@ -256,6 +256,11 @@ def robot(options: argparse.Namespace) -> loewner.Robot:
         )
 
 
+def largest_margin(scene: loewner.Scene | None) -> float:
+    """Return the largest distance that a scene says has to be kept [m]."""
+    return 0.0 if scene is None else max(scene.margin, *scene.margins.values(), 0.0)
+
+
 def refuse_no_pairs(checker: loewner.CollisionChecker, urdf: Path) -> None:
     """Refuse a robot without pairs to check, since every configuration would count as free."""
     if not checker.checked_pairs:

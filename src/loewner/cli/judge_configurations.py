@@ -33,8 +33,7 @@ def run(options: argparse.Namespace) -> int:
     checker = loewner.CollisionChecker(robot, scene)
     Q, said = table(options.configurations, robot)
     # A verdict is about contact, so that a body within a margin may be called free or colliding.
-    keeps = scene is not None and max(scene.margin, *scene.margins.values(), 0.0) > 0
-    rows = np.flatnonzero((checker.collide(Q) != said) | (said & keeps))
+    rows = np.flatnonzero((checker.collide(Q) != said) | (said & (inputs.largest_margin(scene) > 0)))
     wrong: list[dict[str, Any]] = []
     if len(rows):
         distances = checker.distance(Q[rows], exact=True)

@@ -200,6 +200,19 @@ def counted(number: int, noun: str) -> str:
     return f"{number:,} {noun}{'s' * (number != 1)}"
 
 
+def pairs_of(checker: loewner.CollisionChecker) -> dict[str, int]:
+    """Count the pairs that are checked, and the pairs of links that are exempt from checking."""
+    checked, links = checker.checked_pairs, checker.robot.bodies.keys()
+    own = sum(links >= {*pair} for pair in checked)
+    return {"checked_pairs": len(checked), "exempt_pairs": len(links) * (len(links) - 1) // 2 - own}
+
+
+def heading(answer: dict[str, Any]) -> str:
+    """Return the title of a table: the robot and its numbers of pairs."""
+    exempt = counted(answer["exempt_pairs"], "pair")
+    return f"{answer['robot']}, {counted(answer['checked_pairs'], 'pair')} checked, {exempt} of links exempt"
+
+
 def print_table(columns: Sequence[str], rows: Iterable[Sequence[str]], title: str | None = None) -> None:
     """Print a table on standard output, in plain text if Rich is not installed; rows may have fewer cells."""
     try:

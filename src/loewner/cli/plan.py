@@ -17,7 +17,17 @@ from loewner._base import _archives, _tables
 from loewner._base._files import read_regular, shown
 from loewner._base._validate import Floats
 from loewner.cli import configurations, drives, inputs
-from loewner.cli.output import NO_PATH, STATUS, counted, print_answer, print_table, progress_of, remove_older_proof
+from loewner.cli.output import (
+    NO_PATH,
+    STATUS,
+    counted,
+    heading,
+    pairs_of,
+    print_answer,
+    print_table,
+    progress_of,
+    remove_older_proof,
+)
 from loewner.errors import ConvergenceError, InputError, PlanningError
 
 # Number of configurations of each motion, including its ends, for which the distance of the nearest pair is measured.
@@ -284,7 +294,7 @@ def _answer(
         "motions": motions,
         "length": float(lengths.sum()),
         "measured": MEASURED,
-        "checked_pairs": len(checker.checked_pairs),
+        **pairs_of(checker),
         **own,
         "proof_seconds": proof_seconds,
         "out": None if options.out is None else str(options.out),
@@ -304,7 +314,7 @@ def _print_answer(answer: dict[str, Any]) -> None:
         for k, motion in enumerate(motions)
     ]  # fmt: skip
     columns = ("motion", "length", "verdict", "nearest, mm", "body", "other body", "poses", "searches")
-    print_table(columns, rows, f"{answer['robot']}, {counted(answer['checked_pairs'], 'pair')} checked")
+    print_table(columns, rows, heading(answer))
     if motions:
         k = min(range(len(motions)), key=lambda k: motions[k]["nearest"])
         print(

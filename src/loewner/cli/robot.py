@@ -16,7 +16,17 @@ import loewner
 from loewner._base import _validate
 from loewner._base._validate import Floats
 from loewner.cli import configurations, inputs
-from loewner.cli.output import COLLIDING, FREE, counted, is_surface, print_answer, print_table, progress_bar
+from loewner.cli.output import (
+    COLLIDING,
+    FREE,
+    counted,
+    heading,
+    is_surface,
+    pairs_of,
+    print_answer,
+    print_table,
+    progress_bar,
+)
 from loewner.cli.pair_tables import print_pairs
 from loewner.errors import InputError
 
@@ -189,7 +199,8 @@ def _checked_configurations(checker: loewner.CollisionChecker, Q: Floats) -> dic
         "colliding": len(colliding),
         "colliding_rows": colliding,
         "tiers": dict(tiers),
-        "checked_pairs": len(hits),
+        **pairs_of(checker),
+        "margin": inputs.largest_margin(checker.scene),
         "pairs": [[*checker.checked_pairs[p], int(hits[p])] for p in often if hits[p]],
         "outside_limits": np.flatnonzero(outside.any(axis=1)).tolist(),
         "outside_limits_of": [robot.configuration_names[k] for k in np.flatnonzero(outside.any(axis=0))],
@@ -199,18 +210,20 @@ def _checked_configurations(checker: loewner.CollisionChecker, Q: Floats) -> dic
 
 def _print_checked(answer: dict[str, Any]) -> None:
     count, colliding = answer["configurations"], answer["colliding"]
-    print(f"{'COLLIDING' if colliding else 'FREE'}  {colliding:,} of {counted(count, 'configuration')} in collision")
+    near = f", or closer than a margin of up to {answer['margin']:g} m" if answer["margin"] else ""
+    print(
+        f"{'COLLIDING' if colliding else 'FREE'}  {colliding:,} of {counted(count, 'configuration')} in collision{near}"
+    )
     settled = [(text, [answer["tiers"].get(f"{kind}_by_{name}") for kind in VERDICTS]) for name, text in TIERS.items()]
     rows = [(text, *("-" if cell is None else f"{cell:,}" for cell in cells)) for text, cells in settled]
-    print_table(
-        ("settled by", *VERDICTS), rows, f"{answer['robot']}, {counted(answer['checked_pairs'], 'pair')} checked"
-    )
+    print_table(("settled by", *VERDICTS), rows, heading(answer))
     if pairs := answer["pairs"]:
         often = [(a, b, f"{hits:,}", f"{100 * hits / count:.1f} %") for a, b, hits in pairs[:LISTED]]
         more = [(f"and {len(pairs) - LISTED} more",)] if len(pairs) > LISTED else []
         print_table(("body", "other body", "collides", "of all"), [*often, *more])
     if answer["outside_limits"]:
         rows, names = answer["outside_limits"], ", ".join(answer["outside_limits_of"])
-        print(f"note: {counted(len(rows), 'configuration')} outside the limits, the first in row {rows[0]}: {names}")
+        outside = counted(len(rows), "configuration")
+        print(f"note: {outside} outside the limits, the first in row {rows[0] + 1}: {names}")
     if answer["per_second"] is not None:
         print(f"{answer['per_second']:,.0f} configurations a second, this machine, this run")
