@@ -361,7 +361,7 @@ def test_bad_paths(checker, path, message):
 
 def test_colliding_start_and_goal_name_the_pairs(checker):
     """A start or goal in collision is refused with the pairs that meet, and a start with a way to allow it."""
-    cure = r"deep\); if they may touch, scene.allow\('ball', 'wall'\)$"
+    cure = r"deep\); if they may touch: scene.allow\('ball', 'wall'\), or allow in a scene file$"
     with pytest.raises(PlanningError, match=rf"start: .* of ball and wall \(30 mm deep\), rod and wall \(.* {cure}"):
         planners.plan(checker, [-0.12, -0.5, 0.0], RIGHT)
     with pytest.raises(PlanningError, match=r"goal: .* of ball and wall \(150 mm deep\), rod and wall \([^;]*$"):
@@ -375,7 +375,7 @@ def test_margins_are_told_from_depths(robot):
     scene = Scene(margin=0.05)
     scene.add("wall", Body.box([0.1, 4.0, 1.0]), translation(y=-1.5))
     start = [-0.17, -0.5, UP]
-    cure = r"margin 50 mm; if they may touch, scene.allow\('ball', 'wall'\)"
+    cure = r"margin 50 mm; if they may touch: scene.allow\('ball', 'wall'\)"
     with pytest.raises(PlanningError, match=r"ball and wall \(within their margin, 20 mm apart\); " + cure):
         planners.plan(CollisionChecker(robot, scene), start, RIGHT)
 

@@ -10,7 +10,7 @@ from loewner import Body, Distance, Verdict
 from loewner.cli import inputs
 from loewner.cli.output import STATUS, covering_text, is_surface, model_text, print_answer
 
-# Fraction of the mesh's volume by which the pieces may exceed the mesh without a note.
+# Fraction of the mesh's volume by which the volume of the pieces may differ without a note.
 WORTH_TELLING = 0.01
 
 EXAMPLES = """examples:
@@ -92,7 +92,7 @@ def _print_answer(
         if is_surface(body):
             print(f"model       {name}: {model_text(body)}")
         # An open mesh, for which the excess is NaN, also causes the note.
-        if body.covering is not None and not (body.covering.exact and body.covering.excess_volume < WORTH_TELLING):
+        if body.covering is not None and not (body.covering.exact and abs(body.covering.excess_volume) < WORTH_TELLING):
             print(f"note: {name}: {covering_text(body.covering)}; the answer is about the pieces")
 
 

@@ -257,7 +257,7 @@ def robot(options: argparse.Namespace) -> loewner.Robot:
 
 
 def largest_margin(scene: loewner.Scene | None) -> float:
-    """Return the largest distance that a scene says has to be kept [m]."""
+    """Return the largest margin of a scene [m]."""
     return 0.0 if scene is None else max(scene.margin, *scene.margins.values(), 0.0)
 
 

@@ -223,7 +223,9 @@ def print_table(columns: Sequence[str], rows: Iterable[Sequence[str]], title: st
         lines = ["  ".join(f"{cell:<{width}}" for cell, width in zip(row, widths, strict=False)) for row in cells]
         print("\n".join(line.rstrip() for line in [*([title] if title else []), *lines]))
         return
-    table = Table(*columns, title=title)
+    table = Table(title=title)
+    for column in columns:
+        table.add_column(column, overflow="fold")  # On a narrow terminal, nothing is cut off.
     for row in rows:
         table.add_row(*row)
     # A program that reads a pipe or a file needs each name, path and number in one piece. Tables that are not for a
@@ -258,5 +260,6 @@ def covering_text(covering: loewner.Covering | None) -> str:
     if not np.isnan(covering.max_protrusion):
         excess += f", sticks out by up to {1e3 * covering.max_protrusion:.3g} mm"
     if covering.exact:
-        return f"{covering.kind}, holds the mesh{excess}"
+        what = "the mesh's surface" if covering.kind == "decomposition" else "the mesh"
+        return f"{covering.kind}, holds {what}{excess}"
     return f"{covering.kind}, leaves up to {1e3 * covering.max_uncovered:.3g} mm uncovered{excess}"

@@ -197,7 +197,8 @@ class Space:
             a, b = contact.name_a, contact.name_b
             if (a in links) != (b in links) and not {a, b} & {*scene.attachments}:
                 margin = scene.margin_of(a, b)
-                return f"; {f'margin {1e3 * margin:g} mm; ' * (margin > 0)}if they may touch, scene.allow({a!r}, {b!r})"
+                allowing = f"scene.allow({a!r}, {b!r}), or allow in a scene file"
+                return f"; {f'margin {1e3 * margin:g} mm; ' * (margin > 0)}if they may touch: {allowing}"
         return ""
 
     def _too_near(self, q: Floats, judge: Judge, error: Floats) -> str:

@@ -891,7 +891,8 @@ class CollisionChecker:
             names = ", ".join(self._scene.following)
             raise InputError(
                 f"expected a time, since bodies of the scene follow motions ({names}): collide, classify, pairs and "
-                "distances take t=, certify_edges takes t0= and t1=, and planners.plan_in_time plans. Other "
+                "distances take t=, certify_edges takes t0= and t1=, and planners.plan_in_time plans (on the command "
+                "line: loewner plan, and loewner audit of a trajectory with times). Other "
                 "queries and planners have no time and cannot be used while such bodies are in the scene; without "
                 "them, use a copy of the scene (scene.copy, scene.remove)"
             )
@@ -947,7 +948,7 @@ def _warn_of_refuted(robot: Robot) -> None:
         others = "" if len(wrong) == 1 else f", and {len(wrong) - 1} more"
         warn(
             f"pairs that are exempt from checking can collide: {worst.names[0]} and {worst.names[1]} of {robot.name}, "
-            f"{1e3 * max(-worst.distance, 0.0):.3g} mm deep{others}; see Robot.prove_pairs"
+            f"{1e3 * max(-worst.distance, 0.0):.3g} mm deep{others}; see Robot.prove_pairs (loewner clash --exempt)"
         )
 
 

@@ -697,7 +697,7 @@ def _question(
 
 
 def _constant(whole: Robot, every: Problem, names: Pair, margin: float) -> ProvenPair:
-    """Answer for a pair without a joint between its bodies, one of which belongs to the scene."""
+    """Answer for a body of the scene and a link that does not move with respect to it."""
     pair = sorted(every.names.index(name) for name in names)
     q, ready = whole.configuration(), every.with_pairs(np.array([pair]), np.array([margin]))
     verdict = verdicts.classified(ready, codes.EXACT, q[None]).verdicts[0]
