@@ -606,6 +606,18 @@ def test_robot_check_files(folder, capsys):
     assert "note: 1 configuration outside the limits, the first in row 3: x" in out
 
 
+def test_an_error_names_the_option_that_was_given(folder, capsys):
+    """Users of the command line do not know the arguments of Python."""
+    for options, option in (
+        (["--all", "--margin", "-1"], "--margin"),
+        (["--between", "ball", "none"], "--between"),
+        (["--all", "--largest", "none"], "--largest"),
+        (["--all", "--write-srdf=none/a.srdf"], "--write-srdf"),
+    ):
+        status, _, err = run(capsys, "clash", *ROBOT, *options)
+        assert (status, err.startswith(f"loewner: error: {option}: expected ")) == (2, True), err
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -888,7 +900,7 @@ def test_plan_in_time(with_end, capsys):
     assert re.search(r"^time +[0-9.]+ s, from 3 s to [56]\.[0-9]+ s$", out, flags=re.M)
     for more, wanted, message in (
         (["--arrive-by", "3.5"], 1, "no path: arrive_by: expected 4 s or later"),
-        (["--arrive-by", "2"], 2, "arrive_by: expected a time after start_time, 3, found 2"),
+        (["--arrive-by", "2"], 2, "--arrive-by: expected a time after start_time, 3, found 2"),
         (["--velocity", "fast"], 2, "--velocity: expected numbers, found 'fast'"),
         (["--improve-for", "1"], 2, "--improve-for: expected a plan that is not in time"),
         (
@@ -1037,7 +1049,7 @@ def test_plan_with_a_planner_of_ompl(with_end, capsys):
         (["--start", HERE, "--goal", "names.json"], "names.json, column: expected one of x, y, turn; found 'turm'"),
         (["--start", HERE, "--goal", "narrow.json"], "narrow.json: expected 3 numbers for each configuration, found"),
         (["--start", HERE, "--goal", "words.json"], "words.json: expected"),
-        (["--start", HERE, "--goal", THERE, "--max-iterations", "0"], "max_iterations: expected an integer >= 1"),
+        (["--start", HERE, "--goal", THERE, "--max-iterations", "0"], "--max-iterations: expected an integer >= 1"),
         (["--start", HERE, "--goal", THERE, "--timeout", "nan"], "timeout: expected a finite number > 0"),
         (["--start", HERE, "--goal", THERE, "--seed", "-1"], "seed: expected an integer >= 0, found -1"),
         (["--start", HERE, "--goal", THERE, "--joints", "slid"], "joints: expected one of slide, nothing, x, y, turn"),
@@ -1045,7 +1057,7 @@ def test_plan_with_a_planner_of_ompl(with_end, capsys):
         (["--start", HERE, "--goal", THERE, "--planner", "PRM", "--max-iterations", "9"], "expected no --planner with"),
         (
             ["--start", HERE, "--goal", THERE, "--joint-error", "-1"],
-            "joint_error: expected one number >= 0 or 3 of them",
+            "--joint-error: expected one number >= 0 or 3 of them",
         ),
         (["--start", HERE, "--goal", THERE, "--joint-error", "1", "--sampled"], "--joint-error: expected no --sampled"),
         (["--start", HERE, "--goal", THERE, "--resolution", "0.1"], "--resolution: expected --sampled or --planner"),

@@ -55,6 +55,12 @@ from loewner.scenes.files.schema import SCHEMA_FILE
 OUTPUTS = {"out", "proof", "csv", "json", "picture", "program", "screenshot", "write_srdf"}
 UPDATED = {"write_srdf", "srdf"}
 
+# Options that have other names than the arguments of Python to which their values go.
+OPTION_OF = {
+    "T_world_a": "pose-a", "T_world_b": "pose-b", "about": "at", "client": "scheduler", "format": "for",
+    "joints": "largest", "link": "goal-pose", "pairs": "between", "path": "screenshot", "t": "at",
+}  # fmt: skip
+
 # The error of argparse if the numbers of a configuration are not in quotes.
 STRAY_NUMBER = re.compile(r"unrecognized arguments: -?\.?\d")
 
@@ -81,13 +87,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     FREE...
     0
     """
+    words = sys.argv[1:]
     try:
         with standard_output(), _warnings_as_lines():
-            options = _parser().parse_args(None if arguments is None else _words(arguments))
+            words = words if arguments is None else _words(arguments)
+            options = _parser().parse_args(words)
             _expect_separate_files(options)
             return int(options.run(options))
     except LoewnerError as error:
-        print(f"loewner: error: {error}", file=sys.stderr)
+        print(f"loewner: error: {_with_option(str(error), words)}", file=sys.stderr)
     except BrokenPipeError:
         pass  # standard error has no reader
     except KeyboardInterrupt:
@@ -96,6 +104,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
         # Python's own status for a crash is 1, which here means "colliding".
         traceback.print_exc()
     return ERROR
+
+
+def _with_option(text: str, words: Sequence[str]) -> str:
+    """Let an error about an argument of Python begin with the option of the command line that was given for it."""
+    name, colon, rest = text.partition(": ")
+    option = _flag(OPTION_OF.get(name, name))
+    given = any(word.partition("=")[0] == option for word in words)
+    return f"{option}: {rest}" if colon and given else text
+
+
+def _flag(name: str) -> str:
+    return f"--{name.replace('_', '-')}"
 
 
 def _expect_separate_files(options: argparse.Namespace) -> None:
@@ -111,10 +131,12 @@ def _expect_separate_files(options: argparse.Namespace) -> None:
         if name not in OUTPUTS or folder_exists(path):
             continue
         if not folder_exists(path.parent) and not options.makes_folder:
-            raise FileError(f"--{name}: expected a file in a folder that exists, found {shown(path)}")
+            raise FileError(f"{_flag(name)}: expected a file in a folder that exists, found {shown(path)}")
         for other, its in paths:
             if other != name and {name, other} != UPDATED and _is_same(path, its):
-                raise InputError(f"--{name}: expected a file of its own, found {shown(path)}, also given as {other}")
+                raise InputError(
+                    f"{_flag(name)}: expected a file of its own, found {shown(path)}, also given as {other}"
+                )
 
 
 def _is_same(path: Path, other: Path) -> bool:
