@@ -386,12 +386,12 @@ def test_command_line(tmp_path, capsys):
     assert f"written   {path}, {sizes}" in capsys.readouterr().out
     assert cli.main(["verify", path]) == 0
     assert capsys.readouterr().out.endswith(
-        "\nverified: FREE, all pairs are farther apart than their margins, at every time\n"
+        "\nverified: FREE, all pairs of the proof are farther apart than their margins, at every time\n"
     )
     assert cli.main(["verify", path, "--path", csv, "--robot", *common]) == 0
     assert capsys.readouterr().out.endswith(
         f"\nthe model matches gantry.urdf, {srdf.name}, scene.yaml\nthe motions are those of path.csv\n"
-        "verified: FREE, all pairs are farther apart than their margins, at every time\n"
+        "verified: FREE, all pairs of the proof are farther apart than their margins, at every time\n"
     )
     assert cli.main(["verify", path, "--robot", *common[:3]]) == 1
     out = capsys.readouterr().out

@@ -102,7 +102,7 @@ def _claim(report: verify.Report) -> str:
     inside = " and ".join(verify._shown(name) for name in report.uncovered)
     starts = f" if nothing begins inside {inside}" if inside else ""
     contacts = f" except in {len(report.stretches)} contacts, which are listed above" if report.contacts else ""
-    return f"FREE{starts}, all pairs are farther apart than their margins, at every time{contacts}"
+    return f"FREE{starts}, all pairs of the proof are farther apart than their margins, at every time{contacts}"
 
 
 def _entry(report: verify.Report, faults: list[str]) -> dict[str, Any]:
