@@ -27,9 +27,6 @@ COLUMNS = 60
 # Largest number of lines of one kind that are printed.
 SHOWN = 5
 
-# Suffix that turns the unit of positions into the unit of each rate.
-UNITS = {"velocity": "/s", "acceleration": "/s²", "jerk": "/s³"}
-
 # Exit status for a trajectory that is free but exceeds a limit.
 BEYOND = 4
 MARKS = {Verdict.FREE: ".", Verdict.AMBIGUOUS: "?", Verdict.COLLIDING: "#"}
@@ -403,18 +400,15 @@ def _print_limits(answer: dict[str, Any], unit: str) -> None:
         kind = "limits" if one["hard"] else "limits for planning"
         (least, most), ends = one["range"], ["none" if end is None else f"{end:.6g}" for end in one["limits"]]
         print(f"limits    {one['value']} is {least:.6g} .. {most:.6g}, outside its {kind} {' .. '.join(ends)}")
-    for quantity, symbol in UNITS.items():
+    for quantity in limit_use.QUANTITIES[1:]:
         uses = [use for use in answer["limits"] if use["quantity"] == quantity]
         worst = sorted(uses, key=lambda use: -use["ratio"])
         for use in [each for each in worst if each["ratio"] > 1 + limit_use.ROUNDED][:SHOWN] or worst[:1]:
-            of_joint = use["unit"] + symbol
             print(
-                f"limits    {quantity} of {use['joint']} reaches {use['value']:.6g} {of_joint} at "
+                f"limits    {quantity} of {use['joint']} reaches {use['value']:.6g} {use['unit']} at "
                 f"{use['time']:.6g}{unit}, {use['ratio']:.4g} times its limit of {abs(use['limit']):.6g}"
             )
     for jump in answer["jumps"]:
         times = "once" if jump["often"] == 1 else f"at {jump['often']} times"
-        print(
-            f"corner    {jump['quantity']} jumps {times}, most in {jump['joint']}: by {jump['size']:.6g} at "
-            f"{jump['time']:.6g}{unit}"
-        )
+        size, time = f"{jump['size']:.6g} {jump['unit']}", f"{jump['time']:.6g}{unit}"
+        print(f"corner    {jump['quantity']} jumps {times}, most in {jump['joint']}: by {size} at {time}")

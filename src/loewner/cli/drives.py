@@ -19,6 +19,7 @@ from loewner.cli.output import (
     FREE,
     counted,
     heading,
+    lasting,
     pairs_of,
     print_answer,
     print_table,
@@ -196,9 +197,7 @@ def _print_answer(answer: dict[str, Any]) -> None:
         f"length    {answer['length']:.6g} m, {np.rad2deg(answer['turn']):.4g} degrees, {counted(changes, 'change')} "
         "of direction"
     )
-    print(
-        f"found in  {1e3 * answer['seconds']:.3g} ms, from {counted(answer['poses'], 'pose')}, this machine, this run"
-    )
+    print(f"found in  {lasting(answer['seconds'])}, from {counted(answer['poses'], 'pose')}, this machine, this run")
     for name in ("out", "proof"):
         if answer[name] is not None:
             print(f"written   {shown(answer[name])}")

@@ -200,6 +200,11 @@ def counted(number: int, noun: str) -> str:
     return f"{number:,} {noun}{'s' * (number != 1)}"
 
 
+def lasting(seconds: float) -> str:
+    """Return a duration in seconds, or in milliseconds if it is shorter than a second."""
+    return f"{seconds:.3g} s" if seconds >= 1 else f"{1e3 * seconds:.3g} ms"
+
+
 def pairs_of(checker: loewner.CollisionChecker) -> dict[str, int]:
     """Count the pairs that are checked, and the pairs of links that are exempt from checking."""
     checked, links = checker.checked_pairs, checker.robot.bodies.keys()

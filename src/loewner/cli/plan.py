@@ -22,6 +22,7 @@ from loewner.cli.output import (
     STATUS,
     counted,
     heading,
+    lasting,
     pairs_of,
     print_answer,
     print_table,
@@ -331,10 +332,8 @@ def _print_answer(answer: dict[str, Any]) -> None:
             f"cost      {answer['cost']:.6g}, weighted length; every path from start to goal costs at least "
             f"{answer['cost_bound']:.6g}; {counted(answer['improvements'], 'round')} of improvement"
         )
-    print(
-        f"proof     {work[0]:,} poses, {work[1]:,} searches on pairs of pieces, {1e3 * answer['proof_seconds']:.3g} ms"
-    )
-    print(f"found in  {1e3 * answer['seconds']:.3g} ms, this machine, this run")
+    print(f"proof     {work[0]:,} poses, {work[1]:,} searches on pairs of pieces, {lasting(answer['proof_seconds'])}")
+    print(f"found in  {lasting(answer['seconds'])}, this machine, this run")
     if answer["out"] is not None:
         print(f"written   {shown(answer['out'])}")
     if answer["proof"] is not None:
@@ -346,10 +345,10 @@ def _print_answer(answer: dict[str, Any]) -> None:
 def _print_verdict(answer: dict[str, Any]) -> None:
     """Print the verdict on the whole path, and the places where the path is not free."""
     motions = answer["motions"]
-    count = "1 motion" if len(motions) == 1 else f"{len(motions)} motions"
+    count = counted(len(motions), "motion")
     if answer["verdict"] == "FREE":
         error = f", with every value up to {answer['joint_error']:g} off" if answer["joint_error"] else ""
-        where = "instant among the moving bodies" if "times" in answer else "configuration on the way"
+        where = "instant" if "times" in answer else "configuration on the way"
         each = "each " if "times" in answer and len(motions) > 1 else ""
         print(f"FREE  {count} from start to goal, {each}proven free at every {where}{error}")
         return

@@ -18,7 +18,9 @@ from loewner.planners.joint_limits import JointLimits
 from loewner.robots import Robot
 from loewner.robots.proofs.curves import Curve
 
+# Quantities, and the suffixes that turn the unit of positions into the unit of each quantity.
 QUANTITIES = ("position", "velocity", "acceleration", "jerk")
+RATES = ("", "/s", "/s²", "/s³")
 
 # Fractions of a piece at which values are compared first; roots are sought only where they may give larger values.
 TRIED = np.arange(9) / 8
@@ -59,7 +61,7 @@ class Use(NamedTuple):
     time : float
         When the value occurs, in seconds.
     unit : str
-        Unit of the joint's positions, rad or m.
+        Unit of the value, such as rad/s.
     """
 
     quantity: str
@@ -79,6 +81,7 @@ class Jump(NamedTuple):
     size: float
     time: float
     often: int
+    unit: str
 
 
 def used(robot: Robot, curve: Curve, limits: JointLimits | None, timed: bool) -> list[Use]:
@@ -90,7 +93,6 @@ def used(robot: Robot, curve: Curve, limits: JointLimits | None, timed: bool) ->
     if limits is not None:
         lower = np.where(limits.lower == robot.lower, lower, limits.lower)
         upper = np.where(limits.upper == robot.upper, upper, limits.upper)
-    slides = set(robot.tree.column[robot.tree.kind == columns.PRISMATIC].tolist())
     uses: list[Use] = []
     for order, quantity in enumerate(QUANTITIES[: None if timed else 1]):
         points = curve.courses if order == 0 else _rates(curve, order)
@@ -99,9 +101,15 @@ def used(robot: Robot, curve: Curve, limits: JointLimits | None, timed: bool) ->
         for k, joint in enumerate(robot.configuration_names):
             ends = extremes(points[:, :, k], curve.times)
             low, high = (lower[k], upper[k]) if order == 0 else _both_signs(robot, limits, quantity, k)
-            unit = "m" if k in slides else "rad"
+            unit = _unit(robot, k, order)
             uses.append(_worst(quantity, joint, ends, float(low), float(high))._replace(unit=unit))
     return uses
+
+
+def _unit(robot: Robot, column: int, order: int) -> str:
+    """Return the unit of a derivative of a joint's value."""
+    slides = (robot.tree.column == column) & (robot.tree.kind == columns.PRISMATIC)
+    return ("m" if slides.any() else "rad") + RATES[order]
 
 
 def jumps(robot: Robot, curve: Curve) -> list[Jump]:
@@ -120,7 +128,9 @@ def jumps(robot: Robot, curve: Curve) -> list[Jump]:
             k, joint = (int(n) for n in np.unravel_index(np.where(jumping, sizes, 0.0).argmax(), sizes.shape))
             count = int(jumping.any(axis=1).sum())
             name, time = robot.configuration_names[joint], float(curve.times[k + 1])
-            largest_jumps.append(Jump(QUANTITIES[order], name, float(sizes[k, joint]), time, count))
+            largest_jumps.append(
+                Jump(QUANTITIES[order], name, float(sizes[k, joint]), time, count, _unit(robot, joint, order))
+            )
     return largest_jumps
 
 
