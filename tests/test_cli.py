@@ -666,7 +666,7 @@ def test_an_error_names_the_option_that_was_given(folder, capsys):
             [*WITH_WALL, "--configs", "ragged.csv"],
             "ragged.csv: expected 3 finite numbers in each row, found 1,2 in row 2",
         ),
-        ([*WITH_WALL, "--configs", "empty.csv"], "--configs: expected one configuration or more, found none"),
+        ([*WITH_WALL, "--configs", "empty.csv"], "empty.csv: expected one configuration or more, found none"),
     ],
 )
 def test_robot_check_errors(folder, capsys, arguments, message):

@@ -58,7 +58,7 @@ UPDATED = {"write_srdf", "srdf"}
 # Options that have other names than the arguments of Python to which their values go.
 OPTION_OF = {
     "T_world_a": "pose-a", "T_world_b": "pose-b", "about": "at", "client": "scheduler", "format": "for",
-    "joints": "largest", "link": "goal-pose", "pairs": "between", "path": "screenshot", "t": "at",
+    "joints": "largest", "link": "goal-pose", "pairs": "between", "poses": "motion", "path": "screenshot", "t": "at",
 }  # fmt: skip
 
 # The error of argparse if the numbers of a configuration are not in quotes.

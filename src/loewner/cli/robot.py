@@ -164,6 +164,8 @@ def _configurations(robot: loewner.Robot, options: argparse.Namespace) -> Floats
         return robot.configuration(options.state)[None]
     if options.configs is not None:
         Q = np.atleast_2d(robot.checked(configurations.read(options.configs, robot), str(options.configs)))
+        if len(Q) == 0:
+            raise InputError(f"{options.configs}: expected one configuration or more, found none")
         return _validate.finite_array(Q, str(options.configs), (None, robot.dof))
     count = _validate.whole_number(options.random, "--random", 1)
     return robot.random_configurations(count, _validate.whole_number(options.seed or 0, "--seed", 0))
@@ -172,8 +174,6 @@ def _configurations(robot: loewner.Robot, options: argparse.Namespace) -> Floats
 def _checked_configurations(checker: loewner.CollisionChecker, Q: Floats) -> dict[str, Any]:
     """Make the full report on configurations."""
     robot = checker.robot
-    if len(Q) == 0:
-        raise InputError("--configs: expected one configuration or more, found none")
     checker.tiers(Q[:1])  # compiles the kernels if they are not compiled yet
     tiers: Counter[str] = Counter()
     hits = np.zeros(len(checker.checked_pairs), dtype=np.int64)

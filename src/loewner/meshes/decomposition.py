@@ -399,10 +399,11 @@ def _told(
     if covering.kind == "decomposition":
         log.info("%s: %d pieces that stick out by up to %.3g m", name, len(pieces), covering.max_protrusion)
     if tolerance is not None and covering.max_protrusion > tolerance:
+        cures = ["more pieces (max_pieces)" if covering.kind == "decomposition" else "decompose=True"]
+        cures += ["a closed mesh"] * bool(np.isnan(covering.excess_volume))
         warn(
             f"{name}: expected pieces that stick out by at most tolerance={tolerance:.4g} m, found {len(pieces)} that "
-            f"stick out by up to {covering.max_protrusion:.4g} m; more pieces (max_pieces), a closed mesh, or "
-            "decompose=True may do it"
+            f"stick out by up to {covering.max_protrusion:.4g} m; {' or '.join(cures)} may help"
         )
     return pieces, covering
 
