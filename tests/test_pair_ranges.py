@@ -455,6 +455,18 @@ def test_a_body_of_the_scene_and_a_link_without_a_joint_are_judged():
         assert (row.colliding is None) == (verdict == "NEVER")
 
 
+def test_limits_in_degrees_are_doubted():
+    """Nobody turns a joint by fourteen turns; a slide of ninety metres is none of our business."""
+    robot = mechanisms.robot(
+        link("frame", ball(0.1)), link("arm", ball(0.1)), link("slide", ball(0.1)),
+        joint("turn", "revolute", "frame", "arm", place=(1, 0, 0), limits=(-1, 1)),
+        joint("rail", "prismatic", "frame", "slide", limits=(-1, 1)),
+    )  # fmt: skip
+    with pytest.warns(UserWarning, match="limits of turn: expected limits in radians, found -90 .. 90; are they in"):
+        robot.prove_pairs([("frame", "arm")], limits={"turn": (-90, 90)})
+    robot.prove_pairs([("frame", "slide")], limits={"rail": (-90, 90)})
+
+
 def test_default_pairs():
     """Without rules all pairs of bodies, with rules the exempt ones."""
     robot = NEEDED["the other branch"]()

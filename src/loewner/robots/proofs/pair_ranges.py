@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike
 
 from loewner._base import _low_discrepancy, _validate
 from loewner._base._guard import guarded
-from loewner._base._plausible import FARTHEST_LIMIT
+from loewner._base._plausible import FARTHEST_LIMIT, doubt_about_limits, warn
 from loewner._base._validate import Floats, Ints, Pair, Progress
 from loewner._kernels import codes
 from loewner._kernels import columns as kernel_columns
@@ -620,7 +620,11 @@ def _checked_limits(whole: Robot, limits: Mapping[str, tuple[float, float]] | No
         low, high = _validate.finite_array(ends, f"limits of {name}", (2,)).tolist()
         if low > high:
             raise InputError(f"limits of {name}: expected (lower, upper), found {low:g} above {high:g}")
-        ranges[whole.configuration_names.index(name)] = low, high
+        column = whole.configuration_names.index(name)
+        kinds = whole.tree.kind[(whole.tree.column == column) & (whole.tree.kind != kernel_columns.FIXED)]
+        if (kinds == kernel_columns.REVOLUTE).all() and (doubt := doubt_about_limits(low, high)):
+            warn(f"limits of {name}: expected {doubt}")
+        ranges[column] = low, high
     return ranges
 
 
