@@ -109,8 +109,14 @@ def carry(scene: loewner.Scene, robot: loewner.Robot, part: Part, carrying: dict
     for body, link in carrying.items():
         if body in scene.attachments or body in scene.following:
             raise InputError(f"--attach {body}={link}: expected a body that stands in the scene, found one that moves")
+        if body in scene.bounds:
+            raise InputError(f"--attach {body}={link}: expected a body at a known pose, found an error of its pose")
         T_link_body = in_frame(links[robot.link_names.index(link)], scene.pose(body))
-        scene.attach(body, link, T_link_body, touch_links=touching.get(body, ()))
+        leave, reach = (
+            [other for pair in rules if body in pair for other in pair if other != body]
+            for rules in (scene.leaving, scene.reaching)
+        )
+        scene.attach(body, link, T_link_body, touch_links=touching.get(body, ()), leave=leave, reach=reach)
 
 
 def put_down(scene: loewner.Scene, robot: loewner.Robot, part: Part, carrying: dict[str, str]) -> None:

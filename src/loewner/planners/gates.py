@@ -17,7 +17,7 @@ from loewner._base._validate import Bools, Floats, Ints
 from loewner._kernels import codes, tolerances
 from loewner.errors import InputError
 from loewner.planners.brakes import Brakes, Timed, brake_limits
-from loewner.planners.joint_limits import JointLimits
+from loewner.planners.joint_limits import JointLimits, position_limits
 from loewner.planners.judge import TOLERANCE, checked_checker
 from loewner.planners.trajectories import Trajectory, expect_straight
 from loewner.queries.pose_paths import PoseBounds, PosePath
@@ -89,8 +89,8 @@ class GateAnswer(_validate.Brief):
         free.
     scale : float
         1 if all targets may be executed. Otherwise, the largest time scale among 1/2, 1/4 and 1/8 at which all targets
-        may be executed, that is, with periods of dt / scale. The scale is 0 if even 1/8 does not suffice, or if the
-        limit on the work is reached first.
+        may be executed, that is, with periods of dt / scale. The scale is 0 if even 1/8 does not suffice, if the limit
+        on the work is reached first, or if the reason is "limits".
     reason : str
         The reason why not all targets may be executed. "contact": the robot collides on the way to a target. "brake":
         the robot collides while it brakes, or the chunk has no target beyond the latency. "may be hit": a collision is
@@ -233,7 +233,7 @@ class Gate:
     checker : CollisionChecker
         A checker whose scene may change between checks.
     limits : planners.JointLimits, optional
-        Limits of velocity, acceleration and jerk. Default: the limits of the robot.
+        Limits of position, velocity, acceleration and jerk. Default: the limits of the robot.
     brake : {"joints", "path"}
         How the robot brakes. "joints": each joint brakes as fast as its limits allow, off the path, as with most
         controllers. "path": the robot stays on the path, and time along the path slows down until the robot rests.
@@ -309,6 +309,7 @@ class Gate:
         self._strongest, self._jerk = brake_limits(names, moves, robot, limits, acceleration, jerk)
         velocity_limits = robot.velocity if limits is None else limits.velocity
         self._fastest = np.where(np.isnan(velocity_limits), np.inf, velocity_limits)
+        self._lower, self._upper = position_limits(robot, limits)
         self._last: _Chunk | None = None  # proven for all poses that the chunk's world allows
         self._drift = 0.0  # growth of bounds within the tolerance of a tick
         self._now = -math.inf
@@ -506,7 +507,7 @@ class Gate:
         speeds = np.abs(np.diff(np.vstack([q, wanted]), axis=0)) / dt
         with np.errstate(over="ignore"):
             speeds[0] -= self._error / dt  # the last command may differ from q by the error
-        beyond = (wanted < robot.hard_lower) | (wanted > robot.hard_upper) | (speeds > self._fastest * (1 + SAME_TICK))
+        beyond = (wanted < self._lower) | (wanted > self._upper) | (speeds > self._fastest * (1 + SAME_TICK))
         rows, columns = np.nonzero(beyond)
         return (int(rows[0]), robot.configuration_names[columns[0]]) if len(rows) else (len(wanted), "")
 

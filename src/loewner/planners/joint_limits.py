@@ -395,3 +395,12 @@ def with_start(robot: Robot, columns: Ints, q: Floats, lower: Floats, upper: Flo
     lower, upper = lower.copy(), upper.copy()
     lower[at], upper[at] = np.minimum(lower[at], values[at]), np.maximum(upper[at], values[at])
     return lower, upper
+
+
+def position_limits(robot: Robot, limits: JointLimits | None) -> tuple[Floats, Floats]:
+    """Return the hard limits of a robot's positions, or the limits of a file where it gives other limits."""
+    if limits is None:
+        return robot.hard_lower, robot.hard_upper
+    lower = np.where(limits.lower == robot.lower, robot.hard_lower, limits.lower)
+    upper = np.where(limits.upper == robot.upper, robot.hard_upper, limits.upper)
+    return lower, upper

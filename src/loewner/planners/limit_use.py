@@ -14,7 +14,7 @@ from numpy.polynomial import Polynomial
 
 from loewner._base._validate import Floats
 from loewner._kernels import columns
-from loewner.planners.joint_limits import JointLimits
+from loewner.planners.joint_limits import JointLimits, position_limits
 from loewner.robots import Robot
 from loewner.robots.proofs.curves import Curve
 
@@ -89,10 +89,7 @@ def used(robot: Robot, curve: Curve, limits: JointLimits | None, timed: bool) ->
 
     Position limits are the hard limits, unless the file of `limits` gives other limits.
     """
-    lower, upper = robot.hard_lower, robot.hard_upper
-    if limits is not None:
-        lower = np.where(limits.lower == robot.lower, lower, limits.lower)
-        upper = np.where(limits.upper == robot.upper, upper, limits.upper)
+    lower, upper = position_limits(robot, limits)
     uses: list[Use] = []
     for order, quantity in enumerate(QUANTITIES[: None if timed else 1]):
         points = curve.courses if order == 0 else _rates(curve, order)

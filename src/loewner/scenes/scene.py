@@ -1151,7 +1151,8 @@ class Scene:
     def distance(self, a: str, b: str, *, exact: bool = False) -> Distance:
         """Compute the signed distance between two named bodies in the world; margins and allowed pairs are ignored.
 
-        See `loewner.distance`.
+        See `loewner.distance`. The bounds hold for all poses within the errors of the bodies' poses; the exact distance
+        is the one at the given poses.
 
         Parameters
         ----------
@@ -1175,7 +1176,12 @@ class Scene:
         """
         with _CHANGING:
             one, T_one, other, T_other = self[a], self.pose(a), self[b], self.pose(b)
-        return queries.distance(one, T_one, other, T_other, exact=exact)
+            off = sum(bounds.off(0.0) for name, bounds in self.bounds.items() if name in (a, b))
+        found = queries.distance(one, T_one, other, T_other, exact=exact)
+        if off == 0.0:
+            return found
+        lower, upper = np.nextafter(found.lower - off, -np.inf), np.nextafter(found.upper + off, np.inf)
+        return replace(found, lower=float(lower), upper=float(upper))
 
     def _standing_at(self, time: float | None) -> Scene:
         """Return a snapshot with packed bodies, and keep the packing for the next snapshot if no body moves."""

@@ -127,9 +127,11 @@ def _set_margin(scene: Scene, entry: YamlNode) -> None:
             raise entry.error("expected the key of, or against: links, found neither")
         if "lower" in keys:
             options["lower"] = keys["lower"].flag()
-    margin, names = last.length(), [item.text() for item in items]
+    margin, names, before = last.length(), [item.text() for item in items], len(scene.margins)
     with entry.blamed():
         scene.set_margin(margin, *names, **options)
+    if len(scene.margins) == before:
+        raise entry.error("expected one margin for the same names, found a second one")
 
 
 @guarded
