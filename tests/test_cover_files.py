@@ -671,3 +671,24 @@ def test_numbers_beyond_single_precision_name_file_and_link(tmp_path, center, ra
     (tmp_path / "m.yml").write_text(f"collision_spheres:\n  a:\n  - {{center: {center}, radius: {radius}}}\n")
     with pytest.raises(FileError, match=r"m.yml: link 'a': expected spheres that float32 can express"):
         robot.with_cover(tmp_path / "m.yml")
+
+
+def test_parts_of_a_scene_that_is_a_cover_are_told(tmp_path):
+    """Margins, errors of poses and rules are not the cover's; without allowed pairs, the robot's rules remain."""
+    robot = gantry_robot(tmp_path)
+    (tmp_path / "c.yaml").write_text(
+        "margin: 0.1\nbodies:\n  ball: {sphere: {radius: 0.1}, error: [0.1, 0]}\n  rod: {box: [0.3, 0.02, 0.02]}\n"
+        "leave:\n- [ball, rod]\n"
+    )
+    with pytest.warns(UserWarning, match="margins, which are not read; errors of poses, .*; rules of leave and reach"):
+        covered = robot.with_cover(tmp_path / "c.yaml")
+    assert CollisionChecker(covered).checked_pairs == CollisionChecker(robot).checked_pairs
+
+
+def test_a_joint_that_cannot_move_is_not_written_for_mujoco(tmp_path):
+    """MuJoCo refuses equal limits, so that the file could not be read."""
+    links = {"a": [(Body.sphere(0.1), None)], "b": [(Body.sphere(0.1), translation(1.0))]}
+    robot = Robot.from_links(links, [Joint("j", "revolute", "a", "b", axis=(0, 0, 1), lower=0.2, upper=0.2)])
+    with pytest.raises(InputError, match="expected joints with a range, .* found equal limits of 'j'"):
+        robot.save_cover(tmp_path / "locked.xml", "mjcf")
+    assert not (tmp_path / "locked.xml").exists()

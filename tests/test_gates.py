@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import loewner
-from loewner import Body, CollisionChecker, InputError, Joint, Robot, Scene, UnknownNameError, Verdict
+from loewner import Body, CollisionChecker, InputError, Joint, Robot, Scene, UnknownNameError, Verdict, planners
 from loewner.planners import Gate, GateState
 from loewner.queries.pose_paths import PackedPaths
 
@@ -215,6 +215,17 @@ def test_limits_end_a_chunk():
     assert (answer.state, answer.steps, answer.names) == (GateState.BRAKE, 0, ("rail",))
     assert answer.is_proven  # from the measured state
     assert answer.brake.duration == pytest.approx(0.25)
+
+
+def test_position_limits_of_a_file_end_a_chunk(tmp_path):
+    """They replace the robot's limits, as for trajectories."""
+    limits = "{has_position_limits: true, min_position: 0, max_position: 0.1}"
+    (tmp_path / "l.yaml").write_text(f"joint_limits: {{rail: {limits}}}")
+    robot = arm()
+    gate = Gate(CollisionChecker(robot, Scene()), planners.JointLimits.load(tmp_path / "l.yaml", robot))
+    answer = gate.check(Q0, V0, along_the_rail(1.0, 30), DT)
+    assert (answer.state, answer.steps, answer.reason) == (GateState.PREFIX, int(0.1 / DT), "limits")
+    assert (answer.names, answer.scale) == (("rail",), 0.0)
 
 
 def test_a_gate_is_a_name_of_the_library():

@@ -356,6 +356,14 @@ def test_bodies_that_cannot_be_attached(written, capsys, option, told):
     assert re.search(told, err), err
 
 
+def test_a_body_with_an_error_of_its_pose_is_not_attached(written, capsys):
+    """Its error would be lost, and the answer would be about the given pose alone."""
+    written(CAN.replace("can: {", "can: {error: [0.3, 0], "), "s.yaml")
+    status, _, err = audit(capsys, written(SOLUTION), "--scene", "s.yaml", "--attach", "3:can=cart")
+    assert status == 2
+    assert "--attach can=cart: expected a body at a known pose, found an error of its pose" in err
+
+
 def test_the_way_to_a_later_first_point_is_told(written, capsys):
     """What happens before the first point is not in the file."""
     written(CAN, "s.yaml")

@@ -665,3 +665,27 @@ def test_comments_above_a_cloud(comment, message, tmp_path):
         assert read_array(tmp_path / "cloud.xyz").tolist() == [[1, 2, 3], [4, 5, 6]]
     assert len(told) == (message is not None)
     assert all(message in str(one.message) and "cloud.xyz" in str(one.message) for one in told)
+
+
+@pytest.mark.parametrize("again", ["[part, table, 0.05]", "{of: [table, part], margin: 0.05}", "[table, 0.02]"])
+def test_margins_given_twice_are_refused(tmp_path, again):
+    """The last one would replace the others, and could be the smallest."""
+    text = f"""bodies:
+  table: {{box: [1, 1, 0.1], margin: 0.3}}
+  part: {{box: [0.1, 0.1, 0.1], position: [0, 0, 0.3]}}
+margins:
+- [table, part, 0.3]
+- {again}
+"""
+    (tmp_path / "s.yaml").write_text(text)
+    with pytest.raises(FileError, match=r"line 6: margins\[1\]: expected one margin for the same names"):
+        load_scene(tmp_path / "s.yaml")
+
+
+def test_a_next_line_in_a_name_stays(tmp_path):
+    """YAML reads it as a line end, unless it is escaped; then two names could become one."""
+    scene = Scene()
+    for name in ("arm\x85left", "arm left", "Ärmel"):
+        scene.add(name, Body.sphere(0.1))
+    save_scene(scene, tmp_path / "s.yaml")
+    assert load_scene(tmp_path / "s.yaml").names == scene.names

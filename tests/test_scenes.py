@@ -464,3 +464,18 @@ def test_long_lists_of_names_are_cut():
         scene.add(f"ball{k}", ball)
     with pytest.raises(UnknownNameError, match=r"ball0, .*ball29, and 170 more; found 'bal150' \(did you mean"):
         scene.remove("bal150")
+
+
+def test_bounds_on_a_distance_hold_for_all_poses_within_the_error():
+    """The lower bound was that of the given poses; the exact distance still is."""
+    scene = Scene()
+    scene.add("a", Body.box([1.0, 1.0, 1.0]))
+    scene.add("b", Body.box([1.0, 1.0, 1.0]), translation(2.0))
+    known = scene.distance("a", "b", exact=True)
+    scene.move("b", translation(2.0), error=(0.9, 0.0))
+    found = scene.distance("a", "b", exact=True)
+    assert found.distance == known.distance
+    assert found.lower == pytest.approx(known.lower - 0.9)
+    assert found.upper == pytest.approx(known.upper + 0.9)
+    scene.move("b", translation(1.11))
+    assert found.lower <= scene.distance("a", "b", exact=True).distance <= found.upper

@@ -532,3 +532,26 @@ def test_planar_joints_whose_axis_is_nearly_downwards(tilt):
     axis = np.array([tilt, 0.3 * tilt, -1.0]) / np.linalg.norm([tilt, 0.3 * tilt, -1.0])
     frame = np.array([x - origin, y - origin, axis])
     np.testing.assert_allclose(frame @ frame.T, np.eye(3), rtol=0, atol=2e-15 if tilt > 1e-12 else 1e-12)
+
+
+@pytest.mark.parametrize(
+    ("state", "is_told"),
+    [
+        ('<joint name="k" value="0.5"/>', True),
+        ('<joint name="j" value="0.5"/><joint name="k" value="0.5"/>', True),
+        ('<joint name="k" value="1.1"/><joint name="j" value="0.5"/>', False),
+        ('<joint name="j" value="0.5"/>', False),
+    ],
+)
+def test_values_of_mimicking_joints_in_states_are_told_if_they_are_lost(tmp_path, state, is_told):
+    """Here k is 2 j + 0.1; a state that gives only k does not move j."""
+    mimic = '<mimic joint="j" multiplier="2" offset="0.1"/>'
+    text = THREE.replace('<child link="c"/>', f'<child link="c"/>{mimic}')
+    group = '<group name="g"><joint name="j"/></group>'
+    state = f'<group_state name="s" group="g">{state}</group_state>'
+    (tmp_path / "r.srdf").write_text(f'<robot name="r">{group}{state}</robot>')
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        Robot.from_urdf(text=text, srdf=tmp_path / "r.srdf")
+    lost = [one for one in told if "values of joints that follow others are not used" in str(one.message)]
+    assert bool(lost) == is_told

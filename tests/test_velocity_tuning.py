@@ -97,6 +97,13 @@ def test_nothing_in_the_way(slider, jerk):
         assert found.spacing == pytest.approx(fastest.spacing, rel=1e-5)
 
 
+@pytest.mark.parametrize("back", [0.1, 0.3, 0.5])
+def test_a_path_that_reverses_keeps_its_blend(slider, back):
+    """In the middle of the blend, velocities are zero, but nothing rests there."""
+    checker, path = CollisionChecker(slider, gate()), [LEFT, LEFT + [0.3, 0, 0], LEFT + [0.3 - back, 0, 0]]
+    check(checker, path, planners.time_path(checker, path, start_time=3.0, **HASTE), 3.0)
+
+
 def test_corners_are_passed_without_a_stop(slider):
     """A path around a post has blends, and keeps them; without blends, the robot stops."""
     scene = gate()

@@ -377,6 +377,9 @@ class _Search(NamedTuple):
         """Return the visits at full speed, after a wait if they would end too early."""
         n = len(self.stations.seconds)
         share = np.where(self.stations.rates.any(axis=1), len(SHARES) - 1, 0)
+        # Velocities are also zero in the middle of a blend that reverses, where nothing can rest.
+        blended = ~np.isfinite(self.stations.seconds[np.arange(n), share[:-1], share[1:]])
+        share[:-1][blended] = share[1:][blended] = len(SHARES) - 1
         at = np.append(0.0, np.cumsum(self.stations.seconds[np.arange(n), share[:-1], share[1:]]))
         departs = at + max(arrives - at[-1], 0.0)
         return _Visits(np.arange(n + 1), share, np.append(0.0, departs[1:]), departs)

@@ -186,7 +186,13 @@ def read_model(file: Path, format: str | None = None) -> Model:
         scene = load_scene(file)
         bodies = {name: _moved(scene[name], scene.pose(name)) for name in scene.static_names}
         others = [name for name in scene.names if name not in bodies]
-        return Model(bodies, scene.allowed, [f"bodies that move, which are not read: {some(others)}"] if others else [])
+        notes = [f"bodies that move, which are not read: {some(others)}"] if others else []
+        unread = {
+            "margins": scene.margin or scene.margins, "errors of poses": scene.bounds,
+            "rules of leave and reach": scene.leaving | scene.reaching,
+        }  # fmt: skip
+        notes += [f"{what}, which are not read" for what, is_there in unread.items() if is_there]
+        return Model(bodies, scene.allowed or None, notes)
     if chosen == "mjcf":
         robot = Robot.from_mjcf(file)
         return Model(dict(robot.bodies), robot.disabled_pairs)
@@ -384,7 +390,7 @@ def _names(node: Any) -> Collection[str]:
 
 def _curobo_text(robot: Robot, balls: Mapping[str, _Balls]) -> str:
     """Write the keys of a configuration that describe spheres and pairs; cuRobo reads the spheres from such a file."""
-    quoted = {link: json.dumps(link, ensure_ascii=False) for link in robot.link_names}
+    quoted = {link: json.dumps(link, ensure_ascii="\x85" in link) for link in robot.link_names}
     lines = ["collision_link_names:", *(f"- {quoted[link]}" for link in balls), "collision_sphere_buffer: 0.0"]
     lines.append("collision_spheres:")
     for link, spheres in balls.items():

@@ -271,6 +271,8 @@ def _add_mjcf_joint(body: ElementTree.Element, equality: ElementTree.Element, jo
     kind = "slide" if joint.kind == "prismatic" else "hinge"
     element = ElementTree.SubElement(body, "joint", name=joint.name, type=kind, axis=numbers(joint.axis))
     ends = joint.lower, joint.upper
+    if joint.lower == joint.upper:
+        raise InputError(f"expected joints with a range, which MuJoCo needs, found equal limits of {joint.name!r}")
     if all(map(math.isfinite, ends)):
         element.set("range", numbers(ends))
         element.set("limited", "true")

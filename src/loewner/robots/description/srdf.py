@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 from loewner._base._plausible import warn
 from loewner._base._validate import Pair
@@ -301,7 +303,7 @@ def _states(
     states: dict[str, State] = {}
     driven = set(names.robot.driven)
     first: dict[tuple[str, str], Element] = {}
-    bases, outside = [], []
+    bases, outside, followers = [], [], []
     for element in root.all("group_state"):
         # Some programs write a state outside all groups for the whole robot.
         name = element.text("name")
@@ -323,19 +325,33 @@ def _states(
             if kind == "floating":  # x, y, z, then the quaternion as x, y, z, w
                 numbers = [*numbers[:3], numbers[6], *numbers[3:6]]
             values[joint] = numbers[0] if len(numbers) == 1 else tuple(numbers)
+        followers += [f"{joint!r} in {name!r} (line {line})" for joint, line in _lost(element, names, values)]
         # The name of a state is unique only within its group.
         key = f"{group}/{name}" if name in states else name
         if key in states:
             element.fault("states whose names differ", f"{key!r} twice: as a name, and as a group and a name")
         states[key] = (group, values)
-    return states, _of_states(bases, outside)
+    return states, _of_states(bases, outside, followers)
 
 
-def _of_states(bases: list[str], outside: list[str]) -> Iterator[str]:
+def _lost(element: Element, names: _Names, values: Mapping[str, Any]) -> Iterator[tuple[str, int]]:
+    """Find the joints of a state that follow others, but to other values than the state's; also return their lines."""
+    for e in element.all("joint"):
+        joint = names.joint(e)
+        follows = None if joint is None else names.robot.joints[joint].mimic
+        if joint is not None and follows is not None:
+            (value,), leading = e.finite("value", 1), values.get(follows.joint, math.nan)
+            if not math.isclose(follows.multiplier * leading + follows.offset, value, rel_tol=1e-6, abs_tol=1e-6):
+                yield joint, e.line
+
+
+def _of_states(bases: list[str], outside: list[str], followers: list[str]) -> Iterator[str]:
     if bases:
         yield f"states that place the base leave it where it is (Robot.placed, add_base): {some(bases, UNREAD)}"
     if outside:
         yield f"expected values of the joints of a state's group, found others, which are used: {some(outside, UNREAD)}"
+    if followers:
+        yield f"values of joints that follow others are not used, and differ from theirs: {some(followers, UNREAD)}"
 
 
 def _is_away(text: str) -> bool:

@@ -170,7 +170,9 @@ def save_scene(scene: Scene, path: str | PathLike[str]) -> None:
     _validate.instance(scene, "scene", Scene)
     file = _validate.path(path, "path")
     document, saved = _document(scene.snapshot(), file)
-    text = yaml.safe_dump(document, sort_keys=False, default_flow_style=None, allow_unicode=True, width=120)
+    # YAML reads U+0085 as a space or a line end, unless it is escaped.
+    readable = "\x85" not in "".join(scene.names)
+    text = yaml.safe_dump(document, sort_keys=False, default_flow_style=None, allow_unicode=readable, width=120)
     data = text.encode()
     if len(data) > MOST_BYTES or _entries(document) > MOST_ENTRIES:
         raise FileError(
