@@ -110,8 +110,8 @@ def _with_option(text: str, words: Sequence[str]) -> str:
     """Let an error about an argument of Python begin with the option of the command line that was given for it."""
     name, colon, rest = text.partition(": ")
     option = _flag(OPTION_OF.get(name, name))
-    given = any(word.partition("=")[0] == option for word in words)
-    return f"{option}: {rest}" if colon and given else text
+    is_used = any(word.partition("=")[0] == option for word in words)
+    return f"{option}: {rest}" if colon and is_used else text
 
 
 def _flag(name: str) -> str:

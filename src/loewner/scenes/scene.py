@@ -1177,11 +1177,11 @@ class Scene:
         with _CHANGING:
             one, T_one, other, T_other = self[a], self.pose(a), self[b], self.pose(b)
             off = sum(bounds.off(0.0) for name, bounds in self.bounds.items() if name in (a, b))
-        found = queries.distance(one, T_one, other, T_other, exact=exact)
+        distance = queries.distance(one, T_one, other, T_other, exact=exact)
         if off == 0.0:
-            return found
-        lower, upper = np.nextafter(found.lower - off, -np.inf), np.nextafter(found.upper + off, np.inf)
-        return replace(found, lower=float(lower), upper=float(upper))
+            return distance
+        lower, upper = np.nextafter(distance.lower - off, -np.inf), np.nextafter(distance.upper + off, np.inf)
+        return replace(distance, lower=float(lower), upper=float(upper))
 
     def _standing_at(self, time: float | None) -> Scene:
         """Return a snapshot with packed bodies, and keep the packing for the next snapshot if no body moves."""
