@@ -104,8 +104,12 @@ def test_a_path_that_reverses_keeps_its_blend(slider, forth, back):
     scene.add("bird", Body.sphere(0.1))
     scene.follow("bird", [0.0, 1.0], [far, translation(9.5)])
     path = [LEFT, LEFT + [forth, 0, 0], LEFT + [forth - back, 0, 0]]
-    found = planners.time_path(CollisionChecker(slider, scene), path, start_time=0.0, velocity=1.0, acceleration=1.0)
-    assert found.duration == pytest.approx(planners.trajectory(slider, path, velocity=1.0, acceleration=1.0).duration)
+    checker = CollisionChecker(slider, scene)
+    found = planners.time_path(checker, path, start_time=0.0, velocity=1.0, acceleration=1.0)
+    assert found._fault() == ""
+    assert all((most <= 1 + ROUNDED).all() for most in largest(found)[:2])
+    assert found.certify(checker).verdict == Verdict.FREE
+    assert found.duration <= planners.trajectory(slider, path, velocity=1.0, acceleration=1.0).duration
 
 
 def test_corners_are_passed_without_a_stop(slider):
