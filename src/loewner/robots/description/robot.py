@@ -941,8 +941,8 @@ class Robot(KeepsReadOnly):
         -------
         Robot
             Each configuration of the robot consists of the parts' configurations, one after another. Groups, states and
-            disabled pairs are kept; pairs of links from different parts are checked. If only some parts have disabled
-            pairs, the adjacent pairs of the other parts are disabled, too.
+            disabled pairs are kept. Pairs of links from different parts are checked, unless both links are fixed to the
+            world. If only some parts have disabled pairs, the adjacent pairs of the other parts are disabled, too.
 
         Raises
         ------
