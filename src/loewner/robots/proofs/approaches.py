@@ -66,8 +66,8 @@ class ClosestApproach(_validate.Brief):
         Times in seconds at which the pieces begin and end.
     lower : ndarray, shape (n,)
         Proven lower bounds in metres. No pair of bodies, at their given poses without errors, is nearer than this bound
-        at any instant of the piece; a negative value bounds the depth of all overlaps. The bound is -inf if surfaces overlap, since their depths have
-        no upper bound.
+        at any instant of the piece; a negative value bounds the depth of all overlaps. The bound is -inf if surfaces
+        overlap, since their depths have no upper bound.
     distance : ndarray, shape (n,)
         The least distance found: the exact distance at ``time``, or minus the depth. The distance exceeds `lower` by at
         most the larger of 10 µm and a hundredth of the distance, unless a search ended early.
