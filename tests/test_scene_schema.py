@@ -58,9 +58,9 @@ VALID = {
     },
     "allow": [["a", "b"]],
     "margins": [
-        ["a", 0.1],
+        ["b", 0.1],
         ["a", "b", 0.2],
-        {"of": ["a"], "margin": 0.1, "lower": True},
+        {"of": ["f"], "margin": 0.1, "lower": True},
         {"margin": 0, "against": "links"},
     ],
 }
