@@ -687,5 +687,9 @@ def test_a_next_line_in_a_name_stays(tmp_path):
     scene = Scene()
     for name in ("arm\x85left", "arm left", "Ärmel"):
         scene.add(name, Body.sphere(0.1))
-    save_scene(scene, tmp_path / "s.yaml")
-    assert load_scene(tmp_path / "s.yaml").names == scene.names
+    linked = Scene()
+    linked.allow("hand\x85l", "hand l")
+    for one in (scene, linked):
+        save_scene(one, tmp_path / "s.yaml")
+        found = load_scene(tmp_path / "s.yaml")
+        assert (found.names, found.allowed) == (one.names, one.allowed)

@@ -171,7 +171,7 @@ def save_scene(scene: Scene, path: str | PathLike[str]) -> None:
     file = _validate.path(path, "path")
     document, saved = _document(scene.snapshot(), file)
     # YAML reads U+0085 as a space or a line end, unless it is escaped.
-    readable = "\x85" not in "".join(scene.names)
+    readable = "\\x85" not in repr(document)  # in names of bodies and links
     text = yaml.safe_dump(document, sort_keys=False, default_flow_style=None, allow_unicode=readable, width=120)
     data = text.encode()
     if len(data) > MOST_BYTES or _entries(document) > MOST_ENTRIES:
