@@ -26,7 +26,7 @@ from loewner import cli, planners
 from loewner._native import library
 from loewner.cli import jobs
 from loewner.cli.info import MISSING
-from loewner.cli.main import _parser
+from loewner.cli.main import _parser, _with_option
 from loewner.cli.output import covering_text, print_table
 from loewner.robots.checking import verdicts
 from sampling import quick
@@ -616,6 +616,9 @@ def test_an_error_names_the_option_that_was_given(folder, capsys):
     ):
         status, _, err = run(capsys, "clash", *ROBOT, *options)
         assert (status, err.startswith(f"loewner: error: {option}: expected ")) == (2, True), err
+    assert _with_option("format: expected", ["judge", "--format=vamp"]) == "--format: expected"
+    assert _with_option("format: expected", ["cover", "--for", "vamp"]) == "--for: expected"
+    assert _with_option("format: expected", ["cover"]) == "format: expected"
 
 
 @pytest.mark.parametrize(

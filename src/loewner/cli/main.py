@@ -109,9 +109,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _with_option(text: str, words: Sequence[str]) -> str:
     """Let an error about an argument of Python begin with the option of the command line that was given for it."""
     name, colon, rest = text.partition(": ")
-    option = _flag(OPTION_OF.get(name, name))
-    is_used = any(word.partition("=")[0] == option for word in words)
-    return f"{option}: {rest}" if colon and is_used else text
+    used = {word.partition("=")[0] for word in words}
+    option = next((one for one in (_flag(name), _flag(OPTION_OF.get(name, name))) if one in used), "")
+    return f"{option}: {rest}" if colon and option else text
 
 
 def _flag(name: str) -> str:
