@@ -1490,6 +1490,26 @@ def test_wrong_usage_exits_with_2(capsys):
     assert caught.value.code == 2
 
 
+@pytest.mark.parametrize(
+    ("arguments", "command", "message"),
+    [
+        (
+            ["audit", "arm.urdf", "a.csv", "--srfd", "arm.srdf"],
+            "loewner audit",
+            "--srfd arm.srdf; did you mean --srdf?",
+        ),
+        (["robot", "check", "arm.urdf", "--random", "9", "--zz"], "loewner robot check", "--zz"),
+    ],
+)
+def test_an_unknown_option_is_reported_with_the_usage_of_its_command(capsys, arguments, command, message):
+    """The options that the command has are then on the screen, and one with nearly the same name is proposed."""
+    with pytest.raises(SystemExit):
+        cli.main(arguments)
+    error = capsys.readouterr().err
+    assert error.startswith(f"usage: {command} ")
+    assert error.endswith(f"{command}: error: unrecognized arguments: {message}\n")
+
+
 def test_numbers_without_quotes_are_asked_for_in_quotes(capsys):
     """The shell takes the numbers of a configuration apart; an option that does not exist has no such hint."""
     for arguments, hint in ((["-0.7", "0.9"], True), (["0", "--wrong"], False)):

@@ -16,6 +16,7 @@ import trimesh
 import loewner
 from families import translation
 from loewner import (
+    Body,
     CollisionChecker,
     FileError,
     GeometryError,
@@ -325,6 +326,29 @@ def test_names_that_a_robot_lacks_are_unknown_names(tmp_path, copied):
         with pytest.raises(UnknownNameError, match=f"^{what}: expected one of {name}; found '{name}s' .*'{name}'"):
             known[f"{name}s"]
         assert known.get(f"{name}s") is None
+
+
+@pytest.mark.parametrize(
+    "copied", [lambda robot: robot, copy.copy, copy.deepcopy, lambda r: pickle.loads(pickle.dumps(r))]
+)
+def test_the_bodies_of_a_robot_cannot_be_replaced_in_place(tmp_path, copied):
+    """A checker has prepared the bodies, so a robot that showed others would show what is not checked."""
+    links = '<link name="a"/><link name="hand">' + shape('<sphere radius="0.5"/>') + "</link>"
+    robot = copied(read(tmp_path, links + joint("ab", "revolute", "a", "hand")))
+    shown, other = dict(robot.bodies), Body.box([1, 1, 1])
+    for change in (
+        lambda: robot.bodies.__setitem__("hand", other),
+        lambda: robot.bodies.__delitem__("hand"),
+        lambda: robot.bodies.update(hand=other),
+        lambda: robot.bodies.__ior__({"hand": other}),
+        lambda: robot.bodies.setdefault("a", other),
+        lambda: robot.bodies.pop("hand"),
+        lambda: robot.bodies.popitem(),
+        lambda: robot.bodies.clear(),
+    ):
+        with pytest.raises(InputError, match="link with a body cannot be set or removed in place: expected a new"):
+            change()
+    assert dict(robot.bodies) == shown == robot.bodies | {}
 
 
 # -- bodies -------------------------------------------------------------------------------------

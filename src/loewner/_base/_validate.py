@@ -476,7 +476,7 @@ def known(x: Any, what: str, names: Collection[str]) -> str:
 
 
 class Named(dict[str, Entry]):
-    """A dict for users, in which the error about an unknown name lists the known names."""
+    """A dict for users, which cannot be changed; the error about an unknown name lists the known names."""
 
     def __init__(self, what: str, entries: Mapping[str, Entry]) -> None:
         super().__init__(entries)
@@ -484,6 +484,17 @@ class Named(dict[str, Entry]):
 
     def __missing__(self, name: object) -> NoReturn:
         raise unknown_name(self._what, name, self)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Named, (self._what, dict(self))
+
+    def _refuse(self, *_: Any, **__: Any) -> Any:
+        raise InputError(
+            f"a {self._what} cannot be set or removed in place: expected a new object with the changed entries, "
+            "since answers have been prepared from these"
+        )
+
+    __setitem__ = __delitem__ = __ior__ = clear = pop = popitem = setdefault = update = _refuse
 
 
 class Brief:

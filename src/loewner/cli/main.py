@@ -22,6 +22,7 @@ import traceback
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -165,6 +166,14 @@ class _Parser(argparse.ArgumentParser):
     def __init__(self, *arguments: Any, **named: Any) -> None:
         super().__init__(*arguments, **named)
         self._negative_number_matcher = re.compile(r"-\.?\d")
+
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
+        """Report unknown options here, with the usage of the command to which they were given."""
+        options, unknown = super().parse_known_args(args, namespace)
+        if unknown and self.get_default("run"):
+            near = get_close_matches(unknown[0], re.findall(r"--[\w-]+", self.format_usage()), 1)
+            self.error(f"unrecognized arguments: {' '.join(unknown)}{f'; did you mean {near[0]}?' if near else ''}")
+        return options, unknown
 
     def error(self, message: str) -> NoReturn:
         hint = "; write numbers that belong together in quotes" if STRAY_NUMBER.match(message) else ""
