@@ -603,7 +603,7 @@ class BrokenPath:
 
 
 def test_what_cannot_be_saved(panda, tmp_path):
-    """Another suffix, and bodies that follow motions."""
+    """Another suffix, bodies that follow motions, and errors of poses, which a program would not know of."""
     checker = CollisionChecker(panda)
     with pytest.raises(InputError, match="ends in .lwn"):
         checker.save(tmp_path / "cell.npz")
@@ -615,6 +615,17 @@ def test_what_cannot_be_saved(panda, tmp_path):
     checker.scene.add("box", Body.box([0.1, 0.1, 0.1]))
     checker.scene.follow("box", [0.0, 1.0], random_poses(np.random.default_rng(0), 2))
     with pytest.raises(InputError, match="follow motions"):
+        checker.save(tmp_path / "cell.lwn")
+    for change in (
+        lambda scene: scene.move("box", np.eye(4), error=(0.1, 0.0)),
+        lambda scene: scene.follow("box", [0.0], [np.eye(4)], speed=1.6),
+    ):
+        checker = CollisionChecker(panda, Scene())
+        checker.scene.add("box", Body.box([0.1, 0.1, 0.1]))
+        change(checker.scene)
+        with pytest.raises(InputError, match=r"exact poses, found bounds on the pose of 'box'.*set_bounds"):
+            checker.save(tmp_path / "cell.lwn")
+        checker.scene.move("box", np.eye(4))
         checker.save(tmp_path / "cell.lwn")
 
 

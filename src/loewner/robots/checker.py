@@ -162,7 +162,7 @@ class CollisionChecker:
         Raises
         ------
         InputError
-            If the name does not end in ``.lwn``, or bodies of the scene follow motions.
+            If the name does not end in ``.lwn``, or bodies of the scene follow motions or have inexact poses.
         UnknownNameError
             As for `collide`.
         FileError
@@ -172,6 +172,7 @@ class CollisionChecker:
         -----
         The file contains prepared data, which only the same version of loewner can read. In programs that read the
         file, contacts at the ends of motions count as collisions even if `Scene.leave` or `Scene.reach` permits them.
+        Errors of poses are set in these programs, by ``loewner_checker_set_bounds``.
 
         Examples
         --------

@@ -31,11 +31,17 @@ def save(path: str | os.PathLike[str], robot: Robot, scene: Scene, ready: Proble
     Raises
     ------
     InputError
-        If bodies of the scene follow motions, since programs that read the file cannot pass a time. If the robot has no
-        joints, a margin is larger than `MOST_MARGIN`, or a name contains a NUL.
+        If bodies of the scene follow motions, since programs that read the file cannot pass a time, or have inexact
+        poses, since the file has no bounds on errors. If the robot has no joints, a margin is larger than
+        `MOST_MARGIN`, or a name contains a NUL.
     """
     if ready.margins.max(initial=scene.margin) > MOST_MARGIN or robot.dof == 0:
         raise InputError(f"expected joints, and margins of at most {MOST_MARGIN:g} m, found none or larger ones")
+    for name in scene.bounds:
+        raise InputError(
+            f"expected exact poses, found bounds on the pose of {name!r}: move it without an error, save, and call "
+            "loewner_checker_set_bounds in the program"
+        )
     if ready.paths is not None:
         raise InputError("expected a scene without bodies that follow motions, found some: only Python has them")
     tree, whole = robot.tree, ready.packed
