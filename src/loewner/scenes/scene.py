@@ -1261,7 +1261,7 @@ def in_world(scene: Scene) -> tuple[Floats, dict[str, PosePath], dict[str, PoseB
     bounds : dict of str to PoseBounds
         The bounds of all bodies that follow motions: first of the bodies in ``following``, then of the bodies at rest.
     """
-    following, bounds = scene.following, scene.bounds
+    following, bounds = dict(scene.following), scene.bounds
     resting = [name for name, path in following.items() if path.rests and name in scene._bounds]
     poses = [scene.static_poses, *(following.pop(name).poses(0.0)[None] for name in resting)]
     return np.concatenate(poses), following, {name: bounds[name] for name in (*following, *resting) if name in bounds}
