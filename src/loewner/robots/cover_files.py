@@ -1,6 +1,6 @@
 """Read and write models of a robot's links made of spheres and other shapes, in the formats of planners.
 
-A model is used as its own program would use it: numbers are rounded to float32 if the program does so, buffers are
+A model is used as its own program would use it: numbers are rounded to float32 if the program rounds them, buffers are
 added to radii, and shapes that the program ignores are left out. A warning lists contents of the file that could matter
 but are not read.
 """
@@ -27,10 +27,9 @@ from loewner.bodies import Body, packed_of
 from loewner.bodies.kinds import KIND_NAMES
 from loewner.errors import FileError, InputError
 from loewner.robots import Robot
-from loewner.robots.covers import exempt_pairs, with_bodies
-from loewner.robots.description.robot import answers
+from loewner.robots.covers import with_bodies
+from loewner.robots.description.robot import answers, scene_of, skipped_with_bodies
 from loewner.scenes.files import load_scene, save_scene
-from loewner.scenes.scene import Scene
 
 FORMATS = ("curobo", "vamp", "foam", "pyroki", "urdf", "mjcf", "scene")
 
@@ -140,12 +139,12 @@ def save_cover(self: Robot, path: str | os.PathLike[str], format: str | None = N
         save_text(_curobo_text(self, balls), file)
     elif chosen == "pyroki":
         spheres = {link: {"centers": c.tolist(), "radii": r.tolist()} for link, (c, r) in balls.items()}
-        save_text(json.dumps(_ignored(self), indent=1) + "\n", _pairs_file(file))
+        save_text(json.dumps(skipped_with_bodies(self), indent=1) + "\n", _pairs_file(file))
         save_text(json.dumps(spheres, indent=1) + "\n", file)
     elif chosen in ("vamp", "foam"):
         with_bodies(self, {link: Body.spheres(*link_balls) for link, link_balls in balls.items()}).to_urdf(file)
     elif chosen == "scene":
-        save_scene(_as_scene(self), file)
+        save_scene(scene_of(self, {}), file)
     elif chosen == "urdf":
         save_urdf(self, file, "", WIDENED)
     else:
@@ -271,11 +270,10 @@ def _spheres_of(body: Body, link: str, format: str) -> _Balls:
     return _Balls(packed.frames[:, 1:4], packed.frames[:, 0])
 
 
-def _balls(entries: Iterable[Node], link: str, grow: float, model: Model) -> Body | None:
-    """Read spheres and add a buffer to their radii; a resulting radius of 0 or less disables a sphere in cuRobo."""
-    each = (entry.mapping(("center", "radius"), required=("center", "radius")) for entry in entries)
-    balls = [(keys["center"].numbers(3), keys["radius"].number() + grow) for keys in each]
-    return _of_positive(balls, link, "disabled spheres (radius of 0 or less)", model)
+def _balls(spheres: Node, center: str, grow: float = 0.0) -> list[tuple[list[float], float]]:
+    """Read spheres as centers, which have the key `center`, and radii, to which a buffer is added."""
+    each = (entry.mapping((center, "radius"), required=(center, "radius")) for entry in spheres.items())
+    return [(keys[center].numbers(3), keys["radius"].number() + grow) for keys in each]
 
 
 def _of_positive(balls: list[tuple[list[float], float]], name: str, others: str, model: Model) -> Body | None:
@@ -333,7 +331,8 @@ def _read_curobo(keys: dict[str, Any], file: Path) -> Model:
     for link, entries in links:
         if link in model.bodies:
             raise entries.error(f"expected each link once, found {link!r} again")
-        body = _balls(entries.items(), link, each[link].number() if link in each else grow, model)
+        balls = _balls(entries, "center", each[link].number() if link in each else grow)
+        body = _of_positive(balls, link, "disabled spheres (radius of 0 or less)", model)
         if body is None:
             continue
         if used is not None and link not in used:
@@ -399,7 +398,7 @@ def _curobo_text(robot: Robot, balls: Mapping[str, _Balls]) -> str:
             lines += [f"  - center: [{', '.join(map(_decimal, center))}]", f"    radius: {_decimal(radius)}"]
     lines += ["self_collision_buffer:", *(f"  {quoted[link]}: 0.0" for link in balls)]
     after: dict[str, list[str]] = {}
-    for a, b in _ignored(robot):
+    for a, b in skipped_with_bodies(robot):
         after.setdefault(a, []).append(quoted[b])
     lines.append("self_collision_ignore:" if after else "self_collision_ignore: {}")
     lines += [f"  {quoted[a]}: [{', '.join(others)}]" for a, others in after.items()]
@@ -443,7 +442,7 @@ def _read_foam(keys: dict[str, Any], file: Path) -> Model:
     parts: dict[str, list[Body]] = {}
     model = Model()
     if set(keys) == set(OF_FOAM):
-        raise FileError(f"{shown(file)}: expected spheres by the names of links, found those of one mesh")
+        raise FileError(f"{shown(file)}: expected spheres by the names of links, found the spheres of one mesh")
     for name, entry in keys.items():
         link, node = name.partition("::")[0], entry
         while "spheres" not in set(_keys(node)):
@@ -454,9 +453,7 @@ def _read_foam(keys: dict[str, Any], file: Path) -> Model:
             if len(levels) > 1:
                 model.notes.append(f"{len(levels) - 1} coarser levels of {name!r}")
             node = levels[last]
-        spheres = node.mapping(OF_FOAM, required=("spheres",))["spheres"]
-        each = [item.mapping(("origin", "radius"), required=("origin", "radius")) for item in spheres.items()]
-        balls = [(keys["origin"].numbers(3), keys["radius"].number()) for keys in each]
+        balls = _balls(node.mapping(OF_FOAM, required=("spheres",))["spheres"], "origin")
         body = _of_positive(balls, name, WITHOUT_SIZE, model)
         if body is not None:
             parts.setdefault(link, []).append(body)
@@ -468,21 +465,3 @@ def _level(key: Any, node: Node) -> int:
     if not re.fullmatch(r"\d+", str(key), re.ASCII):
         raise node.error(f"expected numbers of branches and levels as keys, or spheres, found {key!r}")
     return int(key)
-
-
-# -- what files share -----------------------------------------------------------------------------
-
-
-def _ignored(robot: Robot) -> list[Pair]:
-    """Return the pairs of links with bodies that a checker of this robot does not check, sorted."""
-    return sorted(pair for pair in exempt_pairs(robot) if all(link in robot.bodies for link in pair))
-
-
-def _as_scene(robot: Robot) -> Scene:
-    """Make a scene of the bodies in the frames of their links; pairs that need no check may touch."""
-    scene = Scene()
-    for link, body in robot.bodies.items():
-        scene.add(link, body)
-    for pair in _ignored(robot):
-        scene.allow(*pair)
-    return scene

@@ -18,6 +18,7 @@ from loewner.bodies.layout import arrays_of
 from loewner.errors import InputError
 from loewner.meshes.coverage import CoverReport
 from loewner.robots.checker import CollisionChecker
+from loewner.robots.description.pair_verdicts import Terms
 from loewner.robots.description.robot import Robot, answers
 from loewner.robots.proofs.pair_ranges import prove_pairs
 
@@ -102,10 +103,8 @@ def _never(robot: Robot, pairs: list[Pair]) -> frozenset[Pair]:
     """Prove which of the given pairs of links never collide."""
     if not pairs:
         return frozenset()
-    proven = prove_pairs(
-        robot, pairs, margin=0.0, limits=None, scene=None, boxes=BOXES, cache=True, progress=None, proof=False,
-        only_free=True,
-    )  # fmt: skip
+    terms = Terms(margin=0.0, limits=None, scene=None, boxes=BOXES, only_free=True)
+    proven = prove_pairs(robot, pairs, terms, cache=True, progress=None, proof=False)
     return frozenset(row.names for row in proven.with_verdict("NEVER"))
 
 

@@ -58,13 +58,12 @@ class Measure:
 
 def clearance(checker: Any, softness: Any) -> Measure:
     """Return `CollisionChecker.clearance` with the given softness as a measure."""
-    checked = _validate.instance(checker, "checker", CollisionChecker)
+    checked: Any = _validate.instance(checker, "checker", CollisionChecker)
     soft = _validate.positive_scalar(softness, "softness")
 
     def ask(Q: NDArray[Any], gradient: bool) -> tuple[Any, Any]:
-        if gradient:
-            return checked.clearance(Q, softness=soft, gradient=True)
-        return checked.clearance(Q, softness=soft, gradient=False), None
+        values = checked.clearance(Q, softness=soft, gradient=gradient)
+        return values if gradient else (values, None)
 
     return Measure("clearance", checked, ask)
 

@@ -35,7 +35,7 @@ def pairs_by_sampling(
     seed : int
     known_free : array_like, shape (..., dof), optional
         Configurations at which the robot is known to be free, for instance its current one. Pairs that collide at these
-        configurations do so only because the bodies are larger than the real links.
+        configurations collide only because the bodies are larger than the real links.
     always : float
         Fraction of the samples, above 0 and at most 1, at which two links have to collide to count as always colliding.
 

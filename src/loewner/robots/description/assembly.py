@@ -205,16 +205,12 @@ def add_base(self: R, kind: Literal["planar", "floating"], bounds: ArrayLike | N
         if not (limits[:, 0] <= limits[:, 1]).all():
             raise InputError(f"bounds: expected rows of a lower and an upper position, found {limits.tolist()}")
     _validate.expect_name(name)
-    joints = [(name, "floating", [0.0, 0.0, 1.0])]
+    joints = [Joint(name, "floating", "", "", np.eye(4), bounds=(limits[:, 0], limits[:, 1]))]
     if kind == "planar":
-        joints = [
-            (f"{name}/x", "prismatic", [1.0, 0.0, 0.0]), (f"{name}/y", "prismatic", [0.0, 1.0, 0.0]),
-            (f"{name}/theta", "continuous", [0.0, 0.0, 1.0]),
-        ]  # fmt: skip
+        slides = zip("xy", np.eye(3), limits.tolist(), strict=False)
+        joints = [Joint(f"{name}/{value}", "prismatic", "", "", np.eye(4), axis, *ends) for value, axis, ends in slides]
+        joints.append(Joint(f"{name}/theta", "continuous", "", "", np.eye(4), np.array([0.0, 0.0, 1.0])))
     base = _chain(self, f"{name}/world", joints)
-    lower, upper = base.lower.copy(), base.upper.copy()
-    lower[:axes], upper[:axes] = limits.T
-    base = replace(base, lower=lower, upper=upper, hard_lower=lower, hard_upper=upper)
     robot: Any = self
     return cast(R, _combined([_Piece("", base), _Piece("", robot, base.link_names[-1])], robot.name))
 
@@ -357,10 +353,10 @@ def with_body(
     _validate.instance(body, f"body of {name!r}", Body)
     _validate.choice(joint, "joint", [kind for kind in VALUES if kind != "ball"])
     robot: Any = self
-    if parent is not None and (not isinstance(parent, str) or parent not in robot.link_names):
-        raise _validate.unknown_name("parent", parent, robot.link_names)
+    if parent is not None:
+        _validate.known(parent, "parent", robot.link_names)
     T = _validate.pose(T_parent_joint, "T_parent_joint")
-    branch = _chain(self, f"{name}/world", [(name, joint, unit_axis(axis, "axis").tolist())])
+    direction, low, high = unit_axis(axis, "axis"), -np.inf, np.inf
     if (limits is None) == (joint in LIMITED):
         expected = "two numbers for prismatic and revolute joints, and none for others"
         raise InputError(f"limits: expected {expected}, found {limits} for a {joint} joint")
@@ -368,17 +364,14 @@ def with_body(
         low, high = _validate.finite_array(limits, "limits", (2,)).tolist()
         if low > high:
             raise InputError(f"limits: expected a lower and an upper one, found {limits}")
-        ends = np.array([low]), np.array([high])
-        branch = replace(branch, lower=ends[0], upper=ends[1], hard_lower=ends[0], hard_upper=ends[1])
-    if velocity is not None:
-        fastest = np.full(branch.dof, _validate.positive_scalar(velocity, "velocity"))
-        branch = replace(branch, velocity=fastest)
+    fastest = np.nan if velocity is None else _validate.positive_scalar(velocity, "velocity")
     if mimic is not None:
         mimic = checked_mimic(mimic, "mimic")
     for what, argument in (("velocity", velocity), ("mimic", mimic)):
-        if argument is not None and branch.dof != 1:
+        if argument is not None and len(VALUES[joint]) != 1:
             raise InputError(f"{what}: expected None for a {joint} joint, found {argument}")
-    branch = replace(branch, bodies={name: body}).placed(T)
+    moving = Joint(name, joint, "", "", np.eye(4), direction, low, high, fastest)
+    branch = replace(_chain(self, f"{name}/world", [moving]), bodies={name: body}).placed(T)
     adjacent = {(min(name, parent), max(name, parent))} if parent in robot.bodies and parent is not None else set()
     robot = _combined([_Piece("", robot), _Piece("", branch, parent, without_root=True)], robot.name)
     if mimic is not None:
@@ -395,17 +388,15 @@ def _coupled(robot: Any, followed: str, multiplier: float, offset: float) -> Any
     at, own = robot._columns[followed].start, robot.dof - 1
     limits = {key: getattr(robot, key)[:-1].copy() for key in LIMITS}
     if multiplier:
-        for prefix in ("", "hard_"):
-            lower, upper = limits[f"{prefix}lower"], limits[f"{prefix}upper"]
-            ends = [(float(getattr(robot, prefix + end)[own]) - offset) / multiplier for end in ("lower", "upper")]
-            least, most = max(lower[at], min(ends)), min(upper[at], max(ends))
-            if not prefix and least > most:
-                raise InputError(
-                    f"mimic: expected limits that leave {followed!r} values, found {lower[at]:g} .. {upper[at]:g} "
-                    f"with {min(ends):g} .. {max(ends):g}"
-                )
-            if not prefix:
-                lower[at], upper[at] = least, most
+        lower, upper = limits["lower"], limits["upper"]
+        ends = [(float(end[own]) - offset) / multiplier for end in (robot.lower, robot.upper)]
+        least, most = max(lower[at], min(ends)), min(upper[at], max(ends))
+        if least > most:
+            raise InputError(
+                f"mimic: expected limits that leave {followed!r} values, found {lower[at]:g} .. {upper[at]:g} "
+                f"with {min(ends):g} .. {max(ends):g}"
+            )
+        lower[at], upper[at] = least, most
         for key in RATES:
             limits[key][at] = np.fmin(limits[key][at], getattr(robot, key)[own] / abs(multiplier))
     read_only(*limits.values())
@@ -429,8 +420,8 @@ def _coupled(robot: Any, followed: str, multiplier: float, offset: float) -> Any
 
 def with_moving_bodies(self: R, names: Sequence[str]) -> R:
     """Add a floating joint and a link without a body for each name, after the robot's own joints and links."""
-    joints = [f"{name} in the scene" for name in names]
-    chains = [_chain(self, f"{joint}/world", [(joint, "floating", [0.0, 0.0, 1.0])]) for joint in joints]
+    joints = [Joint(f"{name} in the scene", "floating", "", "", np.eye(4)) for name in names]
+    chains = [_chain(self, f"{joint.name}/world", [joint]) for joint in joints]
     robot: Any = self
     added = [_Piece("", chain, None, without_root=True) for chain in chains]
     return cast(R, _combined([_Piece("", robot), *added], robot.name))
@@ -477,12 +468,12 @@ def _prefixed(prefix: str, names: Sequence[str]) -> tuple[str, ...]:
     return tuple(prefix + name for name in names)
 
 
-def _chain(robot: Any, root: str, joints: list[tuple[str, str, list[float]]]) -> Any:
-    """Make a robot of links without bodies from joints given by name, kind and axis; each link has its joint's name."""
-    by_name, above = {}, root
-    for name, kind, axis in joints:
-        by_name[name] = Joint(name, kind, above, name, np.eye(4), np.array(axis))
-        above = name
+def _chain(robot: Any, root: str, joints: Sequence[Joint]) -> Any:
+    """Make a robot of links without bodies from joints, each below the one before; each link has its joint's name."""
+    by_name, above = dict[str, Joint](), root
+    for joint in joints:
+        by_name[joint.name] = replace(joint, parent=above, child=joint.name)
+        above = joint.name
     shapes: dict[str, tuple[Any, ...]] = {root: (), **dict.fromkeys(by_name, ())}
     description = Description(root, Path(root), shapes, by_name, {joint.child: joint for joint in by_name.values()}, ())
     made_robot = type(robot)._of(description, {}, Semantics(), frozenset(), (), "none", None)

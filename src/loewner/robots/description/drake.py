@@ -16,7 +16,7 @@ from loewner._base._validate import Floats
 from loewner.bodies import Body
 from loewner.errors import InputError
 from loewner.robots.description.links import Joint
-from loewner.robots.description.other_models import Model, Order, Shape, chained, expect, made_body, unique
+from loewner.robots.description.other_models import Model, Move, Order, Shape, chained, expect, made_body, unique
 from loewner.robots.description.xml_elements import some
 
 X, Y, Z = np.eye(3)
@@ -54,19 +54,19 @@ def drake_model(
         inspector = query.inspector()
     if plant.num_constraints() > len(mimic):
         warn(
-            f"{plant.num_constraints()} constraints between bodies or joints are not read, since Drake's Python has no "
-            "way to; give couplers as mimic={joint: (other, gear ratio, offset)}"
+            f"{plant.num_constraints()} constraints between bodies or joints are not read, since Drake's Python "
+            "interface cannot read them; pass couplers as mimic={joint: (other, gear ratio, offset)}"
         )
     elements = [plant.get_joint(index) for index in plant.GetJointIndices()]
     ends = [body for element in elements for body in (element.parent_body(), element.child_body())]
     bodies = {int(body.index()): body for body in (plant.world_body(), *ends)}
     links = dict(zip(bodies, _names(plant, list(bodies.values())), strict=True))
-    columns: dict[str, tuple[int, ...]] = {}
     constants: dict[int, float] = {}
-    joints = list(_joints(plant, state, elements, links, columns, constants))
-    for joint in mimic:
-        _validate.known(joint, "joint in mimic", columns)
-    joints = [replace(joint, mimic=mimic[joint.name]) if joint.name in mimic else joint for joint in joints]
+    moves = list(_joints(plant, state, elements, links, constants))
+    columns = {joint.name: theirs for joint, theirs in moves if theirs}
+    for name in mimic:
+        _validate.known(name, "joint in mimic", columns)
+    joints = [replace(joint, mimic=mimic[joint.name]) if joint.name in mimic else joint for joint, _ in moves]
     joints.sort(key=lambda joint: min(columns.get(joint.name, (plant.num_positions(),))))
     geometries, shapes = _shapes(plant, inspector, links, tol)
     checked = np.array([not inspector.CollisionFiltered(a, b) for a in geometries for b in geometries], dtype=bool)
@@ -81,14 +81,9 @@ def drake_model(
 
 
 def _joints(
-    plant: Any,
-    state: Any,
-    elements: Sequence[Any],
-    links: Mapping[int, str],
-    columns: dict[str, tuple[int, ...]],
-    constants: dict[int, float],
-) -> Iterator[Joint]:
-    """List the joints; add the columns of their values to `columns`, and the values of locked joints to `constants`."""
+    plant: Any, state: Any, elements: Sequence[Any], links: Mapping[int, str], constants: dict[int, float]
+) -> Iterator[Move]:
+    """List the joints with the columns of their values, and add the values of locked joints to `constants`."""
     q = plant.GetPositions(state)
     for element, name in zip(elements, _names(plant, elements), strict=True):
         parent, child = element.parent_body(), element.child_body()
@@ -99,13 +94,12 @@ def _joints(
         start = element.position_start()
         if element.num_positions() == 0 or element.is_locked(state):
             before = before @ below.CalcPose(state, above)
-            moves: list[tuple[Joint, tuple[int, ...]]] = [(Joint(name, "fixed", "", ""), ())]
+            moves: list[Move] = [(Joint(name, "fixed", "", ""), ())]
             constants |= {start + k: float(q[start + k]) for k in range(element.num_positions())}
         else:
-            moves = list(_moves(plant, element, name))
-        columns |= {move.name: tuple(start + k for k in theirs) for move, theirs in moves if theirs}
+            moves = [(move, tuple(start + k for k in theirs)) for move, theirs in _moves(plant, element, name)]
         ends = links[int(parent.index())], links[int(child.index())]
-        yield from chained([move for move, _ in moves], *ends, before.GetAsMatrix4(), behind.inverse().GetAsMatrix4())
+        yield from chained(moves, *ends, before.GetAsMatrix4(), behind.inverse().GetAsMatrix4())
 
 
 def _names(plant: Any, elements: Sequence[Any]) -> list[str]:
@@ -114,7 +108,7 @@ def _names(plant: Any, elements: Sequence[Any]) -> list[str]:
     return unique([element.name() for element in elements], scopes)
 
 
-def _moves(plant: Any, joint: Any, name: str) -> Iterator[tuple[Joint, tuple[int, ...]]]:
+def _moves(plant: Any, joint: Any, name: str) -> Iterator[Move]:
     """List the joints with one value, or the floating joint, that represent a joint of Drake, with their columns."""
     kind = joint.type_name()
     lower, upper = joint.position_lower_limits(), joint.position_upper_limits()
@@ -123,7 +117,7 @@ def _moves(plant: Any, joint: Any, name: str) -> Iterator[tuple[Joint, tuple[int
         np.minimum(joint.acceleration_upper_limits(), -joint.acceleration_lower_limits()),
     )
 
-    def single(suffix: str, kind: Any, axis: Floats, at: int, *, rated: bool = True) -> tuple[Joint, tuple[int, ...]]:
+    def single(suffix: str, kind: Any, axis: Floats, at: int, *, rated: bool = True) -> Move:
         velocity, acceleration = (float(most[at]) if rated and 0 < most[at] < math.inf else None for most in rates)
         single_joint = Joint(
             name + suffix, kind, "", "", axis=axis, lower=lower[at], upper=upper[at], velocity=velocity,
@@ -182,7 +176,7 @@ def _shapes(plant: Any, inspector: Any, links: Mapping[int, str], tol: float) ->
             geometries.append(geometry)
             shapes.append(Shape(links[int(body.index())], name, shape_body, T))
     if unread:
-        warn(f"not read, although Drake checks it: geometry that is deformable or not of the plant: {some(unread)}")
+        warn(f"not read, although Drake checks it: geometry that is deformable or outside the plant: {some(unread)}")
     return geometries, shapes
 
 

@@ -7,7 +7,7 @@ import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from functools import cache
-from itertools import islice
+from itertools import chain
 from pathlib import Path, PurePosixPath
 from typing import Final, Literal, get_args
 
@@ -52,7 +52,7 @@ PRIMITIVES: dict[str, Callable[..., Body]] = {
 
 def link_bodies(
     robot: Description,
-    package_dirs: Iterable[str | os.PathLike[str]],
+    package_dirs: Sequence[Path],
     *,
     model: str,
     tol: float,
@@ -64,7 +64,7 @@ def link_bodies(
     Parameters
     ----------
     robot : Description
-    package_dirs : iterable of path
+    package_dirs : sequence of path
         Folders of packages, or packages themselves.
     model : str
         Representation of meshes, one of `MODELS`.
@@ -96,86 +96,71 @@ def link_bodies(
         Once, if a body is probably not in metres. With "auto", also if meshes are not closed; one warning names all
         open meshes.
     """
-    folders = list(package_dirs)
-    for folder in folders:
+    for folder in package_dirs:
         if not os.path.isdir(folder):
             raise FileError(f"{folder}: expected a folder of packages, found no such folder")
-    total, done, bodies, told = sum(len(shapes) for shapes in robot.shapes.values()), 0, {}, {}
-    placed: list[tuple[str, str, Body]] = []
-    for link, shapes in robot.shapes.items():
-        parts = []
-        for shape in shapes:
-            parts.append(_body(shape, link, robot.path, folders, model=model, tol=tol, cache=cache))
-            placed.append((link, shape.kind, parts[-1]))
-            done += 1
-            progress(done, total)
-        if parts:
-            bodies[link] = parts[0] if len(parts) == 1 else _union(parts)
-            told[link] = tuple(
-                described(part) if shape.kind == "mesh" else shape.kind
-                for shape, part in zip(shapes, parts, strict=True)
-            )
-            if model == "auto":
-                log.info("%s, link %r: %s", robot.path, link, "; ".join(told[link]))
+
+    def fit(file: Path, shape: Shape) -> Body:
+        return (_kept_body if cache else _mesh_body)(file, shape, model, tol)
+
+    shapes, parts = [(link, shape) for link, own in robot.shapes.items() for shape in own], list[Body]()
+    for link, shape in shapes:
+        parts.append(_body(shape, link, robot.path, package_dirs, fit))
+        progress(len(parts), len(shapes))
+    parts_of, words_of = {link: list[Body]() for link, _ in shapes}, {link: list[str]() for link, _ in shapes}
+    for (link, shape), part in zip(shapes, parts, strict=True):
+        parts_of[link].append(part)
+        words_of[link].append(described(part) if shape.kind == "mesh" else shape.kind)
     if model == "auto":
-        warn_of_open_meshes(
-            robot.path,
-            [
-                (f"{PurePosixPath(shape.file_name).name} of {link!r}", word)
-                for link, words in told.items() for shape, word in zip(robot.shapes[link], words, strict=True)
-            ],
-            "meshes='surface' (--model surface)",
-        )  # fmt: skip
-    doubts = (f"{robot.path}, link {name!r}: expected {doubt}" for name, doubt in _doubts(placed) if doubt)
-    for first in islice(doubts, 1):
-        warn(first)
-    return bodies, told
+        for link, words in words_of.items():
+            log.info("%s, link %r: %s", robot.path, link, "; ".join(words))
+        names = (f"{PurePosixPath(shape.file_name).name} of {link!r}" for link, shape in shapes)
+        named = zip(names, chain.from_iterable(words_of.values()), strict=True)
+        warn_of_open_meshes(robot.path, named, "meshes='surface' (--model surface)")
+    for (link, shape), part in zip(shapes, parts, strict=True):
+        if doubt := _doubt(shape, part):
+            warn(f"{robot.path}, link {link!r}: expected {doubt}")
+            break
+    bodies = {link: own[0] if len(own) == 1 else _union(own) for link, own in parts_of.items()}
+    return bodies, {link: tuple(words) for link, words in words_of.items()}
 
 
-def _doubts(placed: list[tuple[str, str, Body]]) -> Iterator[tuple[str, str]]:
-    """Collect reasons to doubt that bodies are in metres, with their links; `placed` lists links, kinds and bodies."""
-    for link, kind, body in placed:
-        rows = packed_of(body).kernel.table
-        if len(rows):
-            centers = rows[:, OUTER_CENTER : OUTER_CENTER + 3]
-            radius = rows[:, OUTER_RADIUS].max() + np.ptp(centers, axis=0).max() / 2
-            largest = LARGEST_MESH_RADIUS if kind == "mesh" else LARGEST_RADIUS
-            yield link, doubt_about_size(float(radius), float(np.abs(centers).max()), largest)
+def _doubt(shape: Shape, body: Body) -> str:
+    """Return a reason to doubt that the body of a shape is in metres; usually empty."""
+    rows = packed_of(body).kernel.table
+    if not len(rows):
+        return ""
+    centers = rows[:, OUTER_CENTER : OUTER_CENTER + 3]
+    radius = rows[:, OUTER_RADIUS].max() + np.ptp(centers, axis=0).max() / 2
+    largest = LARGEST_MESH_RADIUS if shape.kind == "mesh" else LARGEST_RADIUS
+    return doubt_about_size(float(radius), float(np.abs(centers).max()), largest)
 
 
-def _body(
-    shape: Shape,
-    link: str,
-    urdf: Path,
-    folders: list[str | os.PathLike[str]],
-    *,
-    model: str,
-    tol: float,
-    cache: bool,
-) -> Body:
-    if shape.kind != "mesh":
-        try:
-            return primitive(shape)
-        except (InputError, ConvergenceError) as error:
-            raise type(error)(f"{urdf}, line {shape.line}, link {link!r}: {error}") from None
-    file = mesh_file(shape, link, urdf, folders)
+def _body(shape: Shape, link: str, urdf: Path, folders: Sequence[Path], fit: Callable[[Path, Shape], Body]) -> Body:
+    """Make the body of a shape; errors name the URDF, the link and the mesh file, from which `fit` makes a body."""
+    file = mesh_file(shape, link, urdf, folders) if shape.kind == "mesh" else None
     try:
-        if not cache or file.suffix.lower() in NOT_CACHED or not _sources.source_hash():
-            return _mesh_body(file, shape, model, tol)
-        key = _key(file, shape, model, tol)
-        kept = _sources.cache_folder() / "bodies" / f"{key}.npz"
-        with suppress(FileError):  # missing or damaged
-            return Body.load(kept)
-        body = _mesh_body(file, shape, model, tol)
-        if _key(file, shape, model, tol) != key:  # the file has changed, and the body may come from either version
-            return body
-        with suppress(OSError):  # a cache that cannot be written is no error
-            kept.parent.mkdir(parents=True, exist_ok=True)
-            body.save(kept)
-        return body
+        return primitive(shape) if file is None else fit(file, shape)
     except (FileError, InputError, ConvergenceError) as error:
-        text = str(error) if str(file) in str(error) else f"{file}: {error}"
+        text = str(error) if file is None or str(file) in str(error) else f"{file}: {error}"
         raise type(error)(f"{urdf}, line {shape.line}, link {link!r}: {text}") from None
+
+
+def _kept_body(file: Path, shape: Shape, model: str, tol: float) -> Body:
+    """Load the body of a mesh from the disk or, if it is not there, make it and keep it there."""
+    if file.suffix.lower() in NOT_CACHED or not _sources.source_hash():
+        return _mesh_body(file, shape, model, tol)
+    key = _key(file, shape, model, tol)
+    kept = _sources.cache_folder() / "bodies" / f"{key}.npz"
+    with suppress(FileError):  # missing or damaged
+        return Body.load(kept)
+    body = _mesh_body(file, shape, model, tol)
+    if _key(file, shape, model, tol) != key:  # the file has changed, and the body may come from either version
+        return body
+    with suppress(OSError):  # a cache that cannot be written is no error
+        kept.parent.mkdir(parents=True, exist_ok=True)
+        body.save(kept)
+    return body
 
 
 def primitive(shape: Shape) -> Body:

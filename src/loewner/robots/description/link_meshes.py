@@ -87,8 +87,8 @@ def warn_of_open_meshes(title: object, named: Iterable[tuple[str, str]], instead
     groups = [f"{len(names)} {OPENED[kind]} ({', '.join(names)})" for kind, names in names_by_kind.items() if names]
     if groups:
         warn(
-            f"{title}: expected closed meshes, found {' and '.join(groups)}; bodies wholly within them collide, "
-            f"which they would not with the triangles alone, that is, with {instead}; look at these meshes"
+            f"{title}: expected closed meshes, found {' and '.join(groups)}; a body wholly within such a mesh "
+            f"collides, but would not collide with the triangles alone, that is, with {instead}; inspect these meshes"
         )
 
 

@@ -129,8 +129,8 @@ def described(
         above[checked.child] = joints_by_name[joint.name] = checked
     path = Path(name)
     for checked in joints_by_name.values():
-        if checked.mimic is not None and checked.mimic.joint not in joints_by_name:
-            raise _validate.unknown_name(f"joint that {checked.name!r} mimics", checked.mimic.joint, joints_by_name)
+        if checked.mimic is not None:
+            _validate.known(checked.mimic.joint, f"joint that {checked.name!r} mimics", joints_by_name)
     joints_by_name = urdf.narrowed(urdf.without_chains(joints_by_name, path), path)
     above |= {joint.child: joint for joint in joints_by_name.values()}
     order = urdf.parents_first(_fault, list(names), above)

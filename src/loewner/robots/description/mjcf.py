@@ -30,22 +30,16 @@ def description_of(model: MjcfModel) -> tuple[Description, dict[str, Body]]:
     a link that is fixed to the body's own link.
     """
     above: dict[str, Joint] = {}
-    joints: dict[str, Joint] = {}
     links = {body.name for body in model.bodies} | {part.name for body in model.bodies for part in body.parts}
-    order: list[str] = []
     for number, body in enumerate(model.bodies):
-        for joint in _joints_of(body, model.bodies[body.parent].name, links) if number else ():
-            above[joint.child] = joint
-            order.append(joint.child)
-            if joint.kind != "fixed":
-                joints[joint.name] = joint
-        order += [] if number else [body.name]
-        for part in body.parts:
-            if part.name != body.name:
-                above[part.name] = Joint(part.name, "fixed", body.name, part.name, np.eye(4))
-                order.append(part.name)
+        if number:  # body 0 is the world
+            above |= {joint.child: joint for joint in _joints_of(body, model.bodies[body.parent].name, links)}
+        others = [part.name for part in body.parts if part.name != body.name]
+        above |= {name: Joint(name, "fixed", body.name, name, np.eye(4)) for name in others}
+    joints = {joint.name: joint for joint in above.values() if joint.kind != "fixed"}
     joints = narrowed(without_chains(joints, model.path), model.path)
     above |= {joint.child: joint for joint in joints.values()}
+    order = [model.bodies[0].name, *above]
     bodies = {part.name: part.body for body in model.bodies for part in body.parts}
     return Description(model.name, model.path, dict.fromkeys(order, ()), joints, above, ()), bodies
 

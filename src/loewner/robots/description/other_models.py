@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Container, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -15,13 +15,15 @@ from loewner._base._plausible import warn
 from loewner._base._read_only import KeepsReadOnly, read_only
 from loewner._base._validate import Bools, Floats, Ints, Pair
 from loewner._kernels import columns
-from loewner._kernels.records import Tree
 from loewner.bodies import Body
 from loewner.errors import ConvergenceError, InputError
 from loewner.queries import pairs as queries
 from loewner.robots.description.links import Joint
 from loewner.robots.description.tree import constant_pose
 from loewner.robots.description.xml_elements import some
+
+# A joint, and the columns of its values in a model's configurations.
+Move = tuple[Joint, tuple[int, ...]]
 
 
 class Shape(NamedTuple):
@@ -127,28 +129,22 @@ class Layout(KeepsReadOnly):
         return np.ascontiguousarray(Q)
 
 
-def layout_of(
-    order: Order, own_columns: Mapping[str, slice], above: Sequence[str], tree: Tree, references: Mapping[str, float]
-) -> Layout:
+def layout_of(order: Order, robot: Any, references: Mapping[str, float]) -> Layout:
     """Determine how a robot's configurations correspond to the configurations of its model.
 
     Parameters
     ----------
     order : Order
-    own_columns : mapping
-        Maps each joint to its columns in the robot's configurations.
-    above : sequence of str
-        The joint above each link of the tree; empty if there is none.
-    tree : Tree
+    robot : Robot
     references : mapping
         Maps each joint whose value is not 0 at the tree's 0 to that value.
     """
-    dof = max((at.stop for at in own_columns.values()), default=0)
+    dof, tree = robot.dof, robot.tree
     source, factors, offsets = np.full(order.width, dof), np.zeros(order.width), np.zeros(order.width)
     own, turning, names = np.zeros(dof, dtype=np.int64), [], ["?"] * order.width
-    rows = {joint: k for k, joint in enumerate(above)}
+    rows = {joint: robot.link_names.index(link) for link, (joint, _) in robot._above.items()}
     for joint, theirs in order.columns.items():
-        at, k = own_columns.get(joint), rows[joint]
+        at, k = robot._columns.get(joint), rows[joint]
         for column in theirs:
             names[column] = joint
         if at is None:  # the joint mimics another joint
@@ -168,16 +164,15 @@ def layout_of(
 
 
 def chained(
-    moves: Sequence[Joint], parent: str, child: str, T_parent_joint: Floats, T_joint_child: Floats
-) -> Iterator[Joint]:
-    """List the joints, one after another, that together represent one joint of a model between two links."""
-    for move in moves:
-        last = move is moves[-1]
-        below = child if last else f"{child}/{move.name}"
-        before, own = T_parent_joint if move is moves[0] else np.eye(4), _validate.pose(move.T_parent_joint, "pose")
-        behind = T_joint_child if last else None
-        yield replace(move, parent=parent, child=below, T_parent_joint=product(before, own), T_joint_child=behind)
-        parent = below
+    moves: Sequence[Move], parent: str, child: str, T_parent_joint: Floats, T_joint_child: Floats
+) -> Iterator[Move]:
+    """Connect two links by joints, one after another, that together represent one joint of a model."""
+    before = T_parent_joint
+    for number, (move, theirs) in enumerate(moves, 1):
+        below, behind = (child, T_joint_child) if number == len(moves) else (f"{child}/{move.name}", None)
+        T = product(before, _validate.pose(move.T_parent_joint, "pose"))
+        yield replace(move, parent=parent, child=below, T_parent_joint=T, T_joint_child=behind), theirs
+        parent, before = below, np.eye(4)
 
 
 def made_body(make: Callable[[], Body], what: str) -> Body:
@@ -188,9 +183,7 @@ def made_body(make: Callable[[], Body], what: str) -> Body:
         raise type(error)(f"{what}: {error}") from None
 
 
-def with_shapes(
-    links: Sequence[str], joints: Sequence[Joint], shapes: Sequence[Shape], checked: Bools
-) -> tuple[dict[str, list[tuple[Body, Floats]] | None], list[Joint], list[Pair]]:
+def with_shapes(model: Model) -> tuple[dict[str, list[tuple[Body, Floats]] | None], list[Joint], list[Pair]]:
     """Assign to links the shapes of a model whose rules on pairs apply to shapes instead of links.
 
     Shapes of a link are grouped by the other shapes against which they are checked: the first group becomes the link's
@@ -202,6 +195,7 @@ def with_shapes(
     links, joints, disabled
         As `Robot.from_links` takes them.
     """
+    _, links, joints, shapes, checked, _ = model
     classes: dict[tuple[str, object], list[int]] = {}
     for k, shape in enumerate(shapes):
         classes.setdefault((shape.link, k if shape.link == links[0] else checked[k].tobytes()), []).append(k)
@@ -221,19 +215,21 @@ def with_shapes(
     return all_links, list(all_joints.values()), [(names[a], names[b]) for a, b in skipped]
 
 
-def warn_of_fixed_contacts(
-    model: Model, bodies: Mapping[str, Body], names: Sequence[str], tree: Tree, skipped: Container[Pair]
-) -> None:
-    """Warn about bodies that are fixed to each other and collide: the model's library checks these, checkers do not."""
+def warn_of_fixed_contacts(model: Model, robot: Any) -> None:
+    """Warn about bodies that are fixed to each other and collide.
+
+    The model's library checks such pairs; collision checkers do not.
+    """
+    bodies, tree = robot.bodies, robot.tree
     fixed = tree.kind == columns.FIXED
-    groups = np.where(fixed, tree.parent, np.arange(len(names)))
+    groups = np.where(fixed, tree.parent, np.arange(len(fixed)))
     poses = {
         name: (int(groups[k]), constant_pose(tree.constants[k]) if fixed[k] else np.eye(4))
-        for k, name in enumerate(names) if name in bodies
+        for k, name in enumerate(robot.link_names) if name in bodies
     }  # fmt: skip
     contacts = [
         f"{a!r} and {b!r}" for a, b in combinations(sorted(poses), 2)
-        if poses[a][0] == poses[b][0] and (a, b) not in skipped
+        if poses[a][0] == poses[b][0] and (a, b) not in robot.disabled_pairs
         and queries.collide(bodies[a], poses[a][1], bodies[b], poses[b][1])
     ]  # fmt: skip
     if contacts:

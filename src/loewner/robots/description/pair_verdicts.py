@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
@@ -18,6 +18,7 @@ from loewner._base._files import read_regular, replacing
 from loewner._base._validate import Floats, Pair
 from loewner.errors import FileError, InputError, UnknownNameError
 from loewner.robots.description.xml_elements import MOST_BYTES, read_xml
+from loewner.scenes.scene import Scene
 
 
 class PairVerdict(StrEnum):
@@ -28,6 +29,24 @@ class PairVerdict(StrEnum):
     SOMETIMES = "SOMETIMES"
     CAN = "CAN"
     OPEN = "OPEN"
+
+
+class Terms(NamedTuple):
+    """The arguments that `Robot.prove_pairs` and `Robot.free_range` have in common.
+
+    Attributes
+    ----------
+    margin, limits, scene, boxes
+        See `Robot.prove_pairs`.
+    only_free : bool
+        Omit the least distances of pairs that are not NEVER.
+    """
+
+    margin: float
+    limits: Mapping[str, tuple[float, float]] | None
+    scene: Scene | None
+    boxes: int
+    only_free: bool = False
 
 
 # Reasons that MoveIt's setup assistant writes, for verdicts that exempt a pair.

@@ -19,12 +19,9 @@ from loewner.robots.description.coal_shapes import coal_body
 from loewner.robots.description.link_bodies import MODELS
 from loewner.robots.description.link_meshes import described, warn_of_open_meshes
 from loewner.robots.description.links import Joint, JointKind
-from loewner.robots.description.other_models import Model, Order, Shape, chained, expect, made_body, unique
+from loewner.robots.description.other_models import Model, Move, Order, Shape, chained, expect, made_body, unique
 
 X, Y, Z = np.eye(3)
-
-# Joints, each with its columns in pinocchio's configurations.
-Moves = Iterator[tuple[Joint, tuple[int, ...]]]
 
 
 def pinocchio_model(model: Any, geometry_model: Any, meshes: str, tol: float) -> Model:
@@ -33,13 +30,11 @@ def pinocchio_model(model: Any, geometry_model: Any, meshes: str, tol: float) ->
     expect(geometry_model, "GeometryModel", "geometry_model")
     _validate.choice(meshes, "meshes", MODELS)
     of_body, at_joint = _links(model)
-    joints: list[Joint] = []
-    columns: dict[str, tuple[int, ...]] = {}
+    moves: list[Move] = []
     for k in range(1, model.njoints):
-        moves = list(_moves(model, model.joints[k], model.names[k]))
-        columns |= {move.name: theirs for move, theirs in moves if theirs}
-        ends = at_joint[int(model.parents[k])], at_joint[k]
-        joints += chained([move for move, _ in moves], *ends, model.jointPlacements[k].homogeneous, np.eye(4))
+        ends, T = (at_joint[int(model.parents[k])], at_joint[k]), model.jointPlacements[k].homogeneous
+        moves += chained(list(_moves(model, model.joints[k], model.names[k])), *ends, T, np.eye(4))
+    joints, columns = [joint for joint, _ in moves], {joint.name: theirs for joint, theirs in moves if theirs}
     for k, name in of_body.items():
         frame = model.frames[k]
         on = at_joint[int(frame.parentJoint)]
@@ -59,8 +54,8 @@ def pinocchio_model(model: Any, geometry_model: Any, meshes: str, tol: float) ->
         checked[a, b] = checked[b, a] = enabled[a] and enabled[b] and a != b
     if len(shapes) > 1 and not checked.any():
         warn(
-            f"geometry_model: expected collisionPairs, found none for {len(shapes)} shapes, so nothing will be checked "
-            "among them; addAllCollisionPairs() lists all"
+            f"geometry_model: expected collisionPairs, found none for {len(shapes)} shapes, so none of them "
+            "are checked against each other; addAllCollisionPairs() adds all pairs"
         )
     return Model(
         name=model.name or "model",
@@ -110,14 +105,12 @@ def _shape(
 # -- joints ---------------------------------------------------------------------------------------
 
 
-def _moves(model: Any, joint: Any, name: str) -> Moves:
+def _moves(model: Any, joint: Any, name: str) -> Iterator[Move]:
     """List the joints that together represent a joint of pinocchio, and the columns of their values."""
     kind, q = joint.shortname(), int(joint.idx_q)
     lower, upper = model.lowerPositionLimit, model.upperPositionLimit
 
-    def single(
-        suffix: str, kind: Any, axis: Floats, at: int, *, limited: bool = True, rated: bool = True
-    ) -> tuple[Joint, tuple[int, ...]]:
+    def single(suffix: str, kind: Any, axis: Floats, at: int, limited: bool = True, rated: bool = True) -> Move:
         low, high = (float(lower[q + at]), float(upper[q + at])) if limited else (-math.inf, math.inf)
         rate = float(model.velocityLimit[int(joint.idx_v) + at]) if rated else math.nan
         velocity = rate if 0 < rate < math.inf else None
@@ -179,7 +172,7 @@ def _mimicking(model: Any, joint: Any, name: str) -> Joint:
     return Joint(name, kind, "", "", axis=axis if turns else along, mimic=(followed, rule.scaling, rule.offset))
 
 
-def _composite(model: Any, joint: Any, name: str) -> Moves:
+def _composite(model: Any, joint: Any, name: str) -> Iterator[Move]:
     for k, part in enumerate(joint.joints):
         for number, (move, theirs) in enumerate(_moves(model, part, f"{name}/{k}")):
             before = joint.jointPlacements[k].homogeneous if number == 0 else None

@@ -37,13 +37,13 @@ from loewner.robots.description.links import Joint as LinkJoint
 from loewner.robots.description.links import described
 from loewner.robots.description.mjcf import description_of, qpos_columns, semantics_of
 from loewner.robots.description.other_models import Layout, Model, Order, expect, layout_of
-from loewner.robots.description.pair_verdicts import ProvenPairs
+from loewner.robots.description.pair_verdicts import ProvenPairs, Terms
 from loewner.robots.description.pinocchio import pinocchio_model
 from loewner.robots.description.srdf import Semantics, State, read_srdf
 from loewner.robots.description.tree import adjacent_pairs, columns_of, placed_tree, tree_of
 from loewner.robots.description.urdf import RATES, VALUES, Description, Joint, doubt_limits, read_urdf
 from loewner.robots.description.watch import LARGEST_VALUE, Watch
-from loewner.robots.description.xacro_files import SUFFIX, expanded, refuse_unused
+from loewner.robots.description.xacro_files import SUFFIX, Expansion
 from loewner.scenes.mjcf_models import MjcfModel, compiled_model, name_of, read_mjcf
 from loewner.scenes.scene import Scene
 
@@ -68,16 +68,9 @@ answers: dict[str, Callable[..., Any]] = {}
 
 
 def _text_of(
-    path: str | os.PathLike[str] | None,
-    text: str | None,
-    xacro_args: Mapping[str, object] | None,
-    places: list[Path],
-    used: set[str],
+    path: str | os.PathLike[str] | None, text: str | None, xacro_args: Any, expansion: Expansion
 ) -> str | None:
-    """Return the text of a URDF that is given as a string or as a xacro file; None for other files.
-
-    Names of arguments that the file declares are added to `used`.
-    """
+    """Return the text of a URDF that is given as a string or as a xacro file; None for other files."""
     if path is None and text is None:
         raise InputError("path: expected a path to a URDF, found None, and no text of one (text=) either")
     if path is not None and text is not None:
@@ -93,7 +86,7 @@ def _text_of(
     named = _validate.path(path, "path", wanted="a path to a URDF")
     if xacro_args is None and not str(named).lower().endswith(SUFFIX):
         return None
-    return expanded(named, xacro_args or {}, places, used)
+    return expansion.text(named)
 
 
 def _model(meshes: str, decompose: bool) -> str:
@@ -197,23 +190,24 @@ class Robot(KeepsReadOnly):
     tree: Tree
     urdf: Path
     package_dirs: tuple[Path, ...]
-    _columns: dict[str, slice] = field(repr=False)
+    _columns: dict[str, slice]
     # The joint above each link except roots ("" if the joint has no name), and the link's parent (None for the world).
-    _above: dict[str, tuple[str, str | None]] = field(repr=False)
+    _above: dict[str, tuple[str, str | None]]
     # Links that have only visual geometry; messages name them.
-    _only_visual: tuple[str, ...] = field(repr=False)
-    _watch: Watch = field(repr=False)
+    _only_visual: tuple[str, ...]
+    _watch: Watch
     # The tree with the root link at the origin.
-    _rooted: Tree = field(repr=False)
-    # The descriptions from which the robot and its parts were read; then the robots that were joined, by name.
-    _sources: tuple[Source, ...] = field(repr=False)
-    _parts: dict[str, Part[Robot]] = field(repr=False)
+    _rooted: Tree
+    # The descriptions from which the robot and its parts were read.
+    _sources: tuple[Source, ...]
     # Whether an SRDF or an MJCF has rules on pairs. With rules, no adjacent pair is exempt by default.
-    _ruled: bool = field(repr=False)
+    _ruled: bool
+    # The robots that were joined, by name.
+    _parts: dict[str, Part[Robot]] = field(default_factory=dict)
     # Bodies that were added to the world. The robot's pose does not move them.
-    _in_world: tuple[str, ...] = field(repr=False)
+    _in_world: tuple[str, ...] = ()
     # The order of values in the model from which the robot was made.
-    _layout: Layout | None = field(repr=False)
+    _layout: Layout | None = None
 
     @classmethod
     @guarded
@@ -314,12 +308,12 @@ class Robot(KeepsReadOnly):
         folders = [package_dirs] if isinstance(package_dirs, (str, os.PathLike)) else package_dirs
         listed = _validate.listed(folders, "package_dirs", wanted="a path or several")
         places = [_validate.path(folder, "package_dirs") for folder in listed]
-        used: set[str] = set()
-        text = _text_of(path, text, xacro_args, places, used)
+        expansion = Expansion(xacro_args or {}, places, set())
+        text = _text_of(path, text, xacro_args, expansion)
         rules = None
         if srdf is not None and str(_validate.path(srdf, "srdf", wanted="a path to an SRDF")).lower().endswith(SUFFIX):
-            rules = expanded(srdf, xacro_args or {}, places, used)
-        refuse_unused(xacro_args or {}, used)
+            rules = expansion.text(srdf)
+        expansion.refuse_unused()
         robot = read_urdf("URDF text" if path is None else path, text)
         semantics = Semantics() if srdf is None else read_srdf(srdf, robot, rules)
         bodies, shapes = link_bodies(robot, places, model=model, tol=tol, cache=cache, progress=progress)
@@ -346,7 +340,7 @@ class Robot(KeepsReadOnly):
         """Build the robot from the parsed files."""
         columns, dof = columns_of(robot)
         kinds = {name: robot.joints[name].kind for name in columns}
-        limits = {kind: _rates(robot, columns, dof, kind) for kind in RATES}
+        limits: dict[str, Any] = {kind: _rates(robot, columns, dof, kind) for kind in RATES}
         limits["lower"], limits["upper"] = _ends(robot, columns, dof, lambda joint: joint.range)
         hard = _ends(robot, columns, dof, lambda joint: (joint.lower, joint.upper))
         limits["hard_lower"], limits["hard_upper"] = hard
@@ -380,10 +374,7 @@ class Robot(KeepsReadOnly):
             _watch=Watch(robot.name, names, *hard, turns, free),
             _rooted=tree,
             _sources=(Source("", format, path, text, package_dirs),),
-            _parts={},
             _ruled=semantics.ruled,
-            _in_world=(),
-            _layout=None,
         )
 
     @classmethod
@@ -506,9 +497,7 @@ class Robot(KeepsReadOnly):
         theirs = qpos_columns(robot)
         order = Order(sum(map(len, theirs.values())), theirs, {})
         references = {joint.name: joint.reference for joint in robot.joints.values()}
-        return replace(
-            new_robot, _layout=layout_of(order, new_robot._columns, joints_above(new_robot), new_robot.tree, references)
-        )
+        return replace(new_robot, _layout=layout_of(order, new_robot, references))
 
     @classmethod
     @guarded
@@ -721,10 +710,10 @@ class Robot(KeepsReadOnly):
     @classmethod
     def _of_model(cls, model: Model) -> Robot:
         """Make the robot of another library's model."""
-        links, joints, disabled = other_models.with_shapes(model.links, model.joints, model.shapes, model.checked)
+        links, joints, disabled = other_models.with_shapes(model)
         robot = cls.from_links(links, joints, disabled=disabled, name=model.name)
-        other_models.warn_of_fixed_contacts(model, robot.bodies, robot.link_names, robot.tree, robot.disabled_pairs)
-        return replace(robot, _layout=layout_of(model.order, robot._columns, joints_above(robot), robot.tree, {}))
+        other_models.warn_of_fixed_contacts(model, robot)
+        return replace(robot, _layout=layout_of(model.order, robot, {}))
 
     @guarded
     def exported(self, Q: ArrayLike) -> Floats:
@@ -785,8 +774,8 @@ class Robot(KeepsReadOnly):
     def _known_layout(self) -> Layout:
         if self._layout is None:
             raise InputError(
-                "expected a robot with the values of a model of Drake, pinocchio or MuJoCo, found one that was made "
-                "otherwise, or has got others since"
+                "expected a robot with the values of a model of Drake, pinocchio or MuJoCo, found one that was not "
+                "made from such a model, or has gained values since then"
             )
         return self._layout
 
@@ -809,13 +798,8 @@ class Robot(KeepsReadOnly):
         >>> scene.names, scene.pose("cart")[:3, 3]
         (('rail', 'cart', 'forearm'), array([1., 0., 0.]))
         """
-        scene, poses = Scene(), link_poses(self, self.checked_one(q)[None])[0]
-        for name, body in self.bodies.items():
-            scene.add(name, body, poses[self.link_names.index(name)])
-        for a, b in sorted(self._usually_skipped):
-            if a in scene and b in scene:
-                scene.allow(a, b)
-        return scene
+        poses = link_poses(self, self.checked_one(q)[None])[0]
+        return scene_of(self, dict(zip(self.link_names, poses, strict=True)))
 
     def to_urdf(self, path: str | os.PathLike[str], *, mesh_prefix: str = "") -> None:
         """Write the robot as a URDF, with an SRDF with the same stem, for other programs and for `from_urdf`.
@@ -1130,8 +1114,8 @@ class Robot(KeepsReadOnly):
         -----
         NEVER and ALWAYS are proofs, like FREE in `CollisionChecker.certify_edges`; docs/certified.md derives the
         bounds. Planar joints need ranges for their positions, and pairs with a floating or ball joint between them are
-        OPEN. A pair with many joints between its bodies needs many boxes: with six or more joints between its bodies, a
-        pair is rarely decided.
+        OPEN. The number of boxes that a pair needs grows quickly with the number of joints between its bodies; with six
+        or more joints, a pair is rarely decided.
 
         Examples
         --------
@@ -1142,11 +1126,8 @@ class Robot(KeepsReadOnly):
         cart rail NEVER
         forearm rail NEVER
         """
-        rows: ProvenPairs = answers["prove_pairs"](
-            self, pairs, margin=margin, limits=limits, scene=scene, boxes=boxes, cache=cache, progress=progress,
-            proof=proof,
-        )  # fmt: skip
-        return rows
+        terms = Terms(margin, limits, scene, boxes)
+        return cast(ProvenPairs, answers["prove_pairs"](self, pairs, terms, cache, progress, proof))
 
     def free_range(
         self,
@@ -1200,10 +1181,8 @@ class Robot(KeepsReadOnly):
         >>> round(lower, 9), round(upper, 9)
         (0.0, 0.7)
         """
-        ranges: dict[str, tuple[float, float]] = answers["free_range"](
-            self, joints, about, pairs=pairs, margin=margin, limits=limits, scene=scene, boxes=boxes
-        )
-        return ranges
+        terms = Terms(margin, limits, scene, boxes)
+        return cast("dict[str, tuple[float, float]]", answers["free_range"](self, joints, about, pairs, terms))
 
     def cover(
         self,
@@ -1728,9 +1707,9 @@ class Robot(KeepsReadOnly):
     def random_configurations(self, n: int, seed: int = 0) -> Floats:
         """Draw n configurations uniformly within the limits, shape (n, dof).
 
-        A value without limits is drawn from -π .. π (even a length, in metres); quaternions are uniform. A value with
-        one limit is drawn from a range that starts at the limit and extends over 2π or, if farther away, to the far end
-        of -π .. π. A limit outside ±1e6 does not set the range, but is still respected.
+        A value without limits is drawn from -π .. π (even a length, in metres); quaternions are uniform. For a value
+        with one limit, the range begins at the limit. This range is 2π wide, or wider if it would otherwise not reach
+        the far end of -π .. π. A limit outside ±1e6 does not set the range, but is still respected.
 
         Parameters
         ----------
@@ -1931,6 +1910,21 @@ def exported_rates(robot: Robot, rates: Floats) -> Floats:
 def joints_above(robot: Robot) -> tuple[str, ...]:
     """Return the name of the joint above each link, in the order of the links; an empty string if there is none."""
     return tuple(robot._above.get(link, ("", None))[0] for link in robot.link_names)
+
+
+def scene_of(robot: Robot, poses: Mapping[str, Floats]) -> Scene:
+    """Make a scene of a robot's bodies, at poses by link or at the origin; pairs that need no check may touch."""
+    scene = Scene()
+    for link, body in robot.bodies.items():
+        scene.add(link, body, poses.get(link))
+    for pair in skipped_with_bodies(robot):
+        scene.allow(*pair)
+    return scene
+
+
+def skipped_with_bodies(robot: Robot) -> list[Pair]:
+    """Return the pairs of links with bodies that a checker of this robot does not check by default, sorted."""
+    return sorted(pair for pair in robot._usually_skipped if robot.bodies.keys() >= set(pair))
 
 
 def sources_of(robot: Robot) -> tuple[Source, ...]:

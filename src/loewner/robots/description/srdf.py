@@ -6,6 +6,7 @@ import math
 import os
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field
+from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,8 @@ from loewner.errors import UnknownNameError
 from loewner.robots.description.urdf import MOST_PAIRS, VALUES, Description
 from loewner.robots.description.xml_elements import LISTED, UNREAD, Element, by_name, cut, known, read_xml, settle, some
 
-# pinocchio's name for the free base that it adds to a robot; its SRDF files use it without declaring it.
+# pinocchio's name for the free base that it adds to a robot; SRDF files for pinocchio use this name without declaring a
+# joint of this name.
 UNDECLARED_BASE = "root_joint"
 
 # Parts of SRDF files that do not change groups, states or pairs, by the element that contains them.
@@ -99,15 +101,13 @@ class _Names:
             return
         foreign = [key for key in self.unknown if key[0] != "group"]
         could = min(len(self.known) + len(foreign), len(self.robot.shapes) + len(self.robot.joints))
-        listing = ", ".join(f"{kind} {name!r} (line {e.line})" for (kind, name), e in list(self.unknown.items())[:8])
-        if len(self.unknown) > 8:
-            listing += f" and {len(self.unknown) - 8} more"
+        listing = some((f"{kind} {name!r} (line {e.line})" for (kind, name), e in self.unknown.items()), UNREAD)
         if len(self.known) < LEAST_IN_COMMON * could:
             raise UnknownNameError(
                 f"{path}: expected an SRDF for {self.robot.name!r} ({self.robot.path}), found one for another robot, "
                 f"with {listing}; links: {known(self.robot.shapes)}; joints: {known(self.robot.joints)}"
             )
-        warn(f"{path}: left out what names things that neither it nor {self.robot.path} has: {listing}")
+        warn(f"{path}: some entries are left out, since neither it nor {self.robot.path} has what they name: {listing}")
 
 
 def read_srdf(path: str | os.PathLike[str], robot: Description, text: str | None = None) -> Semantics:
@@ -141,10 +141,15 @@ def read_srdf(path: str | os.PathLike[str], robot: Description, text: str | None
     disabled = _disabled_pairs(root, names)
     groups = _groups(root, names)
     states, doubts = _states(root, names, groups)
-    passive = _passive(root, names)
+    lines = {names.joint(element): element.line for element in root.all("passive_joint")}
+    passive = [joint for joint in lines if joint in set(robot.driven)]
+    left_out = "passive joints are left out of groups, but plans that name no joints move them"
     names.settle(root.path)
-    for fault in (*_oddities(root, names), *_of_bases(root, robot), *_of_passive(passive), *doubts):
+    for fault in (*_oddities(root, names), *_of_bases(root, robot)):
         warn(f"{root.path}: {fault}")
+    for doubt, places in ({left_out: [f"{joint!r} (line {lines[joint]})" for joint in passive]} | doubts).items():
+        if places:
+            warn(f"{root.path}: {doubt}: {some(places, UNREAD)}")
     settle(root, "SRDF", HARMLESS)
     groups = {name: tuple(joint for joint in joints if joint not in passive) for name, joints in groups.items()}
     ruled = any(root.all(tag) for tag in ("disable_collisions", "enable_collisions", "disable_default_collisions"))
@@ -175,20 +180,6 @@ def _of_bases(root: Element, robot: Description) -> Iterator[str]:
                 f"line {element.line}: the motion model {cut(value)} of {joint!r} is not used: motions are straight "
                 "lines here, sideways as well"
             )
-
-
-def _passive(root: Element, names: _Names) -> dict[str, Element]:
-    """Return the passive joints that have values."""
-    named = ((names.joint(element), element) for element in root.all("passive_joint"))
-    driven = set(names.robot.driven)
-    return {joint: element for joint, element in named if joint is not None and joint in driven}
-
-
-def _of_passive(passive: Mapping[str, Element]) -> Iterator[str]:
-    """List the passive joints in a warning."""
-    if passive:
-        named = some((f"{joint!r} (line {element.line})" for joint, element in passive.items()), UNREAD)
-        yield f"passive joints are left out of groups, but plans that name no joints move them: {named}"
 
 
 def _disabled_pairs(root: Element, names: _Names) -> frozenset[Pair]:
@@ -261,25 +252,12 @@ def _named_joints(element: Element, names: _Names, depth: dict[str, int]) -> lis
 
 def _innermost_first(elements: dict[str, Element], inner: dict[str, list[str]]) -> list[str]:
     """Order groups so that each follows the groups that it contains."""
-    order: list[str] = []
-    done: set[str] = set()
-    for start in elements:
-        within: dict[str, Iterator[str]] = {} if start in done else {start: iter(inner[start])}  # from outside inwards
-        while within:
-            name = next(reversed(within))
-            group = next(within[name], None)
-            if group is None:
-                del within[name]
-                done.add(name)
-                order.append(name)
-            elif group in within:
-                names = list(within)
-                ring = [*names[names.index(group) :], group]
-                more = f" ... and {len(ring) - LISTED} more" if len(ring) > LISTED else ""
-                elements[group].fault("groups that do not contain themselves", " in ".join(ring[:LISTED]) + more)
-            elif group not in done:
-                within[group] = iter(inner[group])
-    return order
+    try:
+        return list(TopologicalSorter(inner).static_order())
+    except CycleError as error:
+        ring = error.args[1][::-1]  # from outside inwards
+        more = f" ... and {len(ring) - LISTED} more" if len(ring) > LISTED else ""
+        elements[ring[0]].fault("groups that do not contain themselves", " in ".join(ring[:LISTED]) + more)
 
 
 def _chain(robot: Description, depth: dict[str, int], base: str | None, tip: str | None) -> list[str]:
@@ -298,8 +276,8 @@ def _chain(robot: Description, depth: dict[str, int], base: str | None, tip: str
 
 def _states(
     root: Element, names: _Names, groups: Mapping[str, tuple[str, ...]]
-) -> tuple[dict[str, State], Iterator[str]]:
-    """Read the states, and collect warnings about values that have no effect or are for joints outside the group."""
+) -> tuple[dict[str, State], dict[str, list[str]]]:
+    """Read the states, and collect values that have no effect or are for joints outside the group, with warnings."""
     states: dict[str, State] = {}
     driven = set(names.robot.driven)
     first: dict[tuple[str, str], Element] = {}
@@ -331,7 +309,11 @@ def _states(
         if key in states:
             element.fault("states whose names differ", f"{key!r} twice: as a name, and as a group and a name")
         states[key] = (group, values)
-    return states, _of_states(bases, outside, followers)
+    return states, {
+        "states that place the base leave it where it is (Robot.placed, add_base)": bases,
+        "expected values of the joints of a state's group, found others, which are used": outside,
+        "values of joints that follow others are not used, and differ from the values that the joints take": followers,
+    }
 
 
 def _lost(element: Element, names: _Names, values: Mapping[str, Any]) -> Iterator[tuple[str, int]]:
@@ -343,15 +325,6 @@ def _lost(element: Element, names: _Names, values: Mapping[str, Any]) -> Iterato
             (value,), leading = e.finite("value", 1), values.get(follows.joint, math.nan)
             if not math.isclose(follows.multiplier * leading + follows.offset, value, rel_tol=1e-6, abs_tol=1e-6):
                 yield joint, e.line
-
-
-def _of_states(bases: list[str], outside: list[str], followers: list[str]) -> Iterator[str]:
-    if bases:
-        yield f"states that place the base leave it where it is (Robot.placed, add_base): {some(bases, UNREAD)}"
-    if outside:
-        yield f"expected values of the joints of a state's group, found others, which are used: {some(outside, UNREAD)}"
-    if followers:
-        yield f"values of joints that follow others are not used, and differ from theirs: {some(followers, UNREAD)}"
 
 
 def _is_away(text: str) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import defaultdict
 from collections.abc import Collection
 from itertools import combinations
 
@@ -47,8 +48,8 @@ def adjacent_pairs(robot: Description, bodies: Collection[str] | None = None) ->
     # each place to links with bodies.
     shaped = {link for link, shapes in robot.shapes.items() if shapes} if bodies is None else bodies
     place = {name: name for name in robot.shapes}
-    fixed: dict[str, set[str]] = {}
-    moving: dict[str, set[str]] = {}
+    fixed: defaultdict[str, set[str]] = defaultdict(set)
+    moving: defaultdict[str, set[str]] = defaultdict(set)
     between: list[Pair] = []  # places that a moving joint connects
     pairs = set()
     for link in robot.shapes:
@@ -59,16 +60,14 @@ def adjacent_pairs(robot: Description, bodies: Collection[str] | None = None) ->
         if link in shaped and parent in shaped:
             pairs.add((min(link, parent), max(link, parent)))
         elif link in shaped:
-            around.setdefault(place[parent], set()).add(link)
+            around[place[parent]].add(link)
         elif parent in shaped:
-            around.setdefault(link, set()).add(parent)
+            around[link].add(parent)
         elif joint.kind == "fixed":
             place[link] = place[parent]
         else:
             between.append((place[parent], link))
-    none: set[str] = set()
-    products = [(fixed[at], moving.get(at, none)) for at in fixed]
-    products += [(fixed.get(one, none), fixed.get(other, none)) for one, other in between]
+    products = [(fixed[at], moving[at]) for at in fixed] + [(fixed[one], fixed[other]) for one, other in between]
     total = sum(math.comb(len(links), 2) for links in fixed.values()) + sum(len(a) * len(b) for a, b in products)
     if total > MOST_PAIRS:
         most = max(len(links) for links in (*fixed.values(), *moving.values()))

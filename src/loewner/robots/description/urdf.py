@@ -237,7 +237,7 @@ def read_urdf(path: str | os.PathLike[str], text: str | None = None) -> Descript
     name, version = root.get("name"), _version(root)
     if version >= UNKNOWN:
         warn(
-            f"{root.path}: expected URDF up to version 1.2, found {version[0]}.{version[1]}; what it added is not known"
+            f"{root.path}: expected URDF up to version 1.2, found {version[0]}.{version[1]}; its additions are unknown"
         )
     links = by_name(root.all("link"))
     if not links:
@@ -301,7 +301,7 @@ def parents_first(
     """Order links depth first from the root, which must be unique; if it is not, `fault` raises an error."""
     tops = [name for name in links if name not in joint_above]
     if len(tops) > 1:
-        fault("a tree with one root", f"{len(tops)} links that hang on no joint: {some(tops)}")
+        fault("a tree with one root", f"{len(tops)} links that are below no joint: {some(tops)}")
     below: dict[str, list[str]] = {name: [] for name in links}
     for name in links:
         if name in joint_above:
@@ -314,7 +314,7 @@ def parents_first(
     if len(order) < len(links):
         reached = set(order)
         lost = [name for name in links if name not in reached]
-        fault("a tree", f"a cycle: {some(lost)} do not hang on a root")
+        fault("a tree", f"a cycle: {some(lost)} are not below a root")
     return order
 
 
@@ -367,7 +367,7 @@ def _axis(joint: Element, kind: str) -> Floats:
     length = float(lengths(axis))
     if length < SHORTEST_AXIS:
         expected = f"an axis of length 1, and no less than {SHORTEST_AXIS:g}, for joint {joint.text('name')!r}"
-        element.fault(expected, f"{' '.join(f'{x:g}' for x in axis)}, whose direction rounding may have made")
+        element.fault(expected, f"{' '.join(f'{x:g}' for x in axis)}, whose direction may be due to rounding")
     return np.asarray(axis / length)
 
 

@@ -11,7 +11,7 @@ import threading
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from loewner._base import _validate
 from loewner.errors import FileError, InputError, imported
@@ -40,63 +40,64 @@ class _Arguments(dict[str, str]):
         return super().__getitem__(name)
 
 
-def expanded(
-    path: str | os.PathLike[str],
-    arguments: Mapping[str, object],
-    folders: Sequence[str | os.PathLike[str]],
-    used: set[str],
-) -> str:
-    """Return the text of the URDF or SRDF that a xacro file describes.
+class Expansion(NamedTuple):
+    """The expansion of a robot's xacro files.
 
-    Parameters
+    Attributes
     ----------
-    path : path
     arguments : mapping of str to str, number or bool
         Values of ``<xacro:arg>``.
     folders : sequence of paths
         Packages, and folders that contain packages, for ``$(find package)``.
     used : set of str
-        Receives the names of arguments that the file declares or reads.
-
-    Raises
-    ------
-    MissingExtraError
-        If the package xacro is not installed.
-    FileError
-        If the file does not exist, or xacro cannot expand it.
-    InputError
-        If an argument is not a string, a number or a bool.
+        Names of the arguments that the files expanded so far declare or read.
     """
-    file = _validate.path(path, "path", wanted="a path to a xacro file").absolute()
-    texts = {name: _text(name, value) for name, value in arguments.items()}
-    if not os.path.isfile(file):  # Path.is_file raises if a name is too long
-        raise FileError(f"{path}: expected a xacro file, but there is no such file")
-    purpose = f"reading {file.name} needs the package xacro"
-    xacro, substitution = (imported(name, purpose, "xacro") for name in ("xacro", "xacro.substitution_args"))
-    with _alone, _finding(substitution, file, folders):
-        try:
-            document = xacro.process_file(str(file), mappings=_Arguments(texts, used), verbosity=0)
-            return str(document.documentElement.toprettyxml(indent="  "))
-        except Exception as error:  # expressions in the file can raise any error
-            if isinstance(getattr(error, "exc", None), FileError):
-                raise error.exc from None  # type: ignore[attr-defined]
-            named = str(error) or type(error).__name__
-            raise FileError(f"{path}: expected a file that xacro can expand, found that it cannot: {named}") from None
 
+    arguments: Mapping[str, object]
+    folders: Sequence[str | os.PathLike[str]]
+    used: set[str]
 
-def refuse_unused(arguments: Mapping[str, object], used: set[str]) -> None:
-    """Refuse arguments that no file declares or reads, since most of them are misspelt.
+    def text(self, path: str | os.PathLike[str]) -> str:
+        """Return the text of the URDF or SRDF that a xacro file describes.
 
-    Raises
-    ------
-    InputError
-    """
-    unused = [name for name in arguments if name not in used]
-    if unused:
-        raise InputError(
-            f"xacro_args: expected arguments that the file declares ({', '.join(sorted(used)) or 'none'}), found "
-            f"{_validate.short(', '.join(map(str, unused)))}"
-        )
+        Raises
+        ------
+        MissingExtraError
+            If the package xacro is not installed.
+        FileError
+            If the file does not exist, or xacro cannot expand it.
+        InputError
+            If an argument is not a string, a number or a bool.
+        """
+        file = _validate.path(path, "path", wanted="a path to a xacro file").absolute()
+        texts = {name: _text(name, value) for name, value in self.arguments.items()}
+        if not os.path.isfile(file):  # Path.is_file raises if a name is too long
+            raise FileError(f"{path}: expected a xacro file, but there is no such file")
+        purpose = f"reading {file.name} needs the package xacro"
+        xacro, substitution = (imported(name, purpose, "xacro") for name in ("xacro", "xacro.substitution_args"))
+        with _alone, _finding(substitution, file, self.folders):
+            try:
+                document = xacro.process_file(str(file), mappings=_Arguments(texts, self.used), verbosity=0)
+                return str(document.documentElement.toprettyxml(indent="  "))
+            except Exception as error:  # expressions in the file can raise any error
+                if isinstance(getattr(error, "exc", None), FileError):
+                    raise error.exc from None  # type: ignore[attr-defined]
+                why = str(error) or type(error).__name__
+                raise FileError(f"{path}: expected a file that xacro can expand, found that it cannot: {why}") from None
+
+    def refuse_unused(self) -> None:
+        """Refuse arguments that no file declares or reads, since most of them are misspelt.
+
+        Raises
+        ------
+        InputError
+        """
+        unused = [name for name in self.arguments if name not in self.used]
+        if unused:
+            raise InputError(
+                f"xacro_args: expected arguments that the file declares ({', '.join(sorted(self.used)) or 'none'}), "
+                f"found {_validate.short(', '.join(map(str, unused)))}"
+            )
 
 
 def _text(name: object, value: object) -> str:

@@ -35,7 +35,7 @@ from loewner.robots.checking.checked_pairs import prepared
 from loewner.robots.checking.pair_cache import keep, known_pairs
 from loewner.robots.checking.problem import Problem
 from loewner.robots.description import robot
-from loewner.robots.description.pair_verdicts import PairVerdict, ProvenPair, ProvenPairs
+from loewner.robots.description.pair_verdicts import PairVerdict, ProvenPair, ProvenPairs, Terms
 from loewner.robots.description.reaching import links_above
 from loewner.robots.description.robot import Robot
 from loewner.robots.proofs import proofs
@@ -204,7 +204,7 @@ class _Question:
 
     @property
     def to_go(self) -> float:
-        """A guess at how many more boxes the answer takes."""
+        """An estimate of the number of boxes that are still needed."""
         return self.boxes * (1.0 - self.share) / self.share if self.share > 0 else math.inf
 
     def proceed(self, most: int) -> int:
@@ -225,7 +225,7 @@ class _Question:
             if len(left):
                 halves = _halved(left, self.levers)
                 if len(halves) < 2 * len(left):
-                    self.reason = "two neighbouring configurations of floating point are not told apart"
+                    self.reason = "a box ends at two neighbouring floating-point numbers, and cannot be halved"
                 self.waiting.append(halves)
         return self.boxes - before
 
@@ -283,7 +283,7 @@ class _Question:
         if verdict in UNDECIDED:
             count = len(self.columns)
             values = f"{count} values" if count > 1 else "one value"
-            reason = self.reason or f"with {values} between the bodies, it takes more boxes"
+            reason = self.reason or f"with {values} between the bodies, more boxes are needed"
         names = self.every.robot.configuration_names
         return ProvenPair(
             self.names, verdict, tuple(names[k] for k in self.columns), self.lower, self.upper, self.margin,
@@ -421,25 +421,11 @@ def _values(whole: Robot, joints: list[int]) -> tuple[dict[int, bool], str]:
 
 @guarded
 def prove_pairs(
-    self: Robot,
-    pairs: Iterable[Pair] | None,
-    *,
-    margin: float,
-    limits: Mapping[str, tuple[float, float]] | None,
-    scene: Scene | None,
-    boxes: int,
-    cache: bool,
-    progress: Progress | None,
-    proof: bool,
-    only_free: bool = False,
+    self: Robot, pairs: Iterable[Pair] | None, terms: Terms, cache: bool, progress: Progress | None, proof: bool
 ) -> ProvenPairs:
-    """Implement `Robot.prove_pairs`, whose signature has the defaults; `only_free` omits distances of other pairs."""
-    cache = _validate.flag(cache, "cache")
-    margin = _validate.positive_scalar(margin, "margin", zero=True)
-    boxes = _validate.whole_number(boxes, "boxes", 1)
-    report = _validate.reporter(progress)
-    scene = _standing(self, scene)
-    ranges = _checked_limits(self, limits)
+    """Implement `Robot.prove_pairs`, whose signature has the defaults."""
+    cache, report = _validate.flag(cache, "cache"), _validate.reporter(progress)
+    margin, boxes, scene, ranges = _checked(self, terms)
     stated = None
     if _validate.flag(proof, "proof"):
         ready = prepared(self, scene, self._usually_skipped, scene.version, None)
@@ -457,9 +443,9 @@ def prove_pairs(
         else:
             answers[names] = _question(self, every, pair, max(margin, scene.margin_of(*names)), ranges)
     questions = {names: one for names, one in answers.items() if isinstance(one, _Question)}
-    _settle(list(questions.values()), boxes, report, only_free=only_free)
+    _settle(list(questions.values()), boxes, report, only_free=terms.only_free)
     answers |= {names: question.answer() for names, question in questions.items()}
-    if kept and questions and not only_free:
+    if kept and questions and not terms.only_free:
         keep(self, (answers[names] for names in questions), boxes // len(body_pairs))
     checked = {_sorted(every, (int(a), int(b))) for a, b in every.pairs}
     for names in [names for names, one in answers.items() if one is None and names in checked]:
@@ -472,15 +458,7 @@ def prove_pairs(
 
 @guarded
 def free_range(
-    self: Robot,
-    joints: str | Iterable[str],
-    about: ArrayLike | None,
-    *,
-    pairs: Iterable[Pair] | None,
-    margin: float,
-    limits: Mapping[str, tuple[float, float]] | None,
-    scene: Scene | None,
-    boxes: int,
+    self: Robot, joints: str | Iterable[str], about: ArrayLike | None, pairs: Iterable[Pair] | None, terms: Terms
 ) -> dict[str, tuple[float, float]]:
     """Implement `Robot.free_range`, whose signature has the defaults."""
     names = [joints] if isinstance(joints, str) else _validate.listed(joints, "joints", wanted="a name or several")
@@ -488,8 +466,7 @@ def free_range(
         _expect_value(self, name, "joints")
     if not names or len(set(names)) < len(names):
         raise InputError(f"joints: expected one name or several different ones, found {_validate.short(joints)}")
-    margin, boxes = _validate.positive_scalar(margin, "margin", zero=True), _validate.whole_number(boxes, "boxes", 1)
-    scene, ranges = _standing(self, scene), _checked_limits(self, limits)
+    margin, boxes, scene, ranges = _checked(self, terms)
     q = self.configuration() if about is None else self.checked_one(about, "about")
     every = prepared(self, scene, self._usually_skipped if pairs is None else (), scene.version, None)
     body_pairs = [(int(a), int(b)) for a, b in every.pairs] if pairs is None else _asked(self, every, pairs)
@@ -549,8 +526,10 @@ def _claims(whole: Robot, every: Problem, rows: tuple[ProvenPair, ...]) -> list[
     return claims
 
 
-def _standing(whole: Robot, scene: Scene | None) -> Scene:
-    """Check the robot and the scene of a question, and return a copy of the scene."""
+def _checked(whole: Robot, terms: Terms) -> tuple[float, int, Scene, dict[int, tuple[float, float]]]:
+    """Check a robot and terms; return the margin, the number of boxes, a copy of the scene, and ranges by column."""
+    margin = _validate.positive_scalar(terms.margin, "margin", zero=True)
+    boxes, scene = _validate.whole_number(terms.boxes, "boxes", 1), terms.scene
     if not whole.bodies:
         raise InputError(f"robot: expected a robot with collision geometry, found none in {whole.name!r}")
     if scene is not None and not isinstance(scene, Scene):
@@ -562,7 +541,7 @@ def _standing(whole: Robot, scene: Scene | None) -> Scene:
         )
     for name in scene.bounds:
         raise InputError(f"scene: expected bodies at known poses, found {name!r}, whose pose has an error")
-    return scene
+    return margin, boxes, scene, _checked_limits(whole, terms.limits)
 
 
 def _column(whole: Robot, name: Any, q: Floats, given: Mapping[int, tuple[float, float]]) -> tuple[int, float, float]:
