@@ -519,7 +519,7 @@ def test_rounded_normals(rng):
 def of_kernel(robot, scene):
     """The input of the kernel, and the model it was made of."""
     model = proof_models.model_of(CollisionChecker(robot, scene)._ready())
-    prepared = separations._Prepared(model, robot.tree, np.zeros(len(model.link), dtype=np.int64))
+    prepared = separations._Prepared(model, robot.tree, np.zeros(len(model.bodies.link), dtype=np.int64))
     return model, prepared.model
 
 
@@ -539,7 +539,7 @@ def test_supports_of_clusters(rng, tmp_path):
     for body in (0, 1):
         whole = record.bodies[body, plane_trees.ROOT]
         reach = reaches(record, whole, n)
-        box, turned = record.boxes[whole], n @ model.turn[body]
+        box, turned = record.boxes[whole], n @ model.bodies.turn[body]
         assert (reach <= n @ box[:3] + np.abs(turned) @ box[3:6] + 1e-12).all()
         assert (n @ box[6:] < reach).all()
         left, right = record.clusters[whole, [plane_trees.LEFT_HALF, plane_trees.RIGHT_HALF]]

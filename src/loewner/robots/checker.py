@@ -254,9 +254,9 @@ class CollisionChecker:
                 return collides
             checked = self.robot.checked(Q)
         else:
-            checked, ready = self._at(Q, t)
-            if ready.paths is not None and ready.paths.bounds:
-                free = in_time.free_at(ready, edges.flat(checked), _times_of(checked, t))
+            checked, ready, times = self._at(Q, t)
+            if times is not None and ready.paths is not None and ready.paths.bounds:
+                free = in_time.free_at(ready, edges.flat(checked), times)
                 return bool(not free[0]) if checked.ndim == 1 else ~free.reshape(checked.shape[:-1])
         return verdicts.collisions(self._exact(ready, checked).verdicts, checked)
 
@@ -285,11 +285,11 @@ class CollisionChecker:
             if verdict is not None:
                 self._learn(ready, 1)
                 return VERDICTS[verdict]
-        checked, ready = self._at(Q, t)
+        checked, ready, times = self._at(Q, t)
         rows = edges.flat(checked)
         out, _ = verdicts.classified(ready, codes.CERTIFY, rows)
         self._learn(ready, len(out))
-        out = self._doubted(ready, rows, None if t is None else _times_of(checked, t), out)
+        out = self._doubted(ready, rows, times, out)
         return Verdict(int(out[0])) if checked.ndim == 1 else out.reshape(checked.shape[:-1])
 
     def tiers(self, Q: ArrayLike) -> Settled:
@@ -322,7 +322,7 @@ class CollisionChecker:
         InputError, UnknownNameError, ConvergenceError
             As for `collide`.
         """
-        checked, ready = self._at(Q, None)
+        checked, ready, _ = self._at(Q, None)
         answers = self._exact(ready, checked)
         return verdicts.collisions(answers.verdicts, checked), answers.counted()
 
@@ -465,20 +465,14 @@ class CollisionChecker:
         errors, times = curves.joint_errors(self.robot, joint_error), _begin_and_end(t0, t1)
         ready = self._ready(timed=times is not None)
         model = model_of(ready) if _validate.flag(proof, "proof") else None
-        if times is not None and times[0].shape != shape:
+        if times is not None:
             whole = _validate.broadcast({"motions": shape, "t0, t1": times[0].shape})
-            if whole != shape:
-                a, b = (
-                    edges.flat(np.broadcast_to(Q.reshape(*shape, Q.shape[1]), (*whole, Q.shape[1]))) for Q in (a, b)
-                )
-            shape, times = whole, (np.broadcast_to(times[0], whole), np.broadcast_to(times[1], whole))
-        if times is not None and ready.paths is not None:
-            begin_and_end = times[0].ravel(), times[1].ravel()
-            answers = in_time.prove_edges(
-                self.robot, ready, ready.paths, (a, b), begin_and_end, tolerance, errors, most
-            )
-        else:
+            a, b = (edges.flat(np.broadcast_to(Q.reshape(*shape, Q.shape[1]), (*whole, Q.shape[1]))) for Q in (a, b))
+            shape, times = whole, (np.broadcast_to(times[0], whole).ravel(), np.broadcast_to(times[1], whole).ravel())
+        if times is None or ready.paths is None:
             answers = proofs.prove_by_rules(ready, a, b, tolerance, errors, most)
+        else:
+            answers = in_time.prove_edges(self.robot, ready, ready.paths, (a, b), times, tolerance, errors, most)
         answers.expect_short(a, b)
         motions = answers.of_shape(shape, ready)
         if model is None or not (answers.verdicts == codes.FREE).all():
@@ -608,7 +602,7 @@ class CollisionChecker:
             One entry per pair, with its exact distance or depth, witness points and normal.
         """
         time = None if t is None else _validate.finite_array(t, "t", ())
-        checked, ready = self._at(self.robot.checked_one(q), time)
+        checked, ready, _ = self._at(self.robot.checked_one(q), time)
         contacts, doubt = verdicts.contacts(ready, checked, None if time is None else float(time))
         if doubt:
             raise ConvergenceError(doubt)
@@ -633,8 +627,7 @@ class CollisionChecker:
         InputError, UnknownNameError, ConvergenceError
             As for `collide`.
         """
-        checked, ready = self._at(Q, t)
-        times = None if t is None else _times_of(checked, t)
+        checked, ready, times = self._at(Q, t)
         collisions = verdicts.collisions_by_pair(ready, edges.flat(checked), times)
         return collisions.reshape(*checked.shape[:-1], len(ready.pairs))
 
@@ -695,7 +688,7 @@ class CollisionChecker:
         >>> checker.distance([2.0, 3.0], exact=True, gradient=True).gradient.round(9) + 0.0
         array([-1.,  0.])
         """
-        checked, ready = self._at(Q, t)
+        checked, ready, _ = self._at(Q, t)
         exact, gradient = _validate.flag(exact, "exact"), _validate.flag(gradient, "gradient")
         if gradient and not exact:
             raise InputError("gradient: expected exact=True with it, found exact=False: bounds have no gradient")
@@ -808,23 +801,27 @@ class CollisionChecker:
         0 cart post 0.7
         1 rail forearm 0.481015
         """
-        checked, ready = self._at(Q, t)
+        checked, ready, _ = self._at(Q, t)
         within, gradient = _validate.positive_scalar(within, "within", zero=True), _validate.flag(gradient, "gradient")
         gaps = distances.by_pair(ready, edges.flat(checked), within, gradient)
         return gaps if ready.paths is None or gaps.gradient is None else replace(gaps, gradient=self._own(gaps))
 
     # -- inside -------------------------------------------------------------------------------
 
-    def _at(self, Q: ArrayLike, t: ArrayLike | None) -> tuple[Floats, Problem]:
-        """Check configurations and times; return configurations with values of moving bodies, and prepared pairs."""
+    def _at(self, Q: ArrayLike, t: ArrayLike | None) -> tuple[Floats, Problem, Floats | None]:
+        """Check configurations and times.
+
+        Return the configurations with the values of moving bodies, the prepared pairs, and a time per configuration.
+        """
         checked, ready = self.robot.checked(Q), self._ready(timed=t is not None)
         if t is None:
-            return checked, ready
+            return checked, ready, None
         times = _validate.finite_array(t, "t", ("...",))
         shape = _validate.broadcast({"Q": checked.shape[:-1], "t": times.shape})
         rows = edges.flat(np.broadcast_to(checked, (*shape, checked.shape[-1])))
-        full_rows = in_time.with_bodies(ready, rows, np.broadcast_to(times, shape).ravel())
-        return np.array(full_rows.reshape(*shape, full_rows.shape[1]), order="C"), ready
+        times = np.broadcast_to(times, shape).ravel()
+        full_rows = in_time.with_bodies(ready, rows, times)
+        return np.array(full_rows.reshape(*shape, full_rows.shape[1]), order="C"), ready, times
 
     def _doubted(self, ready: Problem, Q: Floats, t: Floats | None, out: NDArray[np.int8]) -> NDArray[np.int8]:
         """Return FREE if free at all poses within errors, COLLIDING if colliding at the given poses, else AMBIGUOUS."""
@@ -871,7 +868,7 @@ class CollisionChecker:
                 f"{SUSPECTED} of them random{shapes}; if the links' shapes are larger than the links, read them as "
                 "solids where hulls stick out (meshes='auto'), as pieces (meshes='pieces') or as they are "
                 "(meshes='surface'); if they may touch, disable the pair in an SRDF, or by allowed= or Scene.allow; "
-                "otherwise move what stands there (this is said once)"
+                "otherwise move the bodies apart (this warning is given once)"
             )
 
     def _keep(self, ready: Problem) -> None:
@@ -953,21 +950,15 @@ def _warn_of_refuted(robot: Robot) -> None:
         )
 
 
-def _times_of(Q: Floats, t: Any) -> Floats:
-    """Return one time per configuration."""
-    return np.broadcast_to(np.asarray(t, dtype=np.float64), Q.shape[:-1]).ravel()
-
-
 def _begin_and_end(t0: Any, t1: Any) -> tuple[Floats, Floats] | None:
-    """Check the times at which motions begin and end; return None if there are none."""
+    """Check and broadcast the times at which motions begin and end; return None if there are none."""
     if t0 is None and t1 is None:
         return None
     if t0 is None or t1 is None:
         raise InputError(f"expected both t0 and t1, found {'t1' if t0 is None else 't0'} only")
     begin, end = _validate.finite_array(t0, "t0", ("...",)), _validate.finite_array(t1, "t1", ("...",))
-    if begin.shape != end.shape:
-        _validate.broadcast({"t0": begin.shape, "t1": end.shape})
-        begin, end = np.broadcast_arrays(begin, end)
+    _validate.broadcast({"t0": begin.shape, "t1": end.shape})
+    begin, end = np.broadcast_arrays(begin, end)
     for k in np.flatnonzero(~(begin <= end))[:1]:
         raise InputError(f"t1: expected times at or after t0, found {begin.flat[k]:.15g} and then {end.flat[k]:.15g}")
     with np.errstate(over="ignore"):

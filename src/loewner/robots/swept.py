@@ -225,14 +225,13 @@ def _convex(packed: Packed, i: int, room: float) -> list[tuple[Floats, float]]:
     A curved shape becomes a polytope around it, and a cloud becomes one polytope for each cell of a grid. A solid or a
     surface becomes its hull, or is cut along planes if the hull sticks out farther than `room`.
     """
-    row, frame = packed.layout[i], packed.frames[i]
-    kind, radius = int(row[columns.KIND]), float(frame[0])
+    kind, frame = int(packed.layout[i, columns.KIND]), packed.frames[i]
+    radius = float(frame[0])
     if kind == columns.POLYTOPE:
-        return [(packed.points[row[columns.POINTS_FROM] : row[columns.POINTS_TO]], 0.0)]
+        return [(packed.points_of(i), 0.0)]
     if kind > columns.POLYTOPE:
         return [_around(kind, radius, frame[1:4], frame[4:].reshape(3, 3), room)]
-    triangles = packed.triangles[packed.triangle_start[i] : packed.triangle_start[i + 1]]
-    vertices = packed.points[row[columns.POINTS_FROM] : row[columns.POINTS_TO]]
+    triangles, vertices = packed.triangles_of(i), packed.points_of(i)
     if (triangles == triangles[:, :1]).all():
         return _of_cloud(vertices[triangles[:, 0]], radius, room)
     cuts = _known.setdefault(packed.trees[i], {})
@@ -416,17 +415,14 @@ def _elements(parts: list[_Part], number: int, knots: _Knots, tolerance: float) 
     while i < last:
         # Find the farthest knot: first in growing steps, then between the last knot that fits and the first that does
         # not.
-        best, beyond = None, last + 1
-        while beyond - (i if best is None else best.last) > 1:
-            j = min(i + step, last) if beyond > last else ((i if best is None else best.last) + beyond) // 2
+        best, farthest, beyond = None, i, last + 1
+        while beyond - farthest > 1:
+            j = min(i + step, last) if beyond > last else (farthest + beyond) // 2
             element = between(i, j)
             if element.excess <= tolerance:
-                best = element
-                step = 2 * step
+                best, farthest, step = element, j, 2 * step
             else:
                 beyond = j
-            if best is not None and best.last == last:
-                break
         if best is None:
             raise InputError(
                 f"tolerance: expected more than {between(i, i + 1).excess:.3g} m, found {tolerance:g}: joint errors "
@@ -434,8 +430,7 @@ def _elements(parts: list[_Part], number: int, knots: _Knots, tolerance: float) 
                 f"coordinates are rounded by {SINGLE * size[i]:.1g} m"
             )
         yield best
-        step = max(1, best.last - i)
-        i = best.last
+        i, step = farthest, max(1, farthest - i)
 
 
 # -- hulls ------------------------------------------------------------------------------------

@@ -19,6 +19,7 @@ from loewner._base._matrices import lengths
 from loewner._base._pictures import pictured, verdicts
 from loewner._base._validate import Floats, Ints, Pair
 from loewner._kernels import codes, columns
+from loewner._kernels.records import Tree
 from loewner.robots.checking.distances import expect_pairs, nearest_columns
 from loewner.robots.checking.problem import Problem
 from loewner.robots.description.reaching import links_above
@@ -50,9 +51,9 @@ PARTS, MOST_PARTS = 4, 1 << 14
 # Relative accuracy of exact distances, as a share of the lengths from which they are computed.
 ROUNDINGS = 1e-9
 
-# If a quaternion differs by δ, at most a half, from a quaternion of norm 1, the angle between the two is at most arcsin
-# δ, which is less than 1.05 δ, and the body turns by twice this angle. No turn moves a point by more than twice its
-# distance from the axis.
+# Suppose that a quaternion differs by δ <= 1/2 from a quaternion of norm 1. The angle between them is then at most
+# arcsin δ, which is less than 1.05 δ, and the body turns by twice this angle. No turn moves a point by more than twice
+# its distance from the axis.
 TURNS, NEAR_TURNS, MOST_TURN = 2.1, 0.5, 2.0
 
 
@@ -304,11 +305,9 @@ class Search:
     def look(self, pieces: Ints, shares: Floats) -> Floats:
         """Measure the distances at fractions of pieces, shape (N,) each, and keep the least distances."""
         curve, ready = self.curve, self.ready
+        begin, end = curve.times[pieces], curve.times[pieces + 1]
         Q = configurations(ready.robot, curve.courses[pieces], shares)
-        if ready.paths is not None:
-            begin, end = curve.times[pieces], curve.times[pieces + 1]
-            own = Q.shape[1] - in_time.WIDTH * len(ready.paths.far)
-            Q = in_time.with_bodies(ready, Q[:, :own], np.where(shares == 1.0, end, begin + shares * (end - begin)))
+        Q = in_time.with_bodies(ready, Q, np.where(shares == 1.0, end, begin + shares * (end - begin)))
         _, _, distance, bodies, *_ = nearest_columns(ready, Q, True)
         order = np.lexsort((distance, pieces))
         least = order[np.diff(pieces[order], prepend=-1) > 0]
@@ -355,7 +354,7 @@ class _Motion(NamedTuple):
         tree, tables, moving = ready.robot.tree, ready.tables, len(ready.link)
         most = np.abs(curve.courses).max(axis=(0, 1)) + curve.off.max(axis=0)
         far, moved = np.zeros((2, len(tree.kind), moving + 1))
-        slides = _slides(tree, most) + np.where(tree.kind == columns.PRISMATIC, np.abs(tree.offset), 0.0)
+        slides = _travel(tree, most)[0] + np.where(tree.kind == columns.PRISMATIC, np.abs(tree.offset), 0.0)
         for body, link in enumerate(ready.link.tolist()):
             travel = 0.0
             for joint in links_above(tree, link):  # the body's own joint first
@@ -368,35 +367,31 @@ class _Motion(NamedTuple):
 
     def approach(self, off: Floats) -> Floats:
         """Bound how much nearer two bodies can come if values change by `off`, shape (N, dof)."""
-        tree = self.ready.robot.tree
-        way = _turns(tree, off) @ self.far + _slides(tree, off) @ self.moved
+        slides, turns = _travel(self.ready.robot.tree, off)
+        way = turns @ self.far + slides @ self.moved
         return np.asarray((way[:, self.pairs[0]] + way[:, self.pairs[1]]).max(axis=1) * (1 + 1e-9))
 
 
-def _slides(tree: Any, off: Floats) -> Floats:
-    """Bound how far joints slide, shape (..., links), if values change by `off`, shape (..., dof)."""
-    slides = np.zeros((*off.shape[:-1], len(tree.kind)))
-    for link, (kind, at, by) in enumerate(zip(tree.kind, tree.column, tree.multiplier, strict=True)):
-        if kind == columns.PRISMATIC:
-            slides[..., link] = abs(by) * off[..., at]
-        elif kind in (columns.FLOATING, columns.PLANAR):
-            slides[..., link] = off[..., at : at + (3 if kind == columns.FLOATING else 2)].sum(axis=-1)
-    return slides
+def _travel(tree: Tree, off: Floats) -> tuple[Floats, Floats]:
+    """Bound how far joints move points if values change by `off`, shape (..., dof).
 
-
-def _turns(tree: Any, off: Floats) -> Floats:
-    """Bound how far joints turn points, relative to the distance from the axes, if values change by `off`."""
-    turns = np.zeros((*off.shape[:-1], len(tree.kind)))
+    Returns
+    -------
+    slides, turns : ndarray, shape (..., links)
+        How far joints slide, and how far they turn points, relative to the distance from their axes.
+    """
+    slides, turns = np.zeros((2, *off.shape[:-1], len(tree.kind)))
     for link, (kind, at, by) in enumerate(zip(tree.kind, tree.column, tree.multiplier, strict=True)):
-        if kind == columns.REVOLUTE:
-            turns[..., link] = abs(by) * off[..., at]
+        if kind in (columns.PRISMATIC, columns.REVOLUTE):
+            (slides if kind == columns.PRISMATIC else turns)[..., link] = abs(by) * off[..., at]
         elif kind == columns.PLANAR:
-            turns[..., link] = off[..., at + 2]
+            slides[..., link], turns[..., link] = off[..., at : at + 2].sum(axis=-1), off[..., at + 2]
         elif kind in (columns.FLOATING, columns.BALL):
             first = at + 3 * (kind == columns.FLOATING)
             far = np.sqrt((off[..., first : first + 4] ** 2).sum(axis=-1))
+            slides[..., link] = off[..., at:first].sum(axis=-1)
             turns[..., link] = np.where(far <= NEAR_TURNS, TURNS * far, MOST_TURN)
-    return np.minimum(turns, MOST_TURN)
+    return slides, np.minimum(turns, MOST_TURN)
 
 
 def _changes(robot: Robot, courses: Floats, low: Floats, high: Floats) -> Floats:

@@ -25,7 +25,7 @@ AWAY, ROUNDS = (4.0, 256.0, 2.0**16), 24
 # Lengths below the share LEAST of the pieces' size are rounding errors.
 LEAST = 1e-15
 
-# If planes within the distance ROUNDED matter, in multiples of the size, rounding matters as well.
+# If only planes within ROUNDED times the size of a piece are considered, rounding errors of these planes matter.
 ROUNDED = 1e-9
 
 # A step away from a point, in multiples of the point's depth: the middle of a hull lies in faces of many tetrahedra.
@@ -109,12 +109,12 @@ class _Piece:
     """
 
     def __init__(self, packed: Packed, k: int, T: Floats, near: Floats) -> None:
-        row, frame = packed.layout[k], packed.frames[k]
-        self.kind, self.radius = int(row[columns.KIND]), float(frame[0])
+        frame = packed.frames[k]
+        self.kind, self.radius = int(packed.layout[k, columns.KIND]), float(frame[0])
         M, s = T[:3, :3], T[:3, 3]
         center, self.factor = M @ frame[1:4] + s, M @ frame[4:].reshape(3, 3)
         self.points, self.four = center[None], (0, 0, 0, 0)
-        self.own, self.T = packed.points[row[columns.POINTS_FROM] : row[columns.POINTS_TO]], T
+        self.own, self.T = packed.points_of(k), T
         if self.kind <= columns.SURFACE:
             corners = np.unique(self.own + 0.0, axis=0) @ M.T + s  # in the order of the model
             best = int(((corners - near) ** 2).sum(axis=1).argmin())
@@ -124,8 +124,8 @@ class _Piece:
             self.points = center + np.outer([-1.0, 1.0], self.factor[:, 2])
         elif self.kind == columns.POLYTOPE:
             self.points = self.own @ M.T + s
-            self.triangles = packed.triangles[packed.triangle_start[k] : packed.triangle_start[k + 1]]
-            self.faces, self.place = _turned(packed.planes[slice(*row[3:])], np.linalg.inv(M)), s
+            self.triangles = packed.triangles_of(k)
+            self.faces, self.place = _turned(packed.planes_of(k), np.linalg.inv(M)), s
         extent = np.abs(self.points).max() + np.abs(self.factor).max()
         self.size = float(extent + self.radius)
 

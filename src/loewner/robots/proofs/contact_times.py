@@ -175,7 +175,7 @@ def _first(ready: Problem, problem: Problem, curve: Curve, tolerance: float, num
         if cuts == MOST_CUTS or gap <= tolerance:
             doubt = float(piece.times[first]), pair
             break
-        waiting += [(_cut(ready, _of(piece, slice(k, k + 1))), cuts + 1) for k in reversed(unproven)]
+        waiting += [(_cut(ready, piece, k), cuts + 1) for k in reversed(unproven)]
     if doubt is None:
         return TrajectoryContact(Verdict.FREE, np.inf, np.inf, ("", ""))
     a, b = (problem.names[n] for n in problem.pairs[doubt[1]])
@@ -207,17 +207,16 @@ def _deeper(ready: Problem, pair: int, curve: Curve, between: tuple[float, float
     return _earlier(deep, between[0], float(times[hit[0]])) if len(hit) else np.inf
 
 
-def _of(curve: Curve, rows: slice) -> Curve:
-    return Curve(None, curve.times[rows.start : rows.stop + 1], curve.courses[rows], curve.off[rows])
+def _cut(ready: Problem, curve: Curve, k: int) -> Curve:
+    """Cut segment k of a curve into parts.
 
-
-def _cut(ready: Problem, piece: Curve) -> Curve:
-    """Cut one piece into parts; moving bodies get new courses, since a shorter turn is approximated more closely."""
+    Moving bodies get new courses, since a shorter turn is approximated more closely.
+    """
     shares = np.arange(PARTS + 1) / PARTS
-    courses = parts(np.repeat(piece.courses, PARTS, axis=0), shares[:-1], shares[1:])
-    off = np.repeat(piece.off, PARTS, axis=0)
-    off[:, : courses.shape[2]] += CURVE_ROUNDINGS * np.abs(piece.courses).max(axis=1)
-    begin, end = piece.times
+    courses = parts(np.repeat(curve.courses[k : k + 1], PARTS, axis=0), shares[:-1], shares[1:])
+    off = np.repeat(curve.off[k : k + 1], PARTS, axis=0)
+    off[:, : courses.shape[2]] += CURVE_ROUNDINGS * np.abs(curve.courses[k]).max(axis=0)
+    begin, end = curve.times[k : k + 2]
     times = np.where(shares == 1.0, end, begin + shares * (end - begin))
     if ready.paths is not None:
         own = courses.shape[2] - in_time.WIDTH * len(ready.paths.far)

@@ -119,12 +119,13 @@ class Run(NamedTuple):
         if fraction in (0.0, 1.0):
             return self.rows(0, k + int(fraction)), self.rows(k + int(fraction), len(self.number))
         two, ends = np.repeat(self.courses[k : k + 1], 2, axis=0), np.array([0.0, fraction, 1.0])
-        first, second = between(robot, two, ends[:-1], ends[1:])
+        first, second = np.split(between(robot, two, ends[:-1], ends[1:]), 2)
         _, middle = self.place(k, fraction)
         before, after = self.rows(0, k + 1), self.rows(k, len(self.number))
+        earlier, later = np.concatenate([before.courses[:-1], first]), np.concatenate([second, after.courses[1:]])
         return (
-            before._replace(high=_with(before.high, -1, middle), courses=_with(before.courses, -1, first)),
-            after._replace(low=_with(after.low, 0, middle), courses=_with(after.courses, 0, second)),
+            before._replace(high=np.append(before.high[:-1], middle), courses=earlier),
+            after._replace(low=np.append(middle, after.low[1:]), courses=later),
         )
 
 
@@ -260,7 +261,8 @@ class _Left(NamedTuple):
 def _runs(ready: Problem, pair: int, courses: Floats, off: Floats, tolerance: float) -> list[tuple[Run, bool, float]]:
     """Return runs from the ends where contact is allowed, whether each is from the start, and the deepest contact.
 
-    The depth of a contact at the start of a motion is given; the depth of a contact at the end is chosen.
+    A contact at the start may have any depth, since a motion cannot change it. A contact at the end may be no deeper
+    than the tolerance.
     """
     whole = Run.whole(courses, off)
     if not ready.reaching[pair]:
@@ -379,13 +381,6 @@ def _samples(ready: Problem, pair: int, run: Run, at: Floats | None = None) -> t
         away = T[:, i, :3] - np.pad(T[:, j, :3, 3:], ((0, 0), (0, 0), (3, 0)))
         places[now] = T[:, j, :3, :3].transpose(0, 2, 1) @ away
     return at, distances, places
-
-
-def _with(array: Floats, k: int, value: Floats | float) -> Floats:
-    """Return a copy of an array with one entry changed."""
-    array = array.copy()
-    array[k] = value
-    return array
 
 
 def distances_at(ready: Problem, pair: int, Q: Floats) -> Floats:

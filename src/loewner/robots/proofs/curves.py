@@ -190,10 +190,7 @@ def configurations_at(ready: Problem, curve: Curve, times: Floats) -> Floats:
     """Return the configurations at times of a curve, with the moving bodies at their poses at these times."""
     k = np.clip(np.searchsorted(curve.times, times, side="right") - 1, 0, len(curve.courses) - 1)
     shares = (times - curve.times[k]) / (curve.times[k + 1] - curve.times[k])
-    Q = configurations(ready.robot, curve.courses[k], np.clip(shares, 0.0, 1.0))
-    if ready.paths is not None:
-        Q = in_time.with_bodies(ready, Q[:, : Q.shape[1] - in_time.WIDTH * len(ready.paths.far)], times)
-    return Q
+    return in_time.with_bodies(ready, configurations(ready.robot, curve.courses[k], np.clip(shares, 0.0, 1.0)), times)
 
 
 def hits(ready: Problem, curve: Curve, times: Floats) -> Ints:

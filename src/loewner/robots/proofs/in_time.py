@@ -65,10 +65,14 @@ class Pieces(NamedTuple):
 
 
 def with_bodies(ready: Problem, Q: Floats, t: Floats) -> Floats:
-    """Append the values of all moving bodies at times, shape (N,), to configurations, shape (N, dof)."""
+    """Append the values of all moving bodies at times, shape (N,), to the robot's own values.
+
+    `Q` has a row for each time; values of moving bodies that it already has are replaced.
+    """
     if ready.paths is None:
         return Q
-    return np.concatenate([Q, ready.paths.values(t).reshape(len(Q), WIDTH * len(ready.paths.far))], axis=1)
+    values = ready.paths.values(t).reshape(len(Q), WIDTH * len(ready.paths.far))
+    return np.concatenate([Q[:, : ready.robot.dof - values.shape[1]], values], axis=1)
 
 
 def free_at(ready: Problem, Q: Floats, t: Floats) -> Bools:
@@ -212,9 +216,8 @@ def prove_edges(
     refuse_starts(ready.as_given, cut.courses[:, 0], piece_answers)
     if off is None:
         apply_rules(ready, cut.courses, cut.off, first, tolerance, piece_answers, steps)
-    piece_answers.verdicts[piece_answers.verdicts == codes.BY_CARE] = (
-        codes.COLLIDING
-    )  # confirmed below, like all collisions
+    # All collisions are confirmed below.
+    piece_answers.verdicts[piece_answers.verdicts == codes.BY_CARE] = codes.COLLIDING
     answers = piece_answers if len(cut.owner) == len(a) else _gathered(cut, piece_answers, len(a))
     at = (answers.verdicts == codes.COLLIDING).nonzero()[0]
     if len(at):

@@ -19,9 +19,7 @@ from loewner.robots.proofs.written_proofs import COMMON, FREE, Proof, assembled
 
 
 @guarded
-def prove(
-    a: Body, T_world_a: ArrayLike | None, b: Body, T_world_b: ArrayLike | None, *, margin: float = 0.0
-) -> Proof:  # fmt: skip
+def prove(a: Body, T_world_a: ArrayLike | None, b: Body, T_world_b: ArrayLike | None, *, margin: float = 0.0) -> Proof:
     """Decide whether two bodies collide, and write a proof of the answer.
 
     The answer agrees with `collide`, except for bodies that are apart by less than rounding errors: `collide` counts

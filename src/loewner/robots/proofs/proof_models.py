@@ -125,11 +125,7 @@ class Model(NamedTuple):
     data : bytes
         The block of the file that contains the model.
     links : Links
-    link : ndarray of int64, shape (bodies,)
-        Numbers of links; -1 for the world.
-    turn, shift : ndarray, shapes (bodies, 3, 3) and (bodies, 3)
-        Rotation and translation from the frame of each body to the frame of its link.
-    pieces : Pieces
+    bodies : Placed
     pairs : ndarray of int64, shape (pairs, 2)
     margins : ndarray, shape (pairs,)
     rules : ndarray of int64, shape (pairs,)
@@ -138,10 +134,7 @@ class Model(NamedTuple):
 
     data: bytes
     links: Links
-    link: Ints
-    turn: Floats
-    shift: Floats
-    pieces: Pieces
+    bodies: Placed
     pairs: Ints
     margins: Floats
     rules: Ints
@@ -198,9 +191,7 @@ def model_of_pair(packs: Sequence[Packed], cut: Sequence[Packed], poses: Floats,
     none, nothing = np.array([-1]), np.zeros((1, 3))
     identity = quaternions_of(np.eye(3)[None])
     # One body gets a link of its own, since bodies of the world are not checked against each other.
-    links = Links(
-        ["a"], none, np.array([STAYS]), none, np.ones(1), np.zeros(1), identity, nothing, nothing, none
-    )  # fmt: skip
+    links = Links(["a"], none, np.array([STAYS]), none, np.ones(1), np.zeros(1), identity, nothing, nothing, none)
     pieces, hollow = pieces_of(join(cut)), _hollow(packs, cut)
     placed = Placed(PAIR, np.array([0, -1]), poses[:, :3, :3], poses[:, :3, 3], pieces, hollow)
     return _model(links, [], placed, np.array([[0, 1]]), np.array([margin]), np.zeros(1, int))
@@ -231,7 +222,7 @@ def _model(
     if rules.any():
         data += [struct.pack("<I", np.count_nonzero(rules))]
         data += [struct.pack("<IIB", *pairs[k].tolist(), rules[k]) for k in np.flatnonzero(rules)]
-    return Model(b"".join(data), links, bodies.link, bodies.turn, bodies.shift, pieces, pairs, margins, rules)
+    return Model(b"".join(data), links, bodies, pairs, margins, rules)
 
 
 def _refuse(ready: Problem) -> None:
@@ -301,8 +292,7 @@ def _groups(links: Links, link: Ints) -> Ints:
 def pieces_of(packed: Packed) -> Pieces:
     """List the pieces of packed bodies; surfaces, or parts of them, are the hulls of their corners."""
     kinds, corners = [], []
-    for row, frame in zip(packed.layout.tolist(), packed.frames, strict=True):
-        kind = row[columns.KIND]
+    for k, (kind, frame) in enumerate(zip(packed.layout[:, columns.KIND].tolist(), packed.frames, strict=True)):
         kinds.append(KINDS.index(kind) if kind in KINDS else HULL)
         center, factor = frame[1:4], frame[4:].reshape(3, 3)
         if kinds[-1] != HULL:
@@ -312,7 +302,7 @@ def pieces_of(packed: Packed) -> Pieces:
         elif kind == columns.SEGMENT:
             corners.append(np.stack([center - factor[:, 2], center + factor[:, 2]]))
         elif kind <= columns.POLYTOPE:
-            own = packed.points[row[columns.POINTS_FROM] : row[columns.POINTS_TO]]
+            own = packed.points_of(k)
             corners.append(np.unique(own + 0.0, axis=0) if kind <= columns.SURFACE else own)
         else:
             raise InputError(f"proof: expected pieces of a kind that the format has, found a {KIND_NAMES[kind]}")
@@ -330,9 +320,8 @@ def _name(text: str) -> bytes:
 
 
 def _of_links(links: Links) -> list[bytes]:
-    numbers = 0.0 + np.column_stack(
-        [links.multiplier, links.offset, links.quaternion, links.translation, links.axis]
-    )  # -0 becomes 0
+    # The sum turns -0 into 0.
+    numbers = 0.0 + np.column_stack([links.multiplier, links.offset, links.quaternion, links.translation, links.axis])
     return [
         _name(name) + struct.pack("<iBi", above, moves, value) + row.astype("<f8").tobytes()
         for name, above, moves, value, row in zip(

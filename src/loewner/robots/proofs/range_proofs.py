@@ -79,7 +79,7 @@ def proof_of_ranges(model: Model, ready: Problem, claims: list[Claim]) -> Proof:
     blocks, nodes, work = [struct.pack("<I", len(claims))], 0, 0
     for claim in sorted(claims, key=lambda claim: claim.pair):
         names = " and ".join(ready.names[k] for k in claim.pair)
-        _refuse(model, ready, claim, names)
+        _refuse(ready, claim, names)
         search = _Search(model, ready, claim, names, MOST_NODES - nodes, MOST_WORK - work)
         tree = search.tree()
         nodes, work = nodes + search.nodes, work + search.work
@@ -94,7 +94,7 @@ def proof_of_ranges(model: Model, ready: Problem, claims: list[Claim]) -> Proof:
     return assembled(RANGES, model.data, block, VERSION)
 
 
-def _refuse(model: Model, ready: Problem, claim: Claim, names: str) -> None:
+def _refuse(ready: Problem, claim: Claim, names: str) -> None:
     """Refuse pairs that cannot be written."""
     if any((ready.packs[k].layout[:, kernel_columns.KIND] <= kernel_columns.SURFACE).any() for k in claim.pair):
         raise InputError(
@@ -122,7 +122,7 @@ class _Joints:
 
     def __init__(self, model: Model, claim: Claim) -> None:
         self.links, self.claim = model.links, claim
-        self.paths = _path(model.links, *(int(model.link[k]) for k in claim.pair))
+        self.paths = _path(model.links, *(int(model.bodies.link[k]) for k in claim.pair))
         links = model.links
         moving = [k for k in itertools.chain(*self.paths) if links.moves[k] != STAYS and links.multiplier[k] != 0.0]
         self.values = np.array(sorted({int(links.value[k]) for k in moving}), dtype=np.int64)
@@ -211,11 +211,11 @@ class _Shape:
     """The pieces of a body in the frame of its link, and the ball about them."""
 
     def __init__(self, model: Model, ready: Problem, body: int) -> None:
-        first, last = model.pieces.start[body : body + 2].tolist()
-        M, s, self.pack, self.turn = model.turn[body], model.shift[body], ready.packs[body], model.turn[body]
+        bodies, pieces = model.bodies, model.bodies.pieces
+        first, last = pieces.start[body : body + 2].tolist()
+        M, s, self.pack, self.turn = bodies.turn[body], bodies.shift[body], ready.packs[body], bodies.turn[body]
         self.shift, self.count = s, last - first
-        self.kind, self.radius = model.pieces.kind[first:last], model.pieces.radius[first:last]
-        own = model.pieces.points[first:last]
+        self.kind, self.radius, own = (a[first:last] for a in (pieces.kind, pieces.radius, pieces.points))
         self.points = [
             (points if kind == HULL else points[:1]) @ M.T + s for kind, points in zip(self.kind, own, strict=True)
         ]
@@ -294,7 +294,7 @@ class _Search:
         self.width = self.upper - self.lower
         self.shapes = [_Shape(model, ready, k) for k in claim.pair]
         self.bends = [self.joints.bends(low, shape.center, shape.reach) for low, shape in enumerate(self.shapes[::-1])]
-        chain = max(self.joints.size(int(model.link[k])) for k in claim.pair)
+        chain = max(self.joints.size(int(model.bodies.link[k])) for k in claim.pair)
         self.room = OF_SIZE * max(1.0, chain + max(shape.size for shape in self.shapes))
         self.sides = np.flatnonzero(self.width > 0)
         if len(self.sides) > MOST_SIDES:
@@ -400,8 +400,10 @@ class _Search:
         return np.asarray(gaps.distance), np.asarray(gaps.normal)
 
     def _conditions(self, boxes: _Boxes, parts: Parts, low: int, given: Floats) -> tuple[Bools, Floats, Floats]:
-        """Return whether planes satisfy their condition, the room at the centers of boxes, and the room each side
-        takes.
+        """Check the conditions of planes over boxes.
+
+        Return whether each plane satisfies its condition, the room that the plane leaves at the center of its box, and
+        the room that each side of the box takes.
         """
         lower, count = self.shapes[low], len(given)
         n = given @ lower.turn.T
@@ -422,7 +424,7 @@ class _Search:
         return holds, room, takes
 
     def _least(self, parts: Parts, low: int, n: Floats, norm: Floats, share: Floats) -> Floats:
-        """Return the least products of normals, divided by their lengths, with points of the upper pieces."""
+        """Return the least product of each normal, divided by its length, with a point of the upper pieces."""
         turn, shift = self.joints.seen(self.lower + share * self.width)
         if low == 0:
             back, away = np.einsum("nji,nj->ni", turn, n), np.einsum("ni,ni->n", n, shift)
@@ -431,10 +433,7 @@ class _Search:
             away = -np.einsum("ni,ni->n", back, shift)
         return np.asarray((away - self.shapes[1 - low].support(parts[1 - low], -back)) / norm)
 
-    def _divide(
-        self, boxes: _Boxes, parts: Parts, below: Level, gap: Floats,
-        room: Floats, takes: Floats,
-    ) -> None:  # fmt: skip
+    def _divide(self, boxes: _Boxes, parts: Parts, below: Level, gap: Floats, room: Floats, takes: Floats) -> None:
         """Halve boxes across a value, or divide their pieces."""
         if len(boxes.node) == 0:
             return
@@ -448,15 +447,13 @@ class _Search:
         if not pieces.all() and len(self.sides) == 0:
             raise self._too_near("they come nearer than the room for rounding that proofs leave")
         self.work += 2000 * sum(map(len, self.joints.paths)) * len(boxes.node)
-        for k, divided in enumerate(pieces.tolist()):
-            self.kind[boxes.node[k]], self.part[boxes.node[k]] = HALVED, self.nodes
-            if divided:
-                self.kind[boxes.node[k]] = 1 + (counts[1] > counts[0])
+        which = int(counts[1] > counts[0])
+        for node, divided in zip(boxes.node.tolist(), pieces.tolist(), strict=True):
+            self.kind[node], self.part[node] = 1 + which if divided else HALVED, self.nodes
             for array, new in ((self.kind, 0), (self.value, 0), (self.plane, -1), (self.part, -1)):
                 array += [new, new]
         children = np.array([self.part[node] for node in boxes.node.tolist()])
         if pieces.any():
-            which = int(counts[1] > counts[0])
             first, last = parts[which]
             middle = first + (last - first) // 2
             for number, half in enumerate(((first, middle), (middle, last))):

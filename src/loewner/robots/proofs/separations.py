@@ -24,9 +24,10 @@ from loewner.errors import ConvergenceError
 from loewner.robots.checking.problem import Problem
 from loewner.robots.proofs import contacts
 from loewner.robots.proofs.courses import between, configurations
-from loewner.robots.proofs.proof_models import AT_END, AT_START, HULL, KINDS, SLIDES, Model
+from loewner.robots.proofs.proof_models import AT_END, AT_START, HULL, KINDS, SLIDES, Model, Placed
 
-# Tokens for planes whose normals have 16 bits per coordinate, and for planes with doubles; 3 refers to the last plane.
+# Tokens for planes whose normals have 16 bits per coordinate, and for planes with doubles. Token 3 repeats the last
+# plane.
 NORMAL, DOUBLES = 16, 18
 
 # Room for checkers that compute with enclosures, as a share of the model's size.
@@ -77,7 +78,7 @@ def trees(
     """
     prepared = _known.get(ready)
     if prepared is None:
-        links = np.append(model.links.of_robot, -1)[model.link]  # the world comes after the robot's links
+        links = np.append(model.links.of_robot, -1)[model.bodies.link]  # the world comes after the robot's links
         placed_by = np.where(links < 0, len(ready.robot.link_names), links)
         prepared = _known[ready] = _Prepared(model, ready.robot.tree, placed_by)
     speeds, memory = prepared.speeds(courses, deviations), _Memory.of(model)
@@ -104,9 +105,7 @@ def trees(
     return touching, b"".join(chain.from_iterable(zip(*all_trees, strict=True)))
 
 
-def _expect_tree(
-    ready: Problem, model: Model, motion: int, tree: bytes | Failed, touches: bool, off: bool
-) -> bytes:  # fmt: skip
+def _expect_tree(ready: Problem, model: Model, motion: int, tree: bytes | Failed, touches: bool, off: bool) -> bytes:
     """Refuse a pair for which no planes were found."""
     if not isinstance(tree, Failed):
         return tree
@@ -124,8 +123,8 @@ def _expect_tree(
     elif off:
         why = "its bound on joint errors is coarser than that of certify_edges; lower joint_error"
     raise ConvergenceError(
-        f"proof: expected planes between {a} and {b} all along motion {motion}, found none from the fraction "
-        f"{tree.low:.6g} to {tree.high:.6g} that a proof can hold, although the motion is free: {why}"
+        f"proof: expected planes between {a} and {b} all along motion {motion}, found none that a proof can hold from "
+        f"the fraction {tree.low:.6g} to {tree.high:.6g}, although the motion is free: {why}"
     )
 
 
@@ -139,7 +138,7 @@ def still(model: Model, room: float, normal: Floats | None = None) -> bytes | No
     prepared = _Prepared(model, _NO_TREE, np.zeros(2, dtype=np.int64))
     memory = _Memory.of(model)
     if normal is not None:
-        memory.state[0, 1:4] = normal @ model.turn[0]
+        memory.state[0, 1:4] = normal @ model.bodies.turn[0]
     tree = prepared.trees(none[0], prepared.speeds(none, none[0, 0])[0], room, memory)
     return None if isinstance(tree, Failed) else written(none[0, 0], none) + tree
 
@@ -163,16 +162,14 @@ class _Memory(NamedTuple):
     @classmethod
     def of(cls, model: Model) -> _Memory:
         """Make the memory for a proof."""
-        return cls(
-            np.zeros((len(model.pairs), 8)), np.empty(MOST_NODES, dtype=np.uint8), np.empty((MOST_NORMALS, 3))
-        )  # fmt: skip
+        return cls(np.zeros((len(model.pairs), 8)), np.empty(MOST_NODES, dtype=np.uint8), np.empty((MOST_NORMALS, 3)))
 
 
 class _Prepared:
     """The input of the kernel that depends on the model alone."""
 
     def __init__(self, model: Model, tree: records.Tree, placed_by: Ints) -> None:
-        links, (points, pieces, numbers, of_body) = model.links, clusters_of(model)
+        links, bodies, (points, pieces, numbers, of_body) = model.links, model.bodies, clusters_of(model.bodies)
         self.links, self.slides = links, np.where(links.moves == SLIDES, np.linalg.norm(links.axis, axis=1), 0.0)
         depth = np.zeros(len(links.above), dtype=np.int64)
         for k, above in enumerate(links.above.tolist()):
@@ -181,8 +178,8 @@ class _Prepared:
         axis = links.axis / np.maximum(np.linalg.norm(links.axis, axis=1), 1e-300)[:, None]
         joints = np.column_stack([links.moves, self.slides, turn.reshape(-1, 9), links.translation, axis])
         one = records.PlaneModel(
-            points, pieces, numbers, np.empty((len(numbers), 9)), np.column_stack([model.link, placed_by, of_body]),
-            model.turn.reshape(-1, 9), np.empty((len(model.link), 4)), model.pairs, model.margins,
+            points, pieces, numbers, np.empty((len(numbers), 9)), np.column_stack([bodies.link, placed_by, of_body]),
+            bodies.turn.reshape(-1, 9), np.empty((len(bodies.link), 4)), model.pairs, model.margins,
             np.column_stack([links.above, depth]), joints,
         )  # fmt: skip
         self.model = records.PlaneModel(*map(np.ascontiguousarray, one))
@@ -264,8 +261,8 @@ class _Search(NamedTuple):
         pair_contacts, start, end = list[Contact](), [(0.0, 1.0, 0)], [(0.0, 1.0, 1)]
         halves = [(0.0, 0.5, 0), (0.5, 1.0, 1)]
         for k in failed:
-            # In the motion between the two contacts, each half may be in contact at its outer end, or else the whole
-            # motion at one end.
+            # In the motion between the two contacts, either each half is in contact at its outer end, or the whole
+            # motion is in contact at one end.
             for way in [halves, start, end] if k == middle else [start] if k < middle else [end]:
                 new = list[Contact]()
                 part_trees = [self._part(k, *part, touches[part[2]], new) for part in way]
@@ -344,7 +341,7 @@ class _Search(NamedTuple):
 # -- shapes -----------------------------------------------------------------------------------
 
 
-def clusters_of(model: Model) -> tuple[Floats, Floats, Ints, Ints]:
+def clusters_of(bodies: Placed) -> tuple[Floats, Floats, Ints, Ints]:
     """Place the pieces of all bodies, and divide the pieces of each body repeatedly.
 
     Returns
@@ -361,7 +358,7 @@ def clusters_of(model: Model) -> tuple[Floats, Floats, Ints, Ints]:
     of_body : ndarray of int64
         The cluster of all pieces of each body.
     """
-    start, pieces = model.pieces.start, model.pieces
+    start, pieces = bodies.pieces.start, bodies.pieces
     body_of = np.repeat(np.arange(len(start) - 1), np.diff(start))
     curved = pieces.kind != HULL
     counts = np.array([0 if other else len(points) for points, other in zip(pieces.points, curved, strict=True)])
@@ -373,20 +370,19 @@ def clusters_of(model: Model) -> tuple[Floats, Floats, Ints, Ints]:
     rows = np.minimum(np.arange(column[-1]) - (column - begin)[piece], begin[1:][piece] - 1)
     corners = np.concatenate([*(pieces.points[k] for k in np.flatnonzero(~curved)), np.empty((0, 3))])[rows]
     owner = body_of[piece]
-    placed = np.einsum("vij,vj->vi", model.turn[owner], corners) + model.shift[owner]
+    placed = np.einsum("vij,vj->vi", bodies.turn[owner], corners) + bodies.shift[owner]
     points = records.aligned(4 * len(rows))
     points[:] = np.column_stack([placed, pieces.radius[piece]]).reshape(-1, BLOCK, 4).transpose(0, 2, 1).ravel()
     table = np.zeros((len(counts), 14))
     table[:, 0], table[:, 1] = np.array(KINDS)[pieces.kind], pieces.radius
     at = np.flatnonzero(curved)
     if len(at):
-        own, M = np.stack([pieces.points[k] for k in at]), model.turn[body_of[at]]
-        table[at, 2:5] = np.einsum("kij,kj->ki", M, own[:, 0]) + model.shift[body_of[at]]
+        own, M = np.stack([pieces.points[k] for k in at]), bodies.turn[body_of[at]]
+        table[at, 2:5] = np.einsum("kij,kj->ki", M, own[:, 0]) + bodies.shift[body_of[at]]
         table[at, 5:] = (M @ own[:, 1:]).reshape(-1, 9)
-    ends = [list[int](), list[int](), list[int](), list[int]()]
-    of_body = []
+    clusters, of_body = list[tuple[int, int, int, int]](), []
     for first, last in pairwise(start.tolist()):
-        k = len(ends[0])
+        k = len(clusters)
         of_body.append(k)
         ranges = [(first, last)]
         for low, high in ranges:
@@ -395,9 +391,8 @@ def clusters_of(model: Model) -> tuple[Floats, Floats, Ints, Ints]:
                 middle = low + (high - low) // 2
                 halves = k + len(ranges), k + len(ranges) + 1
                 ranges += [(low, middle), (middle, high)]
-            for array, number in zip(ends, (low, high, *halves), strict=True):
-                array.append(number)
-    low, high, left, right = np.array(ends, dtype=np.int64)
+            clusters.append((low, high, *halves))
+    low, high, left, right = np.array(clusters, dtype=np.int64).reshape(-1, 4).T
     many = np.append(0, np.cumsum(curved))
     numbers = np.column_stack([low, high, left, right, column[low], column[high], many[high] - many[low]])
     return points, table, numbers, np.array(of_body, dtype=np.int64)
