@@ -697,7 +697,7 @@ def test_a_text_is_what_a_file_of_it_would_be(tmp_path, monkeypatch):
         ({"text": "robot.urdf"}, FileError, "URDF text, line 1: expected a URDF, found broken XML"),
         ({"text": "<robot>\ud800</robot>"}, InputError, "a character that no file can have"),
         ({"text": "x" * (2**25 + 1)}, InputError, "at most 33554432 bytes"),
-        ({"path": " <robot/>"}, InputError, "found XML text; give it by text="),
+        ({"path": " <robot/>"}, InputError, "found XML text; pass it as text="),
     ],
 )
 def test_bad_texts_are_refused(given, kind, words):

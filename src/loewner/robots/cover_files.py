@@ -271,7 +271,7 @@ def _spheres_of(body: Body, link: str, format: str) -> _Balls:
 
 
 def _balls(spheres: Node, center: str, grow: float = 0.0) -> list[tuple[list[float], float]]:
-    """Read spheres as centers, which have the key `center`, and radii, to which a buffer is added."""
+    """Read the centers of spheres, which have the key `center`, and their radii, enlarged by `grow`."""
     each = (entry.mapping((center, "radius"), required=(center, "radius")) for entry in spheres.items())
     return [(keys[center].numbers(3), keys["radius"].number() + grow) for keys in each]
 

@@ -137,7 +137,7 @@ def _doubt(shape: Shape, body: Body) -> str:
 
 
 def _body(shape: Shape, link: str, urdf: Path, folders: Sequence[Path], fit: Callable[[Path, Shape], Body]) -> Body:
-    """Make the body of a shape; errors name the URDF, the link and the mesh file, from which `fit` makes a body."""
+    """Make the body of a shape, with `fit` if it is a mesh; errors name the URDF, the line, the link and the file."""
     file = mesh_file(shape, link, urdf, folders) if shape.kind == "mesh" else None
     try:
         return primitive(shape) if file is None else fit(file, shape)

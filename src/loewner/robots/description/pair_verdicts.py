@@ -123,8 +123,9 @@ class ProvenPairs:
     rows : tuple of ProvenPair
         One row per pair, sorted by names.
     rigid : tuple of pairs of str
-        The requested pairs whose bodies are on the same rigid part of the robot. Such pairs are never checked. If one
-        of two bodies without a joint between them belongs to the scene, the pair has a row, whose range is empty.
+        The requested pairs whose bodies are on the same rigid part of the robot. Such pairs are never checked. A link
+        and a body of the scene without a joint between them are not among these pairs: they have a row with an empty
+        range.
     proof : Proof or None
         A proof of all rows, if all are NEVER, for other programs to verify; None if no proof was requested.
 

@@ -1085,9 +1085,9 @@ class Robot(KeepsReadOnly):
         progress : callable, optional
             Called as ``progress(done, total)`` with numbers of pairs.
         proof : bool
-            Write a proof of all rows with joints, `ProvenPairs.proof`, for other programs to verify. All rows must be
-            NEVER, all bodies must consist of convex pieces, and all joints must turn or slide. Between the two bodies
-            of a pair, at most eight values may have a range.
+            Also write a proof of all rows that depend on joints, for other programs to verify: see `ProvenPairs.proof`.
+            All rows must be NEVER, all bodies must consist of convex pieces, and all joints must turn or slide. Between
+            the two bodies of a pair, at most eight values may have a range.
 
         Returns
         -------
@@ -1204,8 +1204,8 @@ class Robot(KeepsReadOnly):
         kind : {"spheres", "capsules", "boxes", "ellipsoids"}
             As for `Body.cover`.
         n : int, optional
-            The largest number of shapes for the whole robot. All links then have an equal bound on how far shapes stick
-            out. A cover with `n` takes several times as long as a cover with ``protrusion``.
+            The largest number of shapes for the whole robot. All links then have the same bound on how far shapes
+            stick out. A cover with `n` takes several times as long to compute as a cover with ``protrusion``.
         protrusion : float, optional
             The largest distance by which shapes may stick out of a link [m]. Default: 0.02, unless `n` is given.
         progress : callable, optional

@@ -107,7 +107,7 @@ class _Names:
                 f"{path}: expected an SRDF for {self.robot.name!r} ({self.robot.path}), found one for another robot, "
                 f"with {listing}; links: {known(self.robot.shapes)}; joints: {known(self.robot.joints)}"
             )
-        warn(f"{path}: some entries are left out, since neither it nor {self.robot.path} has what they name: {listing}")
+        warn(f"{path}: entries are left out; neither this file nor {self.robot.path} has what they name: {listing}")
 
 
 def read_srdf(path: str | os.PathLike[str], robot: Description, text: str | None = None) -> Semantics:

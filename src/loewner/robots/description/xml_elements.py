@@ -24,9 +24,6 @@ DEEPEST = 100
 # of smaller numbers are finite.
 LARGEST = 1e12
 
-# Advice for a text that is passed as a path.
-ITS_TEXT = {"a URDF": "; give it by text="}
-
 # Largest number of names, or of unread parts, that a message lists.
 LISTED = 30
 UNREAD = 8
@@ -99,7 +96,8 @@ class Element(_xml.Element):
 def read_xml(path: str | os.PathLike[str], what: str, text: str | None = None) -> Element:
     """Read the root element of a robot description, from a file or a string; messages name the path in both cases."""
     if isinstance(path, str) and path.lstrip().startswith("<"):
-        raise InputError(f"expected a path to {what}, found XML text{ITS_TEXT.get(what, '; write it to a file first')}")
+        advice = "pass it as text=" if what == "a URDF" else "write it to a file first"
+        raise InputError(f"expected a path to {what}, found XML text; {advice}")
     path = _validate.path(path, "path", wanted=f"a path to {what}")
     data = read_regular(path, what, MOST_BYTES) if text is None else _checked_text(text, what)
 

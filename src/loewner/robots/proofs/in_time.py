@@ -67,7 +67,7 @@ class Pieces(NamedTuple):
 def with_bodies(ready: Problem, Q: Floats, t: Floats) -> Floats:
     """Append the values of all moving bodies at times, shape (N,), to the robot's own values.
 
-    `Q` has a row for each time; values of moving bodies that it already has are replaced.
+    `Q` has a row for each time. If the rows already have values of moving bodies, these values are replaced.
     """
     if ready.paths is None:
         return Q
