@@ -25,7 +25,7 @@ AWAY, ROUNDS = (4.0, 256.0, 2.0**16), 24
 # Lengths below the share LEAST of the pieces' size are rounding errors.
 LEAST = 1e-15
 
-# If only planes within ROUNDED times the size of a piece are considered, rounding errors of these planes matter.
+# If only planes within ROUNDED times the size of a piece are considered, rounding errors in the planes matter.
 ROUNDED = 1e-9
 
 # A step away from a point, in multiples of the point's depth: the middle of a hull lies in faces of many tetrahedra.
