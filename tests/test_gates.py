@@ -560,17 +560,17 @@ def test_chunks_meet_nothing_before_standstill():
 class WithoutBrakes(Gate):
     """Counts every motion that is free as one from whose end the robot can brake."""
 
-    def _proven(self, ready, chunk, most):
-        chunk, block, work = super()._proven(ready, chunk, most)
-        return chunk._replace(braked=chunk.motions), block if chunk.motions < len(chunk.rows) - 1 else None, work
+    def _proven(self, ready, chunk):
+        chunk, block = super()._proven(ready, chunk)
+        return chunk._replace(braked=chunk.motions), block if chunk.motions < len(chunk.rows) - 1 else None
 
 
 class OffAsOn(Gate):
     """Proves brakes on the path, and brakes joint by joint."""
 
-    def _proven(self, ready, chunk, most):
+    def _proven(self, ready, chunk):
         self._on_path, real = True, self._on_path
-        found = super()._proven(ready, chunk, most)
+        found = super()._proven(ready, chunk)
         self._on_path = real
         return found
 
@@ -578,9 +578,9 @@ class OffAsOn(Gate):
 class WithoutJerk(Gate):
     """Proves brakes whose accelerations jump, and brakes with limits of jerk."""
 
-    def _proven(self, ready, chunk, most):
+    def _proven(self, ready, chunk):
         self._jerk, real = None, self._jerk
-        found = super()._proven(ready, chunk, most)
+        found = super()._proven(ready, chunk)
         self._jerk = real
         return found
 

@@ -43,7 +43,8 @@ SAME_TICK = 1e-6
 # Upper limit on quotients that may be infinite: more periods than any chunk has.
 MANY = 2.0**31
 
-# Bounds count as within older bounds only if they are narrower by WITHIN, in metres, radians and shares.
+# To allow for rounding, bounds count as within older bounds only if the distances that they allow are smaller by WITHIN
+# times the sum of 1, the time [s] and the largest coordinate of the body [m].
 WITHIN = 1e-12
 
 # Rounding error of the angle between two quaternions [rad]: a cosine near 1 has an error of several roundings.
@@ -303,10 +304,10 @@ class Gate:
         self._rate_error = joint_errors(robot, velocity_error, "velocity_error")
         self._latency = _validate.positive_scalar(latency, "latency", zero=True)
         self._steps = codes.NO_LIMIT if steps is None else _validate.whole_number(steps, "steps", 1)
+        self._left = self._steps  # steps that the proofs of the current check may still take
         self._tolerance = _validate.positive_scalar(tolerance, "tolerance")
         moves = np.ones(robot.dof, dtype=bool)
-        names = robot.configuration_names
-        self._strongest, self._jerk = brake_limits(names, moves, robot, limits, acceleration, jerk)
+        self._strongest, self._jerk = brake_limits(robot.configuration_names, moves, robot, limits, acceleration, jerk)
         velocity_limits = robot.velocity if limits is None else limits.velocity
         self._fastest = np.where(np.isnan(velocity_limits), np.inf, velocity_limits)
         self._lower, self._upper = position_limits(robot, limits)
@@ -369,14 +370,12 @@ class Gate:
         with np.errstate(over="ignore"):
             speeds = np.diff(np.vstack([state[0], rows]), axis=0) / period
         if not np.isfinite(speeds).all():
-            raise InputError(
-                f"targets: expected targets that are reached at finite velocities, found others, dt {period:g}"
-            )
+            raise InputError(f"targets: expected finite velocities between targets, found others with dt = {period:g}")
         robot.checked(rows, "targets")  # warns if values may be in degrees
         ready, world = self._present()
         if ready.paths is not None and time is None:
             raise InputError("time: expected the time of the tick, since bodies of the scene move or grow, found none")
-        self._now = now
+        self._now, self._left = now, self._steps
         within = math.ceil(min(self._horizon / period, len(rows)) * (1 - SAME_TICK))
         return self._judged(ready, world, state, rows[: max(within, 1)], period, now)
 
@@ -458,14 +457,13 @@ class Gate:
         self._drift = SAME_TICK * dt * max((bounds.rate for bounds in world.bounds.values()), default=0.0)
         count, joint = self._within_limits(state[0], wanted, dt)
         before, holds, is_sure = self._here(world, state, now)
-        chunk = next(
-            (successor for old in before if (successor := self._going_on(old, wanted[:count], dt, world))), None
-        )
+        successors = (self._going_on(old, wanted[:count], dt, world) for old in before)
+        chunk = next((successor for successor in successors if successor is not None), None)
         if chunk is None or not holds:
             if not verdicts.free(ready.as_given, self._placed(ready, state[0][None], now))[0]:
                 self._last = None
                 met = _Block("contact", -1, state[0], now)
-                return self._answer(ready, GateState.INSIDE, 0, 0.0, met, self._stop(state, now), False, 0)
+                return self._answer(ready, GateState.INSIDE, 0, 0.0, met, self._stop(state, now), False)
             if chunk is None:
                 rows = np.vstack([state[0], wanted[:count]])
                 ends = np.zeros(len(rows), dtype=np.int64)
@@ -474,28 +472,23 @@ class Gate:
                 chunk = chunk._replace(
                     t0=now, motions=0, first=late + 1, braked=late, motion_stop=None, brake_stop=None
                 )
-        chunk, block, work = self._proven(ready, chunk, self._steps)
+        chunk, block = self._proven(ready, chunk)
         if block is None and count < len(wanted):
             block = _Block("limits", -1, wanted[count], now, joint)
         if block is None and len(chunk.rows) - 1 <= late:  # an order to brake would take effect after the last target
             block = _Block("brake", -1, chunk.rows[-1], now)
-        steps, scale = max(chunk.braked - late, 0), 1.0
-        if block is not None:
-            scale, more = self._scale(ready, chunk, block, self._steps - work)
-            work += more
+        steps, scale = max(chunk.braked - late, 0), 1.0 if block is None else self._scale(ready, chunk, block)
         if block is None or steps > 0:
             self._last = chunk
             reached = GateState.GO if block is None else GateState.PREFIX
-            return self._answer(ready, reached, steps, scale, block, self._brake_from(chunk, chunk.braked), True, work)
+            return self._answer(ready, reached, steps, scale, block, self._brake_from(chunk, chunk.braked), True)
         # The last chunk that may run continues until the robot brakes. With a latency, the place of the brake depends
         # on the tick, which must be certain.
         for old in before if late == 0 else before[: int(is_sure)]:
             if holds and old.first <= late <= old.braked:
-                brake = self._brake_from(old, late)
-                return self._answer(ready, GateState.BRAKE, 0, scale, block, brake, True, work)
-        brake = self._stop(state, now)
-        proven, more = self._stops_free(ready, state, now, self._steps - work) if late == 0 else (False, 0)
-        return self._answer(ready, GateState.BRAKE, 0, scale, block, brake, proven, work + more)
+                return self._answer(ready, GateState.BRAKE, 0, scale, block, self._brake_from(old, late), True)
+        proven = late == 0 and self._stops_free(ready, state, now)
+        return self._answer(ready, GateState.BRAKE, 0, scale, block, self._stop(state, now), proven)
 
     def _periods(self, dt: float) -> int:
         """Return the latency in whole periods."""
@@ -563,9 +556,9 @@ class Gate:
             motion_stop=stops[0], brake_stop=stops[1],
         )  # fmt: skip
 
-    def _proven(self, ready: Problem, chunk: _Chunk, most: int) -> tuple[_Chunk, _Block | None, int]:
+    def _proven(self, ready: Problem, chunk: _Chunk) -> tuple[_Chunk, _Block | None]:
         """Prove motions, and then the brakes from their ends, as far as they are free."""
-        n, work = len(chunk.rows) - 1, 0
+        n = len(chunk.rows) - 1
         block: _Block | None = None
         stop = chunk.motion_stop
         if stop is not None and stop.tick == chunk.motions < n:
@@ -573,18 +566,16 @@ class Gate:
         elif chunk.motions < n:
             courses = np.stack([chunk.rows[chunk.motions : -1], chunk.rows[chunk.motions + 1 :]], axis=1)
             begin: Floats = chunk.t0 + chunk.dt * np.arange(float(chunk.motions), float(n))
-            error = np.tile(self._error, (n - chunk.motions, 1))
-            if self._on_path:
-                error += ROUNDED * np.abs(chunk.rows).max()
-            free, block, work = self._first_block(ready, courses, error, begin, begin + chunk.dt, most)
+            error = self._error + ROUNDED * np.abs(chunk.rows).max() if self._on_path else self._error
+            free, block = self._first_block(ready, courses, error, begin, begin + chunk.dt)
             m = chunk.motions + free
             chunk = chunk._replace(motions=m, motion_stop=_stop(m, m + 1, block))
         ticks = np.arange(max(chunk.braked + 1, chunk.first, 0), chunk.motions + 1)
         if len(ticks) == 0:
-            return chunk, block, work
+            return chunk, block
         stop = chunk.brake_stop
         if stop is not None and stop.tick == ticks[0] and stop.needed <= n:
-            return chunk, stop.block, work
+            return chunk, stop.block
         ends = chunk.ends.copy()
         ends[ticks], chunk = n, chunk._replace(ends=ends)
         brakes = self._brakes(chunk, ticks, n)
@@ -596,71 +587,62 @@ class Gate:
         starts: Floats = chunk.t0 + chunk.dt * ticks.astype(np.float64)
         if not self._on_path:
             error += self._farther(chunk.rates[ticks])
-            wholes, more = self._wholes(ready, brakes, chunk.rates[ticks], error, starts, most - work)
-            tried, work = np.flatnonzero(~wholes), work + more
-        # A long brake that fails mostly fails at its end, so prove the ends first, which halves no intervals.
+            tried = np.flatnonzero(~self._wholes(ready, brakes, chunk.rates[ticks], error, starts))
+        # A long brake that fails usually fails at its end. Prove the ends first: a robot at rest needs no halvings.
         long = tried if self._on_path else tried[brakes.counts[tried] > 2]
         still = np.repeat(brakes.states[long, brakes.counts[long] - 1, :1], 2, axis=1)
         at_rest = starts[long] + brakes.durations[long]
-        standing, at_end, more = self._first_block(ready, still, error[long], at_rest, at_rest, most - work)
-        work += more
+        standing, at_end = self._first_block(ready, still, error[long], at_rest, at_rest)
         if at_end is not None:
             end = int(long[standing])
             tried = tried[tried < end]
-        courses, seconds, first = self._pieces(
-            ready, brakes.only(tried), None if self._on_path else chunk.rates[ticks[tried]]
-        )
+        rates = None if self._on_path else chunk.rates[ticks[tried]]
+        courses, seconds, first = self._pieces(ready, brakes.only(tried), rates)
         owner = np.repeat(np.arange(len(tried)), np.diff(first))
         after = np.cumsum(seconds)
         after += (starts[tried] - np.append(0.0, after)[first[:-1]])[owner]
         owner = tried[owner]
-        free, other, more = self._first_block(ready, courses, error[owner], after - seconds, after, most - work)
-        work += more
+        free, other = self._first_block(ready, courses, error[owner], after - seconds, after)
         k = end if other is None else int(owner[free])
         other = at_end if other is None else other
         if other is None:
-            return chunk._replace(braked=chunk.motions), block, work
+            return chunk._replace(braked=chunk.motions), block
         block, tick = other._replace(reason="brake") if other.reason == "contact" else other, int(ticks[k])
         needed = int(brakes.needed[k]) - 1 if self._on_path else tick
         # Beyond the last target, a brake would take a different way if there were more targets.
         stop = _stop(tick, needed, block) if needed <= n else None
-        return chunk._replace(braked=tick - 1, brake_stop=stop), block, work
+        return chunk._replace(braked=tick - 1, brake_stop=stop), block
 
     def _first_block(
-        self, ready: Problem, courses: Floats, error: Floats, begin: Floats, end: Floats, most: int
-    ) -> tuple[int, _Block | None, int]:
-        """Prove courses in order; return how many are free, where the next one fails, and the number of steps."""
+        self, ready: Problem, courses: Floats, error: Floats, begin: Floats, end: Floats
+    ) -> tuple[int, _Block | None]:
+        """Prove courses in order; return how many are free, and where the next one fails."""
         if len(courses) == 0:
-            return 0, None, 0
-        if most <= 0:
-            return 0, _Block("budget", -1, courses[0, 0], float(begin[0])), 0
+            return 0, None
+        if self._left <= 0:
+            return 0, _Block("budget", -1, courses[0, 0], float(begin[0]))
         owner, low, high, cut, times, off = self._divided(ready, courses, error, begin, end)
-        answers = motions.settle(
-            ready, cut, self._tolerance, off, self._clear(cut), Limit(most, np.array([0, len(cut)]))
-        )
-        work = int(answers.work[:, motions.STEPS].sum())
+        answers = self._settled(ready, cut, off, Limit(self._left, np.array([0, len(cut)])))
         for k in np.flatnonzero(answers.verdicts != codes.FREE)[:1]:
             share = 0.0 if np.isnan(answers.fractions[k]) else float(answers.fractions[k])
             at = np.array([low[k] + share * (high[k] - low[k])])
             q = configurations(self._checker.robot, courses[owner[k]][None], at)[0]
             t = float(times[k, 0] + share * (times[k, 1] - times[k, 0]))
             hit = verdicts.classified(ready.as_given, codes.EXACT, self._placed(ready, q[None], t)).verdicts[0]
-            reason = "contact" if hit == codes.COLLIDING else "budget" if work >= most else "may be hit"
-            return int(owner[k]), _Block(reason, int(answers.pairs[k]), q, t), work
-        return len(courses), None, work
+            reason = "contact" if hit == codes.COLLIDING else "budget" if self._left <= 0 else "may be hit"
+            return int(owner[k]), _Block(reason, int(answers.pairs[k]), q, t)
+        return len(courses), None
 
-    def _wholes(
-        self, ready: Problem, brakes: Brakes, rates: Floats, error: Floats, begin: Floats, most: int
-    ) -> tuple[Bools, int]:
-        """Try to prove each brake as one course, which takes one interval if nothing is near; also count the steps.
+    def _wholes(self, ready: Problem, brakes: Brakes, rates: Floats, error: Floats, begin: Floats) -> Bools:
+        """Try to prove each brake as one course, which takes one interval if nothing is near.
 
         Each brake may take about as many steps as one interval does. If not all brakes may take this number of steps,
         none is tried.
         """
         free, steps = np.zeros(len(rates), dtype=bool), max(len(ready.pairs), LEAST_STEPS)
         chosen = np.flatnonzero(brakes.counts > 2)
-        if len(chosen) == 0 or most < steps * len(rates):
-            return free, 0
+        if len(chosen) == 0 or self._left < steps * len(rates):
+            return free
         until = np.zeros(len(chosen))
         if ready.paths is not None and self._rate_error.any():
             until = self._stopping_time(np.abs(rates[chosen]) + self._rate_error).max(axis=1)
@@ -669,14 +651,21 @@ class Gate:
         end = begin[chosen] + np.maximum(until, wholes.durations)
         owner, _, _, cut, _, allowed = self._divided(ready, courses, error[chosen] + off, begin[chosen], end)
         first = np.searchsorted(owner, np.arange(len(chosen) + 1))
-        answers = motions.settle(ready, cut, self._tolerance, allowed, self._clear(cut), Limit(steps, first))
+        answers = self._settled(ready, cut, allowed, Limit(steps, first))
         free[chosen] = np.bincount(owner[answers.verdicts != codes.FREE], minlength=len(chosen)) == 0
-        return free, int(answers.work[:, motions.STEPS].sum())
+        return free
+
+    def _settled(self, ready: Problem, courses: Floats, off: Floats | None, limit: Limit) -> motions.Found:
+        """Prove courses, and count the steps."""
+        clear = np.full(len(courses), self._drift) if self._drift > 0.0 else motions.NO_CLEARANCES
+        answers = motions.settle(ready, courses, self._tolerance, off, clear, limit)
+        self._left -= int(answers.work[:, motions.STEPS].sum())
+        return answers
 
     def _divided(
         self, ready: Problem, courses: Floats, error: Floats, begin: Floats, end: Floats
     ) -> tuple[Ints, Floats, Floats, Floats, Floats, Floats | None]:
-        """Divide courses where bodies' motions change, as in `in_time.pieces`; return how far each piece may be off."""
+        """Divide courses where bodies' motions change; return the fields of `in_time.Pieces`, courses before times."""
         off: Floats | None = error + OFF * np.abs(courses).max(axis=1) if error.any() else None
         n = len(courses)
         if ready.paths is None:
@@ -685,15 +674,11 @@ class Gate:
         owner, low, high, times, cut, off = in_time.pieces(self._checker.robot, ready.paths, courses, off, begin, end)
         return owner, low, high, cut, times, off
 
-    def _clear(self, courses: Floats) -> Floats:
-        return np.full(len(courses), self._drift) if self._drift > 0.0 else motions.NO_CLEARANCES
-
-    def _scale(self, ready: Problem, chunk: _Chunk, block: _Block, most: int) -> tuple[float, int]:
-        """Find the largest time scale at which a chunk is proven; also return the number of steps."""
-        spent = 0
+    def _scale(self, ready: Problem, chunk: _Chunk, block: _Block) -> float:
+        """Find the largest time scale at which a chunk is proven; 0 if there is none."""
         short = len(chunk.rows) - 1 <= self._periods(chunk.dt)
         if short or block.reason == "limits" or (block.reason != "brake" and ready.paths is None):
-            return 0.0, 0  # slower motions would meet the same obstacle
+            return 0.0  # slower motions would meet the same obstacle
         for scale in SCALES:
             dt = chunk.dt / scale
             late = self._periods(dt)
@@ -701,11 +686,9 @@ class Gate:
                 chunk.rows, _rates(chunk.rows, scale * chunk.rates[0], dt), chunk.rows[0], dt, chunk.t0, 0, late + 1,
                 late, chunk.ends, chunk.world,
             )  # fmt: skip
-            _, other, work = self._proven(ready, slower, most - spent)
-            spent += work
-            if other is None:
-                return scale, spent
-        return 0.0, spent
+            if self._proven(ready, slower)[1] is None:
+                return scale
+        return 0.0
 
     # -- brakes -------------------------------------------------------------------------------
 
@@ -728,13 +711,12 @@ class Gate:
     def _by_joint(self, Q: Floats, V: Floats) -> Brakes:
         return Brakes.by_joint(Q, V, np.zeros_like(Q), self._strongest, self._jerk)
 
-    def _stops_free(self, ready: Problem, state: State, now: float, most: int) -> tuple[bool, int]:
-        """Return whether a brake from a measured, free state is proven, and the number of steps."""
+    def _stops_free(self, ready: Problem, state: State, now: float) -> bool:
+        """Return whether a brake from a measured, free state is proven."""
         courses, seconds, _ = self._pieces(ready, self._by_joint(*(x[None] for x in state)), state[1][None])
         end = now + np.cumsum(seconds)
-        error = np.tile(self._error + self._farther(state[1]), (len(courses), 1))
-        _, block, work = self._first_block(ready, courses, error, end - seconds, end, most)
-        return block is None, work
+        error = self._error + self._farther(state[1])
+        return self._first_block(ready, courses, error, end - seconds, end)[1] is None
 
     def _pieces(self, ready: Problem, brakes: Brakes, rates: Floats | None) -> tuple[Floats, Floats, Ints]:
         """Return pieces of brakes, extended until a robot with velocity errors rests; `rates` is None on the path."""
@@ -772,7 +754,7 @@ class Gate:
 
     def _answer(
         self, ready: Problem, state: GateState, steps: int, scale: float, block: _Block | None, brake: Trajectory,
-        proven: bool, work: int,
+        proven: bool,
     ) -> GateAnswer:  # fmt: skip
         """Make an answer, with the pair in question, its distance and its normal."""
         reason, away, normal = "", math.nan, np.full(3, np.nan)
@@ -786,6 +768,7 @@ class Gate:
                 names, away = tuple(ready.names[k] for k in bodies.tolist()), float(away)
             elif reason == "limits":
                 names = (block.joint,)
+        work = self._steps - self._left
         return GateAnswer(state, steps, scale, reason, names, away, normal, brake, proven, work)
 
 
@@ -843,7 +826,5 @@ def _path_is_within(
     more = WITHIN * (1.0 + abs(now) + float(np.abs(path.positions[0]).max()))
     off = away + bounds.metres + bounds.speed * (now - bounds.since) + more
     turned += bounds.radians + bounds.turn * (now - bounds.since)
-    return bool(
-        off <= allowed.metres + allowed.speed * (now - allowed.since)
-        and turned <= allowed.radians + allowed.turn * (now - allowed.since)
-    )
+    is_near = off <= allowed.metres + allowed.speed * (now - allowed.since)
+    return bool(is_near and turned <= allowed.radians + allowed.turn * (now - allowed.since))
