@@ -17,7 +17,7 @@ from loewner._base._validate import Bools, FloatOrFloats, Floats
 from loewner._kernels import tolerances
 from loewner.errors import InputError
 from loewner.planners.profiles import Limits, Phase, phases, ramp, reached, turned
-from loewner.planners.straights import LARGEST_RATIO, Straights, smallest
+from loewner.planners.straights import LARGEST_RATIO, Row, Straights, smallest
 
 # Share of each limit that is reserved for rounding. The shortest phase is chosen so that rounding stays within this
 # share.
@@ -79,9 +79,8 @@ class JerkLimited(NamedTuple):
             shorter = np.minimum(lengths[:-1], lengths[1:])
             at = np.minimum(np.sqrt(gains[1] * shorter), _elementary.cbrt(jerks[1] * shorter**2))
             at = np.minimum(np.maximum(np.append(0.0, at), np.append(at, 0.0)), 1.0)[: len(lengths)]
-            top = np.minimum(
-                np.sqrt(at**2 + 2 * gains[0] * lengths), _elementary.cbrt(at * at * at + jerks[0] * lengths**2)
-            )
+            top = np.sqrt(at**2 + 2 * gains[0] * lengths)
+            top = np.minimum(top, _elementary.cbrt(at * at * at + jerks[0] * lengths**2))
             speeds = np.minimum(top, 1.0)[:, None] * ways[0]
             covered = speeds.max(axis=0, initial=0.0) * stopping.sum()
             least = shortest(np.abs(rows).max(axis=0) + covered, fastest, strongest, jerk)
@@ -100,11 +99,6 @@ class JerkLimited(NamedTuple):
     def part(self, first: int, last: int) -> JerkLimited:
         """Select the motions at the corners from `first` up to but not including `last`."""
         return JerkLimited(self.straights.part(first, last), self.along[first : last + 1], self.across[first:last])
-
-    @property
-    def roundings(self) -> float:
-        """Bound on the error of computed blends, relative to the largest value."""
-        return CUBIC_ROUNDINGS
 
     @property
     def wanted(self) -> Floats:
@@ -132,22 +126,15 @@ class JerkLimited(NamedTuple):
         """Compute the arrays of a `Trajectory` that runs through all phases; the robot stops at the end."""
         on, (speeds, profiles) = self.straights, self._profiles(halves)
         (knots, ways, shares), still = self._bends(halves), np.zeros_like(on.rows[0])
-        rows = [(0.0, on.rows[0], still, still, False)]
-        taken, ends = [0.0, *halves.tolist(), 0.0], [*knots[:, 0], on.rows[-1]]
-        for k, profile in enumerate(profiles):
-            gone = np.cumsum([taken[k], *(phase.way for phase in profile)])[1:]
-            at = [*on.at(np.full(len(gone) - 1, k), gone[:-1] / on.lengths[k]), ends[k]]
-            for phase, knot in zip(profile, at, strict=True):
-                rows.append((phase.seconds, knot, phase.speed * on.full[k], phase.acceleration * on.full[k], False))
-            if taken[k + 1] > 0:
-                seconds = 2 * taken[k + 1] / speeds[k + 1]
-                edge = shares[k, 0, 0] * seconds
-                push = speeds[k + 1] * (on.full[k + 1] - on.full[k]) / (seconds - edge)
-                for m, bend in enumerate((push, push, still)):
-                    if shares[k, m, 0] > 0:
-                        rows.append((shares[k, m, 0] * seconds, knots[k, m + 1], ways[k, m + 1] / seconds, bend, True))
-        seconds, positions, rates, pushes, blended = (np.array(column) for column in zip(*rows, strict=True))
-        return np.cumsum(seconds), positions, rates, blended[1:].astype(bool), pushes
+        blends: list[list[Row]] = [[] for _ in halves]
+        for k in np.flatnonzero(halves > 0):
+            seconds = 2 * float(halves[k]) / speeds[k + 1]
+            edge = shares[k, 0, 0] * seconds
+            push = speeds[k + 1] * (on.full[k + 1] - on.full[k]) / (seconds - edge)
+            for m, bend in enumerate((push, push, still)):
+                if shares[k, m, 0] > 0:
+                    blends[k].append((shares[k, m, 0] * seconds, knots[k, m + 1], ways[k, m + 1] / seconds, bend, True))
+        return on.joined(halves, profiles, blends)
 
     # -- inside -------------------------------------------------------------------------------
 

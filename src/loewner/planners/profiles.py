@@ -46,7 +46,7 @@ class Phase(NamedTuple):
 
 
 def ramp(change: float, limits: Limits) -> tuple[float, float]:
-    """Return the durations of phases for a change of speed: two phases with jerk, and a phase without jerk between.
+    """Return two durations for a change of speed: of its two phases with jerk, and of the phase without jerk between.
 
     The change is the fastest within the limits, except that no phase is shorter than the least duration.
     """

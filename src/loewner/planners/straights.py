@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -10,6 +11,7 @@ import numpy as np
 from loewner._base._validate import Bools, Floats
 from loewner._kernels import tolerances
 from loewner.errors import InputError
+from loewner.planners.profiles import Phase
 
 # Bound on the error of computed blends, relative to the largest value and to the distance covered at full speed in the
 # whole time.
@@ -22,6 +24,10 @@ SHORTEST = 1e-7
 # Limit on the seconds of a motion at full speed, on the seconds to reach full speed, and on the reciprocals of both:
 # their squares then do not overflow.
 LARGEST_RATIO = 1e100
+
+# A row of a trajectory: the seconds since the previous row, the position, the velocity, the acceleration, and whether
+# the robot cuts a corner before the row.
+Row = tuple[float, Floats, Floats, Floats, bool]
 
 
 class Straights(NamedTuple):
@@ -70,11 +76,6 @@ class Straights(NamedTuple):
         return self
 
     @property
-    def roundings(self) -> float:
-        """Bound on the error of computed blends, relative to the largest value."""
-        return BLEND_ROUNDINGS
-
-    @property
     def wanted(self) -> Floats:
         """For each corner, the size of the blend that is passed at full speed."""
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -102,17 +103,17 @@ class Straights(NamedTuple):
         return np.asarray(np.where(share[:, None] == 1, b, a + share[:, None] * (b - a)))
 
     def corners(self, halves: Floats) -> tuple[Floats, Floats, Floats]:
-        """Return the points where blends begin, the corners, and the points where blends end; see `_passed`."""
+        """Return the points where blends begin, the corners, and the points where blends end; see `_profiles`."""
         k = np.arange(len(halves))
         return self.at(k, 1 - halves / self.lengths[:-1]), self.rows[1:-1], self.at(k + 1, halves / self.lengths[1:])
 
     def duration(self, halves: Floats) -> float:
         """Compute the total duration in seconds."""
-        speeds, left = self._passed(halves)
+        speeds, profiles = self._profiles(halves)
         blends = zip(halves.tolist(), speeds[1:-1], strict=True)
         total = sum(2 * half / speed if half else 0.0 for half, speed in blends)
-        for k, (length, gain) in enumerate(zip(left, self.gains.tolist(), strict=True)):
-            total += sum(_seconds(_phases(length, gain, speeds[k], speeds[k + 1]), speeds[k]))
+        for profile in profiles:
+            total += sum(phase.seconds for phase in profile)
         return total
 
     def timed(self, halves: Floats, last_speed: float = 0.0) -> tuple[Floats, Floats, Floats, Bools, None]:
@@ -120,35 +121,40 @@ class Straights(NamedTuple):
 
         The robot ends the path at `last_speed`, a share of full speed, or at the highest possible speed below it.
         """
-        speeds, left = self._passed(halves, last_speed)
-        first, _, last = self.corners(halves)
-        ends, taken = [*first, self.rows[-1]], [0.0, *halves.tolist(), 0.0]
-        times, knots, rates, blended = [0.0], [self.rows[0]], [np.zeros_like(self.rows[0])], []
-        for k, (full, length) in enumerate(zip(self.full, self.lengths.tolist(), strict=True)):
-            phases = _phases(left[k], float(self.gains[k]), speeds[k], speeds[k + 1])
-            gone = np.cumsum([taken[k], *(way for way, _ in phases)])[1:]
-            knots += [*self.at(k, gone[:-1] / length), ends[k]]
-            rates += [speed * full for _, speed in phases]
-            times += _seconds(phases, speeds[k])
-            blended += [False] * len(phases)
-            if taken[k + 1] > 0:
-                knots.append(last[k])
-                rates.append(speeds[k + 1] * self.full[k + 1])
-                times.append(2 * taken[k + 1] / speeds[k + 1])
-                blended.append(True)
-        passed = np.cumsum(times)
+        speeds, profiles = self._profiles(halves, last_speed)
+        last, still = self.corners(halves)[2], np.zeros_like(self.rows[0])
+        blends: list[list[Row]] = [
+            [(2 * half / speeds[k], last[k - 1], speeds[k] * self.full[k], still, True)] if half > 0 else []
+            for k, half in enumerate(halves.tolist(), 1)
+        ]
+        times, knots, rates, blended, _ = self.joined(halves, profiles, blends)
         # Leave out phases whose duration is lost in the rounding of the times.
-        kept = np.append(np.diff(passed) > 0, True)
-        bent = np.append(np.array(blended, dtype=bool), False)[kept]
-        return passed[kept], np.array(knots)[kept], np.array(rates)[kept], bent[:-1], None
+        kept = np.append(np.diff(times) > 0, True)
+        return times[kept], knots[kept], rates[kept], np.append(blended, False)[kept][:-1], None
+
+    def joined(
+        self, halves: Floats, profiles: Sequence[Sequence[Phase]], blends: list[list[Row]]
+    ) -> tuple[Floats, Floats, Floats, Bools, Floats]:
+        """Compute the arrays of a `Trajectory` from the phases of each motion and the rows of each blend, if any."""
+        first, still = self.corners(halves)[0], np.zeros_like(self.rows[0])
+        taken, ends = [0.0, *halves.tolist()], [*first, self.rows[-1]]
+        rows: list[Row] = [(0.0, self.rows[0], still, still, False)]
+        for k, (profile, blend, full) in enumerate(zip(profiles, [*blends, []], self.full, strict=False)):
+            gone = np.cumsum([taken[k], *(phase.way for phase in profile)])[1:]
+            at = [*self.at(np.full(len(gone) - 1, k), gone[:-1] / self.lengths[k]), ends[k]]
+            for phase, knot in zip(profile, at, strict=True):
+                rows.append((phase.seconds, knot, phase.speed * full, phase.acceleration * full, False))
+            rows += blend
+        seconds, knots, rates, bends, blended = (np.array(column) for column in zip(*rows, strict=True))
+        return np.cumsum(seconds), knots, rates, blended[1:], bends
 
     def _room(self) -> Floats:
         """For each corner, the share of full speed by which the direction can change per second."""
         with np.errstate(divide="ignore", invalid="ignore"):
             return smallest(self.strongest / np.abs(np.diff(self.full, axis=0)))
 
-    def _passed(self, halves: Floats, last_speed: float = 0.0) -> tuple[list[float], list[float]]:
-        """Compute speeds at the rows, as shares of full speed, and lengths between blends, in seconds at full speed.
+    def _profiles(self, halves: Floats, last_speed: float = 0.0) -> tuple[list[float], list[list[Phase]]]:
+        """Compute speeds at the rows, as shares of full speed, and the phases between the blends.
 
         Parameters
         ----------
@@ -166,7 +172,7 @@ class Straights(NamedTuple):
             speeds[k + 1] = min(speeds[k + 1], math.sqrt(speeds[k] * speeds[k] + 2 * gains[k] * left[k]))
         for k in range(len(left) - 1, -1, -1):
             speeds[k] = min(speeds[k], math.sqrt(speeds[k + 1] * speeds[k + 1] + 2 * gains[k] * left[k]))
-        return speeds, left
+        return speeds, [_phases(left[k], gains[k], speeds[k], speeds[k + 1]) for k in range(len(left))]
 
 
 def smallest(ratios: Floats) -> Floats:
@@ -174,8 +180,8 @@ def smallest(ratios: Floats) -> Floats:
     return np.asarray(np.nanmin(np.where(np.isnan(ratios), np.inf, ratios), axis=1, initial=np.inf))
 
 
-def _phases(length: float, gain: float, low: float, high: float) -> list[tuple[float, float]]:
-    """Return the phases between two speeds on a straight line, each as its distance and the speed at its end."""
+def _phases(length: float, gain: float, low: float, high: float) -> list[Phase]:
+    """Return the phases between two speeds on a straight line; their constant accelerations are not computed."""
     peak = min(1.0, math.sqrt((2 * gain * length + low * low + high * high) / 2))
     top = max(low, high)
     if peak - top <= SHORTEST * peak:
@@ -183,16 +189,8 @@ def _phases(length: float, gain: float, low: float, high: float) -> list[tuple[f
     up, down = (peak * peak - low * low) / (2 * gain), (peak * peak - high * high) / (2 * gain)
     level = length - up - down
     if abs(high - low) <= SHORTEST * peak and peak == top:
-        return [(length, high)]
+        return [Phase(2 * length / (low + high), length, high, 0.0)]
     if level <= SHORTEST * length:  # without this phase, the other phases cover the whole distance
         up, down, level = up * length / (up + down), down * length / (up + down), 0.0
-    return [(way, speed) for way, speed in ((up, peak), (level, peak), (down, high)) if way > 0]
-
-
-def _seconds(phases: list[tuple[float, float]], speed: float) -> list[float]:
-    """Compute the durations of successive phases, given the speed at the start."""
-    durations = []
-    for way, end in phases:
-        durations.append(2 * way / (speed + end))
-        speed = end
-    return durations
+    parts = ((up, low, peak), (level, peak, peak), (down, peak, high))
+    return [Phase(2 * way / (begin + end), way, end, 0.0) for way, begin, end in parts if way > 0]
