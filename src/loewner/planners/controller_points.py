@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from loewner._base import _elementary, _tables, _validate
+from loewner._base import _elementary, _validate
 from loewner._base._files import read_regular, shown
 from loewner._base._matrices import image, product
 from loewner._base._nodes import Node, read_json, read_yaml, some
@@ -20,9 +20,9 @@ from loewner._base._validate import Floats
 from loewner._kernels import columns
 from loewner.errors import FileError, InputError
 from loewner.planners import messages
-from loewner.planners.controllers import columns_of, expect_in_table, write
+from loewner.planners.controllers import columns_of, write
 from loewner.planners.joint_limits import expect_robot
-from loewner.planners.trajectory_files import RATES, WRITTEN, Rows, header_of, rows_of_table, saved_rows, with_ending
+from loewner.planners.trajectory_files import RATES, WRITTEN, Rows, rows_of_table, saved_rows, table_of, with_ending
 from loewner.robots import Robot
 from loewner.robots.description.robot import joints_above
 from loewner.robots.proofs.courses import CURVE_ROUNDINGS
@@ -36,7 +36,7 @@ MOST_BYTES = 2**28
 START_TOLERANCE = 0.01
 
 # Allowed rounding errors: differences between the times of the joints and of a base [s]; deviations of a planar motion
-# from its plane [m, or a cosine]; and deviations from 1 of quaternions' norms, in files with few digits.
+# from its plane [m, or a cosine]; and deviations of quaternions' norms from 1, in files with few digits.
 SAME_TIME, IN_PLANE, NORMS = 1e-9, 1e-6, 1e-2
 
 # The identity as a position and a quaternion x, y, z, w.
@@ -288,8 +288,8 @@ class ControllerPoints:
         rows = {"positions": self.positions, "velocities": self.velocities, "accelerations": self.accelerations}
         held = {kind: array[:, columns] for kind, array in rows.items() if array is not None}
         moves = np.any([(array != array[0]).any(axis=0) for array in held.values()], axis=0)
-        straight = [self.names[k] for k, moving in zip(columns, moves, strict=True) if moving and self.names]
-        straight = [name for name in straight if name in self.origin.straight]
+        moving = [self.names[k] for k in np.array(columns)[moves]] if self.names else []
+        straight = [name for name in moving if name in self.origin.straight]
         if straight:
             raise InputError(
                 f"joints: expected columns that are interpolated alike, found {some(straight)}, which move straight; "
@@ -300,11 +300,9 @@ class ControllerPoints:
 
         def text(chosen: list[int], named: Sequence[str]) -> str:
             parts = {kind: array[:, chosen] for kind, array in held.items()}
-            if target.suffix.lower() != ".csv":
-                return messages.written(named, self.times, parts, target.suffix.lower())
-            expect_in_table(named)
-            table = np.column_stack([self.times, *parts.values()])
-            return _tables.written(header_of(named, len(parts)), table, self.start_time)
+            if target.suffix.lower() == ".csv":
+                return table_of(named, self.times, list(parts.values()), self.start_time)
+            return messages.written(named, self.times, parts, target.suffix.lower())
 
         write(target, called, moves.tolist(), controllers, text)
 
@@ -382,20 +380,19 @@ class ControllerPoints:
         if robot is None or self.names is None:
             return self
         missing = [k for k, name in enumerate(robot.configuration_names) if name not in self.names]
+        added = [robot.configuration_names[k] for k in missing]
         q = robot.configuration(stated) if others is None else others
-        shape = len(self.times), len(missing)
-        positions = np.hstack([self.positions, np.broadcast_to(q[missing], shape)])
-        rates = [
-            None if held is None else np.hstack([held, np.zeros(shape)])
-            for held in (self.velocities, self.accelerations)
-        ]
-        names = [*self.names, *(robot.configuration_names[k] for k in missing)]
-        points = self._with(positions, rates, names)
-        used = {} if others is not None or stated is None else {n: stated[n] for n in names if n in stated}
-        added = names[len(self.names) :]
-        assumed = tuple(n for n in added if n not in used) if others is None else ()
+        points = self._beside(np.tile(q[missing], (len(self.times), 1)), added)
+        used = {name: stated[name] for name in added if name in stated} if others is None and stated else {}
+        assumed = tuple(name for name in added if name not in used) if others is None else ()
         points.origin = replace(self.origin, stated=used, assumed=assumed)
         return points
+
+    def _beside(self, positions: Floats, names: Sequence[str]) -> ControllerPoints:
+        """Return the points with further columns, whose velocities and accelerations are 0."""
+        old = self.velocities, self.accelerations
+        rates = [None if rate is None else np.hstack([rate, np.zeros_like(positions)]) for rate in old]
+        return self._with(np.hstack([self.positions, positions]), rates, [*(self.names or ()), *names])
 
     def _with(self, positions: Floats, rates: Sequence[Floats | None], names: Sequence[str] | None) -> ControllerPoints:
         """Return a copy of the points with other columns or rates."""
@@ -464,9 +461,7 @@ def _points_of(
         points = _with_base(part, part.placed, robot)
     else:
         assert part.joints is not None
-        held = part.joints.rows
-        rates = [held.get(kind) for kind in RATES]
-        points = ControllerPoints(part.joints.times, held["positions"], *rates, names=part.joints.names)
+        points = _of_joints(part.joints)
     points.carried = {body: link for body, (link, _) in part.start.carried.items()}
     touching = {body: touched for body, (_, touched) in part.start.carried.items()}
     free = tuple(sorted(bodies - points.carried.keys()))
@@ -475,22 +470,25 @@ def _points_of(
     return points._completed(robot, others, stated)
 
 
+def _of_joints(motion: messages.Motion) -> ControllerPoints:
+    """Make the points of joints with one value each."""
+    rates = [motion.rows.get(kind) for kind in RATES]
+    return ControllerPoints(motion.times, motion.rows["positions"], *rates, names=motion.names)
+
+
 def _with_base(part: messages.Part, placed: messages.Motion, robot: Robot) -> ControllerPoints:
     """Join the motion of joints with one value and the motion of a base; the base moves straight between its points."""
-    times = placed.times
-    if part.joints is not None:
-        of_joints = part.joints.times
-        if len(of_joints) != len(times) or not (np.abs(of_joints - times) <= SAME_TIME).all():
-            raise InputError(
-                f"expected the same times for the joints and for {some(placed.names)}, found others ({part.place})"
-            )
-        times = of_joints
+    held, times = part.joints, placed.times
+    if held is not None and (len(held.times) != len(times) or not (np.abs(held.times - times) <= SAME_TIME).all()):
+        raise InputError(
+            f"expected the same times for the joints and for {some(placed.names)}, found others ({part.place})"
+        )
     names, values = [], []
     for k, joint in enumerate(placed.names):
         joint_columns = _columns_of(joint, placed.rows["transforms"][:, k], robot)
         names += list(joint_columns)
         values += list(joint_columns.values())
-    base, held = np.stack(values, axis=1), part.joints
+    base = np.stack(values, axis=1)
     twice = [column for column in names if held is not None and column in held.names]
     if twice:
         raise InputError(f"expected one motion of each joint, found {some(twice)} twice ({part.place})")
@@ -504,11 +502,7 @@ def _with_base(part: messages.Part, placed: messages.Motion, robot: Robot) -> Co
                 f"expected a base that does not turn, as the joints have velocities, found {some(turning)} "
                 f"that change ({part.place}); remove the velocities, or let a planar joint turn"
             )
-    rates = [
-        None if held.rows.get(kind) is None else np.hstack([held.rows[kind], np.zeros_like(base)]) for kind in RATES
-    ]
-    positions = np.hstack([held.rows["positions"], base])
-    points = ControllerPoints(times, positions, *rates, names=[*held.names, *names])
+    points = _of_joints(held)._beside(base, names)
     points.origin = Origin(straight=tuple(names) if curved else ())
     return points
 
@@ -646,6 +640,6 @@ def _refuse_beside(beside: dict[str, float], places: dict[str, Floats], sources:
     if told:
         where = some(dict.fromkeys(sources.get(joint, "") for joint in (*beside, *places)))
         raise InputError(
-            f"expected a state of the joints that the points name, found {', '.join(told)} ({where}); give "
-            "the robot, by robot=, whose joints stand as the state says, or as others= says"
+            f"expected a state of the joints that the points name, found {', '.join(told)} ({where}); with robot=, its "
+            "other joints keep the values of the state or of others="
         )

@@ -92,8 +92,8 @@ def expect_in_table(names: Sequence[str]) -> None:
     for name in names:
         if name in (*TIMES, BLEND) or name.endswith((VELOCITY, ACCELERATION)) or name != name.strip():
             raise InputError(
-                f"names: expected names that a .csv file reads as joints, found {name!r}; names= gives it another one, "
-                "and a message may have it"
+                f"names: expected names that a .csv file reads as joints, found {name!r}; rename it by names=, or "
+                "write a message"
             )
 
 

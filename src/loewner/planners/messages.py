@@ -10,6 +10,7 @@ from __future__ import annotations
 import itertools
 import json
 from collections.abc import Collection, Iterator
+from copy import deepcopy
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -19,9 +20,9 @@ from loewner._base._nodes import JsonNode, Node, some
 from loewner._base._validate import Floats
 from loewner.errors import FileError, InputError
 
-# Treatments of fields that are not messages of a type below, in this order: the code for the message's type reads the
-# field; the field has no effect on the joints and the bodies of a robot; a warning mentions the field unless it is
-# empty; the field is a message of any type without such a field.
+# Treatments of fields that are not messages of a type below. USED: the code for the message's type reads the field.
+# HARMLESS: the field has no effect on the joints and the bodies of a robot. TOLD: a warning mentions the field unless
+# it is empty. ANY: the field is a message of any type that has no field with this treatment.
 USED, HARMLESS, TOLD, ANY = "used", "harmless", "told", "any"
 
 
@@ -133,10 +134,6 @@ class State:
     places: dict[str, Floats] = field(default_factory=dict)
     carried: dict[str, tuple[str, tuple[str, ...]]] = field(default_factory=dict)
     sources: dict[str, str] = field(default_factory=dict)
-
-    def copy(self) -> State:
-        """Return a copy of the state that can be changed independently."""
-        return State(dict(self.joints), dict(self.places), dict(self.carried), dict(self.sources))
 
 
 @dataclass(eq=False)
@@ -269,11 +266,10 @@ def _walk(node: Node, name: str, found: Message, state: State) -> None:
 
 def _add_part(node: Node, given: dict[str, Node], found: Message, state: State) -> None:
     """Add the motion of a message; afterwards the joints have the values of its last points."""
-    joints = _joint_motion(given["JointTrajectory"]) if "JointTrajectory" in given else None
-    placed = _placed_motion(given["MultiDOFJointTrajectory"]) if "MultiDOFJointTrajectory" in given else None
+    joints, placed = (_motion(given.get(name), name) for name in ("JointTrajectory", "MultiDOFJointTrajectory"))
     if joints is None and placed is None:
         return
-    found.parts.append(Part(node.key or "the message itself", joints, placed, state.copy()))
+    found.parts.append(Part(node.key or "the message itself", joints, placed, deepcopy(state)))
     if joints is not None:
         state.joints.update(zip(joints.names, joints.rows["positions"][-1].tolist(), strict=True))
         state.sources.update(dict.fromkeys(joints.names, f"the end of {found.parts[-1].place}"))
@@ -282,27 +278,34 @@ def _add_part(node: Node, given: dict[str, Node], found: Message, state: State) 
         state.sources.update(dict.fromkeys(placed.names, f"the end of {found.parts[-1].place}"))
 
 
-def _joint_motion(node: Node) -> Motion | None:
-    """Read a JointTrajectory; None if it has no points."""
-    keys = node.mapping(TYPES["JointTrajectory"])
-    if "points" not in keys or keys["points"].empty:
+def _motion(node: Node | None, name: str) -> Motion | None:
+    """Read a message of the type `name`, JointTrajectory or MultiDOFJointTrajectory; None if it has no points."""
+    keys = {} if node is None else node.mapping(TYPES[name])
+    if node is None or "points" not in keys or keys["points"].empty:
         return None
-    names = _names(node, keys)
-    quick = _plain_motion(names, keys["points"])
+    if "joint_names" not in keys:
+        raise node.error("expected the key joint_names, found none")
+    names = [joint.text() for joint in keys["joint_names"].items()]
+    _expect_once(names, keys["joint_names"])
+    return (_joint_motion if name == "JointTrajectory" else _placed_motion)(names, keys["points"])
+
+
+def _joint_motion(names: list[str], node: Node) -> Motion:
+    """Read the points of a JointTrajectory."""
+    quick = _plain_motion(names, node)
     if quick is not None:
         return quick
-    points = [point.mapping(POINT, required=("time_from_start",)) for point in keys["points"].items()]
+    points = [point.mapping(POINT, required=("time_from_start",)) for point in node.items()]
     rows = {}
     for kind in RATES:
         is_present = [kind in point and not point[kind].empty for point in points]
         if not any(is_present):
             continue
         if not all(is_present):
-            lacking = keys["points"].items()[is_present.index(False)]
-            raise lacking.error(f"expected {kind} of all points or of none, found none")
+            raise node.items()[is_present.index(False)].error(f"expected {kind} of all points or of none, found none")
         rows[kind] = np.array([point[kind].numbers(len(names)) for point in points])
     if "positions" not in rows:
-        raise keys["points"].error("expected positions of the points, found none")
+        raise node.error("expected positions of the points, found none")
     return Motion(names, np.array([_seconds(point["time_from_start"]) for point in points]), rows)
 
 
@@ -335,13 +338,9 @@ def _plain_motion(names: list[str], points: Node) -> Motion | None:
     return Motion(names, seconds, rows) if plain else None
 
 
-def _placed_motion(node: Node) -> Motion | None:
-    """Read a MultiDOFJointTrajectory; None if it has no points."""
-    keys = node.mapping(TYPES["MultiDOFJointTrajectory"])
-    if "points" not in keys or keys["points"].empty:
-        return None
-    names = _names(node, keys)
-    points = [p.mapping(PLACED_POINT, required=("transforms", "time_from_start")) for p in keys["points"].items()]
+def _placed_motion(names: list[str], node: Node) -> Motion:
+    """Read the points of a MultiDOFJointTrajectory."""
+    points = [point.mapping(PLACED_POINT, required=("transforms", "time_from_start")) for point in node.items()]
     rows = []
     for point in points:
         for kind in ("velocities", "accelerations"):
@@ -350,14 +349,6 @@ def _placed_motion(node: Node) -> Motion | None:
         rows.append([x for each in point["transforms"].items(len(names)) for x in _transform(each)])
     transforms = np.array(rows).reshape(len(points), len(names), 7)
     return Motion(names, np.array([_seconds(point["time_from_start"]) for point in points]), {"transforms": transforms})
-
-
-def _names(node: Node, keys: dict[str, Node]) -> list[str]:
-    if "joint_names" not in keys:
-        raise node.error("expected the key joint_names, found none")
-    names = [name.text() for name in keys["joint_names"].items()]
-    _expect_once(names, keys["joint_names"])
-    return names
 
 
 def _expect_once(names: list[str], node: Node) -> None:

@@ -58,7 +58,24 @@ def with_ending(path: str | os.PathLike[str], endings: tuple[str, ...], hint: st
 
 def written(rows: Rows, suffix: str) -> str:
     """Return the text of a file with the extension `suffix`, one of `ENDINGS`."""
-    return _csv(rows) if suffix == ".csv" else json.dumps(_held(rows))
+    if suffix != ".csv":
+        return json.dumps(_held(rows))
+    parts = [part for part in (rows.knots, rows.rates, rows.bends) if part is not None]
+    flags = None if rows.blended is None else np.append(rows.blended, False).astype(int).tolist()
+    return table_of(rows.names, rows.times, parts, rows.start_time, flags)
+
+
+def table_of(
+    names: Sequence[str], times: Floats, parts: Sequence[Floats], start_time: float, flags: list[int] | None = None
+) -> str:
+    """Return the text of a table of times, positions, velocities and accelerations, or of the first of these parts.
+
+    With `flags`, the last column marks the rows after which the robot cuts a corner.
+    """
+    expect_in_table(names)
+    kinds = ("", VELOCITY, ACCELERATION)[: len(parts)]
+    header = [TIMES[0], *(name + kind for kind in kinds for name in names), *([] if flags is None else [BLEND])]
+    return _tables.written(header, np.column_stack([times, *parts]), start_time, flags)
 
 
 def read(source: Path) -> Rows:
@@ -91,21 +108,6 @@ def read(source: Path) -> Rows:
     except (ValueError, KeyError, TypeError, OverflowError, RecursionError, csv.Error) as error:
         why = f"no {error}" if isinstance(error, KeyError) else _validate.short(str(error))
         raise FileError(f"{shown(source)}: expected a trajectory, found {why}{OTHERS}") from None
-
-
-def header_of(names: Sequence[str], kinds: int) -> list[str]:
-    """Return the header of a table: the time, and the first `kinds` of positions, velocities and accelerations."""
-    return [TIMES[0], *(name + kind for kind in ("", VELOCITY, ACCELERATION)[:kinds] for name in names)]
-
-
-def _csv(rows: Rows) -> str:
-    expect_in_table(rows.names)
-    columns = [part for part in (rows.knots, rows.rates, rows.bends) if part is not None]
-    header, table = header_of(rows.names, len(columns)), np.column_stack([rows.times, *columns])
-    if rows.rates is None or rows.blended is None:
-        return _tables.written(header, table, rows.start_time)
-    flags = np.append(rows.blended, False).astype(int).tolist()
-    return _tables.written([*header, BLEND], table, rows.start_time, flags)
 
 
 def _held(rows: Rows) -> dict[str, Any]:
