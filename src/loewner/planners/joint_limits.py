@@ -178,9 +178,8 @@ def _expect_within(robot: Robot, rows: Floats, given: JointLimits) -> None:
     Where the file does not change a limit, the hard limit of the joint counts: a plan may start outside the soft
     limits.
     """
-    lower = np.where(given.lower == robot.lower, robot.hard_lower, given.lower)
-    upper = np.where(given.upper == robot.upper, robot.hard_upper, given.upper)
-    for row, k in np.argwhere((rows < lower - ON_LIMIT) | (rows > upper + ON_LIMIT))[:1]:
+    lower, upper = position_limits(robot, given)
+    for row, k in np.argwhere(beyond(rows, lower, upper))[:1]:
         raise InputError(
             f"path: expected positions within limits=, found {given.names[k]} = {rows[row, k]:.9g} outside "
             f"{lower[k]:.9g} .. {upper[k]:.9g}"
@@ -247,7 +246,8 @@ def _read(root: Node, robot: Robot, scaled: bool) -> tuple[JointLimits, list[str
             raise held.error(f"expected {name} beside joint_limits, found it elsewhere")
     if beside:
         warn(f"{root.file}: not read, since they are no limits of joints: {some(held.key for held in beside)}")
-    limits = {kind: np.full(robot.dof, np.nan) for kind in ("lower", "upper", *KINDS.values())}
+    limits = {kind: np.full(robot.dof, np.nan) for kind in KINDS.values()}
+    lower, upper = limits["lower"], limits["upper"] = robot.lower.copy(), robot.upper.copy()
     entries: dict[str, tuple[Node, dict[str, float]]] = {}
     factors = [_factors(holder, scaled) for holder in holders]
     for holder, of_table in zip(holders, factors, strict=True):
@@ -264,41 +264,31 @@ def _read(root: Node, robot: Robot, scaled: bool) -> tuple[JointLimits, list[str
     _expect_joints(str(root.file), list(entries), columns)
     turns, doubts, followed = _turning(robot), [], []
     scales = {kind: np.ones(robot.dof) for kind in FACTORS}
-    soft = {"lower": np.full(robot.dof, -np.inf), "upper": np.full(robot.dof, np.inf)}
-    followers = {attribute: np.full(robot.dof, np.inf) for attribute in KINDS.values()}
     for name, (entry, of_table) in entries.items():
         (k, by), own = columns[name], _limits_of_joint(entry)
-        into = followers if name in robot.mimics else limits
         for kind, attribute in KINDS.items():
             if kind in own and by != 0:
-                into[attribute][k] = np.fmin(into[attribute][k], own[kind] / abs(by))
+                limits[attribute][k] = np.fmin(limits[attribute][k], own[kind] / abs(by))
         for kind in scales:
             scales[kind][k] = min(scales[kind][k], of_table[kind])
         if name in robot.mimics:
             followed += [name] if any(np.isfinite(own.get(kind, np.inf)) for kind in ("lower", "upper")) else []
         else:
-            for kind in {"lower", "upper"} & own.keys():
-                limits[kind][k] = own[kind]
-            for kind in soft:
-                soft[kind][k] = own.get(f"soft_{kind}", soft[kind][k])
+            lower[k] = max(own.get("lower", lower[k]), own.get("soft_lower", -np.inf))
+            upper[k] = min(own.get("upper", upper[k]), own.get("soft_upper", np.inf))
         if turns[k]:
             plain = {kind: value if np.isfinite(value) else 0.0 for kind, value in own.items()}
-            lower, upper, velocity = (plain.get(kind, 0.0) for kind in ("lower", "upper", "velocity"))
-            texts = doubt_about_limits(lower, upper), doubt_about_velocity(velocity)
+            low, high, velocity = (plain.get(kind, 0.0) for kind in ("lower", "upper", "velocity"))
+            texts = doubt_about_limits(low, high), doubt_about_velocity(velocity)
             doubts += [f"{name}: expected {text}" for text in texts if text]
     if followed:
         warn(f"{root.file}: not read: positions of joints that mimic others, {some(followed)}; limit those they mimic")
-    for attribute, robot_limits in (("lower", robot.lower), ("upper", robot.upper), ("velocity", robot.velocity)):
-        limits[attribute] = np.where(np.isnan(limits[attribute]), robot_limits, limits[attribute])
+    limits["velocity"] = np.where(np.isnan(limits["velocity"]), robot.velocity, limits["velocity"])
     followed_here = [columns[joint][0] for joint, _ in robot.mimics.values() if joint in columns]
     # A joint that other joints mimic also keeps the velocity limits that the URDF gives for the other joints.
     limits["velocity"][followed_here] = np.fmin(limits["velocity"], robot.velocity)[followed_here]
-    for attribute, array in followers.items():
-        limits[attribute] = np.fmin(limits[attribute], array)
-    limits["lower"] = np.maximum(limits["lower"], soft["lower"])
-    limits["upper"] = np.minimum(limits["upper"], soft["upper"])
-    for k in np.flatnonzero(limits["lower"] > limits["upper"])[:1]:
-        bounds = f"{limits['lower'][k]:g} and {limits['upper'][k]:g}"
+    for k in np.flatnonzero(lower > upper)[:1]:
+        bounds = f"{lower[k]:g} and {upper[k]:g}"
         raise root.error(f"{robot.configuration_names[k]}: expected min_position <= max_position, found {bounds}")
     for kind, factors_of in scales.items():
         # If there is only one table, its factors also apply to joints that the file does not name.
@@ -380,12 +370,16 @@ def _turning(robot: Robot) -> Bools:
     return turning
 
 
+def beyond(values: Floats, lower: Floats, upper: Floats) -> Bools:
+    """Return which values are outside their limits by more than rounding."""
+    return np.asarray((values < lower - ON_LIMIT) | (values > upper + ON_LIMIT))
+
+
 def with_start(robot: Robot, columns: Ints, q: Floats, lower: Floats, upper: Floats) -> tuple[Floats, Floats]:
     """If a motion's start is within the hard limits, widen the columns' ranges to include the start, and warn."""
     values = q[columns]
-    outside = (values < lower - ON_LIMIT) | (values > upper + ON_LIMIT)
-    hard = (values >= robot.hard_lower[columns] - ON_LIMIT) & (values <= robot.hard_upper[columns] + ON_LIMIT)
-    at = np.flatnonzero(outside & hard)
+    hard = beyond(values, robot.hard_lower[columns], robot.hard_upper[columns])
+    at = np.flatnonzero(beyond(values, lower, upper) & ~hard)
     if len(at) == 0:
         return lower, upper
     named = ", ".join(

@@ -93,16 +93,20 @@ class Judge:
         InputError
             If sampling would take too many steps.
         """
-        resolution = self.resolution
-        steps = longest / resolution + 2 if resolution else 0
+        step = self.resolution
+        steps = longest / step + 2 if step else 0
         if not steps <= MOST_STEPS:
             raise InputError(
-                f"resolution: expected at most {MOST_STEPS} steps on the longest motion ({longest:g}), "
-                f"found {resolution:g}"
+                f"resolution: expected at most {MOST_STEPS} steps on the longest motion ({longest:g}), found {step:g}"
             )
         size = int(steps) + 1
         fits_memory(9 * size, f"{size} steps of a motion")
         return replace(self, samples=size)
+
+    @property
+    def errors(self) -> Floats:
+        """The joint error, shape (dof,), also if no value deviates."""
+        return np.zeros(self.checker.robot.dof) if self.joint_error is None else self.joint_error
 
     def asked(self) -> tuple[Ints, Floats]:
         """Return the handles and lengths for `_kernels.robots.free_motions.judge_of`, for calls from this thread."""
@@ -167,10 +171,8 @@ def refuse_unfree(judge: Judge, path: Floats, name: str) -> None:
         touching = np.flatnonzero(~free)  # in the order of the path, on which the rules depend
         receding = prove_by_rules(judge.ready, path[touching], path[touching + 1], TOLERANCE)
         free[touching] = receding.verdicts == codes.FREE
-        rows = np.setdiff1d(np.append(touching, touching + 1), [0, len(path) - 1])
-        if free.all() and (deeper := deeper_than_ends(judge.ready, path, rows, TOLERANCE)) is not None:
-            row, pair = deeper
-            a, b = (judge.ready.names[k] for k in judge.ready.pairs[pair])
+        if free.all() and (deeper := deeper_than_ends(judge.ready, path, touching, TOLERANCE)) is not None:
+            row, a, b = deeper
             raise PlanningError(
                 f"{name}: expected contacts that get no deeper along the path than at its ends, found {a} and {b} "
                 f"deeper at row {row}"
@@ -180,13 +182,11 @@ def refuse_unfree(judge: Judge, path: Floats, name: str) -> None:
     k = int(free.argmin())
     answer = judge.certified(path[k], path[k + 1])
     if answer.verdict == Verdict.FREE:
-        told = f"which is not free where it is looked at in steps of {judge.resolution:g}"
+        told = f"which is not free when it is sampled in steps of {judge.resolution:g}"
     else:
-        how = (
-            "collide or come within their margin"
-            if answer.verdict == Verdict.COLLIDING
-            else f"come within {TOLERANCE:g} m of their margin"
-            + (" for deviating values" if judge.joint_error is not None else "")
-        )
+        how = f"come within {TOLERANCE:g} m of their margin"
+        how += " for deviating values" if judge.joint_error is not None else ""
+        if answer.verdict == Verdict.COLLIDING:
+            how = "collide or come within their margin"
         told = f"on which {answer.names[0]} and {answer.names[1]} {how} at the fraction {answer.fraction:.6g}"
     raise PlanningError(f"{name}: expected free motions, found the one from row {k} to row {k + 1}, {told}")

@@ -9,11 +9,11 @@ from numpy.typing import ArrayLike
 
 from loewner._base import _elementary, _validate
 from loewner._base._guard import guarded
-from loewner._base._validate import Floats
+from loewner._base._validate import Bools, Floats
 from loewner._kernels import codes, columns
 from loewner._native import entries
 from loewner.errors import InputError, PlanningError
-from loewner.planners.joint_limits import ON_LIMIT, with_start
+from loewner.planners.joint_limits import beyond, with_start
 from loewner.planners.judge import TOLERANCE, Judge, checked_checker
 from loewner.planners.kept_axes import KeptAxis, parts_of
 from loewner.planners.kept_lines import POSITION, ROTATION, checked_tolerance, chord_of
@@ -152,7 +152,7 @@ def _from_start(robot: Robot, chain: Chain, q: Floats, link: str) -> Chain:
     ranges, values = chain.ranges.copy(), q[chain.columns]
     ends = [columns.LEAST, columns.MOST]
     ranges[ends] = with_start(robot, chain.columns, q, *ranges[ends])
-    outside = (values < ranges[columns.LEAST] - ON_LIMIT) | (values > ranges[columns.MOST] + ON_LIMIT)
+    outside = beyond(values, *ranges[ends])
     if outside.any():
         raise PlanningError(
             f"start: expected a configuration within the limits, found {_named(robot, chain, outside, q)} outside"
@@ -165,9 +165,9 @@ def _fault(
 ) -> tuple[str, str]:
     """Explain why the kernel cannot follow a line: return the expectation, and the fault."""
     if outcome == codes.HALF_TURN:
-        raise InputError("T: expected a turn of less than half a turn, found half a turn; go by a pose in between")
+        raise InputError("T: expected a turn of less than half a turn, found half a turn; add a pose in between")
     if outcome == codes.TOO_FAR:
-        raise InputError("T: expected a line of at most 10 km; go by a pose in between")
+        raise InputError("T: expected a line of at most 10 km; add a pose in between")
     if kept is not None and outcome == codes.TILTED:
         u, cosine = rows[-2:][rows[-2:, 1].argmin(), :2]
         return (
@@ -179,7 +179,7 @@ def _fault(
     return _stopped(robot, chain, rows[-2, 0], last, link)
 
 
-def _named(robot: Robot, chain: Chain, which: Floats, q: Floats) -> str:
+def _named(robot: Robot, chain: Chain, which: Bools, q: Floats) -> str:
     """List values of a chain, for messages."""
     places = chain.columns[np.flatnonzero(which)].tolist()
     return ", ".join(f"{robot.configuration_names[k]} = {q[k]:.6g}" for k in places)
@@ -211,10 +211,8 @@ def block_of(judge: Judge, u: Floats, Q: Floats) -> str:
         return "the axis does not keep its direction"
     answers = prove_by_rules(judge.ready, Q[left], Q[left + 1], TOLERANCE, judge.joint_error)
     if (answers.verdicts == Verdict.FREE).all():
-        rows = np.setdiff1d(np.append(left, left + 1), [0, len(Q) - 1])
-        if (deeper := deeper_than_ends(judge.ready, Q, rows, TOLERANCE)) is not None:
-            row, pair = deeper
-            a, b = (judge.ready.names[k] for k in judge.ready.pairs[pair])
+        if (deeper := deeper_than_ends(judge.ready, Q, left, TOLERANCE)) is not None:
+            row, a, b = deeper
             return f"{a} and {b} get into deeper contact than at the ends, at the fraction {u[row]:.4g}"
         return ""
     answers.expect_short(Q[left], Q[left + 1])

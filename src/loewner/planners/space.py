@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from loewner._base import _validate
 from loewner._base._validate import Bools, Floats, Ints
 from loewner.errors import InputError, PlanningError
-from loewner.planners.joint_limits import ON_LIMIT, with_start
+from loewner.planners.joint_limits import beyond, with_start
 from loewner.planners.judge import TOLERANCE, Judge, checked_checker
 from loewner.planners.pose_goals import Approaches, PoseGoal
 from loewner.robots import CollisionChecker, Robot
@@ -131,14 +131,12 @@ class Space:
 
     def inside(self, Q: Floats) -> Bools:
         """Return which configurations have all moving joints within their limits, up to rounding."""
-        values = Q[:, self.columns]
-        inside = (values >= self.lower - ON_LIMIT) & (values <= self.upper + ON_LIMIT)
-        return np.asarray(inside.all(axis=1))
+        return np.asarray(~beyond(Q[:, self.columns], self.lower, self.upper).any(axis=1))
 
     def outside(self, q: Floats) -> str:
         """Describe the moving joints that are outside their limits; "" if there are none."""
         values = q[self.columns]
-        outside = np.flatnonzero((values < self.lower - ON_LIMIT) | (values > self.upper + ON_LIMIT))
+        outside = np.flatnonzero(beyond(values, self.lower, self.upper))
         if len(outside) == 0:
             return ""
         named = ", ".join(
@@ -184,7 +182,7 @@ class Space:
         if not contacts and judge.joint_error is not None:
             return self._too_near(q, judge, judge.joint_error)
         if not contacts:
-            return "a collision, which was gone when it was looked at: the scene has changed"
+            return "a collision that a second check does not confirm: the scene has changed"
         rules = judge.joint_error is not None and len(judge.ready.ruled)
         return f"a collision of {touching(contacts)}" + (
             "; with a joint error, contact at the ends is not allowed" if rules else ""
@@ -225,14 +223,14 @@ class Space:
 
 def touching(contacts: Sequence[Contact]) -> str:
     """Describe contacts for a message."""
-    named = ", ".join(
-        f"{contact.name_a} and {contact.name_b} ("
-        + (f"{1e3 * abs(contact.distance):.3g} mm deep" if contact.distance <= 0 else
-           f"within their margin, {1e3 * contact.distance:.3g} mm apart")
-        + ")"
-        for contact in contacts[:NAMED]
-    )  # fmt: skip
+    named = ", ".join(f"{each.name_a} and {each.name_b} ({_depth(each.distance)})" for each in contacts[:NAMED])
     return named + (f", and {len(contacts) - NAMED} more" if len(contacts) > NAMED else "")
+
+
+def _depth(distance: float) -> str:
+    """Describe the signed distance of two bodies in contact, or nearer than their margin."""
+    size = f"{1e3 * abs(distance):.3g} mm"
+    return f"{size} deep" if distance <= 0 else f"within their margin, {size} apart"
 
 
 @dataclass(frozen=True, eq=False)

@@ -210,11 +210,13 @@ def stages(ready: Problem, pair: int, courses: Floats, off: Floats, tolerance: f
     return [stage for stage in parts if len(stage.run.number)]
 
 
-def deeper_than_ends(ready: Problem, path: Floats, rows: Ints, tolerance: float) -> tuple[int, int] | None:
-    """Find the first row of a path at which a pair is in deeper contact than its rules allow, and the pair.
+def deeper_than_ends(ready: Problem, path: Floats, motions: Ints, tolerance: float) -> tuple[int, str, str] | None:
+    """Find the first row at which a pair is in deeper contact than its rules allow, and the names of the pair.
 
     A contact may become deeper by the tolerance on each motion, but by no more than the tolerance along the whole path.
+    Rows at the ends of the given motions are examined, except for the first and the last row of the path.
     """
+    rows = np.setdiff1d(np.append(motions, motions + 1), [0, len(path) - 1])
     for pair in ready.ruled.tolist():
         allowed = float(ready.margins[pair])
         if ready.leaving[pair]:
@@ -223,7 +225,8 @@ def deeper_than_ends(ready: Problem, path: Floats, rows: Ints, tolerance: float)
             allowed = min(allowed, distance_at(ready, pair, path[-1]))
         for row in rows.tolist():
             if distance_at(ready, pair, path[row]) < allowed - tolerance:
-                return row, pair
+                one, other = (ready.names[k] for k in ready.pairs[pair])
+                return row, one, other
     return None
 
 
