@@ -25,7 +25,7 @@ from loewner._kernels import codes
 from loewner.errors import ConvergenceError, InputError, PlanningError
 from loewner.planners import steering
 from loewner.planners.drives import Drive, arcs_of, base_columns
-from loewner.planners.joint_limits import ON_LIMIT
+from loewner.planners.joint_limits import beyond
 from loewner.planners.judge import TOLERANCE, Judge
 from loewner.planners.pose_goals import PoseGoal
 from loewner.planners.searches import Search, checked_search
@@ -41,14 +41,14 @@ from loewner.robots.proofs.proofs import refuse_starts
 
 Kind = Literal["differential", "car"]
 
-# Steps of the lattice: the turn of one arc or of a turn in place [rad]; and the longest line, in steps.
+# The angle of an arc of the lattice, and of a turn in place [rad]; and the length of the longest line, in steps.
 STEP, LONG = math.pi / 8.0, 4.0
 
 # Number of searches, and the factor by which each search refines the motions. A search begins when the previous one has
 # tried all its poses.
 LEVELS, FINER = 3, 4.0
 
-# Cells of the lattice: edges in steps, and headings in a whole turn.
+# Size of the lattice's cells: their edge, in steps, and the number of headings in a whole turn.
 EDGE, HEADINGS = 0.8, 24
 
 # Number of poses that are taken from the queue at a time, and of ways to the goal that are tried from each.
@@ -58,8 +58,8 @@ BATCH, SHOTS = 16, 4
 # cell lengthens distances.
 GRID, TRIED, BLOCKED = 2**13, 4, 5.0
 
-# Weight of the estimate in the order of the queue. A larger weight makes searches faster, but the ways found longer,
-# until they are shortened.
+# Weight of the estimate in the order of the queue. A larger weight makes searches faster and ways longer; most of the
+# additional length is removed when ways are shortened.
 GREED = 1.5
 
 # Cost of a change between forwards and backwards, as a share of the cost of a step.
@@ -126,8 +126,7 @@ class Base:
 
     def inside(self, poses: Floats) -> Bools:
         """Return which poses, shape (..., 3), are within the limits."""
-        within = (poses >= self.lower - ON_LIMIT) & (poses <= self.upper + ON_LIMIT)
-        return np.asarray(within.all(axis=-1))
+        return np.asarray(~beyond(poses, self.lower, self.upper).any(axis=-1))
 
     def free_at(self, poses: Floats) -> Bools:
         """Return which poses, shape (N, 3), are within the limits and free."""
@@ -157,8 +156,7 @@ class Base:
         courses[..., list(self.columns)] = arcs.courses
         off = np.zeros((len(courses), len(self.still)))
         off[:, list(self.columns)] = arcs.off
-        if self.judge.joint_error is not None:
-            off += self.judge.joint_error
+        off += self.judge.errors
         answers = motions.settle(self.judge.ready, courses, TOLERANCE, off)
         refuse_starts(self.judge.ready, courses[:, 0], answers)
         proven = (answers.verdicts == codes.FREE) & self.inside(arcs.courses).all(axis=1)
@@ -246,14 +244,8 @@ def plan_drive(
     search = checked_search(search)
     search._refuse("base")
     proof = _validate.flag(proof, "proof")
-    return planned(Task.of(checker, start, goal), base, radius, reverse, joint_error, search, proof)
-
-
-def planned(
-    task: Task, base: Kind, radius: float | None, reverse: bool, joint_error: ArrayLike, search: Search, proof: bool
-) -> Drive:
-    """Plan as `plan_drive` does."""
-    begin, checker, q, goals = time.monotonic(), task.checker, task.start, task.goal
+    begin, task = time.monotonic(), Task.of(checker, start, goal)
+    q, goals = task.start, task.goal
     radius, reverse = _checked_options(base, radius, reverse)
     columns = base_columns(checker.robot)
     if isinstance(goals, PoseGoal):
@@ -269,14 +261,12 @@ def planned(
     if search.simplify:
         better = _shortened(drives, path)
         ways = [_merged(better), better, path]
-    errors = np.zeros(len(q)) if judge.joint_error is None else judge.joint_error
     for way in ways:  # motions that are proven one by one are nearly always proven as a whole
-        drive = replace(
-            _drive(checker.robot, drives, way, there), iterations=iterations, seconds=time.monotonic() - begin
-        )
+        drive = _drive(checker.robot, drives, way, there)
+        drive = replace(drive, iterations=iterations, seconds=time.monotonic() - begin)
         curve = curves.curve_of(checker.robot, drive, "drive")
         try:
-            answer = curves.certified(checker.robot, judge.ready, [curve], TOLERANCE, errors, model)[0]
+            answer = curves.certified(checker.robot, judge.ready, [curve], TOLERANCE, judge.errors, model)[0]
         except ConvergenceError as error:
             raise ConvergenceError(str(error), partial=drive) from None
         if answer.verdict == Verdict.FREE:
@@ -470,7 +460,7 @@ def _costs(ways: Floats) -> Floats:
 
 
 def _changes(ways: Floats) -> Floats:
-    """Mark the motions, shape (..., k, 2), that reverse the direction of the last preceding motion with a direction."""
+    """Mark the motions, shape (..., k, 2), whose direction differs from that of the last line or arc before them."""
     signs = np.sign(ways[..., 0])
     for k in range(1, signs.shape[-1]):
         signs[..., k] = np.where(signs[..., k] == 0.0, signs[..., k - 1], signs[..., k])
@@ -481,8 +471,7 @@ def _changes(ways: Floats) -> Floats:
 
 def _needed(ways: Floats) -> Floats:
     """Leave out motions that are no larger than rounding errors."""
-    needed: Floats = ways[np.abs(ways).max(axis=1) > NOTHING]
-    return needed
+    return np.asarray(ways[np.abs(ways).max(axis=1) > NOTHING])
 
 
 def _along(start: Floats, ways: Floats) -> Path:
@@ -563,7 +552,7 @@ def _shortened(base: Base, path: Path) -> Path:
 
 
 def _pass(base: Base, path: Path) -> tuple[Path, float, float]:
-    """Find the cheapest sequence of motions of a path and proven ways between its poses; return old and new cost."""
+    """Return the cheapest sequence of the path's motions and of proven ways between its poses, and both costs."""
     path = _cut(path)
     n, ways = len(path.poses), path.motions[:, None]
     plain = _costs(path.motions) + CHANGE * base.step * _changes(path.motions)
@@ -577,11 +566,8 @@ def _pass(base: Base, path: Path) -> tuple[Path, float, float]:
     cost[i[at], j[at]], number[i[at], j[at]] = costs[at], at
     nodes = _cheapest(cost)
     parts = [ways[a] if number[a, b] < 0 else shortcuts[number[a, b]] for a, b in pairwise(nodes)]
-    return (
-        _along(path.poses[0], _needed(np.concatenate(parts))),
-        float(along[-1]),
-        float(cost[nodes[:-1], nodes[1:]].sum()),
-    )
+    better = _along(path.poses[0], _needed(np.concatenate(parts)))
+    return better, float(along[-1]), float(cost[nodes[:-1], nodes[1:]].sum())
 
 
 def _cheapest(cost: Floats) -> list[int]:

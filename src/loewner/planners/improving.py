@@ -200,16 +200,18 @@ class Improvement:
         When the call began, and when to return, on the monotonic clock.
     clearance : float
         Distance from obstacles below which the cost rises [m]; 0 if it does not rise.
+    seed : int
     """
 
     weights: Floats
     most: int
     began: float
     deadline: float
-    clearance: float = 0.0
+    clearance: float
+    seed: int
 
     @classmethod
-    def of(cls, robot: Robot, improve: Improve, search: Search) -> Improvement:
+    def of(cls, robot: Robot, improve: Improve, search: Search, seed: int) -> Improvement:
         """Check the options that depend on the robot and the search; the time starts now."""
         began, most, seconds = time.monotonic(), improve.iterations, improve.seconds
         if improve._wanted and search.planner is not None:
@@ -220,7 +222,7 @@ class Improvement:
             most = 0
         until = began + (search.timeout if seconds is None else seconds)
         weights = _checked_weights(robot, improve.weights)
-        return cls(weights, 2**62 if most is None else most, began, until, improve.clearance or 0.0)
+        return cls(weights, 2**62 if most is None else most, began, until, improve.clearance or 0.0, seed)
 
     def plan(
         self, path: Floats, ends: Departures, goals: Floats, iterations: int, others: bool, clearing: Clearing | None
@@ -358,10 +360,8 @@ class Rounds:
     def _search(self, number: int, box: Floats) -> None:
         """Search for another path, and keep it if it is cheaper after polishing."""
         growth, best, seed = self.growth.rooted(self.seed + number), self.best, self.seed + number
-        growth.search.reach[[STEP, BOUND]] = (
-            min(self.longest, SHARE * best.cost),
-            self.least + SLACK * (best.cost - self.least),
-        )
+        growth.search.reach[STEP] = min(self.longest, SHARE * best.cost)
+        growth.search.reach[BOUND] = self.least + SLACK * (best.cost - self.least)
         if self._on(growth, self.searches) != codes.MET:
             self.searches = min(int(AFTER_FAILURE * self.searches), MOST_SEARCH)
             return
@@ -401,13 +401,7 @@ class Rounds:
 
 
 def improved(
-    space: Space,
-    judge: Judge,
-    path: Floats,
-    goals: Floats,
-    asked: Improvement,
-    seed: int,
-    clearing: Clearing | None,
+    space: Space, judge: Judge, path: Floats, goals: Floats, asked: Improvement, clearing: Clearing | None
 ) -> tuple[Floats, int]:
     """Improve a path to one of several free goals; return it with the number of rounds.
 
@@ -415,20 +409,18 @@ def improved(
     the time serve to shorten the path, and the rest to move it away from obstacles.
     """
     if clearing is None or asked.most == 0:
-        return _shorter(space, judge, path, goals, asked, seed)
+        return _shorter(space, judge, path, goals, asked)
     now = time.monotonic()
     first = replace(asked, most=asked.most // 2, deadline=now + 0.5 * (asked.deadline - now))
-    shorter, done = _shorter(space, judge, path, goals, first, seed)
+    shorter, done = _shorter(space, judge, path, goals, first)
     best = min(shorter, path, key=clearing.cost_of)  # the shortest path may be the one that is nearest to obstacles
     path, more = clearing.cleared(space, best, asked.most - done, asked.deadline)
     return path, done + more
 
 
-def _shorter(
-    space: Space, judge: Judge, path: Floats, goals: Floats, asked: Improvement, seed: int
-) -> tuple[Floats, int]:
+def _shorter(space: Space, judge: Judge, path: Floats, goals: Floats, asked: Improvement) -> tuple[Floats, int]:
     """Make a path shorter."""
-    least = least_cost(space, asked.weights, path[0], goals)
+    seed, least = asked.seed, least_cost(space, asked.weights, path[0], goals)
     enough = least * (1 + NOTHING_LEFT)
     if asked.most == 0 or cost_of(asked.weights, path) <= enough:
         return path, 0

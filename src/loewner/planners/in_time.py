@@ -11,7 +11,6 @@ from __future__ import annotations
 import time
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -28,7 +27,7 @@ from loewner.planners.pose_goals import PoseGoal
 from loewner.planners.searches import Search, checked_search, checked_seed
 from loewner.planners.space import Space, Task, touching
 from loewner.planners.straights import BLEND_ROUNDINGS
-from loewner.planners.trajectories import Trajectory
+from loewner.planners.trajectories import Trajectory, expect_straight
 from loewner.robots import CollisionChecker, Robot
 from loewner.robots.checker import prepared_of, without_motions
 from loewner.robots.checking import verdicts
@@ -154,9 +153,8 @@ class TimedJudge:
         return ""
 
     def _with_bodies(self, states: Floats) -> Floats:
-        return np.ascontiguousarray(
-            in_time.with_bodies(self.ready, np.ascontiguousarray(states[:, :-1]), self.begin + states[:, -1])
-        )
+        Q, t = np.ascontiguousarray(states[:, :-1]), self.begin + states[:, -1]
+        return np.ascontiguousarray(in_time.with_bodies(self.ready, Q, t))
 
 
 @guarded
@@ -229,20 +227,9 @@ def plan_in_time(
     search, seed = checked_search(search), checked_seed(seed)
     search._refuse("start_time")
     task = Task.of(checker, start, goal, joints)
-    return planned(task, joint_error, search, seed, start_time, velocity, arrive_by)
-
-
-def planned(
-    task: Task, joint_error: ArrayLike, search: Search, seed: int, start_time: float,
-    velocity: ArrayLike | None = None, arrive_by: float | None = None,
-) -> Trajectory:  # fmt: skip
-    """Plan as `plan_in_time` does."""
-    checker, q, goal = task.checker, task.start, task.goal
+    q, goal = task.start, task.goal
     robot, still = checker.robot, without_motions(checker)
-    if not robot.runs_straight:
-        raise InputError(
-            f"start_time: expected a robot whose values run straight, found a floating or ball joint in {robot.name!r}"
-        )
+    expect_straight(robot, "start_time")
     if isinstance(goal, PoseGoal) and not (goal.approach is None and goal.retreat is None):
         raise InputError("goal: expected no approach or retreat in a plan in time, found one; plan them by themselves")
     judge_of_still = Judge.of(still, 0.0, joint_error)
@@ -273,8 +260,7 @@ def planned(
         path = search._path(space, judge_of_still, q, goals, seed)
         rows = _started(judge, path)
         if rows is None:
-            trees = _Trees.of(space, judge, first, ends, path, rng)
-            rows = trees.connected(search._most, search.timeout)
+            rows = _Trees(space, judge, first, ends, path, rng).connected(search._most, search.timeout)
         if search.simplify:
             rows = _shortened(judge, rows, float(needs.min()), rng)
     trajectory = Trajectory._straight(robot.configuration_names, rows[:, -1].copy(), rows[:, :-1].copy(), judge.begin)
@@ -418,8 +404,9 @@ class _Tree:
         return nodes
 
 
-class _Trees(NamedTuple):
-    """Two trees that grow until they meet.
+@dataclass(eq=False)
+class _Trees:
+    """Two trees that grow until they meet: one from the start, and one from goals at times that are added.
 
     Attributes
     ----------
@@ -431,7 +418,6 @@ class _Trees(NamedTuple):
         The goals at the earliest times at which they could be reached.
     path : ndarray, shape (k, dof)
         A path from the start to a goal, which is not free at all times.
-    forward, backward : _Tree
     """
 
     space: Space
@@ -440,17 +426,12 @@ class _Trees(NamedTuple):
     ends: Floats
     path: Floats
     rng: np.random.Generator
-    forward: _Tree
-    backward: _Tree
 
-    @classmethod
-    def of(
-        cls, space: Space, judge: TimedJudge, first: Floats, ends: Floats, path: Floats, rng: np.random.Generator
-    ) -> _Trees:
-        """Make a tree of the start alone, and an empty tree."""
+    def __post_init__(self) -> None:
+        space, judge = self.space, self.judge
         longest = SHARE * float(((space.upper - space.lower) / judge.fastest[space.columns]).max())
-        trees = _Tree(judge, first[None], True, longest), _Tree(judge, ends[:0], False, longest)
-        return cls(space, judge, first, ends, path, rng, *trees)
+        self.forward = _Tree(judge, self.first[None], True, longest)
+        self.backward = _Tree(judge, self.ends[:0], False, longest)
 
     def connected(self, most: int, timeout: float) -> Floats:
         """Let the trees grow until they meet; return the states from the start to a goal.
@@ -477,10 +458,10 @@ class _Trees(NamedTuple):
                 return states
         judge, late = self.judge, self.judge.begin + self.judge.limit
         spent = f"within {most} iterations" if drawn >= most else f"within {timeout:g} s ({drawn} iterations)"
-        trees_of = (
-            f"trees of {len(self.forward.states)} states from the start and {len(self.backward.states)} from the goals"
-            if len(self.backward.states) else f"no goal that is free at a time of arrival{blocked}"
-        )  # fmt: skip
+        ahead, back = len(self.forward.states), len(self.backward.states)
+        trees_of = f"trees of {ahead} states from the start and {back} from the goals"
+        if back == 0:
+            trees_of = f"no goal that is free at a time of arrival{blocked}"
         raise PlanningError(
             f"expected motions from start to goal between {judge.begin:.15g} s and {late:.15g} s, found none {spent}: "
             f"{trees_of}{judge.waiting(self.first[:-1])}. There may be none; a later arrive_by, a larger "

@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterable
 from dataclasses import replace
 from typing import Any, Literal, TypedDict, Unpack, overload
 
-import numpy as np
 from numpy.typing import ArrayLike
 
 from loewner._base import _validate
@@ -217,24 +216,26 @@ def plan(
     full, proof = (_validate.flag(others.get(name, False), name) for name in ("full", "proof"))
     reverse = _validate.flag(others.get("reverse", True), "reverse")
     seed, task = checked_seed(seed), Task.of(checker, start, goal, joints)
+    arguments: Any = {"start": task.start, "goal": task.goal, "joint_error": joint_error, "search": search}
     timed, driving = options.keys() & TIMED, options.keys() & DRIVING or not reverse
     refused = ["full=True"] * full + ["keep"] * (keep is not None) + of_path
     if timed:
         if proof:
             raise InputError(
-                "proof: plans in time have no proofs yet, and start_time=, arrive_by= or velocity= makes one; leave "
-                "out proof=, and each motion is proven all the same; certify_trajectory proves the trajectory again"
+                "proof: expected none with start_time=, arrive_by= or velocity=, since plans in time have no written "
+                "proofs yet; each motion is proven in any case, and certify_trajectory proves the trajectory again"
             )
         if "start_time" not in timed:
             raise InputError("start_time: expected it with velocity or arrive_by, found none")
         search._refuse("start_time", refused + ["base"] * bool(driving))
-        return in_time.planned(task, joint_error, search, seed, **{name: options[name] for name in timed})
+        arguments |= {name: options[name] for name in timed}
+        return in_time.plan_in_time(checker, joints=task.joints, seed=seed, **arguments)
     if driving:
         if "base" not in options:
             raise InputError("base: expected it with radius or reverse, found none")
         search._refuse("base", refused + ["joints"] * (joints is not None))
-        # The seed has no effect, since the search is not random.
-        return bases.planned(task, options["base"], options.get("radius"), reverse, joint_error, search, proof)
+        arguments |= {"base": options["base"], "radius": options.get("radius"), "reverse": reverse, "proof": proof}
+        return bases.plan_drive(checker, **arguments)  # the seed has no effect, since the search is not random
     if proof and not full:
         raise InputError("proof=True needs full=True: the proof is an attribute of the Plan")
     improve = None
@@ -321,7 +322,7 @@ def _planned(
     checker, robot, q = task.checker, task.checker.robot, task.start
     if proof and not search.certified:
         raise InputError("proof=True needs certified=True: sampled motions have no proof")
-    better = None if improve is None else Improvement.of(robot, improve, search)
+    better = None if improve is None else Improvement.of(robot, improve, search, seed)
     kept = None if keep is None else _kept(keep, robot, task.joints, search.planner is None)
     judge = Judge.of(checker, search._step, joint_error, kept)
     begins, names, approaches = task.goals(judge)
@@ -334,7 +335,7 @@ def _planned(
     free_path, rounds, clearing = search._path(space, judge, q, goals, seed), 0, None
     if better is not None and search.planner is None:
         clearing = Clearing.of(judge, better.weights, better.clearance) if better.clearance else None
-        free_path, rounds = improving.improved(space, judge, free_path, goals, better, seed, clearing)
+        free_path, rounds = improving.improved(space, judge, free_path, goals, better, clearing)
     path = ends.joined(free_path)
     follows: dict[str, Any] = {}
     if approaches is not None:
@@ -348,11 +349,10 @@ def _planned(
     full_plan = protected(replace(full_plan, **follows))
     if model is None:
         return full_plan
-    off = np.zeros(robot.dof) if judge.joint_error is None else judge.joint_error
     try:
         moves = straight(robot, path[:-1], path[1:])
-        deeper = None if off.any() else TOLERANCE
-        return replace(full_plan, proof=proof_of(model, judge.ready, moves, off, deeper))
+        deeper = TOLERANCE if judge.joint_error is None else None
+        return replace(full_plan, proof=proof_of(model, judge.ready, moves, judge.errors, deeper))
     except ConvergenceError as error:
         raise ConvergenceError(str(error), partial=full_plan) from None
 
