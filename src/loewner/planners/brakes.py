@@ -186,7 +186,7 @@ def braked_on_motions(
 
 
 def braked_on_curve(rest: Timed, strongest: Floats, jerk: Floats | None, beyond: bool) -> Timed:
-    """Stop on the rest of a trajectory: brake on straight lines as fast as the limits allow, and pass blends slower.
+    """Stop on the rest of a trajectory: brake as fast as possible on lines, and pass blends at the reduced speed.
 
     Raises
     ------
@@ -288,9 +288,8 @@ def _braked_on_line(
     if states[:, 1].min() < -ROUNDED * v:
         return None
     if states[-1, 0] <= 1 + ROUNDED:
-        return _on_line(
-            rest.knots[k], way, times, np.minimum(states, [1.0, np.inf, np.inf]), rest.bends is not None
-        ), 0.0
+        states = np.minimum(states, [1.0, np.inf, np.inf])
+        return _on_line(rest.knots[k], way, times, states, rest.bends is not None), 0.0
     if full == 0 or (rest.bends is not None and rest.bends[last].any()):
         return None
     low, high = SLOWEST * rate * full, v if jerk is None else v + a * abs(a) / (2 * steep)
@@ -334,7 +333,7 @@ def _slower(rest: Timed, k: int, last: int, rate: float, strongest: Floats, jerk
 def _weaker(rest: Timed, k: int) -> str:
     """Return the message about limits that are lower than the trajectory's own."""
     return (
-        f"limits: expected limits within which the robot keeps to the trajectory, found lower ones than it needs "
+        f"limits: expected limits with which the robot stays on the trajectory, found lower ones than it needs "
         f"{rest.times[k] - rest.times[0]:.6g} s after the brake begins"
     )
 

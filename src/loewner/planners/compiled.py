@@ -110,8 +110,7 @@ class Growth:
         # motions. Also, if proofs assume a free start, the start was checked in a scene that may have changed.
         if (turned or judge.resolution or judge.ready.starts_matter) and not judge.free(path[:-1], path[1:]).all():
             raise PlanningError(
-                "expected a path that is free when it is checked as a whole, found one that is not; "
-                "another seed, or a finer resolution, may help"
+                "expected a path that is free as a whole, found one that is not: try another seed or a finer resolution"
             )
         return path
 
@@ -162,10 +161,9 @@ def _how_far(growth: Growth, spent: str, option: str) -> str:
     """Make the message for a search that found nothing."""
     state, gap = growth.state, growth.search.reach[GAP]
     from_start, from_goals = state[[STARTS, GOALS]].tolist()
-    near = (
-        f"the two came within {gap:.3g} (in the units of the joints) of each other"
-        if np.isfinite(gap) else "neither grew"
-    )  # fmt: skip
+    near = "neither grew"
+    if np.isfinite(gap):
+        near = f"the trees came within {gap:.3g} (in the units of the joints) of each other"
     return (
         f"expected a path from start to goal, found none {spent}: of {state[MOTIONS]} motions tried, the free ones "
         f"make a tree of {from_start} configurations from the start and one of {from_goals} from the goals; {near}. "

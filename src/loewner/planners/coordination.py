@@ -119,9 +119,7 @@ def coordinate(
         answer = judge.certified(q, q)
         if answer.verdict != Verdict.FREE:
             a, b = answer.names
-            raise PlanningError(
-                f"paths: expected {place} that are free together, found {a} and {b} too near each other"
-            )
+            raise PlanningError(f"paths: expected {place} that are free together, found {a} and {b} too close")
     rows = np.array([_configuration(ways, state) for state in _fastest(judge, ways)])
     return _merged(judge, rows)
 
@@ -162,9 +160,8 @@ def _ways(checker: CollisionChecker, paths: Mapping[str, ArrayLike], steps: int)
         share = (np.arange(len(at)) - np.repeat(np.cumsum(counts) - counts, counts) + 1) / counts[at]
         way_rows = np.concatenate([rows[:1], interpolated(robot, rows[at], rows[at + 1], share[:, None])])
         way_rows[1:][share == 1.0] = rows[at[share == 1.0] + 1]  # exact copies, quaternions included
-        ways.append(
-            _Way(columns, way_rows, np.concatenate([[0.0], (np.cumsum(lengths) - lengths)[at] + share * lengths[at]]))
-        )
+        times = (np.cumsum(lengths) - lengths)[at] + share * lengths[at]
+        ways.append(_Way(columns, way_rows, np.append(0.0, times)))
     return ways
 
 

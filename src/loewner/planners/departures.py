@@ -81,9 +81,8 @@ def _apart(space: Space, ready: Problem, q: Floats, *, at_start: bool) -> tuple[
     checker = space.checker
     if space.free(q):  # the usual case; a list of contacts takes longer
         return q, ""
-    ruled = {
-        frozenset(ready.names[k] for k in pair) for pair in ready.pairs[ready.leaving if at_start else ready.reaching]
-    }
+    allowed = ready.pairs[ready.leaving if at_start else ready.reaching]
+    ruled = {frozenset(ready.names[k] for k in pair) for pair in allowed}
     touching, doubt = contacts(ready, q)
     # Any other fault is reported by the check of all starts and goals.
     if doubt or not touching or any(frozenset((contact.name_a, contact.name_b)) not in ruled for contact in touching):

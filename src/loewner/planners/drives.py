@@ -55,11 +55,14 @@ class Arcs(NamedTuple):
         How far the values may deviate from the courses.
     owner : ndarray of int, shape (pieces,)
         The motion of each piece, in order.
+    begin : ndarray, shape (pieces,)
+        The fraction of the motion at which each piece begins.
     """
 
     courses: Floats
     off: Floats
     owner: Ints
+    begin: Floats
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -227,10 +230,7 @@ def _form(given: Drive, name: str) -> Curve:
     courses[..., columns] = arcs.courses
     off = np.zeros((len(courses), given.path.shape[1]))
     off[:, columns] = arcs.off
-    count = np.bincount(arcs.owner)
-    place = np.arange(len(arcs.owner)) - np.repeat(np.cumsum(count) - count, count)
-    steps = np.diff(given.times)
-    times = given.times[arcs.owner] + steps[arcs.owner] * (place / count[arcs.owner])
+    times = given.times[arcs.owner] + np.diff(given.times)[arcs.owner] * arcs.begin
     return Curve(given.names, np.append(times, given.times[-1]), courses, off)
 
 
@@ -247,9 +247,8 @@ def arcs_of(poses: Floats, lengths: Floats, turns: Floats, ends: Floats, gaps: F
     """
     ways, angles = np.abs(lengths), np.abs(turns)
     with np.errstate(over="ignore", invalid="ignore"):  # refused below
-        count = np.maximum(
-            np.ceil((ways * angles**7 / (REMAINDER * DEVIATION)) ** 0.125), np.ceil(angles / LARGEST_TURN)
-        )
+        count = np.ceil((ways * angles**7 / (REMAINDER * DEVIATION)) ** 0.125)
+        count = np.maximum(count, np.ceil(angles / LARGEST_TURN))
     if not count.sum() <= MOST_PIECES:
         raise InputError(
             f"motions: expected at most {MOST_PIECES:,} pieces of arcs, which turn by up to 90 degrees each, found "
@@ -266,21 +265,20 @@ def arcs_of(poses: Floats, lengths: Floats, turns: Floats, ends: Floats, gaps: F
     courses = np.empty((len(owner), 8, 3))
     courses[..., 2] = a[:, 2, None] + (b - a)[:, 2, None] * (np.arange(8) / 7.0)
     courses[:, -1, 2] = b[:, 2]
-    for pose, sign, order in ((a, 1.0, (0, 1, 2, 3)), (b, -1.0, (7, 6, 5, 4))):
+    for pose, sign, points in ((a, 1.0, courses), (b, -1.0, courses[:, ::-1])):
         along = np.stack([cos(pose[:, 2]), sin(pose[:, 2])], axis=1) * length[:, None]
         across = np.stack([-along[:, 1], along[:, 0]], axis=1) * turn[:, None]
         third = along * (turn * turn)[:, None]
-        place0, once, twice, thrice = order
-        courses[:, place0, :2] = pose[:, :2]
-        courses[:, once, :2] = pose[:, :2] + sign * along / 7.0
-        courses[:, twice, :2] = pose[:, :2] + (sign * (2.0 / 7.0) * along + across / 42.0)
-        courses[:, thrice, :2] = pose[:, :2] + (sign * (3.0 / 7.0) * along + across / 14.0 - sign * third / 210.0)
+        points[:, 0, :2] = pose[:, :2]
+        points[:, 1, :2] = pose[:, :2] + sign * along / 7.0
+        points[:, 2, :2] = pose[:, :2] + (sign * (2.0 / 7.0) * along + across / 42.0)
+        points[:, 3, :2] = pose[:, :2] + (sign * (3.0 / 7.0) * along + across / 14.0 - sign * third / 210.0)
     turned = np.abs(courses[..., 2]).max(axis=1) + 2.0 * angles[owner]
     size = np.abs(courses[..., :2]).max(axis=(1, 2)) + ways[owner] * (1.0 + turned)
     off = gaps[owner] + ARC_ROUNDINGS * np.stack([size, size, turned], axis=1)
     remainder = np.abs(length) * np.abs(turn) ** 7 / REMAINDER * (1.0 + 1e-9)
     off[:, :2] += (remainder + gaps[owner, 2] * ways[owner])[:, None]
-    return Arcs(courses, off, owner)
+    return Arcs(courses, off, owner, place / n)
 
 
 def base_columns(robot: Robot) -> tuple[int, int, int]:

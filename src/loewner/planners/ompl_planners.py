@@ -17,7 +17,6 @@ from loewner._base import _validate
 from loewner._base._guard import guarded
 from loewner._base._validate import Floats
 from loewner.errors import InputError, MissingExtraError, PlanningError, installing
-from loewner.planners.joint_limits import ON_LIMIT
 from loewner.planners.judge import Judge, checked_checker, free_now, refuse_unfree
 from loewner.planners.space import Space
 from loewner.robots import CollisionChecker
@@ -130,7 +129,7 @@ def search(
         planner = make(information)
         if not isinstance(planner, base.Planner):
             raise InputError(
-                f"planner: expected a function that returns a planner of OMPL, found {_validate.short(planner)}"
+                f"planner: expected a function that returns an OMPL planner, found {_validate.short(planner)}"
             )
         planner.setProblemDefinition(problem)
         planner.setup()
@@ -144,10 +143,8 @@ def search(
         if simplify:
             geometric.PathSimplifier(information).simplifyMax(solution)
         path = space.configurations([state[0:count] for state in solution.getStates()])
-    values = path[:, space.columns]
     ends = (path[0] == q).all() and (path[-1] == goals).all(axis=1).any()
-    inside = (values >= space.lower - ON_LIMIT).all() and (values <= space.upper + ON_LIMIT).all()
-    if not (len(path) > 1 and ends and inside):
+    if not (len(path) > 1 and ends and space.inside(path).all()):
         raise PlanningError("expected a path from start to goal within the limits, found another one: try another seed")
     refuse_unfree(judge.now(), path, "path of OMPL's planner")
     return path

@@ -21,7 +21,7 @@ from loewner.robots.checking.verdicts import contacts, free
 from loewner.robots.description.reaching import MOST_SEEDS, checked_tolerance
 from loewner.robots.description.robot import chain_to
 
-# Largest number of configurations that are tried as goals: free configurations first, then the nearest to the start.
+# Largest number of configurations that are tried as goals: free ones first, and among these the nearest to the start.
 MOST_GOALS = 16
 
 # A goal in contact that has lines counts as TOUCHING goals, since proofs under contact rules take twenty times as long.
@@ -212,9 +212,8 @@ class PoseGoal:
         displacement = getattr(self, name)
         if displacement is None:
             raise InputError(f"{name}: expected PoseGoal(..., {name}=...), found none")
-        rows, kind, why = _along(
-            Judge.of(checker, 0.0), robot.checked_one(q, "q"), self.link, joints, displacement, name == "approach"
-        )
+        judge, at_goal = Judge.of(checker, 0.0), robot.checked_one(q, "q")
+        rows, kind, why = _along(judge, at_goal, self.link, joints, displacement, name == "approach")
         if kind:
             raise PlanningError(f"{name}: expected a free line that {self.link} can follow, found that {why}")
         return rows

@@ -91,8 +91,9 @@ class _Graph:
     labels: Ints
 
     def shortest(self, links: _Links) -> tuple[Ints, int] | None:
-        """Find the shortest path from the start to any goal: its nodes before the goal, and the index of its last link;
-        None if there is none.
+        """Find the shortest path from the start to any goal, if there is one.
+
+        Return its nodes before the goal, and the index of the link to the goal.
         """
         from scipy.sparse import csr_array
         from scipy.sparse.csgraph import dijkstra
@@ -100,14 +101,10 @@ class _Graph:
         count, matrix = self.matrix.shape[0], self.matrix
         far, before = np.append(np.full(count, np.inf), 0.0), np.empty(0, dtype=np.int64)
         if len(links.nodes):
-            with_start = csr_array(
-                (
-                    np.concatenate([matrix.data, links.lengths]),
-                    np.concatenate([matrix.indices, links.nodes.astype(matrix.indices.dtype)]),
-                    np.append(matrix.indptr, matrix.nnz + len(links.nodes)).astype(matrix.indptr.dtype),
-                ),
-                shape=(count + 1, count + 1),
-            )
+            lengths = np.concatenate([matrix.data, links.lengths])
+            indices = np.concatenate([matrix.indices, links.nodes.astype(matrix.indices.dtype)])
+            ends = np.append(matrix.indptr, matrix.nnz + len(links.nodes)).astype(matrix.indptr.dtype)
+            with_start = csr_array((lengths, indices, ends), shape=(count + 1, count + 1))
             # If there is a straight motion to a goal, only shorter paths are sought.
             straight = float(links.to_lengths[links.from_nodes == count].min(initial=np.inf))
             far, before = dijkstra(with_start, indices=count, return_predecessors=True, limit=straight)
@@ -227,10 +224,9 @@ class Roadmap(KeepsReadOnly):
 
     def __repr__(self) -> str:
         graph, total = self._graph, len(self._edges)
-        is_current = graph is not None and graph.version == self.checker.scene.version
-        motions = f"{int(graph.free.sum())} of {total} motions free" if graph is not None and is_current else (
-            f"{total} motions, to be proven for the scene as it is now"
-        )  # fmt: skip
+        motions = f"{total} motions, to be proven for the scene as it is now"
+        if graph is not None and graph.version == self.checker.scene.version:
+            motions = f"{int(graph.free.sum())} of {total} motions free"
         return f"Roadmap(joints {', '.join(self.joint_names)}: {len(self)} nodes, {motions})"
 
     @property
@@ -348,8 +344,8 @@ class Roadmap(KeepsReadOnly):
             "free": graph.free.astype(np.int64),
             "settings": np.array([self._neighbours, self._seed]),
             "joints": np.array(self.joint_names),
-            # Another thread has changed the scene meanwhile: the file then belongs to no scene, and loading it proves
-            # everything anew.
+            # If another thread has changed the scene meanwhile, the file belongs to no scene, and after loading it, all
+            # motions are proven again.
             "fingerprint": np.array(ready.fingerprint() if ready.version == graph.version else ""),
         }
         _archives.write(path, ROADMAPS, arrays)
@@ -524,8 +520,7 @@ class Roadmap(KeepsReadOnly):
 
     def _lengths_of(self, a: Floats, b: Floats) -> Floats:
         """Compute lengths of motions over the joints that move."""
-        lengths: Floats = np.linalg.norm((self._space.unwound(a, b) - a)[..., self._space.columns], axis=-1)
-        return lengths
+        return np.asarray(np.linalg.norm((self._space.unwound(a, b) - a)[..., self._space.columns], axis=-1))
 
 
 @guarded
@@ -595,7 +590,16 @@ def roadmap(
     seed = _validate.whole_number(seed, "seed", 0, 2**32 - 2)
     if neighbours is not None:
         neighbours = _validate.whole_number(neighbours, "neighbours", 1)
-    space, Q = _samples(checked_checker(checker), samples, joints, fixed, seed)
+    robot, count = checked_checker(checker).robot, _count(samples)
+    kept = None if fixed is None else robot.checked_one(fixed, "fixed")
+    if count is None:
+        space, Q = _given(checker, samples, joints, kept)
+    else:
+        kept = robot.configuration() if kept is None else kept
+        space = Space.of(checker, joints, kept, kept[None])
+        _validate.fits_memory(3 * count * robot.dof * 8, f"{count} samples")
+        values = np.random.default_rng(seed).uniform(space.lower, space.upper, (count, len(space.columns)))
+        Q = space.configurations(values.clip(space.lower, space.upper))
     nodes = Q[space.free_among(Q)]
     if len(nodes) == 0:
         raise PlanningError(f"samples: expected some that are free, found none among {len(Q)}")
@@ -606,32 +610,19 @@ def roadmap(
     return new_roadmap
 
 
-def _samples(
-    checker: CollisionChecker,
-    samples: int | ArrayLike,
-    joints: str | Iterable[str] | None,
-    fixed: ArrayLike | None,
-    seed: int,
+def _given(
+    checker: CollisionChecker, samples: Any, joints: str | Iterable[str] | None, kept: Floats | None
 ) -> tuple[Space, Floats]:
-    """Return the space of a roadmap, and the sampled or given configurations."""
-    robot = checker.robot
-    count = _count(samples)
-    kept = None if fixed is None else robot.checked_one(fixed, "fixed")
-    if count is None:
-        configurations = robot.checked(samples, "samples")
-        if configurations.ndim != 2 or len(configurations) == 0:
-            raise InputError(
-                f"samples: expected a number of them, or configurations, shape (n, {robot.dof}) with n >= 1, found "
-                f"shape {_validate.shape_text(configurations.shape)}"
-            )
-        space = Space.of(checker, joints, configurations[0].copy() if kept is None else kept, configurations)
-        _check_given(space, configurations, "samples")
-        return space, configurations.copy()
-    kept = robot.configuration() if kept is None else kept
-    space = Space.of(checker, joints, kept, kept[None])
-    _validate.fits_memory(3 * count * robot.dof * 8, f"{count} samples")
-    values = np.random.default_rng(seed).uniform(space.lower, space.upper, (count, len(space.columns)))
-    return space, space.configurations(values.clip(space.lower, space.upper))
+    """Check the configurations of a roadmap that the caller has chosen; return the space and the configurations."""
+    configurations = checker.robot.checked(samples, "samples")
+    if configurations.ndim != 2 or len(configurations) == 0:
+        raise InputError(
+            f"samples: expected a number of them, or configurations, shape (n, {checker.robot.dof}) with n >= 1, found "
+            f"shape {_validate.shape_text(configurations.shape)}"
+        )
+    space = Space.of(checker, joints, configurations[0].copy() if kept is None else kept, configurations)
+    _check_given(space, configurations, "samples")
+    return space, configurations.copy()
 
 
 def _count(samples: Any) -> int | None:

@@ -130,12 +130,8 @@ def _words(x: Floats, y: Floats, turn: Floats, reverse: bool) -> tuple[Floats, F
     steered = np.array(
         [[*("RSL".index(letter) - 1.0 for letter in word), *[0.0] * (5 - len(word))] for word, _ in words]
     )
-    lengths = lengths * signs[:, 0, None, None]
-    N = lengths.shape[2]
-    return (
-        np.moveaxis(lengths.reshape(-1, N, 5), 0, 1),
-        (steered[:, None] * signs[:, 1, None]).reshape(-1, 5),
-    )
+    lengths = (lengths * signs[:, 0, None, None]).reshape(-1, lengths.shape[2], 5)
+    return np.moveaxis(lengths, 0, 1), (steered[:, None] * signs[:, 1, None]).reshape(-1, 5)
 
 
 Word = tuple[str, tuple[Floats, ...]]

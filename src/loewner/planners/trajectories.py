@@ -173,9 +173,7 @@ class Trajectory(KeepsReadOnly):
             times: Floats = period * np.arange(len(rows), dtype=np.float64)
             motion = cls._straight(robot.configuration_names, times, rows, begin)
         if not np.isfinite(motion.rates).all():
-            raise InputError(
-                f"dt: expected a period in which targets are reached at finite velocities, found {period:g}"
-            )
+            raise InputError(f"dt: expected a period with finite velocities between targets, found {period:g}")
         return protected(motion)
 
     def __repr__(self) -> str:
@@ -236,19 +234,15 @@ class Trajectory(KeepsReadOnly):
         return self._positions(*self._pieces(t))
 
     def _positions(self, k: Any, x: Floats, T: Floats) -> Floats:
-        if self.jumps and self.bends is not None:
-            a, b, c, d = self._control_points(k, T)
-            return np.asarray((1 - x) ** 3 * a + 3 * x * (1 - x) ** 2 * b + 3 * x * x * (1 - x) * c + x**3 * d)
-        if self.jumps:
-            return np.asarray((1 - x) * self.knots[k] + x * self.knots[k + (T[..., 0] > 0)])
-        if self.bends is not None:
+        if self.bends is not None and not self.jumps:
             return self._cubics(k, x, T)
-        # Compute with the three control points of the parabola, so that it stays in their hull and its ends are exact.
-        middle = self.knots[k] + self.rates[k] * (T / 2)
-        positions: Floats = (
-            (1 - x) ** 2 * self.knots[k] + 2 * x * (1 - x) * middle + x**2 * self.knots[k + (T[..., 0] > 0)]
-        )
-        return positions
+        # Means of control points stay in the hull of these points, and are exact at both ends.
+        (a, *inner, b), y = self._control_points(k, T), 1 - x
+        if len(inner) == 0:
+            return np.asarray(y * a + x * b)
+        if len(inner) == 1:
+            return np.asarray(y**2 * a + 2 * x * y * inner[0] + x**2 * b)
+        return np.asarray(y**3 * a + 3 * x * y**2 * inner[0] + 3 * x * x * y * inner[1] + x**3 * b)
 
     def velocities(self, t: ArrayLike) -> Floats:
         """Compute the velocities at given times; at a jump, return the velocity after the jump.
@@ -281,9 +275,9 @@ class Trajectory(KeepsReadOnly):
         if self.jumps:
             return np.asarray(np.where(x < 1, self.rates[k], self.rates[m]))
         velocities: Floats = (1 - x) * self.rates[k] + x * self.rates[m]
-        return (
-            velocities if self.bends is None else velocities + x * (1 - x) * (T / 2) * (self.bends[k] - self.bends[m])
-        )
+        if self.bends is not None:
+            velocities += x * (1 - x) * (T / 2) * (self.bends[k] - self.bends[m])
+        return velocities
 
     def accelerations(self, t: ArrayLike) -> Floats:
         """Compute the accelerations at given times; at a jump, return the acceleration after the jump.
@@ -317,8 +311,7 @@ class Trajectory(KeepsReadOnly):
         if self.bends is not None:
             return np.asarray((1 - x) * self.bends[k] + x * self.bends[m])
         change = self.rates[m] - self.rates[k]
-        accelerations: Floats = np.divide(change, T, out=np.zeros_like(change), where=T > 0)
-        return accelerations
+        return np.asarray(np.divide(change, T, out=np.zeros_like(change), where=T > 0))
 
     @overload
     def sample(self, rate: float, *, full: Literal[False] = False) -> tuple[Floats, Floats]: ...
@@ -523,13 +516,11 @@ class Trajectory(KeepsReadOnly):
         if rate is not None:
             saved = saved._with_ticks(rate)
         moves = (saved.knots != saved.knots[0]).any(axis=0) | saved.rates.any(axis=0)
-        write(
-            target,
-            saved.names,
-            moves.tolist(),
-            controllers,
-            lambda k, named: saved._of(k, named)._text(suffix, message),
-        )
+
+        def text(chosen: list[int], named: Sequence[str]) -> str:
+            return saved._of(chosen, named)._text(suffix, message)
+
+        write(target, saved.names, moves.tolist(), controllers, text)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Trajectory:
@@ -687,7 +678,7 @@ class Trajectory(KeepsReadOnly):
     # -- inside -------------------------------------------------------------------------------
 
     def _pieces(self, t: ArrayLike) -> tuple[Any, Floats, Floats]:
-        """Find the piece at each time, the time since its beginning, and its duration, with an axis for joints."""
+        """Return each time's piece, and the fraction and the duration of the piece, both with an axis for joints."""
         at = _validate.finite_array(t, "t", ("...",))
         if at.size and not (at.min() >= 0 and at.max() <= self.duration):
             worst = float(at.min() if at.min() < 0 else at.max())
@@ -706,11 +697,15 @@ class Trajectory(KeepsReadOnly):
                 "targets; use `sample`"
             )
 
-    def _control_points(self, k: Any, T: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-        """Return the control points of cubic pieces whose velocities and accelerations jump at their ends."""
-        bends: Any = self.bends
-        a, ahead, bent = self.knots[k], self.rates[k] * (T / 3), bends[k] * (T * T / 6)
-        return a, a + ahead, a + 2 * ahead + bent, self.knots[k + (T[..., 0] > 0)]
+    def _control_points(self, k: Any, T: Floats) -> tuple[Floats, ...]:
+        """Return the control points of pieces: straight motions, parabolas or cubics."""
+        m = k + (T[..., 0] > 0)
+        a, b = self.knots[k], self.knots[m]
+        if self.bends is None:
+            return (a, b) if self.jumps else (a, a + self.rates[k] * (T / 2), b)
+        ahead = self.rates[k] * (T / 3)
+        last = a + 2 * ahead + self.bends[k] * (T * T / 6) if self.jumps else b - self.rates[m] * (T / 3)
+        return a, a + ahead, last, b
 
     def _bent(self, k: Any, x: Floats, T: Floats) -> Floats:
         """Return accelerations on pieces whose velocities jump; the final position determines the last acceleration."""
@@ -720,7 +715,7 @@ class Trajectory(KeepsReadOnly):
         return np.asarray((1 - x) * bends[k] + x * end)
 
     def _cubics(self, k: Any, x: Floats, T: Floats) -> Floats:
-        """Return positions on cubic pieces, computed from the nearer end for small rounding errors on lines."""
+        """Return positions on cubic pieces, computed from the nearer end to keep rounding errors on lines small."""
         m, z = k + (T[..., 0] > 0), np.minimum(x, 1 - x)
         near, far, away = 3 * z * (1 - z) ** 2, 3 * z * z * (1 - z), z * z * z
         a, b, first, last = self.knots[k], self.knots[m], self.rates[k] * (T / 3), self.rates[m] * (T / 3)
@@ -839,7 +834,7 @@ class Trajectory(KeepsReadOnly):
         return self._jump(self.rates, self.bends, 0.0, linear) or self._jump(self.knots, self.rates, bent, linear)
 
     def _jump(self, values: Floats, rates: Floats, bent: FloatOrFloats, wanted: str) -> str:
-        """Describe the first row whose values do not follow from the previous row by linear rates, less `bent`."""
+        """Describe the first row whose values are not the last ones plus the integral of linear rates, less `bent`."""
         T = np.diff(self.times)[:, None]
         with np.errstate(over="ignore", invalid="ignore"):  # overflow is refused
             off = np.abs(np.diff(values, axis=0) - (rates[1:] + rates[:-1]) * T / 2 + bent)
@@ -853,17 +848,8 @@ class Trajectory(KeepsReadOnly):
 @form_of.register(Trajectory)
 def _form(given: Trajectory, name: str) -> Curve:
     """Make the curve of parabolas or cubics between knots; see `CollisionChecker.certify_trajectory`."""
-    T, first, last = np.diff(given.times)[:, None], given.knots[:-1], given.knots[1:]
-    points: tuple[Floats, ...]
-    if given.jumps and given.bends is not None:
-        points = given._control_points(np.arange(len(T)), T)
-    elif given.jumps:
-        points = first, last
-    elif given.bends is not None:
-        points = first, first + given.rates[:-1] * (T / 3), last - given.rates[1:] * (T / 3), last
-    else:
-        points = first, first + given.rates[:-1] * (T / 2), last
-    courses, roundings = np.stack(points, axis=1), BLEND_ROUNDINGS if given.bends is None else CUBIC_ROUNDINGS
+    T, roundings = np.diff(given.times)[:, None], BLEND_ROUNDINGS if given.bends is None else CUBIC_ROUNDINGS
+    courses = np.stack(given._control_points(np.arange(len(T)), T), axis=1)
     return Curve(given.names, given.times, courses, roundings * np.abs(courses).max(axis=1))
 
 
@@ -1073,12 +1059,12 @@ def checked_rows(robot: Robot, path: ArrayLike) -> Floats:
     return checked_path(robot, path)
 
 
-def expect_straight(robot: Robot) -> None:
-    """Refuse anything but a robot whose joint values change linearly along motions."""
+def expect_straight(robot: Robot, name: str = "robot") -> None:
+    """Refuse anything but a robot whose joint values change linearly along motions; `name` is the argument to blame."""
     expect_robot(robot)
     if not robot.runs_straight:
         raise InputError(
-            f"robot: expected joints whose values run straight, found a floating or ball joint in {robot.name!r}, "
+            f"{name}: expected joints whose values run straight, found a floating or ball joint in {robot.name!r}, "
             "whose orientations do not"
         )
 
@@ -1136,13 +1122,13 @@ def _proven_blends(
     halves = np.minimum(np.maximum(motions.wanted, LEAST_BLEND), share * shorter)
     speeds = np.maximum(np.abs(straights.full[:-1]), np.abs(straights.full[1:]))
     astray = BLEND_ROUNDINGS * speeds * motions.duration(np.zeros(len(halves)))
-    if judge.joint_error is not None:
-        astray += judge.joint_error
+    astray += judge.errors
+    roundings = BLEND_ROUNDINGS if isinstance(motions, Straights) else CUBIC_ROUNDINGS
     proven: list[list[float]] = [[] for _ in halves]
     for _ in range(HALVINGS):
         courses = motions.courses(halves)
         # Largest deviation, including errors of computed positions: docs/certified.md, "Blends".
-        off = motions.roundings * np.abs(courses).max(axis=2) + astray[:, None]
+        off = roundings * np.abs(courses).max(axis=2) + astray[:, None]
         free = judge.proven(courses.reshape(-1, *courses.shape[2:]), off.reshape(-1, off.shape[-1]))
         free = free.reshape(off.shape[:2]).all(axis=1) & (halves > SHORTEST * shorter)
         for on in kept:
@@ -1191,10 +1177,10 @@ def _keeps(on: KeptLine, motions: Straights | JerkLimited, halves: Floats, off: 
 
 def _shortest(motions: Straights | JerkLimited, proven: list[Floats]) -> Floats:
     """Choose one of the proven blend sizes for each corner, `CHOSEN_AT_A_TIME` corners at a time."""
-    parts = [
-        _shortest_part(motions.part(first, first + len(sizes)), sizes)
-        for first, sizes in ((k, proven[k : k + CHOSEN_AT_A_TIME]) for k in range(0, len(proven), CHOSEN_AT_A_TIME))
-    ]
+    parts = []
+    for first in range(0, len(proven), CHOSEN_AT_A_TIME):
+        sizes = proven[first : first + CHOSEN_AT_A_TIME]
+        parts.append(_shortest_part(motions.part(first, first + len(sizes)), sizes))
     halves, stops = np.concatenate(parts), np.zeros(len(proven))
     return stops if motions.duration(stops) < motions.duration(halves) else halves
 

@@ -235,12 +235,11 @@ def time_path(
         window = 2 * float((strongest[moves] / (most[moves] * (1 - TO_ROUNDING))).max()) * (1 + LONGER)
     motions = Straights.of(rows, fastest, strongest)
     last_speed = 0.0 if end_velocity is None else _last_speed(motions, end_velocity, window)
-    errors = np.zeros(robot.dof) if judge.joint_error is None else judge.joint_error
-    timed = TimedJudge(robot, prepared_of(checker, timed=True), begin, np.inf, fastest, errors)
+    timed = TimedJudge(robot, prepared_of(checker, timed=True), begin, np.inf, fastest, judge.errors)
     if smooth is not None:  # first try the fastest trajectory, without averages
         limit, exact = _times(begin, arrive_by, arrive_at, smooth.duration, np.inf)
         delayed = replace(_delayed(smooth, limit - smooth.duration if exact else 0.0), start_time=begin)
-        if delayed.duration <= limit and delayed.certify(checker, joint_error=errors).verdict == Verdict.FREE:
+        if delayed.duration <= limit and delayed.certify(checker, joint_error=judge.errors).verdict == Verdict.FREE:
             return delayed._spaced(fastest, strongest, most)
     # Averages of blends may turn out not to be free; without blends, the robot stays on the proven path.
     for size in [share] if most is None or share == 0 else [share, 0.0]:
@@ -400,10 +399,8 @@ class _Search(NamedTuple):
             return None, self._blocked(free, last, early, step, exact)
         if exact:
             n = len(seconds)
-            visits = _Visits(
-                n - visits.station[::-1], visits.share[::-1], horizon - visits.departs[::-1],
-                horizon - visits.arrives[::-1],
-            )  # fmt: skip
+            station, share, arrives, departs = visits
+            visits = _Visits(n - station[::-1], share[::-1], horizon - departs[::-1], horizon - arrives[::-1])
             visits.arrives[0] = 0.0
         return visits, ""
 
@@ -536,7 +533,8 @@ def _wait(best: Floats, changes: Ints, waits: Ints, free: Bools, step: float) ->
     """Let a robot at rest wait, as long as its place is free; `waits` receives the bins of arrival."""
     bins = np.arange(len(best))
     halts = np.cumsum(~(free[:-1] & free[1:]))
-    # The best arrival since the last halt is the latest one among the arrivals with the fewest changes.
+    # A halt is a bin at whose ends the place is not free. The best arrival since the last halt is the latest one among
+    # the arrivals with the fewest changes.
     keys = np.where(np.isfinite(best), changes.astype(np.int64) * 2 * MOST_BINS - bins, 2 * MANY * MOST_BINS)
     keys = np.minimum.accumulate(keys - halts * 4 * MANY * MOST_BINS) + halts * 4 * MANY * MOST_BINS
     fewest = -(-keys // (2 * MOST_BINS))
