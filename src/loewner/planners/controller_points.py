@@ -606,8 +606,7 @@ def _stated(
             f"{some(lacking)}; the state belongs to a larger robot: read that robot, or remove these names from the "
             "message"
         )
-    stated = {joint: value for joint, value in beside.items() if joint in column_names}
-    sources = {joint: start.sources.get(joint, "") for joint in stated}
+    stated, sources = dict(beside), {joint: start.sources.get(joint, "") for joint in beside}
     for joint, T in places.items():
         if not any(column.startswith(f"{joint}/") for column in column_names):
             raise InputError(

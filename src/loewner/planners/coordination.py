@@ -67,8 +67,8 @@ def coordinate(
     checker : CollisionChecker
         A checker whose robot was made by `Robot.join`.
     paths : mapping from str to array_like, shape (k, dof of the part) or (dof of the part,)
-        For each part (`Robot.part`), the configurations of its path, with straight motions between them, or the single
-        configuration at which it waits.
+        For each part (`Robot.part`), the configurations of its path, or the single configuration at which it waits.
+        Motions between configurations are straight.
     steps : int
         Number of steps into which the path with the longest duration is divided. At each step, a robot may wait.
     joint_error : float or array_like, shape (dof,)
@@ -142,9 +142,7 @@ def _ways(checker: CollisionChecker, paths: Mapping[str, ArrayLike], steps: int)
         checked_paths.append((part.columns, part.robot, rows, lengths))
     if not covered.all():
         wanted = [name for name, part in parts_of(checker.robot).items() if not covered[part.columns].any()]
-        values = [
-            name for name, is_covered in zip(checker.robot.configuration_names, covered, strict=True) if not is_covered
-        ]
+        values = [checker.robot.configuration_names[k] for k in np.flatnonzero(~covered)]
         raise InputError(f"paths: expected one for each part, found none for {', '.join(wanted or values)}")
     if not any(len(lengths) and lengths.any() for *_, lengths in checked_paths):
         raise InputError("paths: expected a robot that moves, found only some that wait")

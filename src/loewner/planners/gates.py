@@ -43,8 +43,8 @@ SAME_TICK = 1e-6
 # Upper limit on quotients that may be infinite: more periods than any chunk has.
 MANY = 2.0**31
 
-# To allow for rounding, bounds count as within older bounds only if the distances that they allow are smaller by WITHIN
-# times the sum of 1, the time [s] and the largest coordinate of the body [m].
+# Bounds count as within older bounds only if they are narrower by more than rounding errors: by WITHIN times the sum of
+# 1, the time [s] and the largest coordinate of the body [m].
 WITHIN = 1e-12
 
 # Rounding error of the angle between two quaternions [rad]: a cosine near 1 has an error of several roundings.

@@ -205,7 +205,7 @@ def per_joint(limit: ArrayLike, name: str, dof: int) -> Floats:
 
 def _holders(top: Node, beside: list[Node]) -> list[dict[str, Node]]:
     """Find the mappings with a table of joints at any depth; `beside` receives the nodes that lead to no table."""
-    leads: dict[int, bool] = {}  # whether a place leads to a table; aliases lead to the same place, even from within
+    leads: dict[int, bool] = {}  # whether a place leads to a table; an alias may lead to a place that contains it
 
     def leading(node: Node) -> bool:
         if node.kind != "mapping":

@@ -28,8 +28,8 @@ TRIED = np.arange(9) / 8
 # Extremes and jumps below the share ROUNDED of the largest value count as rounding errors.
 ROUNDED = 1e-9
 
-# Times are doubted if the largest velocity, multiplied by the factor of a unit of time, would be between the two LIKELY
-# shares of its limit.
+# Times are doubted if the largest velocity, multiplied by the factor of a unit of time, would be a share of its limit
+# within the range LIKELY.
 UNITS = {1e3: "milliseconds", 1e6: "microseconds", 1e9: "nanoseconds"}
 LIKELY = (0.05, 2.0)
 
@@ -244,8 +244,5 @@ def _at(points: Floats, shares: Floats) -> Floats:
 
 def _powers(points: Floats) -> Floats:
     """Return the coefficients of the powers in a polynomial with given control points."""
-    degree, differences, coefficients = len(points) - 1, points, []
-    for k in range(degree + 1):
-        coefficients.append(comb(degree, k) * differences[0])
-        differences = np.diff(differences)
-    return np.array(coefficients)
+    degree = len(points) - 1
+    return np.array([comb(degree, k) * np.diff(points, k)[0] for k in range(degree + 1)])

@@ -81,8 +81,8 @@ def turned(half: float, limits: Limits) -> float:
 def phases(length: float, limits: Limits, first: float, last: float) -> tuple[Phase, ...]:
     """Return the fastest phases between two speeds on a straight line.
 
-    Each of the two speeds must be `reached` from the other within the length, and the length must take no less than
-    the least duration at either speed.
+    Each speed must be within reach of the other one (`reached`), and at either speed, the length must take at least the
+    least duration of a phase.
     """
 
     def needed(peak: float) -> float:

@@ -67,12 +67,9 @@ class Search:
     simplify: bool = True
 
     def __post_init__(self) -> None:
-        checked = {
-            "resolution": _validate.positive_scalar(self.resolution, "resolution"),
-            "timeout": _validate.positive_scalar(self.timeout, "timeout"),
-            "simplify": _validate.flag(self.simplify, "simplify"),
-            "certified": _validate.flag(self.certified, "certified"),
-        }
+        numbers, flags = ("resolution", "timeout"), ("simplify", "certified")
+        checked: dict[str, float] = {name: _validate.positive_scalar(getattr(self, name), name) for name in numbers}
+        checked |= {name: _validate.flag(getattr(self, name), name) for name in flags}
         if self.max_iterations is not None:
             most = _validate.whole_number(self.max_iterations, "max_iterations", 1, compiled.UNLIMITED)
             checked["max_iterations"] = most

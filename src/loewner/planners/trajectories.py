@@ -955,26 +955,17 @@ def trajectory(
         refuse_unfree(judge, rows, "path")
     motions = Straights.of(rows, fastest, strongest) if most is None else JerkLimited.of(rows, fastest, strongest, most)
     kept = [_on_line(robot, each, rows, numbers) for each in lines]
-    return fastest_along(robot, motions, judge, share, kept=kept)._spaced(fastest, strongest, most)
+    halves = np.zeros(max(len(rows) - 2, 0)) if judge is None else blends_of(motions, judge, share, kept)
+    return Trajectory(robot.configuration_names, *motions.timed(halves))._spaced(fastest, strongest, most)
 
 
-def fastest_along(
-    robot: Robot,
-    motions: Straights | JerkLimited,
-    judge: Judge | None,
-    share: float,
-    last_speed: float = 0.0,
-    kept: Sequence[KeptLine] = (),
-) -> Trajectory:
-    """Follow motions as fast as possible; with a judge, on proven blends that take up to a given share of the motions.
+def blends_of(motions: Straights | JerkLimited, judge: Judge, share: float, kept: Sequence[KeptLine] = ()) -> Floats:
+    """Choose sizes of blends for all corners such that the blends are proven and the motion is as fast as possible.
 
-    Without jerk limits, the robot ends the path at `last_speed`, a share of full speed, or at the highest possible
-    speed below it. Blends on `kept` lines keep these lines.
+    A blend takes up to a given share of the motions. Blends on `kept` lines keep these lines.
     """
     halves = np.zeros(max(len(motions.straights.rows) - 2, 0))
-    if judge is not None and share and len(halves):
-        halves = _shortest(motions, _proven_blends(judge, motions, share, kept))
-    return protected(Trajectory(robot.configuration_names, *motions.timed(halves, last_speed)))
+    return _shortest(motions, _proven_blends(judge, motions, share, kept)) if share and len(halves) else halves
 
 
 @guarded
@@ -1124,7 +1115,7 @@ def _proven_blends(
     astray = BLEND_ROUNDINGS * speeds * motions.duration(np.zeros(len(halves)))
     astray += judge.errors
     roundings = BLEND_ROUNDINGS if isinstance(motions, Straights) else CUBIC_ROUNDINGS
-    proven: list[list[float]] = [[] for _ in halves]
+    proven = []
     for _ in range(HALVINGS):
         courses = motions.courses(halves)
         # Largest deviation, including errors of computed positions: docs/certified.md, "Blends".
@@ -1133,11 +1124,9 @@ def _proven_blends(
         free = free.reshape(off.shape[:2]).all(axis=1) & (halves > SHORTEST * shorter)
         for on in kept:
             free &= _keeps(on, motions, halves, off)
-        for sizes, half, good in zip(proven, halves.tolist(), free.tolist(), strict=True):
-            if good:
-                sizes.append(half)
+        proven.append(np.where(free, halves, 0.0))
         halves = halves / 2
-    return [np.array([*sizes, 0.0]) for sizes in proven]
+    return [np.append(sizes[sizes > 0], 0.0) for sizes in np.transpose(proven)]
 
 
 def _on_line(robot: Robot, line: Line, rows: Floats, numbers: Ints) -> KeptLine:

@@ -26,7 +26,7 @@ from loewner.planners.jerk_limited import TO_ROUNDING, JerkLimited
 from loewner.planners.joint_limits import JointLimits, limits_of
 from loewner.planners.judge import Judge, checked_checker, refuse_unfree
 from loewner.planners.straights import Straights
-from loewner.planners.trajectories import Trajectory, checked_blend, checked_rows, corners_of, fastest_along
+from loewner.planners.trajectories import Trajectory, blends_of, checked_blend, checked_rows, corners_of
 from loewner.queries.pairs import Verdict
 from loewner.robots import CertifiedTrajectory, CollisionChecker
 from loewner.robots.checker import prepared_of, without_motions
@@ -229,7 +229,8 @@ def time_path(
     refuse_unfree(judge, rows, "path")
     window, smooth = 0.0, None
     if most is not None:
-        smooth = fastest_along(robot, JerkLimited.of(rows, fastest, strongest, most), judge, share)
+        limited = JerkLimited.of(rows, fastest, strongest, most)
+        smooth = Trajectory(robot.configuration_names, *limited.timed(blends_of(limited, judge, share)))
         fastest, strongest = fastest * (1 - TO_ROUNDING), strongest * (1 - TO_ROUNDING)
         moves = np.isfinite(strongest)
         window = 2 * float((strongest[moves] / (most[moves] * (1 - TO_ROUNDING))).max()) * (1 + LONGER)
@@ -243,7 +244,7 @@ def time_path(
             return delayed._spaced(fastest, strongest, most)
     # Averages of blends may turn out not to be free; without blends, the robot stays on the proven path.
     for size in [share] if most is None or share == 0 else [share, 0.0]:
-        base = fastest_along(robot, motions, judge, size, last_speed)
+        base = Trajectory(robot.configuration_names, *motions.timed(blends_of(motions, judge, size), last_speed))
         _expect_reached(base, last_speed * motions.full[-1])
         least = base.duration + window * (1 + len(base.stops))
         limit, exact = _times(begin, arrive_by, arrive_at, least, horizon_of(timed.ready, begin))
