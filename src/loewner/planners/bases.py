@@ -460,7 +460,7 @@ def _costs(ways: Floats) -> Floats:
 
 
 def _changes(ways: Floats) -> Floats:
-    """Mark the motions, shape (..., k, 2), whose direction differs from that of the last line or arc before them."""
+    """Mark the motions, shape (..., k, 2), that reverse the direction of the last line or arc before them."""
     signs = np.sign(ways[..., 0])
     for k in range(1, signs.shape[-1]):
         signs[..., k] = np.where(signs[..., k] == 0.0, signs[..., k - 1], signs[..., k])

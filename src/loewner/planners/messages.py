@@ -20,9 +20,9 @@ from loewner._base._nodes import JsonNode, Node, some
 from loewner._base._validate import Floats
 from loewner.errors import FileError, InputError
 
-# Treatments of fields that are not messages of a type below. USED: the code for the message's type reads the field.
-# HARMLESS: the field has no effect on the joints and the bodies of a robot. TOLD: a warning mentions the field unless
-# it is empty. ANY: the field is a message of any type that has no field with this treatment.
+# Treatments of fields that are not messages of a type below, in this order: the code for the message's type reads the
+# field; the field has no effect on the joints and the bodies of a robot; a warning mentions the field unless it is
+# empty; the field is a message of any type that has no field with this last treatment.
 USED, HARMLESS, TOLD, ANY = "used", "harmless", "told", "any"
 
 

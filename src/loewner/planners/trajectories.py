@@ -236,7 +236,7 @@ class Trajectory(KeepsReadOnly):
     def _positions(self, k: Any, x: Floats, T: Floats) -> Floats:
         if self.bends is not None and not self.jumps:
             return self._cubics(k, x, T)
-        # Means of control points stay in the hull of these points, and are exact at both ends.
+        # Weighted means of control points stay in their hull, and are exact at both ends.
         (a, *inner, b), y = self._control_points(k, T), 1 - x
         if len(inner) == 0:
             return np.asarray(y * a + x * b)

@@ -68,7 +68,7 @@ def written(rows: Rows, suffix: str) -> str:
 def table_of(
     names: Sequence[str], times: Floats, parts: Sequence[Floats], start_time: float, flags: list[int] | None = None
 ) -> str:
-    """Return the text of a table of times, positions, velocities and accelerations, or of the first of these parts.
+    """Return the text of a table: times, and positions, optionally with velocities, and then with accelerations.
 
     With `flags`, the last column marks the rows after which the robot cuts a corner.
     """
