@@ -114,7 +114,7 @@ def write(
         Function that returns the contents of a file for columns and their names.
     """
     if names is None:
-        raise InputError("names: expected the names of the columns, since the points have none, found none")
+        raise InputError("names: expected a name for each column, since the points have no names, found none")
     _expect_once("names", names)
     files = {target: list(range(len(names)))} if listing is None else files_of(listing, target, names, moves)
     texts = {file: text(columns, [names[k] for k in columns]) for file, columns in files.items()}

@@ -366,7 +366,7 @@ class Gate:
         if len(rows) == 0:
             raise InputError("targets: expected one row or more, found none")
         if not math.isfinite(8.0 * (abs(now) + period * (1 + len(rows)))):
-            raise InputError(f"dt: expected a period after which the targets end at a finite time, found {period:g}")
+            raise InputError(f"dt: expected a period with which the last target is at a finite time, found {period:g}")
         with np.errstate(over="ignore"):
             speeds = np.diff(np.vstack([state[0], rows]), axis=0) / period
         if not np.isfinite(speeds).all():

@@ -93,7 +93,7 @@ def read(source: Path) -> Rows:
         else:
             rows = rows_of_table(data.decode())
         if (rows.rates is None) != (rows.blended is None):
-            raise InputError("expected velocities and blends, or neither of them, found one of the two")
+            raise InputError("expected both velocities and blends, or neither, found only one of them")
         if rows.rates is None and rows.bends is not None:
             raise InputError("expected accelerations beside velocities and blends, found them alone")
         if rows.rates is None and (not len(rows.times) or not (np.diff(rows.times) > 0).all()):
