@@ -73,8 +73,7 @@ def columns_of(
         return columns, chosen
     if isinstance(names, Mapping):
         for name in names:
-            if held is None or name not in held:
-                raise _validate.unknown_name("names", name, held or ())
+            _validate.known(name, "names", held or ())
         new_names = tuple(names.get(name, name) for name in chosen or ())
     else:
         new_names = tuple(_validate.listed(names, "names", wanted="a mapping or a list of names"))
@@ -114,7 +113,7 @@ def write(
         Function that returns the contents of a file for columns and their names.
     """
     if names is None:
-        raise InputError("names: expected a name for each column, since the points have no names, found none")
+        raise InputError("names: expected the names of the columns, which the points do not have, found none")
     _expect_once("names", names)
     files = {target: list(range(len(names)))} if listing is None else files_of(listing, target, names, moves)
     texts = {file: text(columns, [names[k] for k in columns]) for file, columns in files.items()}

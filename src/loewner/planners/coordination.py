@@ -145,7 +145,7 @@ def _ways(checker: CollisionChecker, paths: Mapping[str, ArrayLike], steps: int)
         values = [checker.robot.configuration_names[k] for k in np.flatnonzero(~covered)]
         raise InputError(f"paths: expected one for each part, found none for {', '.join(wanted or values)}")
     if not any(len(lengths) and lengths.any() for *_, lengths in checked_paths):
-        raise InputError("paths: expected at least one robot that moves, found none")
+        raise InputError("paths: expected a robot that moves, found none")
     longest = max(float(lengths.sum()) for *_, lengths in checked_paths)
     numbers = [np.maximum(np.ceil(lengths / longest * steps - 1e-9), lengths > 0) for *_, lengths in checked_paths]
     total = math.prod(float(counts.sum()) + 1.0 for counts in numbers)

@@ -50,14 +50,12 @@ class Departures:
             If the rules allow a contact at the start or at the only goal, but no motion was found that ends or begins
             the contact.
         """
-        free_start, free_goals, ready = start, goals, judge.ready
-        if judge.joint_error is not None:
-            return cls(space, start, goals, start, goals)
-        if ready.leaving.any():
+        free_start, free_goals, ready, is_exact = start, goals, judge.ready, judge.joint_error is None
+        if is_exact and ready.leaving.any():
             free_start, fault = _apart(space, ready, start, at_start=True)
             if fault:
                 raise PlanningError(f"start: {fault}")
-        if ready.reaching.any():
+        if is_exact and ready.reaching.any():
             attempts = [_apart(space, ready, goal, at_start=False) for goal in goals]
             if all(fault for _, fault in attempts):
                 raise PlanningError(f"goal: {attempts[0][1]}")

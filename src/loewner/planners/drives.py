@@ -301,8 +301,7 @@ def base_columns(robot: Robot) -> tuple[int, int, int]:
             columns = chain = [int(tree.column[k]) for k in (first, second, link)]
         alone = all(np.count_nonzero(moving & (tree.column == column)) == 1 for column in chain)
         if first >= 0 and tree.parent[first] < 0 and alone and _is_planar(robot, link, columns):
-            x, y, theta = columns
-            return x, y, theta
+            return columns[0], columns[1], columns[2]
     raise InputError(
         "base: expected a robot whose root slides along x and y and turns, as Robot.footprint or "
         f"add_base('planar') makes it, found the joints {_validate.short(', '.join(robot.joint_names))}"

@@ -281,7 +281,7 @@ class PoseGoal:
                     kind = kind and f"{kind} the {name}"
             if kind:
                 if kind == "in collision" and kind not in reasons:
-                    why = _touching(judge, q)
+                    why = "".join(f"{each.name_a} and {each.name_b}" for each in contacts(judge.ready, q)[0][:1])
                 reasons.setdefault(kind, []).append(why)
                 continue
             kept.append(k)
@@ -357,11 +357,6 @@ def _displacement(given: Any, name: str, sign: float) -> Displacement:
     if not vector.any():
         raise InputError(f"{name}: expected a displacement other than 0, found {_validate.short(given)}")
     return frame, vector.copy()
-
-
-def _touching(judge: Judge, q: Floats) -> str:
-    """Name a pair of bodies that are in contact."""
-    return "".join(f"{contact.name_a} and {contact.name_b}" for contact in contacts(judge.ready, q)[0][:1])
 
 
 def _along(
