@@ -16,6 +16,7 @@ from loewner.errors import InputError
 from loewner.robots import Robot
 from loewner.robots.description.reaching import Chain, refuse_far
 from loewner.robots.description.robot import chain_to
+from loewner.robots.proofs.courses import at_fractions
 
 # Default values of the largest deviations from a line [m, rad].
 POSITION, ROTATION = 1e-4, 1e-3
@@ -192,11 +193,8 @@ class KeptLine:
         if len(courses) > at_a_time:
             blocks = range(0, len(courses), at_a_time)
             return np.concatenate([self._gaps(courses[k : k + at_a_time], parts) for k in blocks])
-        degree, t = courses.shape[1] - 1, (np.arange(parts + 1) / parts)[:, None]
-        points = courses[:, :, None]
-        for step in range(degree):
-            points = (1 - t) * points[:, : degree - step] + t * points[:, 1:]
-        Q, u = points[:, 0, :, :-1], points[:, 0, :, -1]
+        points = at_fractions(courses, np.arange(parts + 1) / parts)
+        Q, u = points[..., :-1], points[..., -1]
         poses = self.robot.forward_kinematics(Q)[..., self.robot.link_names.index(self.line.link), :, :]
         half_sine = _elementary.sin(u * (self.angle / 2))[..., None, None]
         sine, cosine = _elementary.sin(u * self.angle)[..., None, None], 2 * half_sine * half_sine

@@ -16,6 +16,7 @@ from loewner._base._validate import Floats
 from loewner._kernels import columns
 from loewner.planners.joint_limits import JointLimits, position_limits
 from loewner.robots import Robot
+from loewner.robots.proofs.courses import at_fractions
 from loewner.robots.proofs.curves import Curve
 
 # Quantities, and the suffixes that turn the unit of positions into the unit of each quantity.
@@ -214,7 +215,7 @@ def extremes(points: Floats, times: Floats) -> Ends:
 def _greatest(points: Floats, times: Floats) -> tuple[float, float]:
     degree = points.shape[1] - 1
     with np.errstate(over="ignore", invalid="ignore"):  # overflow is detected below as a result that is not finite
-        values = _at(points, TRIED)
+        values = at_fractions(points[..., None], TRIED)[..., 0]
     n, at = np.unravel_index(values.argmax(), values.shape)
     best, piece, share = float(values[n, at]), int(n), float(TRIED[at])
     bounds = points.max(axis=1)
@@ -227,19 +228,10 @@ def _greatest(points: Floats, times: Floats) -> tuple[float, float]:
         shares = np.real(Polynomial(slopes).trim(ROUNDED * np.abs(slopes).max()).roots())
         shares = shares[(shares > 0) & (shares < 1)]
         if len(shares):
-            tried = _at(points[n : n + 1], shares)[0]
+            tried = at_fractions(points[n : n + 1, :, None], shares)[0, :, 0]
             if tried.max() > best:
                 best, piece, share = float(tried.max()), n, float(shares[tried.argmax()])
     return best, float(times[piece] + share * (times[piece + 1] - times[piece]))
-
-
-def _at(points: Floats, shares: Floats) -> Floats:
-    """Evaluate polynomials, shape (n, k), at fractions, shape (m,), by de Casteljau's scheme: shape (n, m)."""
-    rows = np.repeat(points[:, None], len(shares), axis=1)
-    t = shares[None, :, None]
-    while rows.shape[2] > 1:
-        rows = (1 - t) * rows[:, :, :-1] + t * rows[:, :, 1:]
-    return np.asarray(rows[:, :, 0])
 
 
 def _powers(points: Floats) -> Floats:

@@ -36,6 +36,14 @@ def configurations(robot: Robot, courses: Floats, fractions: Floats) -> Floats:
     return Q
 
 
+def at_fractions(courses: Floats, fractions: Floats) -> Floats:
+    """Compute values of all courses at the same fractions, shape (m,), by de Casteljau's scheme: shape (N, m, dof)."""
+    points, t = np.repeat(courses[:, None], len(fractions), axis=1), fractions[:, None, None]
+    while points.shape[2] > 1:
+        points = (1 - t) * points[:, :, :-1] + t * points[:, :, 1:]
+    return np.asarray(points[:, :, 0])
+
+
 def elevated(points: Floats, by: int) -> Floats:
     """Raise the degree of courses without changing their motions."""
     for _ in range(by):
