@@ -639,6 +639,6 @@ def _refuse_beside(beside: dict[str, float], places: dict[str, Floats], sources:
     if told:
         where = some(dict.fromkeys(sources.get(joint, "") for joint in (*beside, *places)))
         raise InputError(
-            f"expected a state of the joints that the points name, found {', '.join(told)} ({where}); with robot=, its "
-            "other joints keep the values of the state or of others="
+            f"expected a state of the joints that the points name, found {', '.join(told)} ({where}); give "
+            "robot=, whose other joints then keep the values of the state or of others="
         )
