@@ -1,10 +1,11 @@
 """Read Collada files: the triangles of the scene, with each geometry placed by its nodes."""
 
 import math
-from collections.abc import Callable, Iterator
-from typing import Any, NoReturn
+from collections.abc import Callable, Iterator, Sequence
+from typing import NoReturn
 
 import numpy as np
+from numpy.typing import NDArray
 
 from loewner._base import _elementary
 from loewner._base._matrices import product
@@ -24,7 +25,7 @@ from loewner.meshes.files.parts import (
     quoted,
     strip,
 )
-from loewner.meshes.files.text import floats, integers
+from loewner.meshes.files.text import T, floats, integers
 
 # Limits on the nesting of elements, on their number, on the nodes of a scene and their contents (counted at each
 # placement), and on the inputs of vertices. Exporters stay far below these limits.
@@ -113,7 +114,7 @@ class _Element(Element):
         self.expect(value[:1] == "#", f"expected {name} in this file, found {quoted(value)}")
         return value[1:]
 
-    def _tokens(self, convert: Callable[[list[bytes]], Any]) -> Any:
+    def _tokens(self, convert: Callable[[Sequence[bytes]], NDArray[T]]) -> NDArray[T]:
         self.expect(not self.children, "expected numbers alone, found elements in it")
         try:
             return convert("".join(self.texts).encode("ascii").split())
@@ -123,13 +124,12 @@ class _Element(Element):
             raise Refusal(f"<{self.tag}>: expected numbers, found other letters", self.line) from None
 
     def floats(self, count: int) -> Floats:
-        numbers: Floats = self._tokens(floats)
+        numbers = self._tokens(floats)
         self.expect(len(numbers) == count, f"expected {count} numbers, found {len(numbers)}")
         return numbers
 
     def integers(self) -> Ints:
-        numbers: Ints = self._tokens(integers)
-        return numbers
+        return self._tokens(integers)
 
 
 def read(data: bytes, tell: Tell) -> tuple[Floats, Triangles]:
@@ -189,8 +189,7 @@ class _Scene:
                 _check_parts(element, _PARTS[element.tag])
             if element.tag == "unit":
                 unit = _metres(element)
-                right = unit == metres
-                element.expect(right, f"expected the file's unit, {metres:g} m, found {unit:g} m")
+                element.expect(unit == metres, f"expected the file's unit, {metres:g} m, found {unit:g} m")
             if element.tag.startswith("library_") or element.tag == "mesh":
                 _check_attributes(element, _NAMES)
             if element.tag not in ("extra", "technique"):  # by the standard, these contain data of other programs
@@ -212,9 +211,8 @@ class _Scene:
         while waiting:
             node, T_parent, depth = waiting.pop()
             visits += 1 + len(node.children)
-            expect(
-                visits <= MOST_PLACED, f"expected at most {MOST_PLACED} nodes and parts of nodes, found more", node.line
-            )
+            if visits > MOST_PLACED:
+                raise Refusal(f"expected at most {MOST_PLACED} nodes and parts of nodes, found more", node.line)
             expect(depth <= MOST_DEPTH, f"expected nodes at most {MOST_DEPTH} deep, found more, or a cycle", node.line)
             T, inside = T_parent, []
             for child in node.children:
@@ -244,13 +242,8 @@ class _Scene:
             for child in mesh.children:
                 if child.tag in _PRIMITIVES:
                     parts.append(self.primitive(child, _PRIMITIVES[child.tag]))
-                else:
-                    has_no_surface = child.tag in _NO_SURFACE
-                    expect(
-                        has_no_surface,
-                        f"<mesh>: expected triangles or polygons, found <{quoted(child.tag)}>",
-                        child.line,
-                    )
+                elif child.tag not in _NO_SURFACE:
+                    raise Refusal(f"<mesh>: expected triangles or polygons, found <{quoted(child.tag)}>", child.line)
             self.made[name] = joined(parts)
         return self.made[name]
 
@@ -324,9 +317,8 @@ def _check_attributes(element: _Element, known: frozenset[str]) -> None:
     for name in element.attributes:
         if "@" + name not in known and "}" not in name:
             listed = ", ".join(sorted(one[1:] for one in known if one[0] == "@")) or "none"
-            attribute = quoted(name)
             raise Refusal(
-                f"<{element.tag}>: expected attributes of Collada ({listed}), found {attribute}", element.line
+                f"<{element.tag}>: expected attributes of Collada ({listed}), found {quoted(name)}", element.line
             )
 
 
@@ -399,14 +391,6 @@ def _matrix(element: _Element) -> Floats:
     return T
 
 
-def _translate(element: _Element) -> Floats:
-    return pose_of(np.eye(3), element.floats(3))
-
-
-def _scale(element: _Element) -> Floats:
-    return np.diag([*element.floats(3), 1.0])
-
-
 def _rotate(element: _Element) -> Floats:
     """Read a rotation about an axis by an angle in degrees."""
     *axis, angle = element.floats(4)
@@ -422,7 +406,7 @@ def _rotate(element: _Element) -> Floats:
 
 _TRANSFORMS: dict[str, Callable[[_Element], Floats]] = {
     "matrix": _matrix,
-    "translate": _translate,
-    "scale": _scale,
+    "translate": lambda element: pose_of(np.eye(3), element.floats(3)),
+    "scale": lambda element: np.diag([*element.floats(3), 1.0]),
     "rotate": _rotate,
 }

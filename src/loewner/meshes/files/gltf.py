@@ -16,7 +16,7 @@ from loewner._base import _json
 from loewner._base._files import read_regular
 from loewner._base._matrices import lengths, product
 from loewner._base._rotations import pose_of, rotations_of
-from loewner._base._validate import Floats, Ints
+from loewner._base._validate import Floats
 from loewner.errors import FileError
 from loewner.meshes.files.parts import (
     MOST,
@@ -25,6 +25,7 @@ from loewner.meshes.files.parts import (
     Triangles,
     check_range,
     expect,
+    fans,
     joined,
     placed,
     quoted,
@@ -114,9 +115,8 @@ def _chunks(data: bytes) -> tuple[bytes, bytes | None]:
     while start < len(data):
         expect(start + 8 <= len(data), "expected a chunk, found the file's end")
         size, kind = struct.unpack("<I4s", data[start : start + 8])
-        expect(
-            size % 4 == 0 and start + 8 + size <= len(data), f"expected a chunk of {size} bytes, found the file's end"
-        )
+        whole = size % 4 == 0 and start + 8 + size <= len(data)
+        expect(whole, f"expected a chunk of {size} bytes, found the file's end")
         chunks.append((kind, data[start + 8 : start + 8 + size]))
         start += 8 + size
     expect(chunks[0][0] == b"JSON", f"expected a chunk JSON, found {quoted(chunks[0][0])}")
@@ -140,226 +140,229 @@ def _parsed(text: bytes) -> dict[str, Any]:
     return tree
 
 
+class _Object:
+    """An object of the file's JSON, with its place in the tree for messages."""
+
+    def __init__(self, fields: dict[str, Any], where: str) -> None:
+        self.fields, self.where = fields, where
+
+    def expect(self, holds: object, message: str) -> None:
+        """Refuse the file, with the object's place, unless a condition holds."""
+        expect(holds, f"{self.where}: {message}")
+
+    def integer(self, key: str, default: int | None = None, least: int = 0) -> int:
+        value = self.fields.get(key, default)
+        if type(value) is not int or not least <= value < 2**53:
+            described = quoted(repr(value))
+            raise Refusal(f"{self.where}: expected {key}, a whole number of at least {least}, found {described}")
+        return value
+
+    def items(self, key: str, kind: type) -> list[Any]:
+        value = self.fields.get(key, [])
+        right = isinstance(value, list) and all(type(x) is kind for x in value)
+        self.expect(right, f"expected {key}, a list of {kind.__name__}, found {quoted(repr(value))}")
+        return list(value)
+
+    def floats(self, key: str, default: list[float]) -> Floats:
+        value = self.fields.get(key, default)
+        right = isinstance(value, list) and len(value) == len(default)
+        right = right and all(type(x) in (int, float) and abs(x) < 1e300 for x in value)
+        self.expect(right, f"expected {key}, {len(default)} finite numbers, found {quoted(repr(value))}")
+        return np.array(value, dtype=np.float64)
+
+    def expect_rigid(self) -> None:
+        """Refuse features that deform a mesh or place it more than once."""
+        self.expect("skin" not in self.fields, "expected a rigid mesh, found one with a skin")
+        weights = self.fields.get("weights", [])
+        self.expect(isinstance(weights, list) and not any(weights), "expected no morph, found weights of one")
+
+    def pose(self) -> Floats:
+        """Read the transform of a node."""
+        if "matrix" in self.fields:
+            others = {"translation", "rotation", "scale"} & self.fields.keys()
+            self.expect(not others, "expected matrix alone, found more")
+            T = self.floats("matrix", [0.0] * 16).reshape(4, 4).T
+            last = T[3].tolist()
+            self.expect(last == [0, 0, 0, 1], f"expected an affine matrix, found {last} as its last row")
+            return T
+        quaternion = self.floats("rotation", [0.0, 0.0, 0.0, 1.0])
+        length = float(lengths(quaternion)) if abs(quaternion).max() < 2 else math.inf
+        self.expect(abs(length - 1) < _UNIT, f"expected a rotation of length 1, found {length:g}")
+        turn = rotations_of(np.roll(quaternion / length, 1))
+        return pose_of(turn * self.floats("scale", [1.0] * 3), self.floats("translation", [0.0] * 3))
+
+
 class _Reader:
     """The objects of a file by index, each checked when it is requested."""
 
     def __init__(self, tree: dict[str, Any], body: bytes | None, folder: Path, limit: int) -> None:
-        self.tree, self.body, self.folder, self.limit = tree, body, folder, limit
+        self.body, self.folder, self.limit = body, folder, limit
         self.buffers: dict[int, bytes] = {}
         self.files: dict[str, bytes] = {}
         self.points: dict[int, Floats] = {}
         self.made: dict[int, tuple[Floats, Triangles]] = {}
         self.unknown: dict[str, str] = {}  # unknown keys, and the first object with each key
-        self.check(tree, "the file", "the file")
-        asset: Any = tree.get("asset")
-        expect(isinstance(asset, dict), "expected an asset of version 2")
-        self.check(asset, "asset", "asset")
+        self.top = self.object(tree, "the file", "the file")
+        expect(isinstance(tree.get("asset"), dict), "expected an asset of version 2")
+        asset = self.object(tree["asset"], "asset", "asset").fields
         version, least = asset.get("version"), asset.get("minVersion", "2.0")
         expect(isinstance(version, str) and version.startswith("2."), "expected an asset of version 2")
-        expect(
-            least in ("1.0", "1.1", "2.0"),
-            f"expected a file for readers of version 2.0, found minVersion {quoted(str(least))}",
-        )
-        for name in self.items(tree, "the file", "extensionsRequired", str):
+        right = least in ("1.0", "1.1", "2.0")
+        expect(right, f"expected a file for readers of version 2.0, found minVersion {quoted(str(least))}")
+        for name in self.top.items("extensionsRequired", str):
             expect(name.startswith(_HARMLESS), f"expected no extension that changes the shape, found {quoted(name)}")
 
-    # -- fields
+    # -- objects
 
-    def item(self, kind: str, index: int) -> tuple[dict[str, Any], str]:
-        """Return an object from one of the file's lists, and its name for messages."""
-        objects = self.tree.get(kind, [])
-        expect(isinstance(objects, list), f"{kind}: expected a list, found {type(objects).__name__}")
-        expect(index < len(objects), f"expected one of {len(objects)} {kind}, found number {index}")
-        where = f"{kind}[{index}]"
-        expect(isinstance(objects[index], dict), f"{where}: expected an object, found {type(objects[index]).__name__}")
-        self.check(objects[index], where, kind)
-        return objects[index], where
-
-    def check(self, holder: dict[str, Any], where: str, kind: str) -> None:
-        """Refuse extensions of an object that may change the shape, and note keys that are unknown for its kind.
+    def object(self, fields: Any, where: str, kind: str) -> _Object:
+        """Check an object of a given kind: refuse extensions that may change the shape, and note unknown keys.
 
         A minor version of glTF may add keys, so unknown keys are not an error.
         """
-        for key in holder.keys() - _KEYS[kind]:
+        expect(isinstance(fields, dict), f"{where}: expected an object, found {type(fields).__name__}")
+        for key in fields.keys() - _KEYS[kind]:
             self.unknown.setdefault(key, where)
-        extensions = holder.get("extensions", {})
+        extensions = fields.get("extensions", {})
         expect(isinstance(extensions, dict), f"{where}: expected extensions, an object")
         harmful = ", ".join(quoted(name) for name in extensions if not name.startswith(_HARMLESS))
         expect(not harmful, f"{where}: expected no extension that changes the shape, found {harmful}")
+        return _Object(fields, where)
 
-    @staticmethod
-    def integer(holder: dict[str, Any], where: str, key: str, default: int | None = None, least: int = 0) -> int:
-        value = holder.get(key, default)
-        if type(value) is not int or not least <= value < 2**53:
-            raise Refusal(f"{where}: expected {key}, a whole number of at least {least}, found {quoted(repr(value))}")
-        return value
-
-    @staticmethod
-    def items(holder: dict[str, Any], where: str, key: str, kind: type) -> list[Any]:
-        value = holder.get(key, [])
-        right = isinstance(value, list) and all(type(x) is kind for x in value)
-        expect(right, f"{where}: expected {key}, a list of {kind.__name__}, found {quoted(repr(value))}")
-        return list(value)
-
-    @staticmethod
-    def floats(holder: dict[str, Any], where: str, key: str, default: list[float]) -> Floats:
-        value = holder.get(key, default)
-        right = isinstance(value, list) and len(value) == len(default)
-        right = right and all(type(x) in (int, float) and abs(x) < 1e300 for x in value)
-        expect(right, f"{where}: expected {key}, {len(default)} finite numbers, found {quoted(repr(value))}")
-        return np.array(value, dtype=np.float64)
+    def item(self, kind: str, index: int) -> _Object:
+        """Return an object from one of the file's lists."""
+        objects = self.top.fields.get(kind, [])
+        expect(isinstance(objects, list), f"{kind}: expected a list, found {type(objects).__name__}")
+        expect(index < len(objects), f"expected one of {len(objects)} {kind}, found number {index}")
+        return self.object(objects[index], f"{kind}[{index}]", kind)
 
     # -- nodes
 
     def meshes(self) -> Iterator[tuple[Floats, Triangles]]:
         """Return the meshes of the scene, each at its place."""
-        scenes = self.tree.get("scenes")
-        if isinstance(scenes, list) and len(scenes) > 1 and "scene" not in self.tree:
+        scenes = self.top.fields.get("scenes")
+        if isinstance(scenes, list) and len(scenes) > 1 and "scene" not in self.top.fields:
             raise Refusal(f"expected scene, the number of the one of {len(scenes)} scenes to show, found none")
-        scene, where = self.item("scenes", self.integer(self.tree, "the file", "scene", 0))
-        waiting = [(index, np.eye(4)) for index in self.items(scene, where, "nodes", int)[::-1]]
+        scene = self.item("scenes", self.top.integer("scene", 0))
+        waiting = [(index, np.eye(4)) for index in scene.items("nodes", int)[::-1]]
         seen: set[int] = set()
         while waiting:
             index, T_parent = waiting.pop()
-            expect(index >= 0, f"{where}: expected numbers of nodes, found {index}")
+            scene.expect(index >= 0, f"expected numbers of nodes, found {index}")
             expect(index not in seen, f"expected a tree of nodes, found nodes[{index}] in it twice")
             seen.add(index)
-            node, name = self.item("nodes", index)
-            T = product(T_parent, self.pose(node, name))
-            waiting += [(child, T) for child in self.items(node, name, "children", int)[::-1]]
-            if "mesh" in node:
-                self.expect_rigid(node, name)
-                for primitive in self.primitives(self.integer(node, name, "mesh")):
-                    yield placed(T, *primitive)
+            node = self.item("nodes", index)
+            T = product(T_parent, node.pose())
+            waiting += [(child, T) for child in node.items("children", int)[::-1]]
+            if "mesh" in node.fields:
+                node.expect_rigid()
+                yield placed(T, *self.mesh(node.integer("mesh")))
 
-    def pose(self, node: dict[str, Any], where: str) -> Floats:
-        if "matrix" in node:
-            expect(
-                not {"translation", "rotation", "scale"} & node.keys(), f"{where}: expected matrix alone, found more"
-            )
-            T = self.floats(node, where, "matrix", [0.0] * 16).reshape(4, 4).T
-            expect(
-                (T[3] == [0, 0, 0, 1]).all(),
-                f"{where}: expected an affine matrix, found {T[3].tolist()} as its last row",
-            )
-            return T
-        quaternion = self.floats(node, where, "rotation", [0.0, 0.0, 0.0, 1.0])
-        length = float(lengths(quaternion)) if abs(quaternion).max() < 2 else math.inf
-        expect(abs(length - 1) < _UNIT, f"{where}: expected a rotation of length 1, found {length:g}")
-        turn = rotations_of(np.roll(quaternion / length, 1))
-        scale, shift = self.floats(node, where, "scale", [1.0] * 3), self.floats(node, where, "translation", [0.0] * 3)
-        return pose_of(turn * scale, shift)
-
-    def expect_rigid(self, holder: dict[str, Any], where: str) -> None:
-        """Refuse features that deform a mesh or place it more than once."""
-        expect("skin" not in holder, f"{where}: expected a rigid mesh, found one with a skin")
-        weights = holder.get("weights", [])
-        expect(isinstance(weights, list) and not any(weights), f"{where}: expected no morph, found weights of one")
-
-    def primitives(self, index: int) -> Iterator[tuple[Floats, Triangles]]:
-        mesh, where = self.item("meshes", index)
-        self.expect_rigid(mesh, where)
+    def mesh(self, index: int) -> tuple[Floats, Triangles]:
+        """Return the primitives of a mesh, joined."""
+        mesh = self.item("meshes", index)
+        mesh.expect_rigid()
         if index not in self.made:
-            primitives = self.items(mesh, where, "primitives", dict)
-            expect(primitives, f"{where}: expected primitives, found none")
-            parts = (self.primitive(p, f"{where}.primitives[{k}]") for k, p in enumerate(primitives))
+            primitives = mesh.items("primitives", dict)
+            mesh.expect(primitives, "expected primitives, found none")
+            parts = (self.primitive(fields, f"{mesh.where}.primitives[{k}]") for k, fields in enumerate(primitives))
             self.made[index] = joined(part for part in parts if part is not None)
-        yield self.made[index]
+        return self.made[index]
 
-    def primitive(self, primitive: dict[str, Any], where: str) -> tuple[Floats, Triangles] | None:
+    def primitive(self, fields: dict[str, Any], where: str) -> tuple[Floats, Triangles] | None:
         """Return the vertices and triangles of a primitive; None for points and lines."""
-        self.check(primitive, where, "primitives")
-        mode = self.integer(primitive, where, "mode", _TRIANGLES)
-        expect(mode <= _FAN, f"{where}: expected a mode of 0 to 6, found {mode}")
+        primitive = self.object(fields, where, "primitives")
+        mode = primitive.integer("mode", _TRIANGLES)
+        primitive.expect(mode <= _FAN, f"expected a mode of 0 to 6, found {mode}")
         if mode < _TRIANGLES:
             return None
-        attributes: Any = primitive.get("attributes")
-        expect(isinstance(attributes, dict), f"{where}: expected attributes, an object")
-        number = self.integer(attributes, where, "POSITION")
+        attributes: Any = fields.get("attributes")
+        primitive.expect(isinstance(attributes, dict), "expected attributes, an object")
+        number = _Object(attributes, where).integer("POSITION")
         if number not in self.points:
             self.points[number] = self.accessor(number, "VEC3")[0].astype(np.float64)
         vertices = self.points[number]
-        if "indices" in primitive:
-            indices, kind = self.accessor(self.integer(primitive, where, "indices"), "SCALAR")
-            expect(kind in _INDICES, f"{where}: expected indices of unsigned whole numbers, found type {kind}")
+        if "indices" in fields:
+            indices, kind = self.accessor(primitive.integer("indices"), "SCALAR")
+            primitive.expect(kind in _INDICES, f"expected indices of unsigned whole numbers, found type {kind}")
             corners = indices.reshape(-1).astype(np.int64)
         else:
             corners = np.arange(len(vertices), dtype=np.int64)
         check_range(corners, len(vertices), f"{where}: indices")
-        return vertices, _assembled(corners, mode, where)
+        count = len(corners)
+        if mode == _TRIANGLES:
+            primitive.expect(count % 3 == 0, f"expected three corners a triangle, found {count} corners")
+            return vertices, corners.reshape(-1, 3)
+        primitive.expect(count >= 3, f"expected at least 3 corners, found {count}")
+        return vertices, strip(corners) if mode == _STRIP else fans(corners, np.array([count]))
 
     # -- bytes
 
     def accessor(self, index: int, shape: str) -> tuple[NDArray[Any], int]:
         """Return the numbers of an accessor, shape (count, n), and the type in which they are stored."""
-        accessor, where = self.item("accessors", index)
-        count = self.integer(accessor, where, "count", least=1)
-        expect(count <= 3 * MOST, f"{where}: expected a count of at most {3 * MOST}, found {count}")
-        kind = self.integer(accessor, where, "componentType")
-        expect(kind in _TYPES, f"{where}: expected a componentType, found {kind}")
-        element_type = accessor.get("type")
-        expect(element_type == shape, f"{where}: expected type {shape}, found {quoted(repr(element_type))}")
-        expect("bufferView" in accessor or "sparse" in accessor, f"{where}: expected a bufferView, found none")
-        if "bufferView" in accessor:
-            values = self.view(accessor, where, count, kind, _SHAPES[shape])
+        accessor = self.item("accessors", index)
+        count = accessor.integer("count", least=1)
+        accessor.expect(count <= 3 * MOST, f"expected a count of at most {3 * MOST}, found {count}")
+        kind = accessor.integer("componentType")
+        accessor.expect(kind in _TYPES, f"expected a componentType, found {kind}")
+        element_type, sparse = accessor.fields.get("type"), accessor.fields.get("sparse")
+        accessor.expect(element_type == shape, f"expected type {shape}, found {quoted(repr(element_type))}")
+        if "bufferView" in accessor.fields:
+            values = self.view(accessor, count, kind, _SHAPES[shape])
         else:
+            accessor.expect("sparse" in accessor.fields, "expected a bufferView, found none")
             values = np.zeros((count, _SHAPES[shape]), dtype=_TYPES[kind])
-        if "sparse" in accessor:
-            values = self.replaced(accessor["sparse"], f"{where}.sparse", values, kind)
-        normalized = accessor.get("normalized", False)
-        expect(isinstance(normalized, bool), f"{where}: expected normalized, true or false")
+        if "sparse" in accessor.fields:
+            values = self.replaced(self.object(sparse, f"{accessor.where}.sparse", "sparse"), values, kind)
+        normalized = accessor.fields.get("normalized", False)
+        accessor.expect(isinstance(normalized, bool), "expected normalized, true or false")
         if normalized and shape == "VEC3":
-            expect(kind != 5126 and kind != 5125, f"{where}: expected short numbers to normalise, found type {kind}")
+            accessor.expect(kind not in (5125, 5126), f"expected short numbers to normalise, found type {kind}")
             values = np.maximum(values.astype(np.float64) / np.iinfo(values.dtype).max, -1.0)
         return values, kind
 
-    def view(self, holder: dict[str, Any], where: str, count: int, kind: int, width: int) -> NDArray[Any]:
+    def view(self, holder: _Object, count: int, kind: int, width: int) -> NDArray[Any]:
         """Return rows of numbers from a buffer view, at the offset that `holder` gives."""
-        view, name = self.item("bufferViews", self.integer(holder, where, "bufferView"))
-        data = self.buffer(self.integer(view, name, "buffer"))
-        start, length = self.integer(view, name, "byteOffset", 0), self.integer(view, name, "byteLength", least=1)
-        expect(start + length <= len(data), f"{name}: expected bytes {start} to {start + length}, found {len(data)}")
-        row = np.dtype(_TYPES[kind]).itemsize * width
-        stride = self.integer(view, name, "byteStride", row)
-        expect(row <= stride, f"{name}: expected a byteStride of at least {row}, found {stride}")
-        offset = self.integer(holder, where, "byteOffset", 0)
-        needed = offset + (count - 1) * stride + row
-        expect(needed <= length, f"{where}: expected {needed} bytes in {name}, found {length}")
+        view = self.item("bufferViews", holder.integer("bufferView"))
+        data = self.buffer(view.integer("buffer"))
+        start, length = view.integer("byteOffset", 0), view.integer("byteLength", least=1)
+        view.expect(start + length <= len(data), f"expected bytes {start} to {start + length}, found {len(data)}")
         size = np.dtype(_TYPES[kind]).itemsize
+        row = size * width
+        stride = view.integer("byteStride", row)
+        view.expect(row <= stride, f"expected a byteStride of at least {row}, found {stride}")
+        offset = holder.integer("byteOffset", 0)
+        needed = offset + (count - 1) * stride + row
+        holder.expect(needed <= length, f"expected {needed} bytes in {view.where}, found {length}")
         return np.ndarray((count, width), _TYPES[kind], data, start + offset, (stride, size))
 
-    def replaced(self, sparse: Any, where: str, values: NDArray[Any], kind: int) -> NDArray[Any]:
+    def replaced(self, sparse: _Object, values: NDArray[Any], kind: int) -> NDArray[Any]:
         """Apply the replacements of a sparse accessor to `values`."""
-        expect(isinstance(sparse, dict), f"{where}: expected an object")
-        self.check(sparse, where, "sparse")
-        count = self.integer(sparse, where, "count", least=1)
-        expect(count <= len(values), f"{where}: expected a count of at most {len(values)}, found {count}")
-        rows, new = sparse.get("indices"), sparse.get("values")
-        expect(isinstance(rows, dict) and isinstance(new, dict), f"{where}: expected indices and values, objects")
-        self.check(rows, f"{where}.indices", "sparse indices")
-        self.check(new, f"{where}.values", "sparse values")
-        row_kind = self.integer(rows, where, "componentType")
-        expect(row_kind in _INDICES, f"{where}: expected indices of unsigned whole numbers, found type {row_kind}")
-        places = self.view(rows, where, count, row_kind, 1).reshape(-1).astype(np.int64)
+        count = sparse.integer("count", least=1)
+        sparse.expect(count <= len(values), f"expected a count of at most {len(values)}, found {count}")
+        rows = self.object(sparse.fields.get("indices"), f"{sparse.where}.indices", "sparse indices")
+        new = self.object(sparse.fields.get("values"), f"{sparse.where}.values", "sparse values")
+        row_kind = rows.integer("componentType")
+        rows.expect(row_kind in _INDICES, f"expected indices of unsigned whole numbers, found type {row_kind}")
+        places = self.view(rows, count, row_kind, 1).reshape(-1).astype(np.int64)
         rising = (np.diff(places) > 0).all() and places[-1] < len(values)
-        expect(rising, f"{where}: expected indices that rise, below {len(values)}, found others")
+        rows.expect(rising, f"expected indices that rise, below {len(values)}, found others")
         changed = np.array(values)
-        changed[places] = self.view(new, where, count, kind, values.shape[1])
+        changed[places] = self.view(new, count, kind, values.shape[1])
         return changed
 
     def buffer(self, index: int) -> bytes:
         if index not in self.buffers:
-            buffer, where = self.item("buffers", index)
-            length = self.integer(buffer, where, "byteLength", least=1)
-            if "uri" in buffer:
-                data = self.linked(buffer["uri"], where)
+            buffer = self.item("buffers", index)
+            length = buffer.integer("byteLength", least=1)
+            if "uri" in buffer.fields:
+                data = self.linked(buffer.fields["uri"], buffer.where)
             else:
                 if index or self.body is None:
-                    raise Refusal(f"{where}: expected a uri, found none")
+                    raise Refusal(f"{buffer.where}: expected a uri, found none")
                 data = self.body
             # Chunks and some exporters' files are padded to a multiple of four.
             right = length <= len(data) < length + 4
-            expect(right, f"{where}: expected {length} bytes as it says, found {len(data)}")
+            buffer.expect(right, f"expected {length} bytes as it says, found {len(data)}")
             self.buffers[index] = data[:length]
         return self.buffers[index]
 
@@ -387,13 +390,3 @@ class _Reader:
             except FileError as error:
                 raise Refusal(f"{where}: {error}") from None
         return self.files[uri]
-
-
-def _assembled(corners: Ints, mode: int, where: str) -> Triangles:
-    if mode == _TRIANGLES:
-        expect(len(corners) % 3 == 0, f"{where}: expected three corners a triangle, found {len(corners)} corners")
-        return corners.reshape(-1, 3)
-    expect(len(corners) >= 3, f"{where}: expected at least 3 corners, found {len(corners)}")
-    if mode == _STRIP:
-        return strip(corners)
-    return np.stack([np.broadcast_to(corners[0], len(corners) - 2), corners[1:-1], corners[2:]], axis=1)

@@ -7,7 +7,7 @@ import numpy as np
 
 from loewner._base._validate import Floats, Ints
 from loewner.meshes.files.parts import Refusal, Tell, Triangles, cut, expect, quoted
-from loewner.meshes.files.text import floats, in_line, integers, is_integer, remarks, tell_unit
+from loewner.meshes.files.text import floats, in_line, integers, is_integer, remarks, tell_unit, with_line_feeds
 
 # Number of bytes that are split into words at a time; the words take about twenty times as much memory.
 BLOCK = 1 << 23
@@ -72,20 +72,17 @@ def read(data: bytes, tell: Tell) -> tuple[Floats, Triangles]:
     vertices = np.concatenate(points)[:, :3].copy() if points else np.empty((0, 3))
     if not corners:
         return vertices, np.empty((0, 3), dtype=np.int64)
-    all_corners, all_sizes = np.concatenate(corners), np.concatenate(sizes)
+    all_corners, all_sizes, places = map(np.concatenate, (corners, sizes, lines))
     if all_corners.max() >= total:
-        k = int(np.flatnonzero(all_corners >= total)[0])
-        where = int(np.repeat(np.concatenate(lines), all_sizes)[k])
+        k = int((all_corners >= total).argmax())
+        where = int(np.repeat(places, all_sizes)[k])
         raise Refusal(f"expected a face of vertices 1..{total}, found {all_corners[k] + 1}", where)
-    places = np.concatenate(lines)
     return vertices, cut(vertices, all_corners, all_sizes, tell, lambda k: f"line {places[k]}")
 
 
 def _plain(data: bytes) -> bytes:
     """Return the text with plain line ends and continued lines joined; all other lines keep their numbers."""
-    data = data.removeprefix(b"\xef\xbb\xbf")
-    if b"\r" in data:
-        data = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
+    data = with_line_feeds(data.removeprefix(b"\xef\xbb\xbf"))
     if b"\\\n" in data:
         # A continued line is joined with the next line; blank lines follow, so that all later lines keep their numbers.
         data = re.sub(rb"(?:[^\n]*\\\n)+[^\n]*", _continued, data)

@@ -33,7 +33,10 @@ def read(data: bytes, tell: Tell) -> tuple[Floats, Triangles]:
     )
     points = np.empty((v, 3))
     if v:
-        points = _vertices(lines[1 : 1 + v], numbers[1 : 1 + v], _WIDTHS[word])
+        width, widths = len(lines[1]), _WIDTHS[word]
+        expect(width in widths, f"expected a vertex of {widths[0]} numbers, found {width}", numbers[1])
+        wanted = f"a vertex of {width} numbers as the first"
+        points = table_of(lines[1 : 1 + v], numbers[1 : 1 + v], width, wanted)[:, :3].copy()
     corners, sizes = _faces(lines[1 + v :], numbers[1 + v :], v)
     return points, cut(points, corners, sizes, tell, lambda k: f"line {numbers[1 + v + k]}")
 
@@ -62,9 +65,3 @@ def _face(line: list[bytes], number: int, count: int) -> Ints:
     check_range(corners, count, "a face", number)
     in_line(number, floats, line[1 + size :])
     return corners
-
-
-def _vertices(lines: list[list[bytes]], numbers: list[int], widths: tuple[int, ...]) -> Floats:
-    width = len(lines[0])
-    expect(width in widths, f"expected a vertex of {widths[0]} numbers, found {width}", numbers[0])
-    return table_of(lines, numbers, width, f"a vertex of {width} numbers as the first")[:, :3].copy()

@@ -45,37 +45,41 @@ class _Element:
         return set(names) <= {p.name for p in self.properties if p.length is None}
 
 
+def _no_integers() -> Ints:
+    return np.empty(0, dtype=np.int64)
+
+
 @dataclass
 class _Content:
     """The content of an element: its scalars, and its lists of corners in concatenated form."""
 
     scalars: dict[str, Any]
-    corners: Ints
-    sizes: Ints
+    corners: Ints = field(default_factory=_no_integers)
+    sizes: Ints = field(default_factory=_no_integers)
 
 
 def read(data: bytes, tell: Tell) -> tuple[Floats, Triangles]:
     """Read vertices as stored, and polygons as triangles."""
     order, elements, start = _header(data)
     tell_unit(b"\n".join(line for line in data[:start].split(b"\n") if line.startswith(_COMMENTS)), tell)
-    vertex = [e for e in elements if e.name == "vertex"]
-    face = [e for e in elements if e.name == "face"]
-    expect(len(vertex) == 1 and vertex[0].has("x", "y", "z"), "expected one element vertex with x, y and z")
+    vertex, face = ([k for k, e in enumerate(elements) if e.name == name] for name in ("vertex", "face"))
+    right = len(vertex) == 1 and elements[vertex[0]].has("x", "y", "z")
+    expect(right, "expected one element vertex with x, y and z")
     expect(len(face) <= 1, f"expected one element face, found {len(face)}")
     for other in elements:
         lists = any(p.length is not None for p in other.properties)
         polygons = lists and other.count and other.name not in ("vertex", "face", *_HARMLESS)
         expect(not polygons, f"expected faces, found lists in {quoted(other.name)}, which are not read", other.line)
     contents = _text(data, start, elements) if not order else _binary(data, start, elements, order)
-    xyz = contents[elements.index(vertex[0])].scalars
+    xyz = contents[vertex[0]].scalars
     points = np.stack([np.asarray(xyz[k], dtype=np.float64) for k in "xyz"], axis=1)
     if not face:
         return points, np.empty((0, 3), dtype=np.int64)
-    corners, sizes = (lambda c: (c.corners, c.sizes))(contents[elements.index(face[0])])
-    if len(sizes) and sizes.min() < 3:
-        k = int(np.flatnonzero(sizes < 3)[0])
+    corners, sizes = contents[face[0]].corners, contents[face[0]].sizes
+    if sizes.min(initial=3) < 3:
+        k = int(np.argmax(sizes < 3))
         raise Refusal(f"face {k}: expected at least 3 corners, found {sizes[k]}")
-    check_range(corners, vertex[0].count, "a face")
+    check_range(corners, len(points), "a face")
     return points, cut(points, corners, sizes, tell, lambda k: f"face {k}")
 
 
@@ -94,15 +98,17 @@ def _header(data: bytes) -> tuple[str, list[_Element], int]:
         elif not words or words[0].encode() in _COMMENTS:
             continue
         elif words[0] == "format" and order is None and len(words) == 3:
-            expect(
-                words[1] in _FORMATS and words[2] == "1.0", f"expected a format of PLY 1.0, found {words[1:]}", number
-            )
-            order = _FORMATS[words[1]]
+            order = _FORMATS.get(words[1]) if words[2] == "1.0" else None
+            expect(order is not None, f"expected a format of PLY 1.0, found {words[1:]}", number)
         elif words[0] == "element" and len(words) == 3:
             expect(words[2].isascii() and words[2].isdigit() and len(words[2]) < 16, "expected a count", number)
             elements.append(_Element(words[1], int(words[2]), number))
         elif words[0] == "property" and elements:
-            _add_property(elements[-1], words[1:], number)
+            added, others = _property(words[1:], number), elements[-1].properties
+            taken = {p.name for p in others}
+            expect(len(others) < MOST_PROPERTIES, f"expected at most {MOST_PROPERTIES} properties, found more", number)
+            expect(added.name not in taken, f"expected {quoted(added.name)} once, found it twice", number)
+            others.append(added)
         elif words == ["end_header"]:
             break
         else:
@@ -111,40 +117,18 @@ def _header(data: bytes) -> tuple[str, list[_Element], int]:
         raise Refusal("expected a line with the format in the header, found none")
     for element in elements:
         lists = [p for p in element.properties if p.name in _CORNERS and p.length is not None]
-        right = len(lists) == 1 and lists[0].type[0] in "iu"
-        expect(
-            element.name != "face" or right,
-            "expected a face with one list of whole numbers, vertex_indices",
-            element.line,
-        )
+        if element.name == "face" and not (len(lists) == 1 and lists[0].type[0] in "iu"):
+            raise Refusal("expected a face with one list of whole numbers, vertex_indices", element.line)
     return order, elements, position
 
 
-def _add_property(element: _Element, words: list[str], number: int) -> None:
-    if (
-        len(words) == 4
-        and words[0] == "list"
-        and words[1] in _TYPES
-        and words[2] in _TYPES
-        and _TYPES[words[1]][0] != "f"
-    ):
-        added = _Property(words[3], _TYPES[words[2]], _TYPES[words[1]])
-    else:
-        expect(len(words) == 2 and words[0] in _TYPES, f"expected a property, found {quoted(' '.join(words))}", number)
-        added = _Property(words[1], _TYPES[words[0]])
-    expect(
-        len(element.properties) < MOST_PROPERTIES, f"expected at most {MOST_PROPERTIES} properties, found more", number
-    )
-    expect(
-        added.name not in {p.name for p in element.properties},
-        f"expected {quoted(added.name)} once, found it twice",
-        number,
-    )
-    element.properties.append(added)
-
-
-def _end(have: int, want: int, what: str) -> None:
-    expect(have == want, f"expected {want} {what} as its header says, found {have}")
+def _property(words: list[str], number: int) -> _Property:
+    """Read the words of a property in a line of the header."""
+    kinds = [_TYPES.get(word, "") for word in words]
+    if len(words) == 4 and words[0] == "list" and kinds[1] and kinds[2] and kinds[1][0] != "f":
+        return _Property(words[3], kinds[2], kinds[1])
+    expect(len(words) == 2 and kinds[0], f"expected a property, found {quoted(' '.join(words))}", number)
+    return _Property(words[1], kinds[0])
 
 
 # -- text ---------------------------------------------------------------------------------------
@@ -156,7 +140,7 @@ def _text(data: bytes, start: int, elements: list[_Element]) -> list[_Content]:
     numbers = [n + before for n in numbers]
     # The lines of an element without properties are empty, and not included here.
     wanted = [e.count if e.properties else 0 for e in elements]
-    _end(len(lines), sum(wanted), "lines")
+    expect(len(lines) == sum(wanted), f"expected {sum(wanted)} lines as its header says, found {len(lines)}")
     contents, first = [], 0
     for element, count in zip(elements, wanted, strict=True):
         contents.append(_text_element(element, lines[first : first + count], numbers[first : first + count]))
@@ -170,7 +154,7 @@ def _text_element(element: _Element, lines: list[list[bytes]], numbers: list[int
     scalars: dict[str, Any] = {p.name: np.empty(0) for p in properties if p.length is None}
     if not any(p.length for p in properties):
         table = table_of(lines, numbers, len(properties), f"{len(properties)} numbers for a {element.name}")
-        return _Content(dict(zip(scalars, table.T, strict=True)), _no_integers(), _no_integers())
+        return _Content(dict(zip(scalars, table.T, strict=True)))
     if len(properties) == 1 and lines and len(set(map(len, lines))) == 1 and properties[0].name in _CORNERS:
         with suppress(Refusal):  # the refusal is reported below, with its line
             lengths = integers([line[0] for line in lines])
@@ -182,16 +166,13 @@ def _text_element(element: _Element, lines: list[list[bytes]], numbers: list[int
     for line, number in zip(lines, numbers, strict=True):
         k = 0
         for p in properties:
-            message = f"expected more numbers for a {element.name}, found {len(line)}"
-            expect(k < len(line), message, number)
+            expect(k < len(line), f"expected more numbers for a {element.name}, found {len(line)}", number)
             if p.length is None:
                 columns[p.name].append(line[k])
                 k += 1
                 continue
-            size = int(in_line(number, integers, line[k : k + 1])[0])
-            expect(
-                0 <= size <= len(line) - k - 1, f"expected a list of {size} numbers, found {len(line) - k - 1}", number
-            )
+            size, left = int(in_line(number, integers, line[k : k + 1])[0]), len(line) - k - 1
+            expect(0 <= size <= left, f"expected a list of {size} numbers, found {left}", number)
             values = line[k + 1 : k + 1 + size]
             if p.name in _CORNERS:
                 corners.extend(values)
@@ -209,10 +190,6 @@ def _text_element(element: _Element, lines: list[list[bytes]], numbers: list[int
         raise Refusal(f"{element.name}: {refusal}") from None
 
 
-def _no_integers() -> Ints:
-    return np.empty(0, dtype=np.int64)
-
-
 # -- binary -------------------------------------------------------------------------------------
 
 
@@ -221,37 +198,34 @@ def _binary(data: bytes, start: int, elements: list[_Element], order: str) -> li
     for element in elements:
         content, start = _binary_element(element, data, start, order)
         contents.append(content)
-    _end(len(data), start, "bytes")
+    expect(len(data) == start, f"expected {start} bytes as its header says, found {len(data)}")
     return contents
 
 
 def _binary_element(element: _Element, data: bytes, start: int, order: str) -> tuple[_Content, int]:
     """Read a binary element and its end; lists are assumed to be as long as in the first row until a row differs."""
-    row = _layout(element, data, start, order) if element.count else []
+    count = element.count
+    if not count or not element.properties:
+        return _Content({p.name: np.empty(0) for p in element.properties if p.length is None}), start
+    row = _layout(element, data, start, order)
     if row is None:
-        raise Refusal(
-            f"element {element.name}: expected {element.count} of them as its header says, found the file's end"
-        )
+        raise Refusal(f"element {element.name}: expected {count} of them as its header says, found the file's end")
     size = sum(np.dtype(kind).itemsize * (1 if length is None else length) for _, kind, length in row)
-    room = size * element.count <= len(data) - start
-    lists = any(p.length for p in element.properties)
-    if not lists:
-        expect(room, f"element {element.name}: expected {element.count} of {size} bytes each, found the file's end")
-    if room and element.count and size:
+    room = size * count <= len(data) - start
+    if not any(p.length for p in element.properties):
+        expect(room, f"element {element.name}: expected {count} of {size} bytes each, found the file's end")
+    if room:
         dtype = np.dtype([(f"{k}", kind, () if n is None else (n,)) for k, (_, kind, n) in enumerate(row)])
-        table = np.frombuffer(data, dtype, count=element.count, offset=start)
+        table = np.frombuffer(data, dtype, count=count, offset=start)
         lengths = [(k, row[k + 1][2]) for k, (name, _, _) in enumerate(row) if name is None]
         if all((table[f"{k}"] == length).all() for k, length in lengths):
             scalars = {name: table[f"{k}"] for k, (name, _, n) in enumerate(row) if name is not None and n is None}
-            corners, sizes = _no_integers(), _no_integers()
+            content = _Content(scalars)
             for k, (name, _, n) in enumerate(row):
                 if n is not None and name in _CORNERS:
                     corners = table[f"{k}"].astype(np.int64).reshape(-1)
-                    sizes = np.full(element.count, n, dtype=np.int64)
-            return _Content(scalars, corners, sizes), start + size * element.count
-    if not element.count or not size:
-        scalars = {p.name: np.empty(0) for p in element.properties if p.length is None}
-        return _Content(scalars, _no_integers(), _no_integers()), start
+                    content = _Content(scalars, corners, np.full(count, n, dtype=np.int64))
+            return content, start + size * count
     return _binary_rows(element, data, start, order)
 
 

@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Callable, Sequence
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,26 +30,29 @@ def is_integer(token: bytes) -> bool:
 
 def floats(tokens: Sequence[bytes]) -> Floats:
     """Convert tokens to numbers, where 1e400 becomes infinity; refuse the first token that is not a number."""
-    try:
-        numbers = np.fromiter(map(float, tokens), dtype=np.float64, count=len(tokens))
-        if b"_" not in b"".join(tokens):
-            return numbers
-    except ValueError:
-        pass
-    bad = next(token for token in tokens if not is_float(token))
-    raise Refusal(f"expected a number, found {quoted(bad)}")
+    numbers = _converted(tokens, float, np.float64)
+    if numbers is None:
+        bad = next(token for token in tokens if not is_float(token))
+        raise Refusal(f"expected a number, found {quoted(bad)}")
+    return numbers
 
 
 def integers(tokens: Sequence[bytes]) -> Ints:
     """Convert tokens to integers; refuse the first token that is not an integer or is absurdly large."""
+    numbers = _converted(tokens, int, np.int64)
+    if numbers is None:
+        bad = next((token for token in tokens if not is_integer(token)), max(tokens, key=len, default=b""))
+        raise Refusal(f"expected a whole number, found {quoted(bad)}")
+    return numbers
+
+
+def _converted(tokens: Sequence[bytes], read: Callable[[bytes], Any], kind: type[T]) -> NDArray[T] | None:
+    """Convert tokens by one of Python's readers, which would accept underscores; None if a token is no such number."""
     try:
-        numbers = np.fromiter(map(int, tokens), dtype=np.int64, count=len(tokens))
-        if b"_" not in b"".join(tokens):
-            return numbers
+        numbers = np.fromiter(map(read, tokens), dtype=kind, count=len(tokens))
     except (ValueError, OverflowError):
-        pass
-    bad = next((token for token in tokens if not is_integer(token)), max(tokens, key=len, default=b""))
-    raise Refusal(f"expected a whole number, found {quoted(bad)}")
+        return None
+    return None if b"_" in b"".join(tokens) else numbers
 
 
 def in_line(number: int, convert: Callable[[Sequence[bytes]], NDArray[T]], tokens: Sequence[bytes]) -> NDArray[T]:
@@ -90,11 +93,14 @@ def remarks(data: bytes) -> bytes:
     return b"\n".join(re.findall(rb"#[^\r\n]*", data))
 
 
+def with_line_feeds(data: bytes) -> bytes:
+    """Return a text whose lines, which may end in LF, CR LF or CR, all end in LF."""
+    return data.replace(b"\r\n", b"\n").replace(b"\r", b"\n") if b"\r" in data else data
+
+
 def plain_lines(data: bytes) -> list[bytes]:
     """Split a text into lines, which end in LF, CR LF or CR."""
-    if b"\r" in data:
-        data = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
-    return data.split(b"\n")
+    return with_line_feeds(data).split(b"\n")
 
 
 def data_lines(data: bytes, comment: bytes | None = None) -> tuple[list[list[bytes]], list[int]]:
