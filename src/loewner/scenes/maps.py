@@ -14,6 +14,7 @@ import numpy as np
 from loewner._base import _files, _validate
 from loewner._base._nodes import YamlNode, read_yaml
 from loewner._base._plausible import warn
+from loewner._base._rotations import pose_of
 from loewner._base._validate import Bools, Floats, Ints
 from loewner.bodies import Body
 from loewner.errors import FileError, imported
@@ -193,7 +194,6 @@ def _grey_by_pillow(data: bytes, file: Path) -> tuple[Ints, int]:
 
 def corner(grid: Map) -> Floats:
     """Compute the pose of a map's lowest corner, shape (4, 4)."""
-    T = np.eye(4)
-    cosine, sine = math.cos(grid.origin[2]), math.sin(grid.origin[2])
-    T[:2, :2], T[:2, 3] = [[cosine, -sine], [sine, cosine]], grid.origin[:2]
-    return T
+    x, y, yaw = grid.origin.tolist()
+    cosine, sine = math.cos(yaw), math.sin(yaw)
+    return pose_of(np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]]), [x, y, 0.0])

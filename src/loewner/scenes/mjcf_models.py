@@ -166,7 +166,7 @@ def compiled_model(model: Any, data: Any, file: Path, tol: float, *, couplings: 
         Whether a joint follows the joint to which an equality couples it.
     """
     mujoco = _mujoco()
-    names = _Names(mujoco, model)
+    names = _Names(model)
     active = np.asarray(model.eq_active0 if data is None else data.eq_active) != 0
     mimics = _couplings(mujoco, model, names, active) if couplings else {}
     unread = _unread(mujoco, model)
@@ -229,7 +229,7 @@ def _compiled(file: Path) -> Any:
         return mujoco.MjModel.from_xml_path(os.fspath(file))
     except Exception as error:  # usually a ValueError, but MuJoCo's own code or a lack of memory may raise any error
         reason = " ".join(str(error).split())
-        raise FileError(f"{file}: expected an MJCF file, found what MuJoCo refuses ({reason})") from None
+        raise FileError(f"{file}: expected an MJCF file, found a file that MuJoCo refuses ({reason})") from None
 
 
 def _unread(mujoco: Any, model: Any) -> dict[str, int]:
@@ -268,7 +268,7 @@ def _narrower(mujoco: Any, model: Any) -> int:
 class _Names:
     """Names of bodies, joints, geoms and keyframes, unique within their kind; kind and index replace a missing name."""
 
-    def __init__(self, mujoco: Any, model: Any) -> None:
+    def __init__(self, model: Any) -> None:
         self.bodies = _named([model.body(i).name for i in range(model.nbody)], "body")
         self.joints = _named([model.jnt(i).name for i in range(model.njnt)], "joint")
         self.geoms = _named([model.geom(i).name for i in range(model.ngeom)], "geom")
@@ -407,8 +407,7 @@ def _shape(kinds: Any, model: Any, geom: int, tol: float) -> Body:
         return _terrain(model, int(model.geom_dataid[geom]))
     raise InputError(
         "expected a sphere, capsule, ellipsoid, cylinder, box, plane, mesh or height field, found a signed distance "
-        "field; take it out of the model (contype='0' conaffinity='0'), and add a mesh of it to a scene by "
-        "Body.from_surface"
+        "field; disable it (contype='0' conaffinity='0'), and add a mesh of it to a scene by Body.from_surface"
     )
 
 

@@ -266,8 +266,7 @@ class Scene:
 
     @property
     def structure_version(self) -> int:
-        """A number that grows with every change except changes to poses and motions, which leave other prepared data
-        valid."""
+        """A number that grows with every change, except of a pose or a motion, which leaves other data valid."""
         return self._structure_version
 
     def pose(self, name: str) -> Floats:
@@ -407,7 +406,7 @@ class Scene:
         with _CHANGING:
             if name in self._bodies:
                 raise InputError(
-                    f"name: expected a new name, found {name!r}, which the scene has already; replace or remove it"
+                    f"name: expected a new name, found {name!r}, which is taken; replace or remove the body"
                 )
             self._bodies[name] = body
             self._poses[name] = T
@@ -773,7 +772,7 @@ class Scene:
         if unseen:
             warn(
                 f"attach of {name!r}: {', '.join(map(_text, unseen))} stay allowed to touch by Scene.allow, so that "
-                "motions are proven without them; name in leave=[...] what the body stands on, or forbid the pair"
+                "proofs of motions ignore them; name the support of the body in leave=[...], or forbid the pair"
             )
 
     def detach(self, name: str, T_world_body: ArrayLike | None) -> None:
@@ -833,9 +832,7 @@ class Scene:
         pair = _pair(a, b)
         with _CHANGING:
             if pair not in self._allowed:
-                raise _validate.unknown_name(
-                    "allowed pair", _text(pair), (_text(allowed) for allowed in sorted(self._allowed))
-                )
+                raise _validate.unknown_name("allowed pair", _text(pair), map(_text, sorted(self._allowed)))
             self._allowed.remove(pair)
             self._changed()
 
@@ -1238,13 +1235,12 @@ class Scene:
         if self._known(name) in self._attachments:
             link = self._attachments[name].link
             raise InputError(
-                f"{name!r}: expected a body that stands in the world, found one attached to link {link!r}; detach it, "
-                "or attach it anew to place it otherwise on a link"
+                f"{name!r}: expected a body that stands in the world, found one on link {link!r}; detach or reattach it"
             )
         if name in self._following:
             raise InputError(
-                f"{name!r}: expected a body that stands in the world, found one that follows a motion; see "
-                "Scene.following for its poses, and detach to stop it"
+                f"{name!r}: expected a body that stands in the world, found one that follows a motion; "
+                "Scene.following has its poses, and detach stops it"
             )
         return str(name)
 

@@ -43,27 +43,27 @@ def _half_space(entry: Node) -> Recipe:
 
 def _cloud(entry: Node) -> Recipe:
     keys = entry.mapping(*keys_of("cloud"))
-    file = _file(keys["file"])
+    file = file_of(keys["file"])
     sizes = {key: keys[key].number() for key in ("radius", "voxel") if key in keys}
     return (file, *sizes.items()), lambda: Body.from_cloud(read_array(file), **sizes)
 
 
 def _voxels(entry: Node) -> Recipe:
     keys = entry.mapping(*keys_of("voxels"))
-    file, size = _file(keys["file"]), keys["size"].number()
+    file, size = file_of(keys["file"]), keys["size"].number()
     origin = keys["origin"].numbers(3) if "origin" in keys else [0.0] * 3
     return (file, size, *origin), lambda: Body.from_voxels(read_array(file), size, origin=origin)
 
 
 def _height_field(entry: Node) -> Recipe:
     keys = entry.mapping(*keys_of("height_field"))
-    file, spacing = _file(keys["file"]), keys["spacing"].numbers(2)
+    file, spacing = file_of(keys["file"]), keys["spacing"].numbers(2)
     base = keys["base"].number() if "base" in keys else None
     return (file, *spacing, base), lambda: Body.height_field(read_array(file), spacing, base=base)
 
 
 def _octree(entry: Node) -> Recipe:
-    file = _file(entry)
+    file = file_of(entry)
     return (file,), functools.partial(Body.from_octree, file)
 
 
@@ -78,7 +78,7 @@ SENSOR_SHAPES: dict[str, Callable[[Node], Recipe]] = {
 }
 
 
-def _file(entry: Node) -> Path:
+def file_of(entry: Node) -> Path:
     """Return the path of a file that is given relative to the scene's file."""
     name = entry.text()
     with entry.blamed():

@@ -23,7 +23,7 @@ from loewner.bodies import ARRAYS, CURVED, Body, body_of_file, checksum_of, pack
 from loewner.errors import FileError
 from loewner.scenes.files.mjcf_scenes import MJCF_SUFFIXES, mjcf_scene
 from loewner.scenes.files.schema import BODY, SCHEMA, keys_in, keys_of
-from loewner.scenes.files.sensor_shapes import SENSOR_SHAPES
+from loewner.scenes.files.sensor_shapes import SENSOR_SHAPES, file_of
 from loewner.scenes.scene import MarginKey, Scene
 
 Maker = Callable[..., Body]
@@ -173,12 +173,10 @@ def save_scene(scene: Scene, path: str | PathLike[str]) -> None:
     # YAML reads U+0085 as a space or a line end, unless it is escaped.
     readable = "\\x85" not in repr(document)  # in names of bodies and links
     text = yaml.safe_dump(document, sort_keys=False, default_flow_style=None, allow_unicode=readable, width=120)
-    data = text.encode()
-    if len(data) > MOST_BYTES or _entries(document) > MOST_ENTRIES:
-        raise FileError(
-            f"{shown(file)}: expected a scene of at most {MOST_BYTES} bytes and {MOST_ENTRIES} entries, found "
-            f"{len(data)} and {_entries(document)}"
-        )
+    data, count = text.encode(), _entries(document)
+    if len(data) > MOST_BYTES or count > MOST_ENTRIES:
+        most = f"{MOST_BYTES} bytes and {MOST_ENTRIES} entries"
+        raise FileError(f"{shown(file)}: expected a scene of at most {most}, found {len(data)} and {count}")
     with replacing(file) as temporary:
         for name, body in saved.items():
             body.save(file.parent / name)
@@ -199,11 +197,9 @@ def _document(scene: Scene, file: Path) -> tuple[dict[str, Any], dict[str, Body]
         if shape is None:
             digest = checksum_of(body)
             plain = re.sub(r"[^A-Za-z0-9_.-]", "_", name)[:LONGEST_NAME]
-            shape = saved[id(body)] = {
-                "saved": named_by_content(f"{file.stem}-{plain}", digest, ".npz"),
-                "sha256": digest,
-            }
-            files[shape["saved"]] = body
+            file_name = named_by_content(f"{file.stem}-{plain}", digest, ".npz")
+            shape = saved[id(body)] = {"saved": file_name, "sha256": digest}
+            files[file_name] = body
         bodies[name] = {**shape, **_place_of(scene, name)}
         if (name,) in scene.margins and (name,) not in scene.lowered:
             bodies[name]["margin"] = scene.margins[(name,)]
@@ -312,9 +308,7 @@ def _recipe(shape: str, keys: dict[str, YamlNode]) -> tuple[Any, Callable[[], Bo
     if shape in SENSOR_SHAPES:
         recipe, make_sensed = SENSOR_SHAPES[shape](entry)
         return (shape, *recipe), make_sensed
-    name = entry.text()
-    with entry.blamed():
-        file = entry.file.parent / _validate.path(name, shape)
+    file = file_of(entry)
     if shape == "saved":
         digest = _digest(keys["sha256"]) if "sha256" in keys else None
         return (shape, file, digest), functools.partial(body_of_file, file, digest)
@@ -420,8 +414,9 @@ def _place_of(scene: Scene, name: str) -> dict[str, Any]:
     Quaternions of a motion are written to the last digit; they are normalised when they are read.
     """
     bounds = scene.bounds.get(name)
-    exact = bounds is None or not (bounds.metres or bounds.radians)
-    error = {} if exact or bounds is None else {"error": [bounds.metres, bounds.radians]}
+    error = {}
+    if bounds is not None and (bounds.metres or bounds.radians):
+        error = {"error": [bounds.metres, bounds.radians]}
     if name in scene.following:
         path = scene.following[name]
         rows = zip(path.times.tolist(), path.positions.tolist(), path.quaternions.tolist(), strict=True)
