@@ -520,7 +520,7 @@ def costs(
     >>> [text.get_text() for text in ax.get_legend().get_texts()]
     ['ours', 'theirs']
     """
-    x = _validate.positive_vector(sizes, "sizes", None)
+    x = _validate.positive_array(sizes, "sizes", (None,))
     if len(x) == 0:
         raise InputError("sizes: expected one or more, found none")
     curves = {name: _times(times, name, len(x)) for name, times in _named(seconds, "seconds").items()}

@@ -191,11 +191,9 @@ def numbers(data: bytes, name: str, what: str) -> NDArray[Any]:
     stop = start + int.from_bytes(data[len(MAGIC) + 2 : start], "little")
     try:
         header = _parsed(data[start : min(stop, start + LONGEST_HEADER)], name, "biuf")
-        if len(data) - stop != header.nbytes:
-            raise InputError(
-                f"{name}: expected {header.nbytes} bytes of numbers for shape {header.shape}, "
-                f"found {max(len(data) - stop, 0)}"
-            )
+        size = max(len(data) - stop, 0)
+        if size != header.nbytes:
+            raise InputError(f"{name}: expected {header.nbytes} bytes for shape {header.shape}, found {size}")
         order: Any = "F" if header.fortran_order else "C"
         return np.ndarray(header.shape, header.dtype, data, stop, order=order).copy(order="K")
     except (ValueError, TypeError) as error:  # includes InputError; extreme types and shapes raise other errors
@@ -258,8 +256,7 @@ def _from_archive(archive: zipfile.ZipFile, name: str, kind: Format, wanted: str
         raise FileError(f"{name}: the content does not match its checksum; the file is damaged or was altered")
     if wanted not in (None, checksum):
         raise FileError(
-            f"{name}: expected {kind.what} with the checksum {wanted}, found {checksum}; the file was written anew or "
-            "replaced by another"
+            f"{name}: expected {kind.what} with the checksum {wanted}, found {checksum}; the file has changed"
         )
     for member in kind.arrays:  # the default integer type differs between systems
         told[member] = np.ascontiguousarray(told[member], dtype=np.int64 if member in kind.integers else np.float64)
@@ -322,11 +319,9 @@ def _header_of(member: IO[bytes], info: zipfile.ZipInfo) -> _Header:
         raise InputError(f"{info.filename}: expected an array in NumPy's format 1.0, found something else")
     length = int.from_bytes(start[8:], "little")
     header = _parsed(member.read(length), info.filename, "fiuU")
-    if info.file_size != len(start) + length + header.nbytes:
-        raise InputError(
-            f"{info.filename}: expected {len(start) + length + header.nbytes} bytes for shape {header.shape}, "
-            f"found {info.file_size}"
-        )
+    size = len(start) + length + header.nbytes
+    if info.file_size != size:
+        raise InputError(f"{info.filename}: expected {size} bytes for shape {header.shape}, found {info.file_size}")
     return header
 
 

@@ -36,7 +36,7 @@ def meant(error: BaseException) -> BaseException:
     if isinstance(cause, MemoryError) and not isinstance(cause, LoewnerError):
         there, which = _memory.left()
         return MemoryLimitError(
-            f"expected memory enough for this call, found too little: {str(cause) or 'an allocation failed'} "
+            f"expected enough memory for this call, found too little: {str(cause) or 'an allocation failed'} "
             f"({there / 2**30:.3g} GiB{which}); ask for less at a time"
         )
     return cause

@@ -1,10 +1,13 @@
-"""The logger for work that takes long; it is silent unless the program that uses the library configures logging."""
+"""The logger for work that takes long, and reports of its progress.
+
+The logger is silent unless the program that uses the library configures logging.
+"""
 
 from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
@@ -25,3 +28,20 @@ def logged(work: str, *values: Any, least: int = 0) -> Iterator[None]:
     began = time.perf_counter()
     yield
     log.info(f"{work}: %.3g s", *values, time.perf_counter() - began)
+
+
+class Percentage:
+    """A percentage of work that is reported to a callback and never decreases."""
+
+    def __init__(self, progress: Callable[[int, int], None]) -> None:
+        self._progress, self._told = progress, 0
+
+    def report(self, share: float = 0.0) -> None:
+        """Report a share of the work, at most 99 %, or the last one again, so that the callback may interrupt."""
+        self._told = max(self._told, min(99, int(100 * share)))
+        self._progress(self._told, 100)
+
+    def done(self) -> None:
+        """Report that the work is done."""
+        self._told = 100
+        self.report()

@@ -7,7 +7,7 @@ fixed order. Sines and logarithms are in `_elementary`.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -79,6 +79,12 @@ def least_of(values: Floats, owner: Ints, count: int) -> Floats:
     least = np.full(count, np.inf)
     np.minimum.at(least, owner, values)
     return least
+
+
+def slices(total: int, most: int) -> Iterator[slice]:
+    """Divide `total` rows into slices of at most `most` rows, or of one row if `most` is less than 1."""
+    step = max(1, most)
+    return (slice(first, first + step) for first in range(0, total, step))
 
 
 def components(count: int, one: Ints, other: Ints) -> Ints:
@@ -171,7 +177,7 @@ def _turn(aa: float, bb: float, ab: float) -> tuple[float, float] | None:
 
 
 def _turn_of_each(aa: Floats, bb: Floats, ab: Floats) -> tuple[Floats, Floats] | None:
-    """Do the same as `_turn` for many pairs of columns; orthogonal pairs get the cosine 1 and the sine 0."""
+    """Compute the turns of many pairs of columns, as `_turn` does; orthogonal pairs get the cosine 1 and the sine 0."""
     off = np.abs(ab) > ORTHOGONAL * np.sqrt(aa) * np.sqrt(bb)
     if not off.any():
         return None

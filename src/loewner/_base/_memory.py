@@ -74,10 +74,8 @@ def expect_place(*names: str) -> None:
         sizes = NUMBA if there_is_room and library.level() is None else LIBRARY
         wanted = sum(sizes[name] for name in missing)
         if there < wanted:
-            raise MemoryLimitError(
-                f"expected {wanted >> 20} MiB of address space to load {' and '.join(missing)}, found "
-                f"{there / 2**20:.3g} MiB{which}"
-            )
+            what = f"{wanted >> 20} MiB of address space to load {' and '.join(missing)}"
+            raise MemoryLimitError(f"expected {what}, found {there / 2**20:.3g} MiB{which}")
         _expected.update(missing)
 
 

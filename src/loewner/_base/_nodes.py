@@ -123,7 +123,7 @@ class Node(ABC):
         """Return places by key; missing and duplicate keys are errors, as are unknown keys unless `known` is None."""
         places: dict[str, Self] = {}
         for raw_key, raw in self.expect("mapping", "a mapping"):
-            key = raw_key if type(raw_key) is str else self._key(raw_key)
+            key = raw_key if type(raw_key) is str else str(self._at(raw_key).expect("scalar", "a name as key"))
             if known is not None and key not in known:
                 raise self._at(raw_key).error(f"expected keys among {', '.join(known)}, found {cut(repr(key))}")
             if key in places:
@@ -137,9 +137,6 @@ class Node(ABC):
     def _at(self, raw_key: Any) -> Self:
         """Return the place of a key; its errors name the mapping."""
         return type(self)(self.file, raw_key, self._above, self._name)
-
-    def _key(self, raw_key: Any) -> str:
-        return str(self._at(raw_key).expect("scalar", "a name as key"))
 
     def items(self, *lengths: int, names: str = "") -> list[Self]:
         """Return the places of a sequence, which has one of the given lengths, or any length if none is given.
@@ -334,9 +331,7 @@ class YamlNode(Node):
         if self.raw.style is not None or not NUMBER.fullmatch(value):
             return self.finite(math.nan)
         if OCTAL.fullmatch(value) and not ("8" not in value and "9" not in value and int(value, 8) == int(value)):
-            raise self.error(
-                f"expected a number without leading zeros, which YAML 1.1 reads as octal, found {cut(value)}"
-            )
+            raise self.error(f"expected a number without leading zeros, octal in YAML 1.1, found {cut(value)}")
         return self.finite(float(value))
 
     def flag(self) -> bool:

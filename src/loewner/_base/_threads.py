@@ -142,7 +142,7 @@ def processors() -> int:
 
 
 def share(total: int, least: int) -> int:
-    """Return the most items in a share, at least `least`; several shares per thread keep the last one short."""
+    """Return the largest size of a share, at least `least`; each thread gets several, so that the last one is short."""
     threads = get_num_threads()
     return ALONE * least if threads == 1 else max(least, -(-total // (4 * threads)))
 

@@ -95,9 +95,9 @@ def integer_array(x: ArrayLike, name: str) -> Ints:
 def plain_array(x: ArrayLike, name: str) -> NDArray[Any]:
     """Make an array of the entries of `x`, of any type; refuse masked entries, which represent missing numbers."""
     if isinstance(x, (np.ma.MaskedArray, list, tuple)):
-        for part in x if isinstance(x, (list, tuple)) else (x,):
-            if isinstance(part, np.ma.MaskedArray) and np.ma.is_masked(part):
-                raise InputError(f"{name}: expected numbers only, found masked entries")
+        parts = x if isinstance(x, (list, tuple)) else (x,)
+        if any(isinstance(part, np.ma.MaskedArray) and np.ma.is_masked(part) for part in parts):
+            raise InputError(f"{name}: expected numbers only, found masked entries")
     if type(x) is not np.ndarray:
         _refuse_quantity(x, name)
     if isinstance(x, (str, bytes, bytearray)):  # NumPy would convert a bytearray to an array of its bytes
@@ -175,17 +175,18 @@ def finite_array(x: ArrayLike, name: str, shape: tuple[int | None | str, ...]) -
     array = float_array(x, name)
     tail = shape[1:] if shape and shape[0] == "..." else shape
     fits = array.ndim >= len(tail) if len(tail) < len(shape) else array.ndim == len(tail)
-    if fits and tail:
-        fits = all(
-            not isinstance(want, int) or want == have
-            for want, have in zip(tail, array.shape[-len(tail) :], strict=True)
-        )
-    if not fits:
+    lengths = zip(reversed(tail), reversed(array.shape), strict=False)
+    if not (fits and all(want == have for want, have in lengths if isinstance(want, int))):
         raise InputError(f"{name}: expected shape {shape_text(shape)}, found {shape_text(array.shape)}")
-    if array.size and not np.isfinite(array).all():
-        where = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
-        raise InputError(f"{name}: expected finite numbers, found {array[where]}{_at(where)}")
+    _expect_each(np.isfinite(array), array, f"{name}: expected finite numbers")
     return array
+
+
+def _expect_each(right: Bools, array: Floats, wanted: str) -> None:
+    """Refuse an array unless all entries are right; the message gives the first other entry."""
+    if not right.all():
+        where = tuple(np.argwhere(~right)[0].tolist())
+        raise InputError(f"{wanted}, found {array[where]}{_at(where)}")
 
 
 def real(x: Any, name: str, *, least: str = "") -> float:
@@ -260,9 +261,7 @@ def instance(x: Any, name: str, kind: type[Kind], home: str = "loewner") -> Kind
 
 def flag(x: Any, name: str) -> bool:
     """Check a choice between True and False; other values, such as the text 'no', are refused."""
-    if x is True or x is False:
-        return bool(x)
-    if isinstance(x, np.bool_):
+    if isinstance(x, (bool, np.bool_)):
         return bool(x)
     raise InputError(f"{name}: expected True or False, found {short(x)}")
 
@@ -333,9 +332,7 @@ def broadcast(shapes: dict[str, tuple[int, ...]]) -> tuple[int, ...]:
 def positive_array(x: ArrayLike, name: str, shape: tuple[int | None | str, ...]) -> Floats:
     """Check the shape, and that all numbers are finite and above zero."""
     array = finite_array(x, name, shape)
-    if not (array > 0).all():
-        where = tuple(int(i) for i in np.argwhere(~(array > 0))[0])
-        raise InputError(f"{name}: expected numbers > 0, found {array[where]}{_at(where)}")
+    _expect_each(array > 0, array, f"{name}: expected numbers > 0")
     return array
 
 
@@ -343,16 +340,9 @@ def positive_lengths(x: ArrayLike, name: str, shape: tuple[int, ...]) -> Floats:
     """Check numbers above zero whose shape broadcasts to `shape`, aligned at the last axes."""
     array = float_array(x, name)
     if array.ndim > len(shape) or array.shape != shape[len(shape) - array.ndim :]:
-        raise InputError(
-            f"{name}: expected a number or an array of shape {' or '.join(str(shape[k:]) for k in range(len(shape)))}, "
-            f"found shape {array.shape}"
-        )
+        shapes = " or ".join(str(shape[k:]) for k in range(len(shape)))
+        raise InputError(f"{name}: expected a number or an array of shape {shapes}, found shape {array.shape}")
     return positive_array(array, name, array.shape)
-
-
-def positive_vector(x: ArrayLike, name: str, length: int | None) -> Floats:
-    """Check a vector of finite numbers above zero."""
-    return positive_array(x, name, (length,))
 
 
 def poses(T: ArrayLike | None, name: str, *, check: bool = True) -> Floats:
@@ -463,9 +453,8 @@ def unknown_name(what: str, name: Any, known: Iterable[str]) -> UnknownNameError
     nearest = difflib.get_close_matches(name, listed, n=1) if isinstance(name, str) else []
     hint = f" (did you mean {nearest[0]!r}?)" if nearest else ""
     more = f", and {len(listed) - LISTED} more" if len(listed) > LISTED else ""
-    return UnknownNameError(
-        f"{what}: expected one of {', '.join(listed[:LISTED]) or '(there are none)'}{more}; found {short(name)}{hint}"
-    )
+    names = ", ".join(listed[:LISTED]) or "(there are none)"
+    return UnknownNameError(f"{what}: expected one of {names}{more}; found {short(name)}{hint}")
 
 
 def known(x: Any, what: str, names: Collection[str]) -> str:

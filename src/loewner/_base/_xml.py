@@ -62,9 +62,7 @@ class Element:
 
     def all(self, tag: str) -> list[Self]:
         """Return the children with this tag."""
-        if self._asked is None:
-            self._asked = set()
-        self._asked.add(tag)
+        self._ask(tag)
         return [child for child in self.children if child.tag == tag]
 
     def one(self, tag: str) -> Self | None:
@@ -83,10 +81,13 @@ class Element:
 
     def get(self, name: str) -> str | None:
         """Return an attribute, or None."""
+        self._ask("@" + name)
+        return self.attributes.get(name)
+
+    def _ask(self, name: str) -> None:
         if self._asked is None:
             self._asked = set()
-        self._asked.add("@" + name)
-        return self.attributes.get(name)
+        self._asked.add(name)
 
     def fault(self, expected: str, found: str) -> NoReturn:
         """Raise an error about this element; readers override this method to raise errors of their own."""
@@ -204,12 +205,9 @@ def parse(
                 names[name] = tag, namespace
             tag, namespace = names[name]
         else:
-            scope = scopes[-1]
-            for attribute in attributes:
-                if attribute.startswith("xmlns"):
-                    declared = {key[6:]: value for key, value in attributes.items() if key[:6] in ("xmlns", "xmlns:")}
-                    scope = scope | declared  # the default namespace has the prefix ""
-                    break
+            # The default namespace has the prefix "".
+            declared = {key[6:]: value for key, value in attributes.items() if key[:6] in ("xmlns", "xmlns:")}
+            scope = scopes[-1] | declared if declared else scopes[-1]
             scopes.append(scope)
             tag, namespace = name, scope.get(name.rpartition(":")[0], "") if scope else ""
         element = make(tag, attributes, parser.CurrentLineNumber, namespace)

@@ -22,15 +22,13 @@ from loewner.bodies.body import (
 )
 from loewner.bodies.depth_images import camera_of, points_of
 from loewner.bodies.kinds import CURVED
-from loewner.bodies.layout import ARRAYS, LARGEST, SMALLEST, PieceArrays, arrays_of
-from loewner.bodies.pack import Packed, take
+from loewner.bodies.layout import ARRAYS, PieceArrays, arrays_of
+from loewner.bodies.pack import Packed
 from loewner.bodies.triangulated import for_pictures
 
 __all__ = [
     "ARRAYS",
     "CURVED",
-    "LARGEST",
-    "SMALLEST",
     "Bodies",
     "Body",
     "Packed",
@@ -46,5 +44,4 @@ __all__ = [
     "packed_of",
     "points_of",
     "reach_of",
-    "take",
 ]

@@ -16,6 +16,7 @@ from loewner._base._log import MANY_TRIANGLES, logged
 from loewner._base._matrices import dot, lengths
 from loewner._base._pictures import COLOURS, bodies, pictured
 from loewner._base._read_only import KeepsReadOnly
+from loewner._base._rotations import pose_of
 from loewner._base._validate import Floats, Ints, Progress
 from loewner._kernels import columns, tolerances
 from loewner.bodies import sensed, surfaces
@@ -199,12 +200,10 @@ class Body(_Bodies):
             (packed.outer_center, packed.outer_factor, 'stroke-opacity="0.7"'),
             (packed.inner_center, packed.inner_factor, 'stroke-dasharray="4 3"'),
         ]
-        few = len(packed.layout) <= MANY_PIECES
-        return bodies(
-            [for_pictures(packed).at(np.eye(4), COLOURS[0])],
-            outlines if few else (),
-            note=", outer (—) and inner (- -) ellipsoids" * few,
-        )
+        shape = for_pictures(packed).at(np.eye(4), COLOURS[0])
+        if len(packed.layout) > MANY_PIECES:
+            return bodies([shape])
+        return bodies([shape], outlines, note=", outer (—) and inner (- -) ellipsoids")
 
     @classmethod
     def from_points(cls, points: ArrayLike, *, tol: float = 1e-4) -> Body:
@@ -419,7 +418,7 @@ class Body(_Bodies):
         >>> Body.box([2, 4, 6]).outer.volume / Body.box([2, 4, 6]).inner.volume  # 3 sqrt(3)
         array([5.19615242])
         """
-        half = _validate.positive_vector(size, "size", 3) / 2
+        half = _validate.positive_array(size, "size", (3,)) / 2
         # The fits of a box are known in closed form; only containment after rounding needs care (docs/containment.md).
         F = np.diag(half)
         inner = np.zeros((1, 3)), F[None] * (1 - CLOSED_FORM_ROUNDING)
@@ -468,7 +467,7 @@ class Body(_Bodies):
         >>> Body.ellipsoid([1, 2, 3])
         Body(ellipsoid, 0 vertices)
         """
-        s = _validate.positive_vector(semi_axes, "semi_axes", 3)
+        s = _validate.positive_array(semi_axes, "semi_axes", (3,))
         return _primitive(columns.ELLIPSOID, 0.0, s)
 
     @classmethod
@@ -626,7 +625,7 @@ class Body(_Bodies):
         else:
             left = checker.off_the_robot(points, q, clear=clear)
         if len(left) == 0:
-            raise GeometryError("image: expected an echo that is not of the robot, found none")
+            raise GeometryError("image: expected an echo that is not from the robot, found none")
         return cls.from_cloud(left, radius=radius, voxel=voxel)
 
     @classmethod
@@ -769,14 +768,12 @@ class Body(_Bodies):
         edge = _validate.positive_scalar(extent, "extent")
         if edge > LARGEST_EXTENT:
             raise InputError(
-                f"extent: expected at most {LARGEST_EXTENT:g} m, where contact is told to a millimetre, found {edge:g}"
+                f"extent: expected at most {LARGEST_EXTENT:g} m, for contact accurate to 1 mm, found {edge:g}"
             )
-        T = np.eye(4)
         axis = np.eye(3)[np.abs(n).argmin()]
         across = axis - dot(axis, n) * n
         across /= lengths(across)
-        T[:3, :3] = np.column_stack([across, np.cross(n, across), n])
-        T[:3, 3] = (where - edge / 2) * n
+        T = pose_of(np.column_stack([across, np.cross(n, across), n]), (where - edge / 2) * n)
         return cls.box([edge, edge, edge]).transformed(T)
 
     @classmethod
@@ -1258,7 +1255,7 @@ class Bodies(_Bodies):
         >>> Bodies.spheres([0.5, 1.0])
         Bodies(2 bodies, 2 pieces)
         """
-        r = _validate.positive_vector(radii, "radii", None)
+        r = _validate.positive_array(radii, "radii", (None,))
         axes = np.repeat(r[:, None], 3, axis=1)
         return cls._wrap(primitives(columns.POINT, r, axes))
 
@@ -1290,19 +1287,16 @@ class Bodies(_Bodies):
     @overload
     def __getitem__(self, index: slice | Sequence[int] | NDArray[Any]) -> Bodies: ...
     def __getitem__(self, index: int | np.integer[Any] | slice | Sequence[int] | NDArray[Any]) -> Body | Bodies:
+        n = len(self)
         if isinstance(index, (int, np.integer)) and not isinstance(index, bool):
-            if not -len(self) <= index < len(self):
-                raise BodyIndexError(
-                    f"expected an index from {-len(self)} to {len(self) - 1}, found {_validate.short(index)}"
-                )
-            return Body(take(self._packed, np.array([index % len(self)])))
+            if not -n <= index < n:
+                raise BodyIndexError(f"expected an index from {-n} to {n - 1}, found {_validate.short(index)}")
+            return Body(take(self._packed, np.array([index % n])))
         try:
-            rows = np.arange(len(self))[index]
+            rows = np.arange(n)[index]
         except Exception as error:  # an IndexError, or an error from the caller's object
-            index_text = _validate.short(index)
-            raise BodyIndexError(
-                f"expected indices from {-len(self)} to {len(self) - 1}, found {index_text} ({error})"
-            ) from None
+            text = f"{_validate.short(index)} ({error})"
+            raise BodyIndexError(f"expected indices from {-n} to {n - 1}, found {text}") from None
         if rows.ndim != 1:
             raise BodyIndexError(f"expected a slice, or indices of shape (k,), found {_validate.short(index)}")
         return bodies_of(take(self._packed, rows))
@@ -1348,12 +1342,11 @@ def _fitted(hull: Hulls, piece_start: Ints, tol: float, progress: Progress | Non
     """Fit ellipsoids to hulls and pack the bodies."""
     if len(hull) == 0:
         return empty()
-    *fitted, inner_gap, outer_gap = fits.fit_pieces(
+    inner_center, inner_factor, outer_center, outer_factor, *gaps = fits.fit_pieces(
         hull.vert_start, hull.vertices, hull.face_start, hull.normals, tol=tol, progress=progress
     )
-    inner_center, inner_factor, outer_center, outer_factor = fitted
-    gaps = np.stack([inner_gap, outer_gap], axis=1)
-    return _of_hulls(hull, piece_start, (inner_center, inner_factor), (outer_center, outer_factor), gaps)
+    inner, outer = (inner_center, inner_factor), (outer_center, outer_factor)
+    return _of_hulls(hull, piece_start, inner, outer, np.stack(gaps, axis=1))
 
 
 def _of_hulls(

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from loewner._base._validate import Floats, Ints
+from loewner._base._validate import Bools, Floats, Ints
 from loewner._kernels import columns, tolerances
 from loewner.bodies import surfaces
 from loewner.bodies.kinds import CURVED, KIND_NAMES, ROUND
@@ -99,14 +99,14 @@ def checked(arrays: dict[str, Any]) -> Packed:
     """
     with np.errstate(all="ignore"):  # overflowing values are found and refused
         _check_numbers(arrays)
-        _check_ranges(arrays)
-        _check_curved(arrays)
-        _check_surfaces(arrays)
-        maps = _check_polytopes(arrays)
-        return Packed.of(PieceArrays(**arrays), maps)
+        pieces = PieceArrays(**arrays)
+        _check_ranges(pieces)
+        _check_curved(pieces)
+        _check_surfaces(pieces)
+        return Packed.of(pieces, _check_polytopes(pieces))
 
 
-def _refuse(bad: NDArray[np.bool_], what: str, found: NDArray[Any] | None = None, rows: Ints | None = None) -> None:
+def _refuse(bad: Bools | np.bool_, what: str, found: NDArray[Any] | None = None, rows: Ints | None = None) -> None:
     """Raise an error about the first bad row; `rows` are the row numbers for its message."""
     if bad.any():
         i = int(np.argmax(bad))
@@ -138,19 +138,18 @@ def _rises(name: str, x: Ints, total: int, least: int) -> None:
     _refuse(lengths < least, f"{name}: expected at least {least} in each", lengths)
 
 
-def _check_ranges(arrays: dict[str, Any]) -> None:
+def _check_ranges(p: PieceArrays) -> None:
     """Check that index ranges do not overlap, leave no gaps, and stay inside their arrays."""
-    layout, triangles, triangle_start = arrays["layout"], arrays["triangles"], arrays["triangle_start"]
-    kind = layout[:, columns.KIND]
+    layout, triangles, kind = p.layout, p.triangles, p.layout[:, columns.KIND]
     _refuse(~np.isin(kind, list(KIND_NAMES)), f"layout: expected kinds among {sorted(KIND_NAMES)}", kind)
-    _rises("piece_start", arrays["piece_start"], len(layout), 1)
-    _rises("triangle_start", triangle_start, len(triangles), 0)
-    counts = {"triangles": np.diff(triangle_start)}
+    _rises("piece_start", p.piece_start, len(layout), 1)
+    _rises("triangle_start", p.triangle_start, len(triangles), 0)
+    counts = {"triangles": np.diff(p.triangle_start)}
     for what, first in (("points", columns.POINTS_FROM), ("planes", columns.PLANES_FROM)):
         start, stop = layout[:, first], layout[:, first + 1]
         ends = np.concatenate([start[:1], stop]) if len(layout) else np.zeros(1, dtype=np.int64)
-        _rises(f"layout, {what}", ends, len(arrays[what]), 0)
-        _refuse(start[1:] != stop[:-1], f"layout, {what}: expected each piece's where the last one's end", start[1:])
+        _rises(f"layout, {what}", ends, len(getattr(p, what)), 0)
+        _refuse(start[1:] != stop[:-1], f"layout, {what}: expected each range where the last one ends", start[1:])
         counts[what] = stop - start
     polytope, surface = kind == columns.POLYTOPE, kind <= columns.SURFACE
     for what, count in counts.items():
@@ -160,9 +159,8 @@ def _check_ranges(arrays: dict[str, Any]) -> None:
         _refuse(surface & (counts[what] < 1), f"layout: expected {what} of a surface", counts[what])
     _refuse(surface & (counts["planes"] != 0), "layout: expected no planes of a surface", counts["planes"])
     points = np.repeat(counts["points"], counts["triangles"])[:, None]
-    _refuse(
-        ((triangles < 0) | (triangles >= points)).any(axis=1), "triangles: expected the piece's own points", triangles
-    )
+    foreign = ((triangles < 0) | (triangles >= points)).any(axis=1)
+    _refuse(foreign, "triangles: expected the piece's own points", triangles)
 
 
 def _inverses(factors: Floats, name: str, rows: Ints) -> tuple[Floats, Floats]:
@@ -183,49 +181,45 @@ def _doubt(aspect: Floats) -> Floats:
 # -- polytopes --------------------------------------------------------------------------------
 
 
-def _check_polytopes(arrays: dict[str, Any]) -> Maps:
+def _check_polytopes(p: PieceArrays) -> Maps:
     """Check that hulls lie between their inner and outer ellipsoids, and match their triangles and planes."""
-    layout, points = arrays["layout"], arrays["points"]
+    layout = p.layout
     rows = np.flatnonzero(layout[:, columns.KIND] == columns.POLYTOPE)
-    _refuse(arrays["frames"][rows].any(axis=1), "frames: expected zeros for a polytope", rows=rows)
+    _refuse(p.frames[rows].any(axis=1), "frames: expected zeros for a polytope", rows=rows)
     if len(rows) == 0:
         return {}
     # The polytopes are checked in blocks, so that intermediate arrays stay in the processor's caches.
     size = layout[rows, columns.POINTS_TO] + layout[rows, columns.PLANES_TO]
     # The polytopes of a block are adjacent in the arrays: no points of a surface are between them.
-    ends = (layout[rows[1:], columns.POINTS_FROM] != layout[rows[:-1], columns.POINTS_TO]) | (
-        size[1:] // BLOCK != size[:-1] // BLOCK
-    )
-    blocks = np.split(rows, np.flatnonzero(ends) + 1)
-    doubt = np.concatenate([_check_ellipsoids(arrays, block) for block in blocks])
-    _check_planes(arrays, rows, doubt)
-    return direction_maps(layout, points)
+    apart = layout[rows[1:], columns.POINTS_FROM] != layout[rows[:-1], columns.POINTS_TO]
+    blocks = np.split(rows, np.flatnonzero(apart | (size[1:] // BLOCK != size[:-1] // BLOCK)) + 1)
+    doubt = np.concatenate([_check_ellipsoids(p, block) for block in blocks])
+    _check_planes(p, rows, doubt)
+    return direction_maps(layout, p.points)
 
 
-def _check_ellipsoids(arrays: dict[str, Any], rows: Ints) -> Floats:
+def _check_ellipsoids(p: PieceArrays, rows: Ints) -> Floats:
     """Check the ellipsoids of consecutive polytopes for `_check_polytopes`, and return the tolerances used."""
-    layout = arrays["layout"][rows]
-    start, stop = layout[:, columns.POINTS_FROM], layout[:, columns.POINTS_TO]
-    points = arrays["points"][start[0] : stop[-1]]
+    start, stop = p.layout[rows, columns.POINTS_FROM], p.layout[rows, columns.POINTS_TO]
+    points = p.points[start[0] : stop[-1]]
     owner, start = np.repeat(np.arange(len(rows)), stop - start), start - start[0]
 
-    outer = arrays["outer_factor"][rows]
+    outer = p.outer_factor[rows]
     inverse, doubt = _inverses(outer, "outer_factor", rows)
-    local = _local(inverse, arrays["outer_center"][rows], points, owner)
+    local = _local(inverse, p.outer_center[rows], points, owner)
     farthest = np.sqrt(np.maximum.reduceat(_dot(local, local), start))
     _refuse(~(farthest <= 1 + doubt), "outer ellipsoid: expected the piece inside", farthest, rows)
 
-    inverse, doubt = _inverses(arrays["inner_factor"][rows], "inner_factor", rows)
+    inverse, doubt = _inverses(p.inner_factor[rows], "inner_factor", rows)
     # In the inner ellipsoid's coordinates, the ellipsoid is the unit ball, and the piece is a few units large.
-    local = _local(inverse, arrays["inner_center"][rows], points, owner)
+    local = _local(inverse, p.inner_center[rows], points, owner)
     size = np.sqrt(np.maximum.reduceat(_dot(local, local), start))
-    _check_surface(arrays, rows, start, local, size, doubt)
+    _check_surface(p, rows, start, local, size, doubt)
 
     # The volumes of the optimal ellipsoids differ by a factor of at most 27 (John).
     volumes = np.log(np.abs(np.linalg.det(inverse @ outer)))
-    gaps = arrays["gaps"][rows]
-    least = volumes - np.log(27.0)
-    _refuse(~(gaps[:, 0] + gaps[:, 1] >= least - 100 * doubt), "gaps: expected what the volumes allow", gaps, rows)
+    gaps, least = p.gaps[rows], volumes - np.log(27.0)
+    _refuse(~(gaps[:, 0] + gaps[:, 1] >= least - 100 * doubt), "gaps: expected gaps that the volumes allow", gaps, rows)
     return doubt
 
 
@@ -248,7 +242,7 @@ def _cross(a: Floats, b: Floats) -> Floats:
     return np.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
 
 
-def _check_surface(arrays: dict[str, Any], rows: Ints, start: Ints, local: Floats, size: Floats, doubt: Floats) -> None:
+def _check_surface(p: PieceArrays, rows: Ints, start: Ints, local: Floats, size: Floats, doubt: Floats) -> None:
     """Check that the triangles form a surface of all points around the inner ellipsoid, here the unit ball.
 
     A closed surface that winds once around the origin encloses every point that can be reached from the origin without
@@ -256,8 +250,8 @@ def _check_surface(arrays: dict[str, Any], rows: Ints, start: Ints, local: Float
     which lies in the hull of the corners. The test uses the distances of triangles, not of their planes, because the
     corners of a sliver do not determine a plane.
     """
-    first, last = arrays["triangle_start"][rows], arrays["triangle_start"][rows + 1]
-    triangles = arrays["triangles"][first[0] : last[-1]]
+    first, last = p.triangle_start[rows], p.triangle_start[rows + 1]
+    triangles = p.triangles[first[0] : last[-1]]
     piece, first = np.repeat(np.arange(len(rows)), last - first), first - first[0]
     corners = np.ascontiguousarray((triangles + start[piece][:, None]).T)
 
@@ -268,9 +262,8 @@ def _check_surface(arrays: dict[str, Any], rows: Ints, start: Ints, local: Float
     # numbers represent the ends of edges, so that other surfaces add up to zero only once in 2**60 cases.
     tails, heads = np.random.default_rng().integers(0, 2**64, size=(2, local.shape[1]), dtype=np.uint64)
     rest = sum(tails[corners[k]] * heads[corners[k - 2]] - heads[corners[k]] * tails[corners[k - 2]] for k in range(3))
-    _refuse(
-        np.add.reduceat(rest, first) != 0, "triangles: expected a closed surface, each edge run both ways", rows=rows
-    )
+    is_open = np.add.reduceat(rest, first) != 0
+    _refuse(is_open, "triangles: expected a closed surface, with each edge in both directions", rows=rows)
 
     a, b, c = (local.take(corner, axis=1) for corner in corners)
     normal = _cross(b - a, c - a)
@@ -318,9 +311,9 @@ def _least_distance(a: Floats, b: Floats, c: Floats) -> Floats:
     return bound
 
 
-def _check_planes(arrays: dict[str, Any], rows: Ints, doubt: Floats) -> None:
+def _check_planes(p: PieceArrays, rows: Ints, doubt: Floats) -> None:
     """Check that normals have unit length, and that each plane touches the farthest vertex."""
-    layout, points, planes = arrays["layout"][rows], arrays["points"], arrays["planes"]
+    layout, points, planes = p.layout[rows], p.points, p.planes
     normals = planes[:, :3]
     squared = _dot(normals.T, normals.T)
     _refuse(~(np.abs(squared - 1) <= DOUBT), "planes: expected unit normals", normals)
@@ -340,11 +333,10 @@ def _check_planes(arrays: dict[str, Any], rows: Ints, doubt: Floats) -> None:
             heights = points[of_points] @ normals[of_faces].transpose(0, 2, 1)
             farthest[of_faces] = heights.max(axis=1)
     left = MOST_CANDIDATES * (len(points) + len(planes))
-    centers, factors = arrays["inner_center"][rows], arrays["inner_factor"][rows]
     for i in np.flatnonzero(counts[:, 0] > columns.LARGE):
-        faces = slice(from_plane[i], from_plane[i] + counts[i, 1])
-        its = points[from_point[i] : from_point[i] + counts[i, 0]]
-        farthest[faces], looked = heights_of(its, normals[faces], centers[i], factors[i], left)
+        piece, faces = rows[i], slice(from_plane[i], from_plane[i] + counts[i, 1])
+        center, factor = p.inner_center[piece], p.inner_factor[piece]
+        farthest[faces], looked = heights_of(p.points_of(piece), normals[faces], center, factor, left)
         left -= looked
     x, y, z = np.abs(points.T)
     largest = np.append(np.maximum(np.maximum(x, y), z), 0.0)
@@ -357,41 +349,39 @@ def _check_planes(arrays: dict[str, Any], rows: Ints, doubt: Floats) -> None:
 # -- surfaces ---------------------------------------------------------------------------------
 
 
-def _check_surfaces(arrays: dict[str, Any]) -> None:
+def _check_surfaces(p: PieceArrays) -> None:
     """Check that surfaces use all their points and lie in their outer ellipsoids, and that solids are closed."""
-    layout, frames, gaps = arrays["layout"], arrays["frames"], arrays["gaps"]
-    rows = np.flatnonzero(layout[:, columns.KIND] <= columns.SURFACE)
+    frames, gaps = p.frames, p.gaps
+    rows = np.flatnonzero(p.layout[:, columns.KIND] <= columns.SURFACE)
     _refuse(frames[rows, 0] < 0, "frames: expected a radius >= 0", frames[rows, 0], rows)
     _refuse(frames[rows, 1:].any(axis=1), "frames: expected a radius alone of a surface", rows=rows)
     _refuse(~(gaps[rows, 1] < np.inf), "gaps: expected finite numbers", gaps[rows], rows)
     for i in rows.tolist():
-        points = arrays["points"][layout[i, columns.POINTS_FROM] : layout[i, columns.POINTS_TO]]
-        triangles = arrays["triangles"][arrays["triangle_start"][i] : arrays["triangle_start"][i + 1]]
         try:
-            _check_one_surface(arrays, i, points, triangles)
+            _check_one_surface(p, i)
         except InputError as error:
             raise InputError(f"{error}, in piece {i}") from None
 
 
-def _check_one_surface(arrays: dict[str, Any], i: int, points: Floats, triangles: Ints) -> None:
+def _check_one_surface(p: PieceArrays, i: int) -> None:
     """Check a single surface for `_check_surfaces`."""
-    radius, factor = arrays["frames"][i, 0], arrays["outer_factor"][i]
+    points, triangles, radius = p.points_of(i), p.triangles_of(i), p.frames[i, 0]
     used = np.zeros(len(points), dtype=bool)
     used[triangles.ravel()] = True
     _refuse(~used, "triangles: expected every point in one", used)
     _refuse((np.signbit(points) & (points == 0)).any(axis=1), "points: expected no negative zeros", points)
     surfaces.expect_sizes(points)
     surfaces.expect_radius(radius)
-    if arrays["layout"][i, columns.KIND] == columns.SOLID:
+    if p.layout[i, columns.KIND] == columns.SOLID:
         surfaces.expect_closed("mesh", points, triangles)
-    core, doubt = _core(factor, radius, np.array([i]))
-    away = (points - arrays["outer_center"][i]) @ np.linalg.inv(core).T
+    core, doubt = _core(p.outer_factor[i], radius, np.array([i]))
+    away = (points - p.outer_center[i]) @ np.linalg.inv(core).T
     farthest = np.sqrt((away * away).sum(axis=1).max())
     _refuse(np.array([not farthest <= 1 + doubt]), "outer ellipsoid: expected the surface inside", rows=np.array([i]))
-    if arrays["layout"][i, columns.KIND] == columns.SOLID:
+    if p.layout[i, columns.KIND] == columns.SOLID:
         return  # the inner ellipsoid is computed anew, regardless of the file
     # The inner ellipsoid is a ball about a point of the surface, or lies within such a ball.
-    center, inner = arrays["inner_center"][i], arrays["inner_factor"][i]
+    center, inner = p.inner_center[i], p.inner_factor[i]
     to_vertex = np.sqrt(((points - center) ** 2).sum(axis=1).min())
     size = np.linalg.norm(inner, axis=(0, 1), ord=2)
     inside = to_vertex + size <= radius * (1 + DOUBT) + DOUBT * np.abs(points).max()
@@ -424,16 +414,15 @@ def _core(factor: Floats, radius: float, rows: Ints) -> tuple[Floats, float]:
 # -- curved pieces ----------------------------------------------------------------------------
 
 
-def _check_curved(arrays: dict[str, Any]) -> None:
+def _check_curved(p: PieceArrays) -> None:
     """Check that curved pieces match their kind, and that ellipsoids match the closed forms or err on the safe side."""
-    kind = arrays["layout"][:, columns.KIND]
-    rows = np.flatnonzero(kind > columns.POLYTOPE)
+    rows = np.flatnonzero(p.layout[:, columns.KIND] > columns.POLYTOPE)
     if len(rows) == 0:
         return
-    kind, frames = kind[rows], arrays["frames"][rows]
+    kind, frames = p.layout[rows, columns.KIND], p.frames[rows]
     rounding, center, image = frames[:, 0], frames[:, 1:4], frames[:, 4:].reshape(-1, 3, 3)
     round_kind = np.isin(kind, ROUND)
-    _refuse((rounding > 0) != round_kind, "frames: expected a radius of capsules and spheres only", rounding, rows)
+    _refuse((rounding > 0) != round_kind, "frames: expected a radius for capsules and spheres only", rounding, rows)
     _refuse(rounding < 0, "frames: expected a radius >= 0", rounding, rows)
 
     # Compute the directions and lengths of the axes, scaled first, so that no square over- or underflows. The first
@@ -459,8 +448,8 @@ def _check_curved(arrays: dict[str, Any]) -> None:
     aspect = np.maximum.reduce(fitted[1].T) / np.minimum.reduce(fitted[1].T)
     doubt = _doubt(np.maximum(aspect, 1.0)) + BEND * round_kind
     for name, semi_axes, lift in zip(("inner", "outer"), fitted.transpose(0, 2, 1), lifts, strict=True):
-        away = (arrays[f"{name}_center"][rows] - center).T
-        factor = np.ascontiguousarray(arrays[f"{name}_factor"][rows].transpose(1, 2, 0))
+        away = (getattr(p, f"{name}_center")[rows] - center).T
+        factor = np.ascontiguousarray(getattr(p, f"{name}_factor")[rows].transpose(1, 2, 0))
         # Center and factor in the coordinates in which the closed form is the unit ball; there, a correct factor is a
         # multiple of the identity.
         moved = np.stack([_dot(inverse[j], away) - (lift if j == 2 else 0.0) for j in range(3)]) / semi_axes

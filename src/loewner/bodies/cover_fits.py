@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from loewner._base._log import Percentage
 from loewner._base._low_discrepancy import points as even_points
 from loewner._base._matrices import dot, lengths
 from loewner._base._rotations import pose_of
@@ -71,11 +72,6 @@ GRID = 2.0**-22
 LEAST_PROTRUSION, LARGEST_PROTRUSION, MOST = 1e-4, 1e4, 4096
 
 
-def grid_of(target: Target) -> float:
-    """Return the grid step [m], a power of two, to which the numbers of a fit are rounded."""
-    return float(2.0 ** np.ceil(np.log2(2.0 * (target.reach + target.size)))) * GRID
-
-
 class Candidates:
     """Candidates for the balls or capsules that are to cover a body, and the points that they must cover.
 
@@ -86,7 +82,8 @@ class Candidates:
     """
 
     def __init__(self, target: Target, capsules: bool, protrusion: float | None = None) -> None:
-        self.target, self.grid = target, grid_of(target)
+        self.target = target
+        self.grid = float(2.0 ** np.ceil(np.log2(2.0 * (target.reach + target.size)))) * GRID
         triangles = target.boundary.triangles
         a, b, c = triangles.transpose(1, 0, 2)
         ends = np.cumsum(lengths(np.cross(b - a, c - a)))
@@ -160,10 +157,8 @@ class Candidates:
                 return candidates[:count]
             # Points that are in no ball get candidates of their own.
             self.add_candidates(self.points[missed, :3], np.zeros((1, 3)))
-        raise GeometryError(
-            f"protrusion: expected more than {np.ptp(self.target.radius):g} m, by which radii of surfaces differ, "
-            f"found {protrusion:g} m"
-        )
+        differ = f"{np.ptp(self.target.radius):g} m, by which radii of surfaces differ"
+        raise GeometryError(f"protrusion: expected more than {differ}, found {protrusion:g} m")
 
     def _hold(self, radii: Floats) -> Bools:
         """Find which candidates of the given radii contain which points, and return the points in no candidate."""
@@ -238,14 +233,14 @@ class Candidates:
         return packed
 
 
-def _round(target: Target, kind: str, n: int | None, protrusion: float | None, report: Progress) -> Packed:
+def _round(target: Target, kind: str, n: int | None, protrusion: float | None, percentage: Percentage) -> Packed:
     """Fit spheres or capsules."""
     fit = Candidates(target, kind == "capsules", protrusion)
-    report(10, 100)
+    percentage.report(0.1)
     if protrusion is not None:
         model = fit.proven(protrusion, STEPS)
         if model is None:
-            raise GeometryError(f"protrusion: expected one that {kind} reach, found {protrusion:g} m, and no proof")
+            raise _no_proof(kind, n, protrusion)
         return model
     assert n is not None
     # The protrusion must exceed the differences between the radii of surfaces, since balls contain balls about their
@@ -255,13 +250,13 @@ def _round(target: Target, kind: str, n: int | None, protrusion: float | None, r
         middle = float(np.sqrt(low * high)) if low * 4 < high else (low + high) / 2
         reached = len(fit.chosen(middle, FEW_STEPS)) <= n
         low, high = (low, middle) if reached else (middle, high)
-        report(10 + 3 * step, 100)
+        percentage.report(0.1 + 0.03 * step)
     for _ in range(GROWTHS):
         model = fit.proven(high, STEPS, n)
         if model is not None:
             return model
         high *= 1.03
-    raise GeometryError(f"n: expected a number of {kind} that suffices, found {n}, and no proof")
+    raise _no_proof(kind, n, protrusion)
 
 
 class _Clusters:
@@ -375,7 +370,7 @@ def _box(points: Floats) -> tuple[Floats, Floats, Floats]:
     return turn, (high - low) / 2, turn @ (low / 2 + high / 2)
 
 
-def _others(target: Target, kind: str, n: int | None, protrusion: float | None, report: Progress) -> Packed:
+def _others(target: Target, kind: str, n: int | None, protrusion: float | None, percentage: Percentage) -> Packed:
     """Fit boxes or ellipsoids by dividing clusters of cells."""
     fit = _Clusters(target, kind, protrusion)
     limit = 0.0 if protrusion is None else (0.98 if kind == "boxes" else 0.94) * protrusion
@@ -386,11 +381,11 @@ def _others(target: Target, kind: str, n: int | None, protrusion: float | None, 
             if len(fit.elements) == JUDGED and needed > HOPELESS * MOST:
                 break
             done = len(fit.elements) / n if n is not None else limit / max(max(fit.excess), limit)
-            report(int(5 + 70 * done), 100)
+            percentage.report(0.05 + 0.7 * done)
         if protrusion is not None and max(fit.excess) > limit:
             raise GeometryError(
-                f"protrusion: expected one that at most {MOST} {kind} reach, found {protrusion:g} m, and parts that "
-                "take more; use a larger protrusion, or spheres"
+                f"protrusion: expected one that at most {MOST} {kind} reach, found {protrusion:g} m; use a larger "
+                "protrusion, or spheres"
             )
         packed = as_one(fit.elements if protrusion is None else fit.grow(limit))
         missed, _ = first_failures(target, packed, max(fit.excess) if protrusion is None else protrusion)
@@ -406,37 +401,32 @@ def _others(target: Target, kind: str, n: int | None, protrusion: float | None, 
             break
         limit *= 0.95
         fit.divide(int(np.argmax(fit.excess)))
+    raise _no_proof(kind, n, protrusion)
+
+
+def _no_proof(kind: str, n: int | None, protrusion: float | None) -> GeometryError:
+    """Make the error for a limit, either the number of elements or the protrusion, for which no proof was found."""
     if protrusion is None:
-        raise GeometryError(f"n: expected a number of {kind} that suffices, found {n}, and no proof")
-    raise GeometryError(f"protrusion: expected one that {kind} reach, found {protrusion:g} m, and no proof")
+        return GeometryError(f"n: expected a number of {kind} that suffices, found {n}, and no proof")
+    return GeometryError(f"protrusion: expected one that {kind} reach, found {protrusion:g} m, and no proof")
 
 
 def cover(
     packed: Packed, kind: str, n: int | None, protrusion: float | None, progress: Progress
 ) -> tuple[Packed, float]:
     """Fit elements of a kind to a body, and bound how far they stick out; see `Body.cover`."""
-    target, share = Target(packed), 0
-
-    def report(done: int, total: int) -> None:
-        nonlocal share
-        share = max(share, min(done, 95))
-        progress(share, total)
-
-    if protrusion is not None and protrusion < LEAST_PROTRUSION * target.size:
+    target, percentage = Target(packed), Percentage(progress)
+    least, most = LEAST_PROTRUSION * target.size, LARGEST_PROTRUSION * target.size
+    if protrusion is not None and not least <= protrusion <= most:
         raise InputError(
-            f"protrusion: expected at least {LEAST_PROTRUSION * target.size:.3g} m, 1e-4 of the body's diagonal, "
-            f"found {protrusion:g}"
+            f"protrusion: expected at least {least:.3g} m and at most {most:.3g} m, 1e-4 and 1e4 times the body's "
+            f"diagonal, found {protrusion:g}"
         )
-    if protrusion is not None and protrusion > LARGEST_PROTRUSION * target.size:
-        raise InputError(
-            f"protrusion: expected at most {LARGEST_PROTRUSION * target.size:.3g} m, 1e4 of the body's diagonal, "
-            f"found {protrusion:g}"
-        )
-    report(0, 100)
+    percentage.report()
     fit = _round if kind in ("spheres", "capsules") else _others
-    model = fit(target, kind, n, protrusion, report)
+    model = fit(target, kind, n, protrusion, percentage)
     proof = prove(packed, model, None)
     if proof.outcome != "covered":
         raise GeometryError(f"cover: expected a proof that the {kind} hold the body, found {proof.outcome}")
-    progress(100, 100)
+    percentage.done()
     return model, proof.excess[1]

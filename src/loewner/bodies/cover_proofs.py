@@ -217,9 +217,10 @@ class _Cells:
     cell: Ints
     element: Ints
 
-    def take(self, keep: Bools, pairs: Bools) -> _Cells:
+    def take(self, keep: Bools, pairs: Bools | None = None) -> _Cells:
+        """Select cells, with all of their pairs or only with some."""
         place = np.cumsum(keep) - 1
-        pairs = pairs & keep[self.cell]
+        pairs = keep[self.cell] if pairs is None else pairs & keep[self.cell]
         return _Cells(self.shape[keep], self.owner[keep], self.area[keep], place[self.cell[pairs]], self.element[pairs])
 
     def middles(self) -> tuple[Floats, Floats]:
@@ -245,9 +246,8 @@ class _Cells:
             edges = self.shape - np.roll(self.shape, -1, axis=1)
             shapes, count = halved(self.shape, dot(edges, edges).argmax(axis=1)), 2
         cell = np.concatenate([self.cell + k * n for k in range(count)])
-        return _Cells(
-            shapes, np.tile(self.owner, count), np.tile(self.area / count, count), cell, np.tile(self.element, count)
-        )
+        owner, area, element = self.owner, self.area / count, self.element
+        return _Cells(shapes, np.tile(owner, count), np.tile(area, count), cell, np.tile(element, count))
 
     @classmethod
     def joined(cls, some_cells: list[_Cells]) -> _Cells:
@@ -259,6 +259,12 @@ class _Cells:
             np.concatenate([c.cell + k for c, k in zip(some_cells, first, strict=False)]),
             np.concatenate([c.element for c in some_cells]),
         )
+
+
+def _left(cells: list[_Cells]) -> _Cells | None:
+    """Join the cells that are not settled; None if there are none."""
+    left = [some for some in cells if len(some.shape)]
+    return _Cells.joined(left) if left else None
 
 
 class _Proof:
@@ -403,7 +409,6 @@ class _Proof:
                 open_cells, least, out, flush, settled = self.look(some_cells, first, inside=False)
                 covered += float(some_cells.area[settled].sum())
                 middle, reach = open_cells.middles()
-                every = np.ones(len(open_cells.cell), dtype=bool)
                 if own:
                     outside += float(open_cells.area[out].sum())
                     self.outside.append(np.column_stack([middle[out], self.target.radius[open_cells.owner[out]]]))
@@ -411,16 +416,15 @@ class _Proof:
                     if first:
                         self._corners(open_cells)
                 done = flush | (2 * reach <= self.tolerance) | (out & (not own))
-                rest.append(open_cells.take(done & ~(out & own), every))
-                next_cells.append(open_cells.take(~done & ~out, every))
+                rest.append(open_cells.take(done & ~(out & own)))
+                next_cells.append(open_cells.take(~done & ~out))
             first = False
             report(int(100 * min(1.0, (covered + outside) / total)), 100)
             halves = _Cells.joined(next_cells)
             if len(halves.shape) > WORK:
                 rest.append(halves)
             if not 0 < len(halves.shape) <= WORK:
-                left = _Cells.joined(rest)
-                return covered, outside, left if len(left.shape) else None
+                return covered, outside, _left(rest)
             cells = [halves.parts()]
 
     def _corners(self, cells: _Cells) -> None:
@@ -466,8 +470,7 @@ class _Proof:
                 rest.append(cells)
                 break
             cells = cells.parts()
-        left = _Cells.joined(rest)
-        return left if len(left.shape) else None
+        return _left(rest)
 
     def dive(self, cells: _Cells, inside: bool) -> None:
         """Look for a hole that is smaller than the tolerance, where points are nearest to being outside."""
@@ -482,8 +485,7 @@ class _Proof:
             self.note(centers[chosen], least[chosen])
             keep = np.zeros(len(least), dtype=bool)
             keep[np.argsort(np.where(flush, np.inf, -least), kind="stable")[:LOOKED_INTO]] = True
-            keep &= ~flush
-            cells = cells.take(keep, np.ones(len(cells.cell), dtype=bool))
+            cells = cells.take(keep & ~flush)
 
     def depth(self, whole: Bools, holes: _Cells | None) -> float:
         """Bound from above the largest distance from a point of the body to the model.
@@ -618,9 +620,7 @@ def _round_excess(target: Target, model: Elements, these: Ints, tolerance: float
     return np.asarray(np.maximum(bound + model.radius[these] + model.rounding[these], target.gap.max()))
 
 
-def prove(
-    packed: Packed, model: Packed, tolerance: float | None, progress: Progress = silent, *, excess: bool = True
-) -> CoverReport:
+def prove(packed: Packed, model: Packed, tolerance: float | None, progress: Progress = silent) -> CoverReport:
     """Prove that a model covers a body, or that it does not; see `Body.covered_by`."""
     elements, target = Elements(model), Target(packed)
     length = RESOLUTION * target.size if tolerance is None else tolerance
@@ -642,8 +642,7 @@ def prove(
         # A curved piece is covered if the polytope around it is covered.
         these = around[target.owner]
         _, _, more = proof.surface(target.triangles[these], target.owner[these], silent, own=False)
-        leftovers = [cells for cells in (rest, more) if cells is not None]
-        rest = _Cells.joined(leftovers) if leftovers else None
+        rest = _left([cells for cells in (rest, more) if cells is not None])
     holes = None
     if proof.witness is None and not whole.all():
         holes = proof.inside()
@@ -658,9 +657,9 @@ def prove(
         total = covered + outside + undecided
         share = (outside / total, (outside + undecided) / total) if total > 0 else (0.0, 1.0)  # a cloud has no area
     outcome = "covered" if covers else "undecided" if proof.witness is None else "uncovered"
-    sticks = excess_of(target, model, elements, length) if excess else (0.0, float("inf"))
+    excess = excess_of(target, model, elements, length)
     progress(100, 100)
-    return CoverReport(outcome, share, depth, proof.witness, sticks)
+    return CoverReport(outcome, share, depth, proof.witness, excess)
 
 
 def first_failures(target: Target, model: Packed, protrusion: float) -> tuple[Floats, Floats]:

@@ -80,7 +80,7 @@ def camera_of(image: ArrayLike, K: ArrayLike, T_world_camera: ArrayLike | None) 
     if width > WIDEST * matrix[0, 0] or height > WIDEST * matrix[1, 1]:
         warn(
             f"K: focal lengths of {matrix[0, 0]:.3g} and {matrix[1, 1]:.3g} pixels make an image of {width} x {height} "
-            "pixels wider than 170 degrees; is the matrix normalised, or the inverse one?"
+            "pixels wider than 170 degrees; is the matrix normalised or inverted?"
         )
     elif doubt := _doubt_about_middle(matrix[0, 2], matrix[1, 2], width, height):
         warn(f"K: a principal point of {matrix[0, 2]:.6g}, {matrix[1, 2]:.6g} {doubt}")

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
-from loewner._base._matrices import dot, least_of, lengths, product, singular_values
+from loewner._base._matrices import dot, least_of, lengths, product, singular_values, slices
 from loewner._base._validate import Bools, Floats, Ints
 from loewner._kernels import columns
 from loewner.bodies.kinds import CURVED, KIND_NAMES, ROUND
@@ -101,12 +103,10 @@ class Elements:
             vertices, planes, triangles = packed.points_of(i), packed.planes_of(i), packed.triangles_of(i)
             heights = product(vertices, planes[:, :3].T)
             least, face = np.empty(len(triangles)), np.empty(len(triangles), dtype=np.int64)
-            each = max(1, AT_ONCE // len(planes))
-            for k in range(0, len(triangles), each):
-                low = heights[triangles[k : k + each]].min(axis=1)
-                below = low - planes[:, 3]
-                face[k : k + each] = below.argmax(axis=1)
-                least[k : k + each] = np.take_along_axis(low, face[k : k + each, None], axis=1)[:, 0]
+            for some in slices(len(triangles), AT_ONCE // len(planes)):
+                low = heights[triangles[some]].min(axis=1)
+                face[some] = (low - planes[:, 3]).argmax(axis=1)
+                least[some] = np.take_along_axis(low, face[some, None], axis=1)[:, 0]
             used, place = np.unique(face, return_inverse=True)
             offsets = least_of(least, place, len(used))
             middle = vertices.mean(axis=0)
@@ -128,20 +128,23 @@ class Elements:
         """Compute the heights of points, shape (m, 3), each for its own element, shape (m,)."""
         if len(self.kinds) == 1:
             return self._heights(self.kinds[0], points, element)
-        heights = np.empty(len(points))
-        kinds = self.kind[element]
+        return self._by_kind(element, lambda kind, these: self._heights(kind, points[these], element[these]))
+
+    def _by_kind(self, element: Ints, function: Callable[[int, Ints], Floats]) -> Floats:
+        """Compute a number for each of some elements by a function of a kind and the indices that have this kind."""
+        kinds, values = self.kind[element], np.empty(len(element))
         for kind in self.kinds:
             these = np.flatnonzero(kinds == kind)
-            heights[these] = self._heights(kind, points[these], element[these])
-        return heights
+            if len(these):
+                values[these] = function(kind, these)
+        return values
 
     def _heights(self, kind: int, points: Floats, element: Ints) -> Floats:
         if kind == columns.POLYTOPE:
             height = np.empty(len(points))
-            each = max(1, AT_ONCE // self.planes.shape[1])
-            for k in range(0, len(points), each):
-                planes = self.planes[element[k : k + each]]
-                height[k : k + each] = (dot(points[k : k + each, None], planes[:, :, :3]) - planes[:, :, 3]).max(axis=1)
+            for some in slices(len(points), AT_ONCE // self.planes.shape[1]):
+                planes = self.planes[element[some]]
+                height[some] = (dot(points[some, None], planes[:, :, :3]) - planes[:, :, 3]).max(axis=1)
             return height
         arm = points - self.center[element]
         if kind == columns.SEGMENT:
@@ -164,10 +167,8 @@ class Elements:
         if len(these):
             x, e = points[these], element[these]
             near = self._near(x - self.center[e], e)
-            share = np.ones(len(e))
-            for kind in np.unique(self.kind[e]).tolist():
-                its = np.flatnonzero(self.kind[e] == kind)
-                share[its] = CURVED[kind].share(dot(self.inverse[e[its]], near[its, None]))
+            unit = dot(self.inverse[e], near[:, None])
+            share = self._by_kind(e, lambda kind, its: CURVED[kind].share(unit[its]))
             distances[these] = lengths(x - self.center[e] - share[:, None] * near) + self.rounding[e]
         return distances
 
@@ -188,10 +189,7 @@ class Elements:
             length = lengths(way)
             way /= np.where(length > 0, length, 1.0)[:, None]
             turned = dot(self.factor[e].transpose(0, 2, 1), way[:, None])
-            support = np.empty(len(e))
-            for kind in np.unique(self.kind[e]).tolist():
-                its = np.flatnonzero(self.kind[e] == kind)
-                support[its] = CURVED[kind].support(turned[its])
+            support = self._by_kind(e, lambda kind, its: CURVED[kind].support(turned[its]))
             bounds[these] = np.maximum(bounds[these], dot(way, arm) - support - self.rounding[e])
         return bounds
 

@@ -112,7 +112,7 @@ def _wider_mesh(vertices: Floats, triangles: Any, by: float) -> Mesh:
 def mjcf_text(packed: Packed, name: str, which: str | None) -> str:
     """Write an MJCF model of one body without joints."""
     if name == "world":
-        raise InputError("name: expected another one than 'world', which MuJoCo gives to what stands, found 'world'")
+        raise InputError("name: expected another one than 'world', MuJoCo's name for its static body, found 'world'")
     root = ElementTree.Element("mujoco", model=name)
     asset = ElementTree.SubElement(root, "asset")
     body = ElementTree.SubElement(ElementTree.SubElement(root, "worldbody"), "body", name=name)
@@ -158,7 +158,7 @@ def _is_small(vertices: Floats, triangles: Any, number: int) -> bool:
     if area < SMALLEST:
         raise InputError(
             f"expected pieces whose surface is at least {SMALLEST:g} m², since MuJoCo refuses smaller meshes, found "
-            f"one of {area:.3g} m², piece {number}; are the lengths in metres?"
+            f"{area:.3g} m² in piece {number}; are the lengths in metres?"
         )
     return abs(float((corners[:, 0] * normals).sum())) / 6.0 < SMALLEST
 
@@ -184,8 +184,7 @@ def save_stl(packed: Packed, path: Path) -> None:
     thick = (packed.layout[:, columns.KIND] < columns.POLYTOPE) & (packed.frames[:, 0] > 0.0)
     if thick.any():
         raise InputError(
-            f"expected pieces that triangles bound, found that piece {int(thick.argmax())} is a surface or a cloud "
-            "with a radius"
+            f"expected pieces bounded by triangles, found piece {int(thick.argmax())}, a surface or cloud with a radius"
         )
     corners = np.concatenate([vertices[triangles] for vertices, triangles in of_pieces(packed)])
     facets = np.zeros(len(corners), FACETS)
@@ -304,8 +303,8 @@ def _listed(packed: Packed, which: str | None, accepted: Callable[[Mesh], bool] 
     if surface.any():
         raise InputError(
             f"expected convex pieces, found that piece {int(surface.argmax())} is a surface, a height field or a cloud "
-            "of points: these formats would collide its convex hull. Write ellipsoids='outer', or make the body of "
-            "convex pieces: by Body.from_mesh, of a cloud by voxel="
+            "of points, which these formats would replace with its convex hull; pass ellipsoids='outer', or make the "
+            "body from convex pieces (Body.from_mesh, or voxel= for a cloud)"
         )
     return [_piece(packed, number, mesh) for number, mesh in enumerate(meshes)]
 
@@ -373,8 +372,5 @@ def _for_urdf(shape: Shape, which: str | None) -> Iterable[Shape]:
         return (Shape("sphere", shape.sizes[:1], np.eye(3), shape.center),)
     unit, triangles = ball(DIVISIONS)
     if which != "inner":
-        corners = unit[triangles]
-        normals = normals_of(corners)
-        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-        unit = unit * (OUTWARD / (normals * corners[:, 0]).sum(axis=1).min())
+        unit = unit * (OUTWARD / inradius(DIVISIONS))
     return (_mesh((unit * shape.sizes @ shape.rotation.T + shape.center, triangles)),)

@@ -73,20 +73,16 @@ def _covering(values: list[str]) -> Covering:
         raise InputError(f"covering: expected six entries, found {values!r}")
     kind, exact, uncovered, excess, samples, *last = values
     if kind not in COVERINGS or exact not in ("True", "False") or not re.fullmatch(r"\d{1,18}", samples, re.ASCII):
-        raise InputError(
-            f"covering: expected a kind among {', '.join(COVERINGS)}, True or False, ..., found {values!r}"
-        )
+        kinds = ", ".join(COVERINGS)
+        raise InputError(f"covering: expected a kind among {kinds}, True or False, ..., found {values!r}")
+    text = ", ".join([uncovered, excess, *last])
     try:
         gap, more, out = float(uncovered), float(excess), float(last[0]) if last else math.nan
     except ValueError:
-        raise InputError(f"covering: expected numbers, found {', '.join([uncovered, excess, *last])}") from None
-    if (
-        not 0 <= gap < math.inf
-        or not (math.isnan(more) or -1 <= more < math.inf)
-        or not (math.isnan(out) or 0 <= out < math.inf)
-    ):
+        raise InputError(f"covering: expected numbers, found {text}") from None
+    right = 0 <= gap < math.inf and (math.isnan(more) or -1 <= more < math.inf)
+    if not (right and (math.isnan(out) or 0 <= out < math.inf)):
         raise InputError(
-            f"covering: expected a length >= 0, a ratio >= -1 or nan and a length >= 0 or nan, found "
-            f"{', '.join([uncovered, excess, *last])}"
+            f"covering: expected a length >= 0, a ratio >= -1 or nan, and a length >= 0 or nan, found {text}"
         )
     return Covering(kind, exact == "True", gap, more, int(samples), out)

@@ -150,9 +150,8 @@ def _in_capsules(radius: Floats, lengths: Floats) -> tuple[Floats, float]:
 def _around_capsules(radius: Floats, lengths: Floats) -> tuple[Floats, float]:
     """Compute the smallest ellipsoids, with semi-axes a, a, b, around capsules whose straight part has half length h.
 
-    The support function of the ellipsoid must be at least h|cos| + r, that is, a² - r² - 2hr c + k c² >= 0 for c in [0,
-    1] with k = b²
-    - a² - h². The volume is least where k² - 2h²k - 3h²r² = 0.
+    The support function of the ellipsoid must be at least h|cos| + r. With k = b² - a² - h², this means that a² - r² -
+    2hr c + k c² >= 0 for all c in [0, 1]. The volume is least where k² - 2h²k - 3h²r² = 0.
     """
     # Compute in units of the greater length, so that no square over- or underflows.
     half = lengths[:, 2]

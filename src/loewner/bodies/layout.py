@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from loewner._base._matrices import dot, image, lengths, product, singular_values
+from loewner._base._matrices import dot, image, lengths, product, singular_values, slices
 from loewner._base._read_only import KeepsReadOnly, read_only
 from loewner._base._validate import Floats, Ints
 from loewner._kernels import columns, records, tolerances
@@ -302,10 +302,8 @@ def heights_of(
     order = np.argsort(node, kind="stable")
     for same in np.split(order, np.flatnonzero(np.diff(node[order])) + 1):
         leaf = points[vertices[first[same[0]] : last[same[0]]]]
-        step = max(1, AT_ONCE // len(leaf))
-        for k in range(0, len(same), step):
-            some = same[k : k + step]
-            heights[some] = product(normals[some], leaf.T).max(axis=1)
+        for some in slices(len(same), AT_ONCE // len(leaf)):
+            heights[same[some]] = product(normals[same[some]], leaf.T).max(axis=1)
     return heights, total
 
 

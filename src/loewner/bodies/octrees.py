@@ -102,10 +102,8 @@ def _leaves(nodes: NDArray[np.uint16], count: int, size: int, file: Path) -> tup
         leaves += [(key | child << step, depth + 1) for child in occupied]
         stack += [(key | child << step, depth + 1) for child in inner]
     if seen != count or 2 * used != size:
-        raise FileError(
-            f"{shown(file)}: expected an octree of OctoMap with {count} nodes in {2 * used} bytes, found {seen} in "
-            f"{size}: it is cut off or altered"
-        )
+        wanted = f"an octree with {count} nodes in {2 * used} bytes"
+        raise FileError(f"{shown(file)}: expected {wanted}, found {seen} in {size}: it is cut off or altered")
     rows = np.array(sorted(leaves), dtype=np.int64).reshape(-1, 2)
     return rows[:, 0], rows[:, 1]
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -50,11 +51,8 @@ class Prepared(PieceArrays):
     @property
     def nbytes(self) -> int:
         """Bytes of all arrays."""
-        arrays = (
-            *arrays_of(self).values(),
-            *(array for direction_map in self.maps.values() for array in direction_map),
-        )
-        return sum(int(array.nbytes) for array in arrays) + sum(tree.nbytes for tree in self.trees.values())
+        held = [*arrays_of(self).values(), *chain.from_iterable(self.maps.values()), *self.trees.values()]
+        return sum(int(one.nbytes) for one in held)
 
     def packed(self) -> Packed:
         """Return the pieces with the arrays for kernels."""
@@ -94,18 +92,14 @@ class Packed(Prepared):
         if trees is None:
             trees = surface_trees(pieces)
         pieces = _with_inner_of_solids(pieces, trees)
-        return cls.with_kernel(
-            Prepared(**arrays_of(pieces), maps=maps, trees=trees), kernel_arrays(pieces, maps, trees)
-        )
+        prepared = Prepared(**arrays_of(pieces), maps=maps, trees=trees)
+        return cls.with_kernel(prepared, kernel_arrays(pieces, maps, trees))
 
     @classmethod
     def with_kernel(cls, made: Prepared, kernel: records.Pieces) -> Packed:
         """Combine pieces with their arrays for kernels."""
         table = records.table_of(kernel)
-        return cls(
-            **arrays_of(made), maps=made.maps, trees=made.trees, kernel=kernel, addresses=table,
-            handle=table.ctypes.data,
-        )  # fmt: skip
+        return cls(**vars(made), kernel=kernel, addresses=table, handle=table.ctypes.data)
 
     def __reduce__(self) -> Any:
         """Make copies and pickles rebuild the handle, an address that is valid only for this object."""
@@ -141,9 +135,8 @@ def _with_inner_of_solids(pieces: PieceArrays, trees: Trees) -> PieceArrays:
 def empty() -> Packed:
     """Make the pack of no bodies."""
     inner, outer = ((np.zeros((0, 3)), np.zeros((0, 3, 3))) for _ in range(2))
-    return Packed.of(
-        laid_out(columns.POLYTOPE, inner, outer, np.zeros((0, 2)), piece_start=np.zeros(1, dtype=np.int64))
-    )
+    start = np.zeros(1, dtype=np.int64)
+    return Packed.of(laid_out(columns.POLYTOPE, inner, outer, np.zeros((0, 2)), piece_start=start))
 
 
 def join(parts: Sequence[Packed]) -> Packed:
@@ -250,8 +243,8 @@ def moved(p: Packed, T: Floats) -> Packed:
     grow[rounded] *= stretch
     if not (shrink > 0.5).all():
         raise GeometryError(
-            f"T: a translation of {np.abs(t).max():g} m leaves no digits for a piece this thin; "
-            "pass the pose to the query instead"
+            f"T: expected a shorter translation for a piece this thin, found {np.abs(t).max():g} m, which leaves no "
+            "digits; pass the pose to the query instead"
         )
     arrays = arrays_of(p)
     arrays.update(

@@ -7,7 +7,7 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from loewner._base._matrices import dot, least_of, product
+from loewner._base._matrices import dot, least_of, product, slices
 from loewner._base._validate import Bools, Floats
 from loewner._kernels import columns
 from loewner._native import entries
@@ -135,9 +135,8 @@ def _cut(packed: Packed, i: int, most: int) -> Packed | None:
     if not single:
         parts = (np.unique(triangles[order[start[k] : start[k + 1]]]) for k in range(count))
         around = [_hull_around(vertices[part], box) for part, box in zip(parts, around, strict=True)]
-    return Packed.with_kernel(
-        prepared_pieces, kernel_of_parts(pieces, tree, around, float(packed.kernel.table[i, columns.REACH]))
-    )
+    reach = float(packed.kernel.table[i, columns.REACH])
+    return Packed.with_kernel(prepared_pieces, kernel_of_parts(pieces, tree, around, reach))
 
 
 def _hull_around(points: Floats, box: Floats) -> Floats:
@@ -165,6 +164,5 @@ def _hull_around(points: Floats, box: Floats) -> Floats:
     if not heights.min() > 0:
         return box
     rows, away = hull.normals / heights[:, None], (points - center).T
-    each = max(1, AT_ONCE // len(points))
-    farthest = max(float(product(rows[k : k + each], away).max()) for k in range(0, len(rows), each))
+    farthest = max(float(product(rows[some], away).max()) for some in slices(len(rows), AT_ONCE // len(points)))
     return np.asarray(center + (hull.vertices - center) * (1 + ROUNDED * (np.rint((farthest - 1) / ROUNDED) + 2)))

@@ -62,8 +62,8 @@ def surface_pieces(
         solid = len(edges) == 0
         if not solid and nearly_closed(vertices, triangles, len(edges)):
             warn(
-                f"{name}: nearly closed, but for {_told(vertices, edges)}. So it has no inside: what lies wholly "
-                "within it counts as free. Close it, or say solid=False if it is meant so"
+                f"{name}: nearly closed, but for {_told(vertices, edges)}. An open mesh has no inside, so that a body "
+                "within it counts as free. Close the mesh, or pass solid=False if that is intended"
             )
     center, factor, gap = _outer(vertices, tol)
     if radius > 0:
@@ -112,7 +112,7 @@ def expect_closed(name: str, vertices: Floats, triangles: Ints) -> None:
         return
     raise GeometryError(
         f"solid: expected a closed mesh with triangles turned alike, found {_told(vertices, edges)}, in {name}; "
-        "solid=False takes the triangles alone"
+        "solid=False uses only the triangles"
     )
 
 

@@ -49,10 +49,8 @@ def for_pictures(packed: Packed, coarse: bool = False) -> Shape:
     radii = np.repeat(packed.frames[:, 0], counts)
     curved = np.flatnonzero(row[:, columns.KIND] > columns.POLYTOPE)
     coarse = coarse or len(curved) > MANY_PIECES
-    curved_corners = [
-        vertices[triangles] for vertices, triangles in (of_piece(packed, k, coarse) for k in curved.tolist())
-    ]
-    corners = np.concatenate([corners, *curved_corners])
+    meshes = (of_piece(packed, k, coarse) for k in curved.tolist())
+    corners = np.concatenate([corners, *(vertices[triangles] for vertices, triangles in meshes)])
     return Shape(corners, np.append(radii, np.zeros(len(corners) - len(radii))), "")
 
 

@@ -214,7 +214,7 @@ class PairArrays:
                 raise InputError(f"{name}: expected Ellipsoids, found {type(E).__name__}")
             if not E.factor.any(axis=(-2, -1)).all():
                 raise GeometryError(
-                    f"{name}: expected ellipsoids with an inside, found a point, as the inner ellipsoid of a surface is"
+                    f"{name}: expected ellipsoids with an interior, found a point, such as the inner one of a surface"
                 )
         if E1.dim != E2.dim:
             raise InputError(f"{caller}: expected ellipsoids of one dimension, found {E1.dim} and {E2.dim}")
@@ -229,7 +229,7 @@ class PairArrays:
         with np.errstate(over="ignore"):
             self.offset = (self._flat(E2.center, n) - self.c1) / self.scale[:, None]
         if not np.isfinite(self.offset).all():
-            raise InputError(f"{caller}: expected a distance of centers that float64 can hold, found an infinite one")
+            raise InputError(f"{caller}: expected a finite distance between centers, found an infinite one")
         self.F1, self.F2 = F1 / self.scale[:, None, None], F2 / self.scale[:, None, None]
 
     def _flat(self, x: Floats, *tail: int) -> Floats:
@@ -239,7 +239,5 @@ class PairArrays:
 def _expect_numbers(x: Floats, caller: str) -> None:
     """Raise an error if results are outside the range of float64."""
     if not np.isfinite(x).all():
-        raise ConvergenceError(
-            f"{caller}: expected sizes and distances whose ratios float64 can square, found a pair beyond that "
-            f"(first at index {int(np.flatnonzero(~np.isfinite(x))[0])})"
-        )
+        pair = f"a larger one in pair {int(np.isfinite(x).argmin())}"
+        raise ConvergenceError(f"{caller}: expected ratios of lengths that float64 can square, found {pair}")

@@ -166,10 +166,8 @@ class Ellipsoids(KeepsReadOnly):
         try:
             c, F = self.center[index], self.factor[index]
         except Exception as error:  # an IndexError, or an error from the caller's object
-            raise BodyIndexError(
-                f"expected an index into a batch of shape {_validate.shape_text(self.batch_shape)}, "
-                f"found {_validate.short(index)} ({error})"
-            ) from None
+            batch, text = _validate.shape_text(self.batch_shape), _validate.short(index)
+            raise BodyIndexError(f"expected an index into a batch of shape {batch}, found {text} ({error})") from None
         if c.shape[-1:] != (self.dim,) or F.shape != (*c.shape, self.dim):
             raise BodyIndexError(f"expected an index of the batch only, found {_validate.short(index)}")
         return trusted(c, F)
@@ -364,7 +362,7 @@ class Ellipsoids(KeepsReadOnly):
         there = np.isfinite(c).all() and np.isfinite(F).all()
         point = ~self.factor.any(axis=(-2, -1))  # a point stays a point
         if not there or (F.size and not (point | (np.linalg.svd(F, compute_uv=False)[..., -1] > 0)).all()):
-            raise GeometryError("expected a map to where floats can say the ellipsoid, found one beyond their range")
+            raise GeometryError("expected an image within the range of float64, found a larger or thinner one")
         return trusted(c, np.broadcast_to(F, (*c.shape, self.dim)))
 
 

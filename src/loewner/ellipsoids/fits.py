@@ -6,7 +6,7 @@ which has been scaled so that containment holds despite rounding. A fit that mis
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -147,15 +147,18 @@ def mvce(
     check_enough(x, "points", given=fixed_center)
     tolerance = checked_tolerance(tol)
     reporter = Reporter(_validate.reporter(progress), tolerance)
-    if _validate.flag(weights, "weights") or fixed_center is not None or _is_large(*x.shape):
+    m, n = x.shape
+    is_large = n >= HIGH_DIMENSION or (n >= MIDDLE_DIMENSION and m * n**4 >= MANY_POINTS)
+    if _validate.flag(weights, "weights") or fixed_center is not None or is_large:
         c, factor, gap, iterations, u = large_outer.smallest_around(x, tolerance, fixed_center, reporter)
-        return certified_fit("mvce", c, factor, gap, iterations, tolerance, u if weights else None, reporter)
-    x, n = writeable(x), x.shape[1]
-    c, factor = np.empty(n), np.empty((n, n))
+        fit = certified_fit("mvce", c, factor, gap, iterations, tolerance, reporter)
+        u.setflags(write=False)
+        return replace(fit, weights=u) if weights else fit
+    x, c, factor = writeable(x), np.empty(n), np.empty((n, n))
     code, gap, iterations, _, _, _ = entries.fit_outer(x, tolerance, FLATNESS, c, factor)
     if code == codes.FLAT:
         raise polytopes.flat_error("points", x)
-    return certified_fit("mvce", c, factor, gap, iterations, tolerance, reporter=reporter)
+    return certified_fit("mvce", c, factor, gap, iterations, tolerance, reporter)
 
 
 def _checked_center(center: ArrayLike | None, n: int) -> Floats | None:
@@ -165,10 +168,6 @@ def _checked_center(center: ArrayLike | None, n: int) -> Floats | None:
     fixed_center = _validate.finite_array(np.full(n, array) if array.ndim == 0 else array, "center", (n,))
     check_size(float(np.abs(fixed_center).max()), "center")
     return fixed_center
-
-
-def _is_large(m: int, n: int) -> bool:
-    return n >= HIGH_DIMENSION or (n >= MIDDLE_DIMENSION and m * n**4 >= MANY_POINTS)
 
 
 @guarded
@@ -243,13 +242,12 @@ def mvie(
     points = _validate.finite_array(A, "points", ("m", "n"))
     check_enough(points, "points")
     if points.shape[1] == 1:  # Qhull requires at least two dimensions; an interval is its own two half-spaces
-        return _mvie_of_halfspaces(
-            np.array([[1.0], [-1.0]]), np.array([points.max(), -points.min()]), tolerance, reporter
-        )
+        ends = np.array([points.max(), -points.min()])
+        return _mvie_of_halfspaces(np.array([[1.0], [-1.0]]), ends, tolerance, reporter)
     piece = Polytope.from_points(points)
     starts = np.array([0, len(piece.vertices)]), np.array([0, len(piece.normals)])
-    inner, _, info = _fit_all(starts[0], piece.vertices, starts[1], piece.normals, tolerance, None)
-    return certified_fit("mvie", inner[0][0], inner[1][0], info[0, 3], int(info[0, 4]), tolerance, reporter=reporter)
+    inner, _, info = _fit_all((starts[0], piece.vertices, starts[1], piece.normals), tolerance, None)
+    return certified_fit("mvie", inner[0][0], inner[1][0], info[0, 3], int(info[0, 4]), tolerance, reporter)
 
 
 def _mvie_of_halfspaces(A: Floats, b: Floats, tol: float, reporter: Reporter) -> Fit:
@@ -261,7 +259,7 @@ def _mvie_of_halfspaces(A: Floats, b: Floats, tol: float, reporter: Reporter) ->
     code, gap, iterations = entries.fit_halfspaces(A, b, x, tol, FLATNESS, center, factor, direction)
     if code == codes.UNBOUNDED or (code != 0 and iterations == 0):
         raise center_error(code, A, direction)
-    return certified_fit("mvie", center, factor, gap, iterations, tol, reporter=reporter)
+    return certified_fit("mvie", center, factor, gap, iterations, tol, reporter)
 
 
 def _mvie_of_many_halfspaces(A: Floats, b: Floats, x: Floats, tol: float, reporter: Reporter) -> Fit:
@@ -278,7 +276,7 @@ def _mvie_of_many_halfspaces(A: Floats, b: Floats, x: Floats, tol: float, report
         code, reached, more = entries.fit_halfspaces(A, b, x, tol, FLATNESS, around, low, direction)
         if code == 0:
             center, factor, gap, iterations = around, low, reached, iterations + more
-    return certified_fit("mvie", center, factor, gap, iterations, tol, reporter=reporter)
+    return certified_fit("mvie", center, factor, gap, iterations, tol, reporter)
 
 
 def _mvie_about(center: Floats, A: Floats, b: Floats, tol: float, reporter: Reporter) -> Fit:
@@ -291,13 +289,12 @@ def _mvie_about(center: Floats, A: Floats, b: Floats, tol: float, reporter: Repo
         polar, origin = A / slack[:, None], np.zeros(A.shape[1])
     check_size(float(np.abs(polar).max()), "A, b about the center, rows by slacks")
     try:
-        _, around, _, iterations, weights = large_outer.smallest_around(
-            polar, max(0.5 * tol, SMALLEST_TOLERANCE), origin, reporter
-        )
+        half = max(0.5 * tol, SMALLEST_TOLERANCE)
+        _, around, _, iterations, weights = large_outer.smallest_around(polar, half, origin, reporter)
     except GeometryError:  # the polar points lie in a hyperplane
         raise center_error(codes.UNBOUNDED, A, origin) from None
     factor, gap = large_inner.proven(A, b, center, lower_root(inverse_of(around)), weights / slack, balanced=False)
-    return certified_fit("mvie", center, factor, gap, iterations, tol, reporter=reporter)
+    return certified_fit("mvie", center, factor, gap, iterations, tol, reporter)
 
 
 @guarded
@@ -342,7 +339,7 @@ def fit_pieces(
     vs, fs = _starts(vert_start, "vert_start", len(V)), _starts(face_start, "face_start", len(A))
     if len(vs) != len(fs):
         raise InputError(f"face_start: expected {len(vs)} entries like vert_start, found {len(fs)}")
-    inner, outer, info = _fit_all(vs, V, fs, A, tolerance, progress)
+    inner, outer, info = _fit_all((vs, V, fs, A), tolerance, progress)
     bad = np.flatnonzero((info[:, 0] != 0) | (info[:, 2] != 0))
     if len(bad):
         i = int(bad[0])
@@ -354,22 +351,15 @@ def fit_pieces(
 
 
 def _fit_all(
-    vert_start: Ints,
-    vertices: Floats,
-    face_start: Ints,
-    normals: Floats,
-    tol: float,
-    progress: Progress | None,
+    pieces: tuple[Ints, Floats, Ints, Floats], tol: float, progress: Progress | None
 ) -> tuple[tuple[Floats, Floats], tuple[Floats, Floats], Floats]:
-    """Run the kernel over blocks of pieces, on the configured number of threads."""
-    total, n = len(vert_start) - 1, vertices.shape[1]
-    vertices, normals = writeable(vertices), writeable(normals)
-    inner = np.empty((total, n)), np.empty((total, n, n))
-    outer = np.empty((total, n)), np.empty((total, n, n))
-    info = np.empty((total, 5))
+    """Run the kernel over blocks of pieces, on the configured number of threads; see `fit_pieces`."""
+    total, n = len(pieces[0]) - 1, pieces[1].shape[1]
+    inner, outer = ((np.empty((total, n)), np.empty((total, n, n))) for _ in range(2))
+    info, arrays = np.empty((total, 5)), [writeable(array) for array in pieces]
 
     def run(first: int, last: int) -> None:
-        entries.fit_range(first, last, vert_start, vertices, face_start, normals, tol, FLATNESS, *inner, *outer, info)
+        entries.fit_range(first, last, *arrays, tol, FLATNESS, *inner, *outer, info)
 
     with logged("fitting the ellipsoids of %d pieces", total, least=MANY_PIECES):
         in_shares(run, total, polytopes.LEAST_SHARE, most=polytopes.BLOCK, progress=progress)
@@ -392,14 +382,7 @@ def _starts(x: Ints, name: str, total: int) -> Ints:
 
 
 def certified_fit(
-    name: str,
-    center: Floats,
-    factor: Floats,
-    gap: float,
-    iterations: int,
-    tol: float,
-    weights: Floats | None = None,
-    reporter: Reporter | None = None,
+    name: str, center: Floats, factor: Floats, gap: float, iterations: int, tol: float, reporter: Reporter | None = None
 ) -> Fit:
     """Wrap a kernel's result; raise if its gap is above the tolerance."""
     if not gap <= tol:
@@ -407,8 +390,6 @@ def certified_fit(
             f"{name}: reached a gap of {gap:.3g} in log-volume, expected {tol:g}; a thin body far from the origin "
             "may not have that many digits: ask for a larger tol, or move it to the origin"
         )
-    if weights is not None:
-        weights.setflags(write=False)
     if reporter is not None:
         reporter.done()
-    return Fit(trusted(center, factor), float(max(gap, 0.0)), int(iterations), weights)
+    return Fit(trusted(center, factor), float(max(gap, 0.0)), int(iterations))

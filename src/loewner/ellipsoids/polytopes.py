@@ -220,7 +220,7 @@ def check_halfspaces(A: ArrayLike, b: ArrayLike) -> tuple[Floats, Floats]:
     nothing = size == 0
     if (bounds[nothing] < 0).any():
         i = int(np.flatnonzero(nothing & (bounds < 0))[0])
-        raise GeometryError(f"A, b: empty: row {i} says 0 <= {bounds[i]:g}")
+        raise GeometryError(f"A, b: empty: row {i} requires 0 <= {bounds[i]:g}")
     scale = -np.frexp(size[~nothing])[1]
     with np.errstate(over="ignore"):  # infinite numbers are reported as too large
         scaled = np.ldexp(bounds[~nothing], scale)
@@ -278,12 +278,9 @@ def interior_point(A: Floats, b: Floats) -> Floats:
     if least > max(noise, FLATNESS * size):
         return x
     if least < -max(noise, FLATNESS * size):
-        raise GeometryError(
-            f"A, b: empty: every point is outside some half-space, the best one by {-distance.min():.3g}"
-        )
+        raise GeometryError(f"A, b: empty: every point is outside a half-space, the best one by {-distance.min():.3g}")
     raise GeometryError(
-        f"A, b: flat: the innermost point is {distance.min():.3g} from a face, against a size of {size:.3g} "
-        f"and a rounding of {noise:.3g}"
+        f"A, b: flat: the innermost point is {distance.min():.3g} from a face; size {size:.3g}, rounding {noise:.3g}"
     )
 
 
@@ -435,24 +432,11 @@ class Hulls:
     @classmethod
     def _packed(cls, parts: Sequence[tuple[Floats, Floats, Floats, Ints]]) -> Hulls:
         """Pack vertices, normals, offsets and triangles of each hull."""
-
-        def start(column: int) -> Ints:
-            return np.concatenate([[0], np.cumsum([len(part[column]) for part in parts], dtype=np.int64)]).astype(
-                np.int64
-            )
-
-        def packed(column: int, empty: tuple[int, ...]) -> Any:
-            return np.concatenate([part[column] for part in parts]) if parts else np.empty(empty)
-
-        return cls(
-            vert_start=start(0),
-            vertices=packed(0, (0, 3)),
-            face_start=start(1),
-            normals=packed(1, (0, 3)),
-            offsets=packed(2, (0,)),
-            triangle_start=start(3),
-            triangles=packed(3, (0, 3)).astype(np.int64),
-        )
+        none = np.empty((0, 3)), np.empty((0, 3)), np.empty(0), np.empty((0, 3), dtype=np.int64)
+        columns = list(zip(none, *parts, strict=True))
+        vertices, normals, offsets, triangles = map(np.concatenate, columns)
+        starts = [np.cumsum([len(array) for array in column], dtype=np.int64) for column in columns]
+        return cls(starts[0], vertices, starts[1], normals, offsets, starts[3], triangles)
 
 
 @guarded

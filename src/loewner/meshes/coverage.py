@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from loewner._base import _validate
-from loewner._base._matrices import least_of
+from loewner._base._matrices import least_of, slices
 from loewner._base._validate import Floats, Ints
 from loewner.ellipsoids.polytopes import Polytope
 from loewner.meshes.triangles import halved, longest_edges, squared_distances
@@ -187,9 +187,10 @@ def _coverage(points: Floats, cells: Ints, hulls: list[Polytope]) -> tuple[Float
 
 def _excess(points: Floats, hull: Polytope) -> Floats:
     """Compute the largest n·x - b over the faces, which is a lower bound on the distance, and negative inside."""
-    chunk = max(1, 2_000_000 // len(hull.normals))
-    parts = [(points[k : k + chunk] @ hull.normals.T - hull.offsets).max(axis=1) for k in range(0, len(points), chunk)]
-    return np.concatenate([np.empty(0), *parts])
+    excess = np.empty(len(points))
+    for some in slices(len(points), 2_000_000 // len(hull.normals)):
+        excess[some] = (points[some] @ hull.normals.T - hull.offsets).max(axis=1)
+    return excess
 
 
 def _largest_gap(cells: Floats, hulls: list[Polytope], slack: float) -> float:
@@ -216,12 +217,11 @@ def distances_from(points: Floats, hull: Polytope, slack: float) -> Floats:
     The nearest point lies on a face that is visible from the point; `slack` keeps rounding from hiding such a face.
     """
     distance = np.zeros(len(points))
-    chunk = max(1, 500_000 // len(hull.simplices))
-    for k in range(0, len(points), chunk):
-        x = points[k : k + chunk]
+    for some in slices(len(points), 500_000 // len(hull.simplices)):
+        x = points[some]
         height = x @ hull.normals.T - hull.offsets
         seen = (height > -slack) & (height.max(axis=1) > 0)[:, None]
         i, j = np.nonzero(seen[:, hull.face_of_simplex])
         squared = least_of(squared_distances(x[i], hull.vertices[hull.simplices[j]]), i, len(x))
-        distance[k : k + chunk] = np.where(seen.any(axis=1), np.sqrt(squared), 0.0)
+        distance[some] = np.where(seen.any(axis=1), np.sqrt(squared), 0.0)
     return distance

@@ -128,11 +128,9 @@ def load(source: Source) -> tuple[Floats, Triangles]:
         vertices, triangles = _in_memory(source)
     if len(triangles) == 0:
         raise GeometryError(f"{name}: expected a mesh, found {len(vertices)} vertices and no triangle")
-    if triangles.min() < 0 or triangles.max() >= len(vertices):
-        raise GeometryError(
-            f"{name}: expected triangles of vertices 0..{len(vertices) - 1}, "
-            f"found indices {triangles.min()}..{triangles.max()}"
-        )
+    first, last = triangles.min(), triangles.max()
+    if first < 0 or last >= len(vertices):
+        raise GeometryError(f"{name}: expected triangles of vertices 0..{len(vertices) - 1}, found {first}..{last}")
     return _used_and_finite(vertices, triangles, name)
 
 
@@ -158,13 +156,10 @@ def _in_memory(source: Any) -> tuple[Floats, Triangles]:
     except InputError:
         raise
     except Exception as error:  # from a scene made by the caller; trimesh has no errors of its own
-        raise GeometryError(
-            f"mesh: expected a scene that can be joined, found {type(error).__name__}: {error}"
-        ) from None
+        raise GeometryError(f"mesh: expected a joinable scene, found {type(error).__name__}: {error}") from None
     if not (hasattr(mesh, "vertices") and hasattr(mesh, "faces")):
         raise InputError(
-            f"mesh: expected a path, a trimesh.Trimesh, a trimesh.Scene, or vertices and triangles, "
-            f"found {type(source).__name__}"
+            f"mesh: expected a path, a trimesh.Trimesh or Scene, or a pair of arrays, found {type(source).__name__}"
         )
     vertices = _validate.float_array(mesh.vertices, "mesh.vertices")
     triangles = _validate.plain_array(mesh.faces, "mesh.faces")
@@ -182,8 +177,7 @@ def _expect_one_unit(scene: Any) -> None:
     units = {_metres(mesh): str(getattr(mesh, "units", None)) for mesh in shapes}
     if len(units) > 1:
         raise GeometryError(
-            f"mesh: expected a scene with one unit of length, found {', '.join(units.values())}; convert its meshes "
-            "first (mesh.convert_units)"
+            f"mesh: expected a scene with one unit of length, found {', '.join(units.values())}; see mesh.convert_units"
         )
 
 
@@ -313,7 +307,7 @@ def _path(source: str | PathLike[str]) -> Path:
 
 
 class Options(NamedTuple):
-    """The options of `convex_pieces`, not checked yet."""
+    """The options of `convex_pieces`."""
 
     scale: ArrayLike
     decompose: bool
@@ -323,6 +317,22 @@ class Options(NamedTuple):
     max_pieces: int | None
     seed: int
     progress: Progress | None
+
+    def checked(self) -> Options:
+        """Check all options except the scale, which `scaled_mesh` checks."""
+        threshold = _validate.positive_scalar(self.threshold, "threshold")
+        if not 0.01 <= threshold <= 1:
+            raise InputError(f"threshold: expected 0.01 to 1, found {threshold:g}")
+        within, most = self.tolerance, self.max_pieces
+        return self._replace(
+            threshold=threshold,
+            tolerance=None if within is None else _validate.positive_scalar(within, "tolerance"),
+            max_pieces=None if most is None else _validate.whole_number(most, "max_pieces", 1, LARGEST_NUMBER),
+            seed=_validate.whole_number(self.seed, "seed", 0, LARGEST_NUMBER),
+            decompose=_validate.flag(self.decompose, "decompose"),
+            cover=_validate.flag(self.cover, "cover"),
+            progress=_validate.callback(self.progress, "progress"),
+        )
 
 
 def convex_polytopes(source: Source, options: Options) -> tuple[list[Polytope], Covering]:
@@ -335,17 +345,9 @@ def convex_polytopes(source: Source, options: Options) -> tuple[list[Polytope], 
 
 
 def _polytopes(source: Source, options: Options) -> tuple[list[Polytope], Covering]:
-    scale, decompose, cover, tolerance, threshold, max_pieces, seed, progress = options
-    threshold = _validate.positive_scalar(threshold, "threshold")
-    if not 0.01 <= threshold <= 1:
-        raise InputError(f"threshold: expected 0.01 to 1, found {threshold:g}")
-    within = None if tolerance is None else _validate.positive_scalar(tolerance, "tolerance")
-    most = None if max_pieces is None else _validate.whole_number(max_pieces, "max_pieces", 1, LARGEST_NUMBER)
-    seed = _validate.whole_number(seed, "seed", 0, LARGEST_NUMBER)
-    decompose, cover = _validate.flag(decompose, "decompose"), _validate.flag(cover, "cover")
-    _validate.callback(progress, "progress")
-    name = name_of(source)
-    vertices, triangles = scaled_mesh(source, scale)
+    options = options.checked()
+    decompose, within, name = options.decompose, options.tolerance, name_of(source)
+    vertices, triangles = scaled_mesh(source, options.scale)
     vertices, triangles = welded(vertices, triangles)
     parts = closed_parts(vertices, triangles) or []  # empty for a mesh that is not closed
     if parts:
@@ -365,31 +367,31 @@ def _polytopes(source: Source, options: Options) -> tuple[list[Polytope], Coveri
             excess = _excess_volume(pieces, mesh_volume)
             return _told(name, pieces, Covering(kind, True, 0.0, excess, len(vertices), reached), within)
 
-    chosen = within
     if _has_holes(triangles):
         warn(
-            f"{name}: has holes, so that its inside is not known to be solid and what is in there may be FREE; close "
-            "them, take its triangles as they are, exact and in milliseconds (Body.from_surface, --model surface), or "
-            "take its convex hull (decompose=False, --hull)"
+            f"{name}: has holes, so that a body inside it may be FREE; close the holes, use the triangles as they are "
+            "(Body.from_surface, --model surface), which is exact and fast, or the hull (decompose=False, --hull)"
         )
         if within is None:  # CoACD would first make the mesh solid, which is slow and less accurate
             within = OPEN_TOLERANCE * _size(vertices)
     if within is None:
         with logged("%s: decomposing %d triangles", name, len(triangles)):
-            pieces = _coacd_by_parts(vertices, triangles, parts, hulls, threshold, most, seed, progress)
-        pieces, covering = covered(vertices[triangles], pieces, _size(vertices), grow=cover)
+            pieces = _coacd_by_parts(vertices, triangles, parts, hulls, options)
+        pieces, covering = covered(vertices[triangles], pieces, _size(vertices), grow=options.cover)
         reached = _protrusion(pieces, solid)
     else:
         surfaces = [vertices[part.triangles] for part in parts] if hulls else [vertices[triangles]]
         with logged("%s: cutting %d triangles", name, len(triangles)):
-            cells = pieces_within(surfaces, solid, within, most, progress, np.inf if solid.closed else WORK)
+            work = np.inf if solid.closed else WORK
+            cells = pieces_within(surfaces, solid, within, options.max_pieces, options.progress, work)
         pieces = [cell.hull for cell in cells]
         # Each cell already lies in its hull, so no hull has to grow.
         surface = np.concatenate([cell.triangles for cell in cells])
         _, covering = covered(surface, pieces, _size(vertices), grow=False)
         reached = min(_protrusion(pieces, solid), max(cell.bound for cell in cells))
     excess = _excess_volume(pieces, mesh_volume)
-    return _told(name, pieces, replace(covering, excess_volume=excess, max_protrusion=reached), chosen)
+    covering = replace(covering, excess_volume=excess, max_protrusion=reached)
+    return _told(name, pieces, covering, options.tolerance)
 
 
 def _told(
@@ -456,9 +458,7 @@ def welded(vertices: Floats, triangles: Triangles) -> tuple[Floats, Triangles]:
     a, b, c = triangles.T
     triangles = triangles[(a != b) & (b != c) & (c != a)]
     if len(triangles) == 0:
-        raise GeometryError(
-            f"mesh: expected triangles, found only triangles with equal corners, {len(vertices)} points"
-        )
+        raise GeometryError(f"mesh: expected triangles, found only ones with equal corners, {len(vertices)} points")
     used, triangles = np.unique(triangles, return_inverse=True)
     return vertices[used], triangles.reshape(-1, 3)
 
@@ -494,35 +494,28 @@ def _interruptible(work: Callable[[], T]) -> T:
     The code itself cannot be stopped: after an interrupt it runs to its end on a thread of its own, and its result is
     discarded.
     """
-    done: list[T] = []
-    errors: list[BaseException] = []
+    from concurrent.futures import Future  # imported late, since loading bodies does not need it
+
+    future: Future[T] = Future()
 
     def run() -> None:
         try:
-            done.append(work())
+            future.set_result(work())
         except BaseException as error:
-            errors.append(error)
+            future.set_exception(error)
 
     thread = threading.Thread(target=run, name="loewner decomposition", daemon=True)
     thread.start()
-    while not done and not errors:
+    while not future.done():
         thread.join(0.05)
-    if errors:
-        raise errors.pop()  # otherwise the list and the error's traceback would refer to each other
-    return done[0]
+    return future.result()
 
 
 def _coacd_by_parts(
-    vertices: Floats,
-    triangles: Triangles,
-    parts: list[ClosedPart],
-    hulls: list[Polytope],
-    threshold: float,
-    most: int | None,
-    seed: int,
-    progress: Progress | None,
+    vertices: Floats, triangles: Triangles, parts: list[ClosedPart], hulls: list[Polytope], options: Options
 ) -> list[Polytope]:
     """Decompose each nonconvex closed part, or the whole mesh if its parts are unknown or too many."""
+    threshold, most, seed = options.threshold, options.max_pieces, options.seed
     if not hulls or (most is not None and len(parts) > most):
         return _at_most(most, _coacd(vertices, triangles, threshold, most, seed))
     curved = [not _is_hull_of(part, hull) for part, hull in zip(parts, hulls, strict=True)]
@@ -534,8 +527,8 @@ def _coacd_by_parts(
         corners, own = np.unique(part.triangles, return_inverse=True)
         relative = min(1.0, threshold * size / _size(vertices[corners]))
         pieces += _coacd(vertices[corners], own.reshape(-1, 3), relative, share, seed)
-        if progress is not None:
-            progress(k + 1, sum(curved))
+        if options.progress is not None:
+            options.progress(k + 1, sum(curved))
     return _at_most(most, pieces)
 
 
@@ -570,7 +563,5 @@ def _coacd(vertices: Floats, triangles: Triangles, threshold: float, most: int |
         except GeometryError:
             continue  # a flat sliver; covering assigns its part of the surface to a neighbour, and measures it
     if not hulls:
-        raise GeometryError(
-            "mesh: the convex decomposition found no solid piece; decompose=False takes the convex hull"
-        )
+        raise GeometryError("mesh: expected solid pieces from CoACD, found none; decompose=False takes the convex hull")
     return hulls

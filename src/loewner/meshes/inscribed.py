@@ -77,10 +77,8 @@ def inscribed_ellipsoids(
     x = writeable(_validate.finite_array(vertices, "vertices", ("v", 3)))
     corners = writeable(_validate.integer_array(triangles, "triangles"))
     if corners.ndim != 2 or corners.shape[1] != 3 or len(corners) < FEWEST_TRIANGLES:
-        raise InputError(
-            f"triangles: expected shape (t, 3) with t >= {FEWEST_TRIANGLES}, "
-            f"found {_validate.shape_text(corners.shape)}"
-        )
+        shape = _validate.shape_text(corners.shape)
+        raise InputError(f"triangles: expected shape (t, 3) with t >= {FEWEST_TRIANGLES}, found {shape}")
     if corners.min() < 0 or corners.max() >= len(x):
         raise InputError(f"triangles: expected indices of {len(x)} vertices, found {corners.min()} to {corners.max()}")
     most = _validate.whole_number(count, "count", 1)

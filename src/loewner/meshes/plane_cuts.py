@@ -11,7 +11,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from loewner._base import _elementary
+from loewner._base import _elementary, _validate
+from loewner._base._log import Percentage
 from loewner._base._matrices import dot, image, lengths, normals_of, principal_axes, product
 from loewner._base._validate import Floats, Progress
 from loewner.ellipsoids.polytopes import Polytope
@@ -108,47 +109,32 @@ def pieces_within(
     rng = np.random.default_rng(0)
     plate = PLATE * tolerance
     cells = [_cell(part, plate) for part in parts]
-    far = _Progress(progress)
+    far = Percentage(_validate.reporter(progress))
     for _ in range(PASSES):
         cells, work = _cut_up(cells, solid, tolerance, limit, plate, far, rng, work)
         cells = _merged(cells, solid, tolerance, rng)
         # Joining makes room for more cuts.
         if work <= 0 or len(cells) >= limit or not any(cell.is_out(tolerance) for cell in cells):
             break
-    far.end()
+    far.done()  # even if some cells remain uncut
     return cells
 
 
-@dataclass
-class _Progress:
-    """Report the finished share of the surface in hundredths; the share never decreases."""
-
-    tell: Progress | None
-    told: int = 0
-
-    def look(self, cells: list[Cell], tolerance: float) -> None:
-        """Report the share of the surface in cells that need no further cuts."""
-        if self.tell is None:
-            return
-        areas = [float(lengths(normals_of(cell.triangles)).sum()) for cell in cells]
-        done = sum(area for cell, area in zip(cells, areas, strict=True) if not cell.is_out(tolerance))
-        self.told = max(self.told, int(99 * done / max(sum(areas), np.finfo(float).tiny)))
-        self.tell(self.told, 100)
-
-    def end(self) -> None:
-        """Report completion, even if some cells remain uncut."""
-        if self.tell is not None:
-            self.tell(100, 100)
+def _finished(cells: list[Cell], tolerance: float) -> float:
+    """Compute the share of the surface that is in cells that need no further cuts."""
+    areas = np.array([lengths(normals_of(cell.triangles)).sum() for cell in cells])
+    out = np.array([cell.is_out(tolerance) for cell in cells])
+    return float(areas[~out].sum() / max(areas.sum(), np.finfo(float).tiny))
 
 
 def _cut_up(
-    cells: list[Cell], solid: Solid, tolerance: float, limit: int, plate: float, progress: _Progress,
+    cells: list[Cell], solid: Solid, tolerance: float, limit: int, plate: float, progress: Percentage,
     rng: np.random.Generator, work: float,
 ) -> tuple[list[Cell], float]:  # fmt: skip
     """Cut cells until no cell sticks out too far or a limit is reached; also return the remaining work."""
     while True:
         cells = _measured(cells, solid, tolerance)
-        progress.look(cells, tolerance)
+        progress.report(_finished(cells, tolerance))
         out = sorted((cell for cell in cells if cell.is_out(tolerance)), key=lambda cell: -cell.bound)
         chosen = set[int]()
         for cell in out[: max(0, limit - len(cells))]:
@@ -158,13 +144,10 @@ def _cut_up(
             work -= _work(cell)
         if not chosen:
             return cells, work
-        cells = [
-            part
-            for cell in cells
-            for part in (
-                (_cut(cell, solid, plate, rng) or [replace(cell, whole=True)]) if id(cell) in chosen else [cell]
-            )
-        ]
+        parts: list[Cell] = []
+        for cell in cells:
+            parts += (_cut(cell, solid, plate, rng) or [replace(cell, whole=True)]) if id(cell) in chosen else [cell]
+        cells = parts
 
 
 def _work(cell: Cell) -> int:

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from loewner._base import _elementary
 from loewner._base._kept import kept
-from loewner._base._matrices import dot, lengths, product
+from loewner._base._matrices import dot, lengths, product, slices
 from loewner._base._validate import Bools, Floats, Ints
 from loewner._base._workspaces import workspace
 from loewner._kernels.codes import UNCOUNTED
@@ -80,22 +80,21 @@ class Solid:
         self._tree = FramedTree.of(corners)
         self._normals = self.normals[self._tree.numbers]
 
-    def _framed(self, points: Floats) -> Floats:
-        """Convert points to the coordinates of the kernels."""
-        return framed(points, self._tree.origin, self._tree.scale)
+    def _chunks(self, points: Floats) -> Iterator[tuple[slice, tuple[int, float, Floats]]]:
+        """Yield slices of points with arguments for kernels: the tree, a bound on lengths, and the points in its frame.
 
-    def _asked(self, framed: Floats) -> tuple[int, float]:
-        """Return the tree, and a sum of lengths that bounds all coordinates."""
-        return self._tree.table.ctypes.data, 3.0 * (1.0 + float(np.abs(framed).max(initial=0.0)))
+        The bound is a sum of lengths that is at least as large as any coordinate.
+        """
+        for some in slices(len(points), CHUNK):
+            within = framed(points[some], self._tree.origin, self._tree.scale)
+            yield some, (self._tree.table.ctypes.data, 3.0 * (1.0 + float(np.abs(within).max(initial=0.0))), within)
 
     def signed_distances(self, points: Floats) -> tuple[Floats, Ints]:
         """Compute the distances from points to the surface, negative inside, and the triangle nearest to each point."""
         distances, places = np.empty(len(points)), np.empty(len(points), dtype=np.int64)
         memory = workspace(entries.points_memory())
-        for k in range(0, len(points), CHUNK):
-            framed = self._framed(points[k : k + CHUNK])
-            some = distances[k : k + CHUNK]
-            entries.nearest_triangles(*self._asked(framed), framed, some, places[k : k + CHUNK], memory)
+        for some, chunk in self._chunks(points):
+            entries.nearest_triangles(*chunk, distances[some], places[some], memory)
         distances /= self._tree.scale
         if self.closed:
             clear = np.flatnonzero(distances > self.rounding)  # on the surface, either sign is valid
@@ -111,17 +110,13 @@ class Solid:
         answers = np.zeros(len(points), dtype=bool)
         if len(points) == 0 or self.closed and not self._turned_alike:
             return answers
-        point_numbers = np.arange(len(points)) if self.closed else np.flatnonzero(outside)
+        tested = np.arange(len(points)) if self.closed else np.flatnonzero(outside)
+        far, one_way = (reach[tested] + self.rounding) * self._tree.scale, np.empty(len(tested), dtype=bool)
         memory, near = workspace(entries.points_memory()), np.empty((len(self.triangles), 3))
-        for k in range(0, len(point_numbers), CHUNK):
-            some = point_numbers[k : k + CHUNK]
-            framed, one_way = self._framed(points[some]), np.empty(len(some), dtype=bool)
-            far = (reach[some] + self.rounding) * self._tree.scale
-            entries.facing_one_way(
-                *self._asked(framed), framed, far, self._normals, not self.closed, FACING, FACING_STEPS, one_way, near,
-                memory,
-            )  # fmt: skip
-            answers[some] = one_way
+        options = self._normals, not self.closed, FACING, FACING_STEPS
+        for some, chunk in self._chunks(points[tested]):
+            entries.facing_one_way(*chunk, far[some], *options, one_way[some], near, memory)
+        answers[tested] = one_way
         return answers
 
     @kept
@@ -140,9 +135,8 @@ class Solid:
         """Compute the winding number of a closed mesh around each point."""
         numbers = np.empty(len(points), dtype=np.int64)
         memory = workspace(entries.points_memory())
-        for k in range(0, len(points), CHUNK):
-            framed = self._framed(points[k : k + CHUNK])
-            entries.winding_numbers(*self._asked(framed), framed, numbers[k : k + CHUNK], memory)
+        for some, chunk in self._chunks(points):
+            entries.winding_numbers(*chunk, numbers[some], memory)
         for untold in np.flatnonzero(numbers == UNCOUNTED):
             numbers[untold] = self._turns(points[untold])
         return numbers
@@ -340,10 +334,8 @@ class _Search:
         np.maximum.at(self.bounds, owner[low], bound[low])
         rest = np.flatnonzero((bound > target) & (height < radius))
         small = rest[radius[rest] <= self.solid.size * LARGEST_LOOKED_INTO]
-        settled = small[
-            self.solid.face_one_way(middles[small], signed[small] + 2 * radius[small], signed[small] > radius[small])
-        ]
-        rest = np.setdiff1d(rest, settled)
+        far, outside = signed[small] + 2 * radius[small], signed[small] > radius[small]
+        rest = np.setdiff1d(rest, small[self.solid.face_one_way(middles[small], far, outside)])
         steps = np.array([[x, y, z, 0] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) / 2
         parts = np.hstack([middles, half[:, None] / 2])[rest, None] + steps * half[rest, None, None]
         return parts.reshape(-1, 4), np.repeat(rest, 8), bound

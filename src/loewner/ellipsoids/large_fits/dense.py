@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from loewner._base._log import Percentage
+from loewner._base._matrices import slices
 from loewner._base._validate import Floats, Progress
 
 ROUNDING = 2.0**-53  # unit roundoff of float64
@@ -19,11 +20,9 @@ LARGEST_SYSTEM = 7000
 STEP_CAP, CENTRING_FLOOR = 0.9999, 1e-15  # as in `_kernels.fits.mvce`
 
 
-def blocks(rows: Floats) -> Iterator[tuple[int, Floats]]:
-    """Yield rows in blocks, each block with the number of its first row."""
-    size = max(1, BLOCK // rows.shape[1])
-    for first in range(0, len(rows), size):
-        yield first, rows[first : first + size]
+def blocks(rows: Floats) -> Iterator[tuple[slice, Floats]]:
+    """Yield rows in blocks, each block with its slice of the rows."""
+    return ((some, rows[some]) for some in slices(len(rows), BLOCK // rows.shape[1]))
 
 
 def lower_root(rows: Floats) -> Floats:
@@ -62,32 +61,17 @@ def room(x: Floats, dx: Floats) -> float:
     return float((x[down] / -dx[down]).min(initial=np.inf))
 
 
-@dataclass
-class Reporter:
-    """A reporter of the percentage of the requested digits that have been reached, which never decreases.
+class Reporter(Percentage):
+    """A reporter of the percentage of the requested digits that have been reached."""
 
-    Within a round, the share does not change, and is reported again so that the callback may interrupt.
-    """
-
-    progress: Progress
-    tol: float
-    first: float = np.inf
-    told: int = 0
+    def __init__(self, progress: Progress, tol: float) -> None:
+        super().__init__(progress)
+        self._tol, self._first = tol, np.inf
 
     def reached(self, gap: float) -> None:
         """Report a gap that holds for all points or half-spaces."""
-        if 0 < gap < np.inf:
-            if not self.first < np.inf:
-                self.first = max(gap, 2 * self.tol)
-            share = np.log(self.first / max(gap, self.tol)) / np.log(self.first / self.tol)
-            self.told = max(self.told, min(99, int(100 * share)))
-        self.working()
-
-    def working(self) -> None:
-        """Report that another step has been made."""
-        self.progress(self.told, 100)
-
-    def done(self) -> None:
-        """Report that all digits are reached."""
-        self.told = 100
-        self.working()
+        if not 0 < gap < np.inf:
+            return self.report()
+        if not self._first < np.inf:
+            self._first = max(gap, 2 * self._tol)
+        self.report(np.log(self._first / max(gap, self._tol)) / np.log(self._first / self._tol))

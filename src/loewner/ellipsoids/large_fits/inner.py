@@ -176,9 +176,8 @@ def _way_out(R: Floats) -> Floats | None:
 def _ratios(R: Floats, found: _Inside) -> Floats:
     """Compute the factors by which the ellipsoid may grow before each half-space cuts it."""
     ratio = np.empty(len(R))
-    for first, block in blocks(R):
-        reach = np.linalg.norm(block @ found.root, axis=1)
-        ratio[first : first + len(block)] = (1.0 - block @ found.x) / reach
+    for some, block in blocks(R):
+        ratio[some] = (1.0 - block @ found.x) / np.linalg.norm(block @ found.root, axis=1)
     return ratio
 
 
@@ -195,7 +194,7 @@ def _solve(A: Floats, x: Floats, active: _WorkingSet, target: float, reporter: R
     d, z = 1.0 - A @ x, np.empty(0)
     best, since_best = _Inside(x, np.zeros((n, n)), np.inf, 0), 0
     for step in range(MAX_STEPS):
-        reporter.working()
+        reporter.report()
         root = dense.root_of_inverse((A * y[:, None]).T @ A)
         if root is None:
             break
@@ -330,8 +329,7 @@ def proven(
     if not factor.any():
         return factor, np.inf
     low, high = np.empty(len(A)), np.empty(len(A))
-    for first, block in blocks(A):
-        part = slice(first, first + len(block))
+    for part, block in blocks(A):
         value = b[part] - block @ center
         error = (n + 2) * ROUNDING * (np.abs(b[part]) + np.abs(block) @ np.abs(center))
         low[part], high[part] = value - error, value + error
@@ -365,10 +363,10 @@ def _scale(A: Floats, low: Floats, factor: Floats) -> tuple[float, float]:
     n = A.shape[1]
     scale, hidden = np.inf, 0.0
     size = np.abs(factor)
-    for first, block in blocks(A):
+    for some, block in blocks(A):
         doubt = (n + 2) * ROUNDING * np.linalg.norm(np.abs(block) @ size, axis=1)
         reach = np.linalg.norm(block @ factor, axis=1) * (1.0 + (n + 3) * ROUNDING)
-        slack = low[first : first + len(block)] * (1.0 - 2.0 * ROUNDING)
+        slack = low[some] * (1.0 - 2.0 * ROUNDING)
         scale = min(scale, float((slack / ((reach + doubt) * (1.0 + 2.0 * ROUNDING))).min()))
         hidden = max(hidden, float((doubt / reach).max()))
     return scale, hidden

@@ -204,7 +204,7 @@ def _extremes(points: Floats, noise: float, flatness: float, given: Floats | Non
         direction[np.argmin((basis[:j] ** 2).sum(axis=0))] = 1.0
         direction = _orthonormal(direction, basis[:j])
         low, high = (np.inf, 0), (-np.inf, 0)
-        for first, block in small or ((k, b - about) for k, b in blocks(points)):
+        for first, block in small or ((some.start, b - about) for some, b in blocks(points)):
             along = block @ direction
             if given is not None:
                 along = np.abs(along)
@@ -239,7 +239,7 @@ def _solve(active: _WorkingSet, target: float, reporter: Reporter) -> tuple[int,
     n = active.dim
     spent, steps, gap = 0.0, 0, np.inf
     for _ in range(MAX_ASCENTS):
-        reporter.working()
+        reporter.report()
         root = dense.root_of_inverse((active.Q * active.u[:, None]).T @ active.Q)
         if root is None:
             return steps, np.inf
@@ -320,7 +320,7 @@ def _interior_point(active: _WorkingSet, target: float, reporter: Reporter) -> t
     u, s = (1.0 - EVEN) * active.u + EVEN / len(Q), np.empty(0)
     best, since_best = np.inf, 0
     for step in range(MAX_STEPS):
-        reporter.working()
+        reporter.report()
         root = dense.root_of_inverse((Q * u[:, None]).T @ Q)
         if root is None:
             return step, best
@@ -384,9 +384,9 @@ def _ellipsoid(active: _WorkingSet, origin: Floats, frame: Floats) -> tuple[Floa
 def _squared_radii(points: Floats, center: Floats, inverse: Floats) -> Floats:
     """Compute |inverse (x - center)|² for all points, block by block."""
     radii = np.empty(len(points))
-    for first, block in blocks(points):
+    for some, block in blocks(points):
         y = (block - center) @ inverse.T
-        np.einsum("ij,ij->i", y, y, out=radii[first : first + len(y)])
+        np.einsum("ij,ij->i", y, y, out=radii[some])
     return radii
 
 

@@ -51,8 +51,7 @@ def read(path: Path) -> tuple[Floats, Triangles]:
         raise FileError(f"{name}{where}: {refusal}") from None
     except MemoryError:
         raise FileError(
-            f"{name}: expected a mesh that fits into memory, found one of {len(data)} bytes in its file, of which "
-            "reading takes about ten times as much"
+            f"{name}: expected a mesh that fits into memory, found {len(data)} bytes; reading takes ten times as much"
         ) from None
     for text, places in told.items():
         where = ", ".join(filter(None, [name, places[0]]))

@@ -284,7 +284,7 @@ class _Scene:
             if element.tag in _PARTS_OF_POINTS:
                 _check_parts(element, _PARTS_OF_POINTS[element.tag])
         if "id" in array.attributes:
-            accessor.expect(accessor.reference("source") == array.text("id"), "expected this source's")
+            accessor.expect(accessor.reference("source") == array.text("id"), "expected this source's array")
         numbers = array.floats(array.number("count"))
         count, stride = accessor.number("count"), accessor.number("stride", 1)
         offset = accessor.number("offset", 0)
@@ -292,7 +292,7 @@ class _Scene:
         if len(params) > 3:  # a param without a name skips a value
             accessor.expect(not any(param.get("name") for param in params[3:]), "expected three params")
             params = params[:3]
-        accessor.expect(len(params) == 3 <= stride, "expected three params and stride")
+        accessor.expect(len(params) == 3 <= stride, "expected three params, and a stride of at least 3")
         needed = offset + count * stride
         accessor.expect(needed <= len(numbers), f"expected {needed} numbers, found {len(numbers)}")
         self.points[name] = numbers[offset:needed].reshape(count, stride)[:, _axes(params)]
@@ -351,7 +351,7 @@ def _polylist(element: _Element, runs: list[Ints], cut_all: _Cut) -> Triangles:
     corners, count = _one_run(element, runs), element.number("count")
     sizes = element.the("vcount").integers() if count or element.all("vcount") else np.empty(0, dtype=np.int64)
     right = len(sizes) == count and (sizes >= 3).all() and (sizes <= len(corners)).all() and sizes.sum() == len(corners)
-    element.expect(right, f"expected {count} polygons in all corners as its vcount says, found others")
+    element.expect(right, f"expected {count} polygons that vcount divides all corners into, found others")
     return cut_all(corners, sizes)
 
 
@@ -365,9 +365,8 @@ def _runs(element: _Element, runs: list[Ints]) -> list[Ints]:
 
 def _polygons(element: _Element, runs: list[Ints], cut_all: _Cut) -> Triangles:
     runs = _runs(element, runs)
-    return cut_all(
-        np.concatenate([np.empty(0, dtype=np.int64), *runs]), np.array([len(run) for run in runs], dtype=np.int64)
-    )
+    corners = np.concatenate([np.empty(0, dtype=np.int64), *runs])
+    return cut_all(corners, np.array([len(run) for run in runs], dtype=np.int64))
 
 
 def _strips(element: _Element, runs: list[Ints], _: _Cut) -> Triangles:
@@ -387,7 +386,7 @@ _PRIMITIVES: dict[str, Callable[[_Element, list[Ints], _Cut], Triangles]] = {
 
 def _matrix(element: _Element) -> Floats:
     T = element.floats(16).reshape(4, 4)
-    element.expect((T[3] == [0, 0, 0, 1]).all(), f"expected an affine one, found {T[3].tolist()} at its end")
+    element.expect((T[3] == [0, 0, 0, 1]).all(), f"expected an affine matrix, found {T[3].tolist()} as its last row")
     return T
 
 

@@ -134,7 +134,7 @@ def _parsed(text: bytes) -> dict[str, Any]:
     except json.JSONDecodeError as error:
         raise Refusal(f"expected JSON, found {error.msg.lower()} at column {error.colno}", error.lineno) from None
     except (ValueError, RecursionError) as error:
-        raise Refusal(f"expected JSON, found what cannot be read ({type(error).__name__})") from None
+        raise Refusal(f"expected JSON, found an unreadable text ({type(error).__name__})") from None
     if not isinstance(tree, dict):
         raise Refusal(f"expected a JSON object, found {type(tree).__name__}")
     return tree

@@ -27,10 +27,7 @@ def read(data: bytes, tell: Tell) -> tuple[Floats, Triangles]:
     expect(lines and len(lines[0]) == 3, "expected counts of vertices, faces and edges behind OFF, found none")
     v, f, _ = (int(count) for count in in_line(numbers[0], integers, lines[0]))
     expect(v >= 0 and f >= 0, f"expected counts of vertices and faces, found {v} and {f}", numbers[0])
-    expect(
-        len(lines) == 1 + v + f,
-        f"expected {v + f} lines of {v} vertices and {f} faces as its header says, found {len(lines) - 1}",
-    )
+    expect(len(lines) == 1 + v + f, f"expected {v + f} lines of {v} vertices and {f} faces, found {len(lines) - 1}")
     points = np.empty((v, 3))
     if v:
         width, widths = len(lines[1]), _WIDTHS[word]

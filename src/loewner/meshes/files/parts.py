@@ -61,8 +61,7 @@ def quoted(token: bytes | str) -> str:
 
 
 def fans(corners: Ints, sizes: Ints) -> Triangles:
-    """Cut polygons into fans of triangles about their first corners; `corners` contains the corners of all polygons,
-    concatenated."""
+    """Cut polygons, whose corners are concatenated in `corners`, into fans of triangles about their first corners."""
     count = sizes - 2
     expect(count.sum() <= MOST, f"expected at most {MOST} triangles, found {count.sum()}")
     first = np.repeat(np.cumsum(sizes) - sizes, count)

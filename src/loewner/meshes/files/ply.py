@@ -257,9 +257,8 @@ def _binary_rows(element: _Element, data: bytes, start: int, order: str) -> tupl
         for p in element.properties
     ]
     least = sum(length[0] if length else size for _, _, size, length in parts)
-    expect(
-        least * element.count <= len(data) - start, f"expected {element.count} of {element.name}, found the file's end"
-    )
+    room = least * element.count <= len(data) - start
+    expect(room, f"expected {element.count} of {element.name}, found the file's end")
     scalars: dict[str, Any] = {name: [] for name, _, _, length in parts if not length}
     corners: list[Any] = []
     sizes: list[int] = []
