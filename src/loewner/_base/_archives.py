@@ -75,7 +75,7 @@ class Format:
     texts : tuple of str
         Members that hold short texts.
     optional : frozenset of str
-        Members among `arrays` and `texts` that may be missing.
+        Members among `texts` that may be missing.
     """
 
     name: str

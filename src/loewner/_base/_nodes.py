@@ -68,9 +68,9 @@ class Node(ABC):
         return cut_middle("".join(reversed(names)).removeprefix("/"))
 
     @property
-    @abstractmethod
     def line(self) -> int | None:
-        """Line at which the place begins, if the reader records lines."""
+        """Line at which the place begins; None if the format's reader records no lines."""
+        return None
 
     @property
     @abstractmethod
@@ -201,10 +201,6 @@ class JsonNode(Node):
     __slots__ = ()
 
     @property
-    def line(self) -> None:
-        """The line is unknown."""
-
-    @property
     def kind(self) -> str:
         """Whether the place is a "mapping", a "sequence" or a "scalar"."""
         return "mapping" if isinstance(self.raw, dict) else "sequence" if isinstance(self.raw, list) else "scalar"
@@ -283,7 +279,7 @@ class YamlNode(Node):
 
     @property
     def line(self) -> int:
-        """Line at which the place begins in the file."""
+        """Line at which the place begins."""
         return int(self.raw.start_mark.line) + 1
 
     @property

@@ -46,6 +46,14 @@ def root_of_inverse(matrix: Floats) -> Floats | None:
         return None
 
 
+def half_log_det(matrix: Floats) -> float:
+    """Compute half the logarithm of a determinant; minus infinity if `matrix` is not positive definite."""
+    try:
+        return float(np.log(np.diagonal(np.linalg.cholesky(matrix))).sum())
+    except np.linalg.LinAlgError:
+        return -np.inf
+
+
 def solver_of(matrix: Floats, diagonal: Floats | float) -> Callable[[Floats], Floats] | None:
     """Make a solver of (matrix + diag(diagonal)) X = B that overwrites `matrix`; None if singular to rounding."""
     from scipy.linalg.lapack import dpotrf, dpotrs

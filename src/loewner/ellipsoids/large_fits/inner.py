@@ -291,11 +291,8 @@ def _balanced_gap(T: Floats, d: Floats, lam: Floats) -> float:
     if balanced is None:
         return np.inf
     weighted = T * (balanced / np.linalg.norm(T, axis=1))[:, None]
-    try:
-        diagonal = np.diagonal(np.linalg.cholesky(weighted.T @ T))
-    except np.linalg.LinAlgError:
-        return np.inf
-    return float(n * np.log(balanced @ d / n) - 2.0 * np.log(diagonal).sum())
+    half = dense.half_log_det(weighted.T @ T)
+    return float(n * np.log(balanced @ d / n) - 2.0 * half) if half > -np.inf else np.inf
 
 
 def _balanced(T: Floats, lam: Floats, rest: Floats) -> Floats | None:
@@ -378,9 +375,8 @@ def _certified(T: Floats, d: Floats, lam: Floats, hidden: float, rest: float) ->
     lengths = np.linalg.norm(T, axis=1)
     weighted = T * (lam / lengths)[:, None]
     M = weighted.T @ T
-    try:
-        diagonal = np.diagonal(np.linalg.cholesky(M))
-    except np.linalg.LinAlgError:
+    half = dense.half_log_det(M)
+    if not half > -np.inf:
         return np.inf
     trace, total = float(lam @ lengths), float(lam @ d)
     turned = trace * (2.1 * hidden + 2.0 * np.sqrt(n) * (k + n + 10) * ROUNDING)
@@ -388,7 +384,7 @@ def _certified(T: Floats, d: Floats, lam: Floats, hidden: float, rest: float) ->
     if not max(10.0 * turned, 2.0 * rest) < least:
         return np.inf
     total += 2.02 * rest * total / (least - rest)
-    gap = n * np.log(total / n) - 2.0 * float(np.log(diagonal).sum())
+    gap = n * np.log(total / n) - 2.0 * half
     return float(gap + 1.1 * turned / least + n * (k + n + 8) * ROUNDING)
 
 

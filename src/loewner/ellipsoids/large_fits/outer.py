@@ -456,14 +456,13 @@ def _certified(points: Floats, weights: Floats, center: Floats, inverse: Floats,
     if lifted:
         y -= u @ y
     S = (y * u[:, None]).T @ y
-    try:
-        diagonal = np.diagonal(np.linalg.cholesky(S))
-    except np.linalg.LinAlgError:
+    half = dense.half_log_det(S)
+    if not half > -np.inf:
         return np.inf
     k = len(support)
     least = 0.99 * float(np.linalg.eigvalsh(S)[0]) - 1e-11
     change = (3.0 * error + 2.0 * np.sqrt(n) * (k + n + 8) * ROUNDING) / least if least > 0 else np.inf
     if not change < 0.1:
         return np.inf
-    gap = -float(np.log(diagonal).sum()) - 0.5 * n * np.log(n)
+    gap = -half - 0.5 * n * np.log(n)
     return float(gap + 0.53 * change + 1.1 * np.sqrt(n) * error + n * (k + n + 8) * ROUNDING)
