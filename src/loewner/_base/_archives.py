@@ -246,18 +246,14 @@ def _from_archive(archive: zipfile.ZipFile, name: str, kind: Format, wanted: str
     kind.check_shapes({member: header.shape for member, header in headers.items()})
     _check_content(sum(header.nbytes for header in headers.values()), name)
 
-    told: dict[str, Any] = {
-        member: _array(archive, infos[f"{member}.npy"], header) for member, header in headers.items()
-    }
+    told: dict[str, Any] = {key: _array(archive, infos[f"{key}.npy"], header) for key, header in headers.items()}
     texts = [text for text in kind.texts if f"{text}.npy" in infos]
     told |= {text: _texts(archive, infos[f"{text}.npy"]) for text in texts}
     checksum = digest(told)
     if _text(archive, infos["digest.npy"]) != checksum:
         raise FileError(f"{name}: the content does not match its checksum; the file is damaged or was altered")
     if wanted not in (None, checksum):
-        raise FileError(
-            f"{name}: expected {kind.what} with the checksum {wanted}, found {checksum}; the file has changed"
-        )
+        raise FileError(f"{name}: expected {kind.what} with the checksum {wanted}, found {checksum}; the file changed")
     for member in kind.arrays:  # the default integer type differs between systems
         told[member] = np.ascontiguousarray(told[member], dtype=np.int64 if member in kind.integers else np.float64)
     return told

@@ -467,8 +467,7 @@ class Body(_Bodies):
         >>> Body.ellipsoid([1, 2, 3])
         Body(ellipsoid, 0 vertices)
         """
-        s = _validate.positive_array(semi_axes, "semi_axes", (3,))
-        return _primitive(columns.ELLIPSOID, 0.0, s)
+        return _primitive(columns.ELLIPSOID, 0.0, _validate.positive_array(semi_axes, "semi_axes", (3,)))
 
     @classmethod
     def spheres(cls, centers: ArrayLike, radii: ArrayLike) -> Body:
@@ -566,8 +565,7 @@ class Body(_Bodies):
             length = _validate.positive_scalar(radius, "radius")
             return cls(Packed.of(sensed.point_pieces(x, length, fits.DEFAULT_TOLERANCE)))
         edge = _validate.positive_scalar(voxel, "voxel")
-        cells = sensed.cells_of(x, edge)
-        return cls(Packed.of(sensed.voxel_pieces(cells, edge)))
+        return cls(Packed.of(sensed.voxel_pieces(sensed.cells_of(x, edge), edge)))
 
     @classmethod
     def from_depth(
@@ -761,7 +759,7 @@ class Body(_Bodies):
         n = _validate.finite_array(normal, "normal", (3,))
         size = float(np.abs(n).max())
         if not size > 0:
-            raise InputError("normal: expected a vector that has a length, found zeros")
+            raise InputError("normal: expected a nonzero vector, found zeros")
         n = n / size
         n = n / lengths(n)
         where = float(_validate.finite_array(offset, "offset", ()))
@@ -1256,8 +1254,7 @@ class Bodies(_Bodies):
         Bodies(2 bodies, 2 pieces)
         """
         r = _validate.positive_array(radii, "radii", (None,))
-        axes = np.repeat(r[:, None], 3, axis=1)
-        return cls._wrap(primitives(columns.POINT, r, axes))
+        return cls._wrap(primitives(columns.POINT, r, np.repeat(r[:, None], 3, axis=1)))
 
     @classmethod
     def ellipsoids(cls, semi_axes: ArrayLike) -> Bodies:

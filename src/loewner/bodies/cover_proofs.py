@@ -652,7 +652,7 @@ def prove(packed: Packed, model: Packed, tolerance: float | None, progress: Prog
     covers = proof.witness is None and rest is None and holes is None
     depth, share = (0.0, 0.0), (0.0, 0.0)
     if not covers:
-        upper = proof.depth(whole, holes)
+        upper = proof.depth(whole, holes)  # may find a deeper point
         depth = (proof.deepest, max(upper, proof.deepest))
         total = covered + outside + undecided
         share = (outside / total, (outside + undecided) / total) if total > 0 else (0.0, 1.0)  # a cloud has no area

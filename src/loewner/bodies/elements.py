@@ -94,7 +94,7 @@ class Elements:
         self.rounding[these] = HEIGHT_ROUNDINGS * self.sigma[these] * turned
 
     def _take_planes(self, packed: Packed) -> None:
-        """Prepare polytopes: for each simplex of the surface, choose the plane that its corners are least far below.
+        """Prepare polytopes: for each simplex of the surface, choose the plane nearest to the lowest of its corners.
 
         By the lemma of docs/containment.md, the points below all chosen planes lie in the hull of the vertices.
         """
@@ -175,8 +175,7 @@ class Elements:
     def below(self, points: Floats, element: Ints) -> Floats:
         """Compute lower bounds on the distances of points from their elements, at least as good as heights."""
         bounds = self.heights(points, element)
-        kinds = self.kind[element]
-        these = np.flatnonzero(kinds == columns.POLYTOPE)
+        these = np.flatnonzero(self.kind[element] == columns.POLYTOPE)
         if len(these):
             far = self.distances(points[these], element[these]) - 3 * self.rounding[element[these]]
             bounds[these] = np.where(bounds[these] > 0, np.maximum(bounds[these], far), bounds[these])

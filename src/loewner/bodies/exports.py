@@ -263,7 +263,7 @@ def plain_name(name: Any, what: str = "name") -> str:
 def prefix(text: Any) -> str:
     """Check the prefix of a file name, which may be any printable string."""
     if not isinstance(text, str) or not text.isprintable():
-        raise InputError(f"mesh_prefix: expected text that can be printed, found {_validate.short(text)}")
+        raise InputError(f"mesh_prefix: expected printable text, found {_validate.short(text)}")
     return text
 
 

@@ -82,7 +82,5 @@ def _covering(values: list[str]) -> Covering:
         raise InputError(f"covering: expected numbers, found {text}") from None
     right = 0 <= gap < math.inf and (math.isnan(more) or -1 <= more < math.inf)
     if not (right and (math.isnan(out) or 0 <= out < math.inf)):
-        raise InputError(
-            f"covering: expected a length >= 0, a ratio >= -1 or nan, and a length >= 0 or nan, found {text}"
-        )
+        raise InputError(f"covering: expected a length >= 0, a ratio >= -1 or nan, a length >= 0 or nan, found {text}")
     return Covering(kind, exact == "True", gap, more, int(samples), out)

@@ -97,8 +97,7 @@ def _as_they_are(packed: Packed, first: int, last: int) -> list[Packed]:
 
 def _parts_of(packed: Packed, i: int, most: int) -> Packed | None:
     """Return the parts of a surface, made once, as a body; None if it is a single part."""
-    tree = packed.trees[i]
-    parts_by_count = _known.setdefault(tree, {})
+    parts_by_count = _known.setdefault(packed.trees[i], {})
     if most not in parts_by_count:
         parts_by_count[most] = _cut(packed, i, most)
     return parts_by_count[most]

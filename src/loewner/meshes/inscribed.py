@@ -89,10 +89,8 @@ def inscribed_ellipsoids(
         origin, scale, tree = framed_tree.origin, framed_tree.scale, (framed_tree.arrays[0], framed_tree.table)
     size, far = _extent(tree[0])
     memory = workspace(entries.points_memory())
-    ellipsoid_count = entries.inscribed_ellipsoids(
-        tree[1].ctypes.data, size, far, origin, scale, centers, factors, memory
-    )
-    return centers[:ellipsoid_count].copy(), factors[:ellipsoid_count].copy()
+    k = entries.inscribed_ellipsoids(tree[1].ctypes.data, size, far, origin, scale, centers, factors, memory)
+    return centers[:k].copy(), factors[:k].copy()
 
 
 def _extent(boxes: NDArray[Any]) -> tuple[float, float]:

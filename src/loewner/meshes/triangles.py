@@ -90,7 +90,7 @@ def cut(triangles: Floats, normals: Floats, offsets: Floats, rounding: float) ->
 
 
 def squared_distances(points: Floats, triangles: Floats) -> Floats:
-    """Compute squared distances from points, shape (n, 3), to one (maybe thin) triangle each, shape (n, 3, 3)."""
+    """Compute squared distances of points, shape (n, 3), from one triangle each, shape (n, 3, 3), which may be thin."""
     squared = np.empty(len(points))
     entries.squared_distances_of(np.ascontiguousarray(points), np.ascontiguousarray(triangles), squared)
     return squared

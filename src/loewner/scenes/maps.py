@@ -63,8 +63,7 @@ def read_map(path: str | os.PathLike[str]) -> Map:
         If PyYAML is missing, or Pillow for images other than PGM.
     """
     file = _validate.path(path, "path")
-    top = read_yaml(_files.read_regular(file, "a map", LARGEST_YAML), file, "a map")
-    values = top.mapping(KEYS, REQUIRED)
+    values = read_yaml(_files.read_regular(file, "a map", LARGEST_YAML), file, "a map").mapping(KEYS, REQUIRED)
     resolution, origin = values["resolution"].length(), np.array(values["origin"].numbers(3, "x, y, yaw"))
     if abs(origin[2]) > 2.0 * math.pi:
         warn(f"{file}: the origin turns the map by {origin[2]:g} rad, more than a whole turn; is this in degrees?")

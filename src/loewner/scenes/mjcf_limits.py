@@ -90,8 +90,7 @@ def _look(file: Path, model: _Model, copies: int) -> str:
         if count > 1:
             model.copies += within
         if model.copies > MOST_COPIES:
-            excess = f"found {model.copies} or more"
-            raise FileError(f"{where} {MOST_COPIES} copies in all of <replicate> and its like, {excess}")
+            raise FileError(f"{where} {MOST_COPIES} copies by <replicate> and the like, found {model.copies} or more")
         if element.tag == "hfield":
             samples = _product(attributes.get("nrow", "")) * _product(attributes.get("ncol", ""))
             _validate.fits_memory(BYTES_A_SAMPLE * samples, f"{shown(file)}: a height field of {samples} samples")

@@ -405,9 +405,7 @@ class Scene:
         bounds = _bounds_of(body, _error(error, f"error of {name!r}"))
         with _CHANGING:
             if name in self._bodies:
-                raise InputError(
-                    f"name: expected a new name, found {name!r}, which is taken; replace or remove the body"
-                )
+                raise InputError(f"name: expected a new name, found {name!r}, which is taken; replace or remove it")
             self._bodies[name] = body
             self._poses[name] = T
             self._set_bounds(name, bounds)

@@ -140,8 +140,7 @@ def largest_inside(
 
 def _distinct(A: Floats, b: Floats) -> Ints:
     """Find the rows without repeats: rows are compared if their products with one vector are equal."""
-    n = A.shape[1]
-    key = A @ np.random.default_rng(0).normal(size=n) + b
+    key = A @ np.random.default_rng(0).normal(size=A.shape[1]) + b
     order = np.argsort(key, kind="stable")
     close = np.flatnonzero(np.diff(key[order]) <= 1e-12 * np.abs(key[order[1:]]))
     one, other = order[close], order[close + 1]

@@ -24,7 +24,7 @@ def read(data: bytes, tell: Tell) -> tuple[Floats, Triangles]:
         lines, numbers = lines[1:], numbers[1:]
     else:
         lines[0] = lines[0][1:]
-    expect(lines and len(lines[0]) == 3, "expected counts of vertices, faces and edges behind OFF, found none")
+    expect(lines and len(lines[0]) == 3, "expected counts of vertices, faces and edges after OFF, found none")
     v, f, _ = (int(count) for count in in_line(numbers[0], integers, lines[0]))
     expect(v >= 0 and f >= 0, f"expected counts of vertices and faces, found {v} and {f}", numbers[0])
     expect(len(lines) == 1 + v + f, f"expected {v + f} lines of {v} vertices and {f} faces, found {len(lines) - 1}")
@@ -56,7 +56,7 @@ def _face(line: list[bytes], number: int, count: int) -> Ints:
     """Read the corners of one face, which may have a colour."""
     size = int(in_line(number, integers, line[:1])[0])
     expect(size >= 3, f"expected a face of at least 3 corners, found {size}", number)
-    message = f"expected a face of {size} corners and perhaps a colour, found {len(line) - 1} numbers"
+    message = f"expected a face of {size} corners, perhaps with a colour, found {len(line) - 1} numbers"
     expect(len(line) - 1 - size in _COLOURS, message, number)
     corners = in_line(number, integers, line[1 : 1 + size])
     check_range(corners, count, "a face", number)

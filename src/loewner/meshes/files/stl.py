@@ -35,7 +35,7 @@ def read(data: bytes, tell: Tell) -> tuple[Floats, Triangles]:
         tell_unit(data.lstrip()[:512].splitlines()[0], tell)  # a unit may follow the name of the first solid
         corners = _text(data)
     else:  # a binary file's header may also begin with "solid"
-        description = f"{len(data)} bytes where its header asks for {HEADER + FACET * count}"
+        description = f"{len(data)} bytes, although its header states {HEADER + FACET * count}"
         raise Refusal(f"expected an STL mesh, found {description if len(data) >= HEADER else 'no header'}")
     return corners.reshape(-1, 3), np.arange(3 * len(corners), dtype=np.int64).reshape(-1, 3)
 

@@ -243,8 +243,7 @@ def _add(scene: Scene, name: str, entry: YamlNode, made: dict[Any, Body]) -> Non
     if len(shapes) != 1:
         listing = " and ".join(shapes) or some(keys) or "nothing"
         raise entry.error(f"expected one shape among {', '.join(SHAPES)}; found {listing}")
-    allowed_keys = (*shapes, *BODY_KEYS, *KEYS_OF_SHAPES.get(shapes[0], ()))
-    keys = entry.mapping(allowed_keys)
+    keys = entry.mapping((*shapes, *BODY_KEYS, *KEYS_OF_SHAPES.get(shapes[0], ())))
     recipe, make = _recipe(shapes[0], keys)
     with keys[shapes[0]].blamed():
         if recipe not in made:
@@ -254,7 +253,7 @@ def _add(scene: Scene, name: str, entry: YamlNode, made: dict[Any, Body]) -> Non
     if "follow" in keys:
         for key in (*POSE_KEYS, "attach", "error"):
             if key in keys:
-                raise keys[key].error(f"expected poses and errors in follow alone, found {key} besides")
+                raise keys[key].error(f"expected poses and errors in follow alone, found {key} next to it")
         _add_moving(scene, name, made[recipe], margin, keys["follow"])
         return
     error = keys["error"].numbers(2) if "error" in keys else None
@@ -263,7 +262,7 @@ def _add(scene: Scene, name: str, entry: YamlNode, made: dict[Any, Body]) -> Non
             scene.add(name, made[recipe], T, margin=margin, error=error)
         return
     if error is not None:
-        raise keys["error"].error("expected none with attach, since it bounds the pose in the world, found one")
+        raise keys["error"].error("expected no error with attach, since an error bounds a pose in the world, found one")
     attach = keys["attach"].mapping(*keys_of("attach"))
     link = attach["link"].text()
     touch, leave, reach = (
@@ -341,7 +340,7 @@ def _model(keys: dict[str, YamlNode]) -> str:
             raise keys["model"].error(f"expected one of {', '.join(MODELS)}, found {keys['model'].described()}")
     for key in SURFACE_KEYS:
         if key in keys and model != "surface":
-            raise keys[key].error(f"expected it with model: surface only, found model: {model}")
+            raise keys[key].error(f"expected {key} only with model: surface, found model: {model}")
     return model
 
 
