@@ -52,10 +52,9 @@ def closed_parts(vertices: Floats, triangles: Ints) -> list[ClosedPart] | None:
     if sum(volumes) < 0:  # the whole mesh is inside out
         surfaces, volumes = [surface[:, ::-1] for surface in surfaces], [-v for v in volumes]
 
-    count = len(surfaces)
-    solids = [k for k in range(count) if volumes[k] >= 0]
+    solids = [k for k, enclosed in enumerate(volumes) if enclosed >= 0]
     cavities: dict[int, list[int]] = {k: [] for k in solids}
-    for k in range(count):
+    for k in range(len(surfaces)):
         if volumes[k] < 0:
             around = [j for j in solids if volumes[j] > -volumes[k] and _lies_in(vertices, surfaces[k], surfaces[j])]
             if around:

@@ -117,14 +117,12 @@ def load(source: Source) -> tuple[Floats, Triangles]:
     >>> vertices.max(axis=0), triangles.shape
     (array([0.05, 0.1 , 0.15]), (12, 3))
     """
+    name = name_of(source)
     if isinstance(source, str | PathLike):
-        path = _path(source)
-        name = shown(path)
-        vertices, triangles = mesh_files.read(path)
+        vertices, triangles = mesh_files.read(_path(source))
         if len(triangles) >= MANY_TRIANGLES:
             log.info("%s: read, %d triangles", name, len(triangles))
     else:
-        name = "mesh"
         vertices, triangles = _in_memory(source)
     if len(triangles) == 0:
         raise GeometryError(f"{name}: expected a mesh, found {len(vertices)} vertices and no triangle")

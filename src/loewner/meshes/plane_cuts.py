@@ -175,7 +175,7 @@ def _cut(cell: Cell, solid: Solid, plate: float, rng: np.random.Generator) -> li
         with suppress(GeometryError):
             some = _cell(cell.triangles[rng.choice(len(cell.triangles), MANY, replace=False)], plate)
     whole, corners = _volume(some.hull), cell.triangles.reshape(-1, 3)
-    planes, options, shares = [], [], []
+    options = []
     for plane in _planes(cell, solid, plate):
         if np.ptp(dot(corners, plane[0])) < plate:
             continue  # both halves would stick out about as far as the cell, and would be cut without end
@@ -185,15 +185,14 @@ def _cut(cell: Cell, solid: Solid, plate: float, rng: np.random.Generator) -> li
         volumes = [_volume(half.hull) for half in halves]
         if solid.closed and min(volumes) < LEAST_SHARE * whole:
             continue
-        planes.append(plane)
-        options.append(halves)
-        shares.append(sum(volumes) / whole)
+        options.append((plane, halves, sum(volumes) / whole))
     if not options:
         return None
-    samples = _samples([half.hull for halves in options for half in halves], rng)
+    samples = _samples([half.hull for _, halves, _ in options for half in halves], rng)
     out = solid.signed_distances(samples)[0].reshape(len(options), -1).max(axis=1)
-    best = int((np.array(shares) + np.maximum(out, 0.0) / cell.bound).argmin())
-    return options[best] if some is cell else _halves(cell.triangles, planes[best], solid, plate)
+    shares = np.array([share for _, _, share in options])
+    plane, halves, _ = options[int((shares + np.maximum(out, 0.0) / cell.bound).argmin())]
+    return halves if some is cell else _halves(cell.triangles, plane, solid, plate)
 
 
 def _halves(triangles: Floats, plane: tuple[Floats, float], solid: Solid, plate: float) -> list[Cell] | None:
