@@ -755,12 +755,10 @@ def _legend(ax: Any, entries: list[tuple[str, str]]) -> None:
 def _wires() -> Floats:
     """Return six meridians and five parallels of the unit sphere, shape (11, 49, 3)."""
     turn = np.linspace(0, 2 * np.pi, 49)
-    lines = []
-    for angle in np.arange(6) * np.pi / 6:
-        lines.append([np.cos(angle) * np.sin(turn), np.sin(angle) * np.sin(turn), np.cos(turn)])
-    for height in np.linspace(-np.pi / 3, np.pi / 3, 5):
-        lines.append([np.cos(height) * np.cos(turn), np.cos(height) * np.sin(turn), np.full(49, np.sin(height))])
-    return np.array(lines).transpose(0, 2, 1)
+    x, y, flat = np.cos(turn), np.sin(turn), np.ones(49)
+    meridians = [(np.cos(angle) * y, np.sin(angle) * y, x) for angle in np.arange(6) * np.pi / 6]
+    parallels = [(np.cos(h) * x, np.cos(h) * y, np.sin(h) * flat) for h in np.linspace(-np.pi / 3, np.pi / 3, 5)]
+    return np.array(meridians + parallels).transpose(0, 2, 1)
 
 
 _WIRES = _wires()

@@ -700,7 +700,7 @@ def test_a_path_is_played_at_an_even_pace(arm) -> None:
     checker = CollisionChecker(robot, Scene())
     found = playing.found_along(checker, way)
     looked = checker.collide(way.positions(np.linspace(0.0, way.duration, len(found))))
-    assert (found == np.where(looked, playing.COLLIDING, playing.FREE)).all()
+    assert (found == np.where(looked, Verdict.COLLIDING, Verdict.FREE)).all()
     assert "201 samples" in playing.sampled_strip(found, way.duration)
     with viewer.show_robot(checker, path=rows) as page:
         page.time = way.duration / 2

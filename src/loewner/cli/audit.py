@@ -14,8 +14,7 @@ from loewner import Verdict, planners, plots
 from loewner._base import _validate
 from loewner._base._nodes import some
 from loewner._base._validate import Floats
-from loewner.cli import configurations, inputs, trajectories
-from loewner.cli.output import COLLIDING, OVERLAP, STATUS, counted, heading, pairs_of, print_table, remove_older_proof
+from loewner.cli import configurations, inputs, output, trajectories
 from loewner.planners import limit_use
 from loewner.planners.controller_points import START_TOLERANCE
 from loewner.robots import ClosestApproach
@@ -34,8 +33,6 @@ MARKS = {Verdict.FREE: ".", Verdict.AMBIGUOUS: "?", Verdict.COLLIDING: "#"}
 # A value that exceeds its limits is reported if the excess is more than this, which is above rounding in files.
 ROUNDED = 1e-9
 
-WORST_FIRST = ("COLLIDING", "AMBIGUOUS", "FREE")
-
 EXAMPLES = """examples:
   loewner audit panda.urdf moves.csv --srdf panda.srdf --scene shelf.yaml
   loewner audit panda.urdf moves.yaml --scene shelf.yaml --controller linear --joint-error 1e-3 -o moves.svg
@@ -45,20 +42,20 @@ EXAMPLES = """examples:
 trajectory: a .json or .yaml file with a trajectory_msgs/JointTrajectory, by itself or within a message of MoveIt or of
   an action; or a .csv file with the columns time, the joints' names and optionally "NAME velocity" and "NAME
   acceleration" for each joint; or a path without times that loewner plan has written (.csv or .json), whose straight
-  motions are checked. A message with several trajectories is proven part by part, in order, each in its own state.
-  Bodies that follow motions move at the file's own times; messages count from their start, so give --start-time.
-  Parts of a message follow each other without a pause.
+  motions are checked. A message with several trajectories is proven part by part, in order; each part has its own
+  start state. Bodies that follow motions move at the file's own times; messages count from their start, so give
+  --start-time. Parts of a message follow each other without a pause.
 
-attach: in the parts that are named, or in all, the body of the scene is carried by the link. It is taken from where it
-  stands when the part begins, and stays where it is put down. Bodies that the message attaches have to be attached by
+attach: in the named part, or in all parts, the link carries the body of the scene. The link picks the body up where it
+  is when the part begins, and puts it down where the part ends. Bodies that the message attaches have to be attached by
   this option or in the scene file.
 
 controller: between two points a joint trajectory controller follows a straight line if there are only positions, a
   cubic polynomial if there are velocities as well, and a quintic one if there are accelerations too. The proof covers
   this curve at every real time.
 
-nearest: the exact distance at the worst moment that was found, or the depth, and a bound that is proven for every
-  moment. If these two are not within a hundredth or 10 µm of each other, the output says so.
+nearest: the exact distance, or the depth, at the worst moment that was found, and a bound that is proven for every
+  moment. If the distance and the bound are not within a hundredth or 10 µm of each other, the output says so.
 
 limits: the extreme positions, velocities, accelerations and jerk of the curve, at whichever time they are reached, are
   compared with the limits of the URDF or of --limits. Files without velocities have corners, which are named.
@@ -72,65 +69,53 @@ def add(commands: Any) -> None:
     """Add the command."""
     audit = inputs.command(commands, "audit", "collisions of a trajectory as a controller executes it", EXAMPLES, _run)
     inputs.add_robot_options(audit)
-    option = audit.add_argument
+    option, file, length, flag = inputs.adders(audit)
     trajectories.add_input(audit)
-    option("--limits", type=Path, metavar="FILE", help="limits of joints, which replace the URDF's (joint_limits.yaml)")
-    option(
-        "--overlap", type=float, default=OVERLAP, metavar="M",
-        help="deepest overlap of contacts that leave: and reach: allow, in metres (default %(default)s)",
-    )  # fmt: skip
-    option(
-        "--from",
-        dest="present",
-        metavar="Q",
-        help="the robot's present state, as a state, a file or numbers: also prove the straight way to the first point",
-    )
-    option("-o", "--out", type=Path, metavar="FILE", help="draw distances along the trajectory (.png or .svg)")
-    option("--proof", type=Path, metavar="FILE", help="if it is free: write a proof, for loewner verify")
-    option("--json", action="store_true", help="print JSON")
+    file("--limits", help="limits of joints, which replace the URDF's (joint_limits.yaml)")
+    length("--overlap", default=output.OVERLAP, help="deepest overlap that leave: and reach: allow [m] (%(default)s)")
+    present = "the robot's present state, as a state, a file or numbers: also prove the straight way to the first point"
+    option("--from", dest="present", metavar="Q", help=present)
+    file("-o", "--out", help="draw distances along the trajectory (.png or .svg)")
+    file("--proof", help="if it is free: write a proof, for loewner verify")
+    flag("--json", help="print JSON")
 
 
 def _run(options: argparse.Namespace) -> int:
     inputs.expect_suffix(options.out, "--out", inputs.DRAWN)
-    remove_older_proof(options.proof)
-    scene = loewner.Scene() if options.scene is None else loewner.load_scene(options.scene)
-    robot = inputs.robot(options)
-    checker = loewner.CollisionChecker(robot, scene)
-    inputs.refuse_no_pairs(checker, options.urdf)
+    output.remove_older_proof(options.proof)
+    scene, robot = inputs.scene(options), inputs.robot(options)
+    checker = inputs.checker(options, robot, scene)
     limits = None if options.limits is None else planners.JointLimits.load(options.limits, robot)
     overlap = _validate.positive_scalar(options.overlap, "--overlap", zero=True)
     present = configurations.one(options.present, "--from", options, robot)
-    parts, carrying = trajectories.read(options.trajectory, options, scene, robot, present)
-    answers = []
-    for number, part in enumerate(parts):
-        # While the robot moves to a part's first point, the bodies that the part carries are still in their places.
-        before = _way_to(checker, part, present, options.joint_error) if number == 0 and present is not None else None
-        trajectories.carry(scene, robot, part, carrying[number])
+    parts, answers = trajectories.read(options, scene, robot, present), list[dict[str, Any]]()
+    # While the robot moves to the first point, the bodies that the first part carries are still in their places.
+    before = None if present is None else _way_to(checker, parts[0][0], present, options.joint_error)
+    for number, part in enumerate(trajectories.carried(parts, scene, robot)):
         proof, picture = (_numbered(file, number, len(parts)) for file in (options.proof, options.out))
-        remove_older_proof(proof)
-        answers.append(_answer(checker, part, options, limits, proof) | {"before": before})
-        deep = [each for each in answers[-1]["allowed"] if each["nearest"] < -overlap]
-        answers[-1] |= {"overlap": overlap, "deep": deep}
+        output.remove_older_proof(proof)
+        answer = _answer(checker, part, options, limits, proof) | {"before": None if number else before}
+        deep = [each for each in answer["allowed"] if each["nearest"] < -overlap]
+        answers.append(answer | {"overlap": overlap, "deep": deep})
         if picture is not None:
             plots.save(plots.trajectory(checker, part, joint_error=options.joint_error), picture)
-        trajectories.put_down(scene, robot, part, carrying[number])
         if not options.json:
             if len(parts) > 1:
-                print(f"{chr(10) * bool(number)}part      {number + 1} of {len(parts)}, {answers[-1]['place']}")
+                print(f"{chr(10) * bool(number)}part      {number + 1} of {len(parts)}, {answer['place']}")
             _print_answer(answers[-1])
-            if proof is not None and answers[-1]["proof"] is None:
+            if proof is not None and answer["proof"] is None:
                 print(f"no proof  {proof} is not written: there is no proof of this motion")
-    verdicts = [answer["verdict"] for answer in answers]
-    worst = min([*verdicts, *(a["before"]["verdict"] for a in answers if a["before"])], key=WORST_FIRST.index)
+    verdicts = [answer["verdict"] for answer in [*answers, *([before] if before else [])]]
+    worst = min(verdicts, key=output.WORST_FIRST.index)
     if options.json:
         print(json.dumps(answers[0] if len(answers) == 1 else {"verdict": worst, "parts": answers}, indent=2))
     elif len(answers) > 1:
         free = sum(answer["verdict"] == "FREE" for answer in answers)
         print(f"\n{worst}  {free} of {len(answers)} parts proven free")
     if worst == "FREE" and any(answer["deep"] for answer in answers):
-        return COLLIDING
-    exceeded = any(a["exceeded"] or (a["before"] and a["before"]["too_fast"]) for a in answers)
-    return BEYOND if exceeded and worst == "FREE" else STATUS[worst]
+        return output.COLLIDING
+    exceeded = any(answer["exceeded"] for answer in answers) or (before is not None and before["too_fast"])
+    return BEYOND if exceeded and worst == "FREE" else output.STATUS[worst]
 
 
 def _way_to(
@@ -218,7 +203,7 @@ def _answer(
             _allowed(checker, pair, each) for pair, each in allowed.items() if list(pair) not in unproven_pairs
         ],
         "picture": _picture(times, certified.segments.verdict),
-        **pairs_of(checker),
+        **output.pairs_of(checker),
         "proof": str(written) if certified.proof is not None else None,
         "moving": list(checker.scene.following),
         "limits": [_for_json(use._asdict()) for use in uses if np.isfinite(use.limit)],
@@ -243,7 +228,7 @@ def _for_json(numbers: dict[str, Any]) -> dict[str, Any]:
 
 
 def _nearest(near: ClosestApproach, k: int) -> dict[str, Any]:
-    """Return how near bodies come on a piece: the least distance found, and the proven bound."""
+    """Return how near bodies come on a piece: the least distance that was measured, and the proven bound."""
     numbers = {
         "nearest": float(near.distance[k]),
         "nearest_time": float(near.time[k]),
@@ -260,10 +245,9 @@ def _told_by_a_message(given: trajectories.Part) -> dict[str, Any]:
         return {}
     origin = given.origin
     sources = {column: origin.sources[column] for column in origin.stated}
-    stated = {"stated": origin.stated, "stated_in": sources} if origin.stated else {}
-    carried = {"carried": given.carried} if given.carried else {}
-    assumed = {"assumed": trajectories.assumed(given)} if origin.assumed else {}
-    return {"place": origin.place, "first_point_due": float(given.times[0]), **stated, **assumed, **carried}
+    more = {"stated": origin.stated, "stated_in": sources, "assumed": trajectories.assumed(given)}
+    more = {name: told for name, told in (more | {"carried": given.carried}).items() if told}
+    return {"place": origin.place, "first_point_due": float(given.times[0]), **more}
 
 
 def _beyond_limits(robot: loewner.Robot, curve: curves.Curve) -> list[dict[str, Any]]:
@@ -295,7 +279,7 @@ def _picture(times: Floats, verdicts: Any) -> str:
 
 def _print_answer(answer: dict[str, Any]) -> None:
     unit, comma_unit = (" s", ", s") if answer["timed"] else ("", "")
-    count = counted(answer["pieces"], "piece")
+    count = output.counted(answer["pieces"], "piece")
     if answer["before"] and answer["before"]["verdict"] != "FREE":
         pair = " and ".join(answer["before"]["pair"])
         print(f"{answer['before']['verdict']}  before the first point: {pair}; the trajectory itself:")
@@ -343,8 +327,8 @@ def _print_answer(answer: dict[str, Any]) -> None:
         print(f"before    {answer['before']['text']}")
     elif answer.get("first_point_due", 0.0) > 0:
         print(
-            f"before    the first point is due at {answer['first_point_due']:.6g} s; the way there from where the "
-            "robot stands is not in the file and not checked (--from)"
+            f"before    the first point is due at {answer['first_point_due']:.6g} s; the way there from the "
+            "robot's present state is not in the file and is not checked (--from)"
         )
     if answer["moving"]:
         print(
@@ -369,15 +353,13 @@ def _print_unproven(answer: dict[str, Any], comma_unit: str) -> None:
             " and ".join(piece["pair"]), "the same" if same else " and ".join(piece["nearest_pair"]),
             f"{piece['nearest_time']:.6g}", f"{1e3 * piece['nearest']:z.3f}",
         ))  # fmt: skip
-    print_table(columns, rows, heading(answer))
+    output.print_table(columns, rows, output.heading(answer))
     for pair, margin in {tuple(piece["pair"]): piece["margin"] for piece in answer["unproven"]}.items():
         if margin:
             print(f"margin    {1e3 * margin:.6g} mm, which {' and '.join(pair)} have to keep")
     if answer["joint_error"]:
-        print(
-            f"error     the verdicts are for values up to {answer['joint_error']:g} off, the distances for values "
-            "that are not"
-        )
+        off = f"values up to {answer['joint_error']:g} off"
+        print(f"error     the verdicts are for {off}, and the distances for the values of the file")
 
 
 def _print_nearest(answer: dict[str, Any], unit: str) -> None:
@@ -387,7 +369,7 @@ def _print_nearest(answer: dict[str, Any], unit: str) -> None:
         bound = "a surface may be deeper at another time"
     else:
         proven = f"at least {1e3 * lower:.3f} mm" if lower >= 0 else f"nowhere deeper than {-1e3 * lower:.3f} mm"
-        bound = f"proven {proven}" + ("" if answer["nearest_close"] else ", which is far from what was found")
+        bound = f"proven {proven}" + ("" if answer["nearest_close"] else ", far from the distance found")
     print(
         f"nearest   {distance:z.3f} mm at {answer['nearest_time']:.6g}{unit}, {' and '.join(answer['nearest_pair'])}; "
         f"{bound}; negative is a depth; margins are not subtracted"

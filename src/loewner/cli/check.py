@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
 from typing import Any
 
 import loewner
-from loewner import Body, Distance, Verdict
+from loewner import Body, Verdict
 from loewner.cli import inputs
-from loewner.cli.output import STATUS, covering_text, is_surface, model_text, print_answer
+from loewner.cli.output import STATUS, covering_text, is_surface, model_text, print_answer, print_contact_points
 
 # Fraction of the mesh's volume by which the volume of the pieces may differ without a note.
 WORTH_TELLING = 0.01
@@ -43,52 +44,43 @@ def _run(options: argparse.Namespace) -> int:
     if options.method != "certified" and certified == Verdict.AMBIGUOUS:
         colliding = loewner.collide(a, Ta, b, Tb, method=options.method, margin=options.margin)
         verdict = Verdict.COLLIDING if colliding else Verdict.FREE
-    settled = options, a, b, certified, verdict, distance
-    print_answer(options, _answer(*settled), lambda: _print_answer(*settled))
-    return STATUS[verdict.name]
-
-
-def _answer(
-    options: argparse.Namespace, a: Body, b: Body, certified: Verdict, verdict: Verdict, found: Distance
-) -> dict[str, Any]:
     answer: dict[str, Any] = {
         "verdict": verdict.name,
         "method": options.method,
         "margin": options.margin,
         "certified": certified.name,
-        "lower": found.lower,
-        "upper": found.upper,
-        "estimate": found.estimate,
+        "lower": distance.lower,
+        "upper": distance.upper,
+        "estimate": distance.estimate,
     }
-    if found.distance is not None:
-        answer["distance"] = found.distance
-        answer["depth_is_lower_bound"] = found.distance < 0 and (is_surface(a) or is_surface(b))
-        answer |= {name: getattr(found, name).tolist() for name in ("witness_a", "witness_b", "normal")}
+    if distance.distance is not None:
+        answer["distance"] = distance.distance
+        answer["depth_is_lower_bound"] = distance.distance < 0 and (is_surface(a) or is_surface(b))
+        answer |= {name: getattr(distance, name).tolist() for name in ("witness_a", "witness_b", "normal")}
     for name, body in (("a", a), ("b", b)):
         is_exact = None if body.covering is None else body.covering.exact
         answer[f"{name}_exact"] = True if is_surface(body) else is_exact
         answer[f"{name}_model"] = model_text(body)
-    return answer
+    print_answer(options, answer, lambda: _print_answer(answer, [(options.a, a), (options.b, b)]))
+    return STATUS[verdict.name]
 
 
-def _print_answer(
-    options: argparse.Namespace, a: Body, b: Body, certified: Verdict, verdict: Verdict, found: Distance
-) -> None:
-    how = {"certified": "the ellipsoids cannot tell", "estimate": "estimated", "exact": "exact"}[options.method]
-    if certified == verdict != Verdict.AMBIGUOUS:
+def _print_answer(answer: dict[str, Any], bodies: list[tuple[Path, Body]]) -> None:
+    verdict = answer["verdict"]
+    how = {"certified": "the ellipsoids cannot tell", "estimate": "estimated", "exact": "exact"}[answer["method"]]
+    if answer["certified"] == verdict != "AMBIGUOUS":
         how = "certified by the ellipsoids"
-    relation = {Verdict.FREE: "by more than", Verdict.COLLIDING: "or closer than"}
-    keep = f" {relation.get(verdict, 'with a margin of')} {options.margin:g} m" if options.margin else ""
-    print(f"{verdict.name}{keep}  ({how})")
-    print(f"distance    {found.lower:z.6g} .. {found.upper:z.6g} m, from the ellipsoids")
-    if found.distance is not None:
-        print(f"            {found.distance:z.9g} m, {_kind_of_distance(a, b, found.distance)}")
-        print(f"on A        {inputs.numbers(found.witness_a)}")
-        print(f"on B        {inputs.numbers(found.witness_b)}")
-        print(f"normal      {inputs.numbers(found.normal)}, from A to B")
-    if verdict == Verdict.AMBIGUOUS:
+    relation = {"FREE": "by more than", "COLLIDING": "or closer than"}.get(verdict, "with a margin of")
+    keep = f" {relation} {answer['margin']:g} m" if answer["margin"] else ""
+    print(f"{verdict}{keep}  ({how})")
+    print(f"distance    {answer['lower']:z.6g} .. {answer['upper']:z.6g} m, from the ellipsoids")
+    if "distance" in answer:
+        kind = _kind_of_distance(answer, [body for _, body in bodies])
+        print(f"            {answer['distance']:z.9g} m, {kind}")
+        print_contact_points(answer)
+    if verdict == "AMBIGUOUS":
         print("            --method exact decides it")
-    for name, body in ((options.a, a), (options.b, b)):
+    for name, body in bodies:
         if is_surface(body):
             print(f"model       {name}: {model_text(body)}")
         # An open mesh, for which the excess is NaN, also causes the note.
@@ -96,11 +88,11 @@ def _print_answer(
             print(f"note: {name}: {covering_text(body.covering)}; the answer is about the pieces")
 
 
-def _kind_of_distance(a: Body, b: Body, distance: float) -> str:
-    """Describe the accuracy of an exact distance or depth; for a depth, it depends on the bodies."""
-    if distance >= 0:
+def _kind_of_distance(answer: dict[str, Any], bodies: list[Body]) -> str:
+    """Describe the accuracy of an exact distance or depth; the accuracy of a depth depends on the bodies."""
+    if answer["distance"] >= 0:
         return "exact"
-    if is_surface(a) or is_surface(b):
-        return "at least so deep; the way apart may be longer"
-    several = len(a.pieces) > 1 or len(b.pieces) > 1
+    if answer["depth_is_lower_bound"]:
+        return "a lower bound on the depth; the way apart may be longer"
+    several = any(len(body.pieces) > 1 for body in bodies)
     return f"exact (penetration depth{' of the deepest two pieces' if several else ''})"

@@ -15,8 +15,7 @@ from loewner import plots
 from loewner._base._files import shown
 from loewner._base._rotations import quaternions_of
 from loewner._base._validate import Floats, Pair
-from loewner.cli import configurations, inputs
-from loewner.cli.output import STATUS, counted, model_text, print_answer, progress_of, remove_older_proof
+from loewner.cli import configurations, inputs, output
 from loewner.cli.pair_tables import print_pairs
 from loewner.errors import InputError
 from loewner.queries.pose_paths import path_of
@@ -50,7 +49,7 @@ verdicts: NEVER and ALWAYS are proven for every configuration in the ranges of t
   SOMETIMES: one configuration with contact and one without are known. CAN: one with contact is known. OPEN: no contact
   was found, and not all is proven.
 
---write-srdf adds what is proven, also if other pairs can collide.
+--write-srdf adds the proven pairs, even if other pairs can collide.
 proof: all pairs in question have to be NEVER; otherwise the first other one is named, with exit status 2. loewner
   verify checks the file, with --robot against a robot and a scene.
 
@@ -62,15 +61,13 @@ exit status: 0 all pairs are proven never to collide, 1 a pair can collide, 2 er
 def add(commands: Any) -> None:
     """Add the command."""
     clash = inputs.command(commands, "clash", "which parts of a mechanism can ever collide", EXAMPLES, _run)
-    inputs.add_robot_options(clash, scene="bodies at rest, and attached ones (.yaml)")
-    option = clash.add_argument
-    option("moving", nargs="?", type=Path, metavar="B", help="a body that moves past the first one")
+    inputs.add_robot_options(clash, "bodies at rest, and attached ones (.yaml)")
+    option, file, length, flag = inputs.adders(clash)
+    file("moving", nargs="?", metavar="B", help="a body that moves past the first one")
     end = clash.add_mutually_exclusive_group()
     end.add_argument("--to", metavar="POSE", help=f"pose of B at the end: {inputs.POSE_HELP}")
-    end.add_argument(
-        "--motion", type=Path, metavar="FILE",
-        help="poses of B: a line for each, or a .npy file of shape (n, 4, 4)",
-    )  # fmt: skip
+    motion = "poses of B: a line for each, or a .npy file of shape (n, 4, 4)"
+    end.add_argument("--motion", type=Path, metavar="FILE", help=motion)
     option("--pose-a", metavar="POSE", help="pose of the first body, which is at rest (the origin)")
     option("--pose-b", metavar="POSE", help="pose of B at the beginning (the origin)")
     option("--scale", type=float, default=1.0, help="factor for all lengths of two meshes (1)")
@@ -80,29 +77,18 @@ def add(commands: Any) -> None:
     )
     which.add_argument("--exempt", action="store_true", help="the pairs that are exempt from checking")
     which.add_argument("--all", action="store_true", help="all pairs of links with bodies")
-    option("--margin", type=float, default=0.0, metavar="M", help="distance that counts as contact [m] (0)")
-    option(
-        "--limits", action="append", default=[], metavar="J=LO,HI",
-        help="a range [rad or m] instead of the limits in the URDF; repeatable",
-    )  # fmt: skip
+    length("--margin", default=0.0, help="distance that counts as contact [m] (0)")
+    limits = "a range [rad or m] instead of the limits in the URDF; repeatable"
+    option("--limits", action="append", default=[], metavar="J=LO,HI", help=limits)
     option("--boxes", type=int, default=1_000_000, metavar="N", help="boxes of configurations to examine (%(default)s)")
-    option(
-        "--largest", action="append", metavar="J",
-        help="the largest range of this joint about --at that is proven free; repeatable for a box of several",
-    )  # fmt: skip
+    largest = "the largest range of this joint about --at that is proven free; repeatable for a box of several"
+    option("--largest", action="append", metavar="J", help=largest)
     option("--at", metavar="Q", help="a configuration for --largest: a state, a file or numbers (zero)")
-    option(
-        "-o", "--out", type=Path, metavar="FILE", help="draw the deepest contact, or the nearest pair (.png or .svg)"
-    )
-    option("--write-srdf", type=Path, metavar="FILE", help="add the pairs that are proven to this SRDF")
-    option("--narrower", action="store_true", help="with --write-srdf: also pairs proven for less than the hard limits")
-    option(
-        "--proof",
-        type=Path,
-        metavar="FILE",
-        help="write a proof of all pairs with a joint between their bodies, for loewner verify",
-    )
-    option("--json", action="store_true", help="print JSON")
+    file("-o", "--out", help="draw the deepest contact, or the nearest pair (.png or .svg)")
+    file("--write-srdf", help="add the pairs that are proven to this SRDF")
+    flag("--narrower", help="with --write-srdf: also pairs proven for less than the hard limits")
+    file("--proof", help="write a proof of all pairs with a joint between their bodies, for loewner verify")
+    flag("--json", help="print JSON")
     unused = dict.fromkeys((*inputs.OF_PIECES, *inputs.OF_SURFACES))
     clash.set_defaults(usual_model="surface", hull=False, **unused)
 
@@ -116,7 +102,7 @@ def _run(options: argparse.Namespace) -> int:
         raise InputError("--at: expected --largest with it, found none")
     if options.largest and not options.out is options.write_srdf is options.proof is None:
         raise InputError("--largest: expected neither --out, --write-srdf nor --proof with it, found one of them")
-    remove_older_proof(options.proof)
+    output.remove_older_proof(options.proof)
     scene = None if options.scene is None else loewner.load_scene(options.scene)
     robot = inputs.robot(options)
     limits = dict(_limits(text) for text in options.limits)
@@ -127,9 +113,9 @@ def _run(options: argparse.Namespace) -> int:
     if options.largest:
         about = configurations.one(options.at, "--at", options, robot)
         ranges = robot.free_range(options.largest, about, pairs=pairs, **arguments)
-        print_answer(options, {name: list(ends) for name, ends in ranges.items()}, lambda: _print_ranges(ranges))
-        return STATUS["FREE"]
-    with progress_of("pairs", len(pairs)) as progress:
+        output.print_answer(options, {name: list(ends) for name, ends in ranges.items()}, lambda: _print_ranges(ranges))
+        return output.STATUS["FREE"]
+    with output.progress_of("pairs", len(pairs)) as progress:
         proven_pairs = robot.prove_pairs(pairs, progress=progress, proof=options.proof is not None, **arguments)
     if proven_pairs.proof is not None:
         proven_pairs.proof.save(options.proof)
@@ -137,16 +123,16 @@ def _run(options: argparse.Namespace) -> int:
         "robot": proven_pairs.robot, "pairs": [_entry(row, robot) for row in proven_pairs],
         "never_checked": [list(pair) for pair in proven_pairs.rigid],
     }  # fmt: skip
-    print_answer(options, answer, lambda: print_pairs(proven_pairs, robot))
+    output.print_answer(options, answer, lambda: print_pairs(proven_pairs, robot))
     if options.out is not None:
         _draw(proven_pairs, robot, scene, options.out)
     if options.write_srdf is not None:
         written = proven_pairs.to_srdf(options.write_srdf, narrower=options.narrower)
-        print(f"{shown(options.write_srdf)}: {counted(len(written), 'pair')} added")
+        print(f"{shown(options.write_srdf)}: {output.counted(len(written), 'pair')} added")
     verdicts = {row.verdict for row in proven_pairs}
     if verdicts & {PairVerdict.ALWAYS, PairVerdict.SOMETIMES, PairVerdict.CAN}:
-        return STATUS["COLLIDING"]
-    return STATUS["FREE" if verdicts == {PairVerdict.NEVER} else "AMBIGUOUS"]
+        return output.STATUS["COLLIDING"]
+    return output.STATUS["FREE" if verdicts == {PairVerdict.NEVER} else "AMBIGUOUS"]
 
 
 def _run_motion(options: argparse.Namespace) -> int:
@@ -168,15 +154,15 @@ def _run_motion(options: argparse.Namespace) -> int:
         near = loewner.distance(a, Ta, b, answer["pose"], exact=True)
         answer["distance"] = near.distance
         answer |= {name: np.asarray(getattr(near, name)).tolist() for name in ("witness_a", "witness_b", "normal")}
-    answer |= {"a_model": model_text(a), "b_model": model_text(b)}
-    print_answer(options, answer, lambda: _print_contact(answer, options.urdf, options.moving))
+    answer |= {"a_model": output.model_text(a), "b_model": output.model_text(b)}
+    output.print_answer(options, answer, lambda: _print_contact(answer, options.urdf, options.moving))
     if options.out is not None and at is not None:
         ax = plots.pair(a, Ta, b, answer["pose"])
         ax.set_title(f"{options.urdf.stem} and {options.moving.stem}: {verdict.name} at {at:.6g}")
         plots.save(ax.figure, options.out)
     elif options.out is not None:
         print(f"note: {shown(options.out)} is not written, since no contact is known", file=sys.stderr)
-    return STATUS[verdict.name]
+    return output.STATUS[verdict.name]
 
 
 def _motion(options: argparse.Namespace) -> Floats:
@@ -211,10 +197,8 @@ def _print_contact(answer: dict[str, Any], a: Path, b: Path) -> None:
         T = np.array(answer["pose"])
         turn = " ".join(f"{x:.9g}" for x in quaternions_of(T[None, :3, :3])[0] + 0.0)
         print(f"touching at {answer['touching_at']:.9g}, with a distance of {answer['distance']:z.3g} m")
-        print(f"pose of B   {inputs.numbers(T[:3, 3])} {turn}")
-        print(f"on A        {inputs.numbers(answer['witness_a'])}")
-        print(f"on B        {inputs.numbers(answer['witness_b'])}")
-        print(f"normal      {inputs.numbers(answer['normal'])}, from A to B")
+        print(f"pose of B   {output.coordinates(T[:3, 3])} {turn}")
+        output.print_contact_points(answer)
     for path, model in ((a, answer["a_model"]), (b, answer["b_model"])):
         print(f"model       {path.name}: {model}")
 
@@ -274,7 +258,7 @@ def _print_ranges(ranges: dict[str, tuple[float, float]]) -> None:
 
 
 def _draw(found: ProvenPairs, robot: loewner.Robot, scene: loewner.Scene | None, path: Path) -> None:
-    """Draw the two bodies that come nearest to each other, where they are nearest."""
+    """Draw the nearest two bodies at the configuration at which they are nearest."""
     row = min(found, key=lambda row: np.nan_to_num(row.distance, nan=np.inf))
     if row.nearest is None:
         print(f"note: {shown(path)} is not written, since no distance is known")

@@ -44,9 +44,10 @@ class _Found(NamedTuple):
 def add(commands: Any) -> None:
     """Add the command."""
     clearance = inputs.command(commands, "clearance", "distances of all pairs of many bodies", EXAMPLES, _run)
-    clearance.add_argument("bodies", nargs="+", type=Path, metavar="BODY", help="saved bodies (.npz) or meshes")
-    clearance.add_argument("--within", type=float, metavar="M", help="omit pairs that are farther apart [m]")
-    clearance.add_argument("--csv", type=Path, metavar="FILE", help="write the pairs to a file instead of a table")
+    _, file, length, _ = inputs.adders(clearance)
+    file("bodies", nargs="+", metavar="BODY", help="saved bodies (.npz) or meshes")
+    length("--within", help="omit pairs that are farther apart [m]")
+    file("--csv", help="write the pairs to a file instead of a table")
     inputs.add_mesh_options(clearance, "surface")
 
 
@@ -67,7 +68,7 @@ def _run(options: argparse.Namespace) -> int:
     near = "" if within is None else f", {len(clearances.pairs)} at most {within:g} m apart"
     print(f"{counted(many, 'pair')}{near}, {int(clearances.colliding.sum())} colliding")
     if (clearances.distance < 0).any() and any(map(is_surface, bodies)):
-        print("note: a depth of surfaces is at least what is told; the way apart may be longer")
+        print("note: depths of surfaces are lower bounds; the way apart may be longer")
     return COLLIDING if clearances.colliding.any() else FREE
 
 

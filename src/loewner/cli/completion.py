@@ -70,10 +70,8 @@ def _parsers(parser: argparse.ArgumentParser, *names: str) -> Iterator[tuple[str
 
 def _commands(parser: argparse.ArgumentParser) -> dict[str, argparse.ArgumentParser]:
     """Return the commands of a parser."""
-    for action in parser._actions:
-        if isinstance(action, argparse._SubParsersAction):
-            return dict(action.choices)
-    return {}
+    actions = (action for action in parser._actions if isinstance(action, argparse._SubParsersAction))
+    return next((dict(action.choices) for action in actions), {})
 
 
 def _options(parser: argparse.ArgumentParser) -> list[argparse.Action]:

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import argparse
-import json
 import time
-from pathlib import Path
 from typing import Any
 
 from loewner._base._files import shown
 from loewner.cli import cover_tables, inputs
-from loewner.cli.output import progress_of
+from loewner.cli.output import print_answer, progress_of
 from loewner.errors import InputError
 from loewner.robots.cover_files import FORMATS, OF_SPHERES, format_of
 from loewner.robots.covers import KINDS, exempt_pairs, new_contacts
@@ -37,15 +35,16 @@ exit status: 0 all links are proven to be covered, 1 one is not, 2 error, 3 one 
 def add(commands: Any) -> None:
     """Add the command."""
     cover = inputs.command(commands, "cover", "shapes that are proven to contain a robot's links", EXAMPLES, _run)
-    inputs.add_robot_options(cover, scene=None)
-    cover.add_argument("-o", "--out", type=Path, metavar="FILE", required=True, help="the file to write")
-    cover.add_argument("--for", dest="format", choices=FORMATS, help="the program that reads it (by the suffix)")
-    cover.add_argument("--kind", choices=KINDS, default=KINDS[0], help="shapes (%(default)s)")
+    inputs.add_robot_options(cover, None)
+    option, file, _, flag = inputs.adders(cover)
+    file("-o", "--out", required=True, help="the file to write")
+    option("--for", dest="format", choices=FORMATS, help="the program that reads it (by the suffix)")
+    option("--kind", choices=KINDS, default=KINDS[0], help="shapes (%(default)s)")
     how = cover.add_mutually_exclusive_group()
     how.add_argument("--protrusion", type=float, metavar="M", help="how far shapes may stick out of a link [m] (0.02)")
     how.add_argument("--number", type=int, metavar="N", help="the largest number of shapes of the robot")
-    cover.add_argument("--picture", type=Path, metavar="FILE", help="draw the robot and the shapes (.png or .svg)")
-    cover.add_argument("--json", action="store_true", help="print JSON")
+    file("--picture", help="draw the robot and the shapes (.png or .svg)")
+    flag("--json", help="print JSON")
 
 
 def _run(options: argparse.Namespace) -> int:
@@ -73,22 +72,23 @@ def _run(options: argparse.Namespace) -> int:
     reports = cover_tables.judged(robot, written)
     ignored = sorted(covered.disabled_pairs - exempt_pairs(robot))
     left = [(pair, share) for pair, share, _ in new_contacts(robot, written) if pair not in covered.disabled_pairs]
-    if options.json:
-        answer = {
-            "robot": robot.name,
-            "file": str(options.out),
-            "links": cover_tables.entries(written, reports),
-            "seconds": dict(zip(robot.bodies, seconds, strict=True)),
-            "ignored": [list(pair) for pair in ignored],
-            "nearer": [[*pair, share] for pair, share in left],
-        }
-        print(json.dumps(answer, indent=2))
-    else:
+
+    def print_text() -> None:
         cover_tables.print_reports(robot, written, reports, {"seconds": [f"{s:.2f}" for s in seconds]})
         for a, b in ignored:
             print(f"ignored   {a} and {b}, which never collide: proven; their shapes do")
         for (a, b), share in left:
             print(f"checked   {a} and {b}, whose shapes alone meet in {100 * share:.3g} % of random configurations")
         print(f"written   {shown(options.out)}")
+
+    answer = {
+        "robot": robot.name,
+        "file": str(options.out),
+        "links": cover_tables.entries(written, reports),
+        "seconds": dict(zip(robot.bodies, seconds, strict=True)),
+        "ignored": [list(pair) for pair in ignored],
+        "nearer": [[*pair, share] for pair, share in left],
+    }
+    print_answer(options, answer, print_text)
     cover_tables.draw(robot, written, options.picture)
     return cover_tables.status(reports)

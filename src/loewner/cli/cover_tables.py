@@ -12,8 +12,7 @@ import loewner
 from loewner import plots
 from loewner.bodies import packed_of
 from loewner.bodies.triangulated import of_pieces
-from loewner.cli.inputs import numbers
-from loewner.cli.output import AMBIGUOUS, COLLIDING, FREE, counted, print_table, progress_of
+from loewner.cli.output import AMBIGUOUS, COLLIDING, FREE, coordinates, counted, print_table, progress_of
 from loewner.meshes.coverage import CoverReport
 
 STATUS = {"covered": FREE, "undecided": AMBIGUOUS, "uncovered": COLLIDING}
@@ -38,7 +37,8 @@ def print_reports(
     rows = [
         (
             link, str(_shapes(model, link)), report.outcome, _interval(report.uncovered_share, 100.0, "%"),
-            _interval(report.depth, 1e3, "mm"), *["-" if report.witness is None else numbers(report.witness)] * where,
+            _interval(report.depth, 1e3, "mm"),
+            *["-" if report.witness is None else coordinates(report.witness)] * where,
             _interval(report.excess, 1e3, "mm"), *(column[number] for column in more.values()),
         )
         for number, (link, report) in enumerate(reports.items())

@@ -14,24 +14,10 @@ from loewner import planners
 from loewner._base import _tables
 from loewner._base._files import replacing, shown
 from loewner._base._validate import Floats, finite_array, positive_scalar
-from loewner.cli import configurations, inputs
-from loewner.cli.output import (
-    FREE,
-    counted,
-    heading,
-    lasting,
-    pairs_of,
-    print_answer,
-    print_table,
-    progress_of,
-    remove_older_proof,
-)
+from loewner.cli import configurations, inputs, output
 from loewner.errors import InputError
 from loewner.planners.drives import base_columns
 from loewner.scenes import maps
-
-# Number of configurations of each motion, including its ends, for which the distance of the nearest pair is measured.
-MEASURED = 33
 
 # Width in metres of the occupied space around a map, which is more than any robot's reach.
 BEYOND = 10.0
@@ -46,13 +32,12 @@ OF_DRIVES = ("radius", "no_reverse", "map")
 
 def add_options(plan: argparse.ArgumentParser) -> None:
     """Add the options of drives to `loewner plan`."""
-    option = plan.add_argument
+    option, _, length, flag = inputs.adders(plan)
     option("--base", choices=("differential", "car"), help="plan for a mobile base that cannot drive sideways")
-    option("--radius", type=float, metavar="R", help="with --base car: least radius of its turns in metres")
-    option("--no-reverse", action="store_true", help="with --base: do not drive backwards")
-    option(
-        "--map", nargs=2, metavar=("FILE", "H"), help="with --base: a map of ROS's map server, H metres high (.yaml)"
-    )
+    length("--radius", metavar="R", help="with --base car: least radius of its turns in metres")
+    flag("--no-reverse", help="with --base: do not drive backwards")
+    of_map = "with --base: a map of ROS's map server, H metres high (.yaml)"
+    option("--map", nargs=2, metavar=("FILE", "H"), help=of_map)
 
 
 def refuse_unused(options: argparse.Namespace) -> None:
@@ -65,27 +50,25 @@ def refuse_unused(options: argparse.Namespace) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Plan a drive, print it and write it to a file."""
-    scene = loewner.Scene() if options.scene is None else loewner.load_scene(options.scene)
-    remove_older_proof(options.proof)
+    scene = inputs.scene(options)
+    output.remove_older_proof(options.proof)
     robot = _on_a_base(inputs.robot(options), _add_map(scene, options))
-    checker = loewner.CollisionChecker(robot, scene)
     start = robot.checked_one(_end(options.start, "--start", options, robot, robot.configuration()), "--start")
     goal = _end(options.goal, "--goal", options, robot, start)
-    inputs.refuse_no_pairs(checker, options.urdf)
-    limits: dict[str, Any] = {} if options.max_iterations is None else {"max_iterations": options.max_iterations}
-    with progress_of("searching"):
+    checker = inputs.checker(options, robot, scene)
+    with output.progress_of("searching"):
         drive = planners.plan(
             checker, start, goal, base=options.base, radius=options.radius, reverse=not options.no_reverse,
             joint_error=options.joint_error, timeout=options.timeout, simplify=not options.no_simplify,
-            proof=options.proof is not None, seed=options.seed, **limits,
+            proof=options.proof is not None, seed=options.seed, **inputs.given(options, ("max_iterations",)),
         )  # fmt: skip
     if options.out is not None:
         _write(options.out, drive)
     if drive.proof is not None:
         drive.proof.save(options.proof)
     answer = _answer(checker, drive, options)
-    print_answer(options, answer, lambda: _print_answer(answer))
-    return FREE
+    output.print_answer(options, answer, lambda: _print_answer(answer))
+    return output.FREE
 
 
 def _add_map(scene: loewner.Scene, options: argparse.Namespace) -> Floats | None:
@@ -145,18 +128,12 @@ def _write(path: Path, drive: planners.Drive) -> None:
 
 def _answer(checker: loewner.CollisionChecker, drive: planners.Drive, options: argparse.Namespace) -> dict[str, Any]:
     """Make the full report on a drive."""
-    shares = np.linspace(0.0, 1.0, MEASURED)
+    shares = np.linspace(0.0, 1.0, output.MEASURED)
     t = drive.times[:-1, None] * (1.0 - shares) + drive.times[1:, None] * shares
     measured = checker.distance(drive.positions(np.clip(t, drive.times[0], drive.times[-1])), exact=True)
-    least = measured.distance.argmin(axis=1)
     motions = [
-        {
-            "length": length,
-            "turn": turn,
-            "nearest": float(measured.distance[k, least[k]]),
-            "nearest_pair": measured.names[k, least[k]].tolist(),
-        }
-        for k, (length, turn) in enumerate(drive.motions.tolist())
+        {"length": length, "turn": turn, **near}
+        for (length, turn), near in zip(drive.motions.tolist(), output.nearest_pairs(measured), strict=True)
     ]
     return {
         "robot": checker.robot.name,
@@ -170,8 +147,8 @@ def _answer(checker: loewner.CollisionChecker, drive: planners.Drive, options: a
         "length": drive.length,
         "turn": drive.turn,
         "reversals": drive.reversals,
-        "measured": MEASURED,
-        **pairs_of(checker),
+        "measured": output.MEASURED,
+        **output.pairs_of(checker),
         "poses": drive.iterations,
         "seconds": drive.seconds,
         "out": None if options.out is None else str(options.out),
@@ -180,10 +157,9 @@ def _answer(checker: loewner.CollisionChecker, drive: planners.Drive, options: a
 
 
 def _print_answer(answer: dict[str, Any]) -> None:
-    motions, changes = answer["motions"], answer["reversals"]
+    motions = answer["motions"]
     error = f", with every value up to {answer['joint_error']:g} off" if answer["joint_error"] else ""
-    count = "1 motion" if len(motions) == 1 else f"{len(motions)} motions"
-    print(f"FREE  {count} from start to goal, proven free as they are driven{error}")
+    print(f"FREE  {output.counted(len(motions), 'motion')} from start to goal, proven free as they are driven{error}")
     rows = [
         (
             str(k), f"{motion['length']:.4g}", f"{np.rad2deg(motion['turn']):.4g}", f"{1e3 * motion['nearest']:z.3f}",
@@ -192,12 +168,10 @@ def _print_answer(answer: dict[str, Any]) -> None:
         for k, motion in enumerate(motions)
     ]  # fmt: skip
     columns = ("motion", "length, m", "turn, degrees", "nearest, mm", "body", "other body")
-    print_table(columns, rows, heading(answer))
-    print(
-        f"length    {answer['length']:.6g} m, {np.rad2deg(answer['turn']):.4g} degrees, {counted(changes, 'change')} "
-        "of direction"
-    )
-    print(f"found in  {lasting(answer['seconds'])}, from {counted(answer['poses'], 'pose')}, this machine, this run")
+    output.print_table(columns, rows, output.heading(answer))
+    changes, poses = output.counted(answer["reversals"], "change"), output.counted(answer["poses"], "pose")
+    print(f"length    {answer['length']:.6g} m, {np.rad2deg(answer['turn']):.4g} degrees, {changes} of direction")
+    print(f"found in  {output.lasting(answer['seconds'])}, from {poses}, this machine, this run")
     for name in ("out", "proof"):
         if answer[name] is not None:
             print(f"written   {shown(answer[name])}")

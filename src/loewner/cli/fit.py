@@ -47,18 +47,15 @@ MAKING = ("model", "hull", "usual_model", "scale", "tol", *inputs.OF_PIECES, *in
 def add(commands: Any) -> None:
     """Add the command."""
     fit = inputs.command(commands, "fit", "meshes to bodies, saved as .npz", EXAMPLES, _run)
-    option = fit.add_argument
-    option("meshes", nargs="+", type=Path, metavar="MESH", help="STL, OBJ, PLY, OFF, GLB, glTF or DAE, in metres")
-    option("-o", "--out", type=Path, required=True, metavar="DIR", help="folder for the .npz files")
+    option, file, _, _ = inputs.adders(fit)
+    file("meshes", nargs="+", metavar="MESH", help="STL, OBJ, PLY, OFF, GLB, glTF or DAE, in metres")
+    file("-o", "--out", required=True, metavar="DIR", help="folder for the .npz files")
     inputs.add_mesh_options(fit, "pieces")
     fit.set_defaults(makes_folder=True)
     option("--tol", type=float, help="certified log-volume gap of the fits of pieces and hulls (1e-4)")
     option("-j", "--jobs", type=int, metavar="N", help="number of meshes at a time, each in a separate process (1)")
-    option(
-        "--scheduler",
-        metavar="ADDRESS",
-        help="Dask cluster whose workers fit the meshes; meshes already fitted with these options are skipped",
-    )
+    cluster = "Dask cluster whose workers fit the meshes; meshes already fitted with these options are skipped"
+    option("--scheduler", metavar="ADDRESS", help=cluster)
 
 
 def _run(options: argparse.Namespace) -> int:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -49,6 +50,13 @@ def command(
     return added
 
 
+def adders(parser: Any) -> tuple[Callable[..., Any], ...]:
+    """Return functions that add to a parser or a group: an option of any kind, a file, a length in metres, a flag."""
+    add = parser.add_argument
+    file, length = partial(add, type=Path, metavar="FILE"), partial(add, type=float, metavar="M")
+    return add, file, length, partial(add, action="store_true")
+
+
 # Models of a mesh: its triangles, convex pieces, or its convex hull.
 MODELS = ("surface", "pieces", "hull")
 
@@ -56,27 +64,21 @@ MODELS = ("surface", "pieces", "hull")
 OF_PIECES = ("tolerance", "threshold", "max_pieces", "seed")
 OF_SURFACES = ("radius", "solid")
 
-
+SCENE_HELP = "obstacles and attached bodies (.yaml)"
 POSE_HELP = '"x y z", "x y z qw qx qy qz" (metres; the quaternion\'s scalar first), or a file'
 
 
 def add_mesh_options(command: argparse.ArgumentParser, default: str) -> None:
     """Add the options of commands that take meshes; `default` is the default model."""
-    option = command.add_argument
-    option(
-        "--model",
-        choices=MODELS,
-        help=f"the triangles as they are, convex pieces, or the convex hull ({default}; pieces with their options)",
-    )
-    option("--hull", action="store_true", help="the same as --model hull")
+    option, _, length, flag = adders(command)
+    models = f"the triangles as they are, convex pieces, or the convex hull ({default}; pieces with their options)"
+    option("--model", choices=MODELS, help=models)
+    flag("--hull", help="the same as --model hull")
     option("--scale", type=float, default=1.0, help="factor for all lengths: 0.001 for millimetres (1)")
-    option("--radius", type=float, metavar="M", help="for surfaces: radius of a ball around each point [m] (0)")
-    option(
-        "--solid",
-        action=argparse.BooleanOptionalAction,
-        help="for surfaces: with or without the enclosed space (with, if closed)",
-    )
-    option("--tolerance", type=float, metavar="M", help="largest distance by which the pieces may stick out [m]")
+    length("--radius", help="for surfaces: radius of a ball around each point [m] (0)")
+    solid = "for surfaces: with or without the enclosed space (with, if closed)"
+    option("--solid", action=argparse.BooleanOptionalAction, help=solid)
+    length("--tolerance", help="largest distance by which the pieces may stick out [m]")
     option("--threshold", type=float, help="concavity of a piece, 0.01 to 1 (0.05)")
     option("--max-pieces", type=int, metavar="N", help="at most this many pieces")
     option("--seed", type=int, help="seed of the decomposition (0)")
@@ -85,10 +87,11 @@ def add_mesh_options(command: argparse.ArgumentParser, default: str) -> None:
 
 def add_pair_options(command: argparse.ArgumentParser) -> None:
     """Add the options of commands that take two bodies at poses."""
+    option, file, length, _ = adders(command)
     for name in ("a", "b"):
-        command.add_argument(name, metavar=name.upper(), type=Path, help="a saved body (.npz) or a mesh")
-        command.add_argument(f"--pose-{name}", metavar="POSE", help=f"pose of {name.upper()}: {POSE_HELP} (the origin)")
-    command.add_argument("--margin", type=float, default=0.0, metavar="M", help="distance to keep [m] (0)")
+        file(name, metavar=name.upper(), help="a saved body (.npz) or a mesh")
+        option(f"--pose-{name}", metavar="POSE", help=f"pose of {name.upper()}: {POSE_HELP} (the origin)")
+    length("--margin", default=0.0, help="distance to keep [m] (0)")
     add_mesh_options(command, "surface")
 
 
@@ -108,28 +111,27 @@ def apply_rules(scene: loewner.Scene, options: argparse.Namespace) -> None:
             rule(*pair)
 
 
-def add_robot_options(
-    command: argparse.ArgumentParser,
-    *,
-    required: bool = True,
-    scene: str | None = "obstacles and attached bodies (.yaml)",
-) -> None:
-    """Add the options of commands that take a robot, and a scene unless its help is None; a robot that is not required
-    is an option itself.
-    """
-    option = command.add_argument
-    if required:
-        option("urdf", type=Path, metavar="URDF", help="the robot: a URDF file")
-    else:
-        option("--robot", dest="urdf", type=Path, metavar="URDF", help="the robot that the proof must be about")
-    option("--srdf", type=Path, metavar="FILE", help="groups, states, pairs that need no check")
-    option(
-        "--package-dir", type=Path, metavar="DIR", action="append", default=[], help="folder of packages; repeatable"
-    )
+def add_robot_options(command: argparse.ArgumentParser, scene: str | None = SCENE_HELP) -> None:
+    """Add the robot, and the options of commands that take a robot."""
+    command.add_argument("urdf", type=Path, metavar="URDF", help="the robot: a URDF file")
+    add_reading_options(command, scene)
+
+
+def add_reading_options(command: argparse.ArgumentParser, scene: str | None = SCENE_HELP) -> None:
+    """Add the options for reading a robot, and --scene unless its help is None."""
+    option, _, _, flag = adders(command)
+    add_robot_files(command, scene)
     option("--model", choices=link_bodies.MODELS, help=f"representation of meshes ({link_bodies.USUAL_MODEL})")
-    option("--decompose", action="store_true", help="the same as --model pieces")
+    flag("--decompose", help="the same as --model pieces")
+
+
+def add_robot_files(parser: Any, scene: str | None = SCENE_HELP) -> None:
+    """Add the options that name further files of a robot, and --scene unless its help is None."""
+    _, file, _, _ = adders(parser)
+    file("--srdf", help="groups, states, pairs that need no check")
+    file("--package-dir", metavar="DIR", action="append", default=[], help="folder of packages; repeatable")
     if scene is not None:
-        option("--scene", type=Path, metavar="FILE", help=scene)
+        file("--scene", help=scene)
 
 
 def bodies(paths: Sequence[Path], options: argparse.Namespace) -> Iterator[loewner.Body]:
@@ -192,13 +194,10 @@ def pose(text: str | None, name: str) -> Floats | None:
         return None
     if Path(text).suffix.lower() in (".npy", ".txt"):
         return _pose_file(Path(text))
-    wanted = f'{name}: expected "x y z", "x y z qw qx qy qz", or a .npy or .txt file with a 4x4 matrix, found {text!r}'
-    try:
-        numbers = _tables.row(text)
-    except ValueError as error:
-        raise PoseError(f"{wanted} ({error})") from None
+    wanted = f'{name}: expected "x y z", "x y z qw qx qy qz", or a .npy or .txt file with a 4x4 matrix'
+    numbers = row(text, wanted, PoseError)
     if len(numbers) not in (3, 7) or not np.isfinite(numbers).all():
-        raise PoseError(wanted)
+        raise PoseError(f"{wanted}, found {text!r}")
     return pose_of(numbers, name)
 
 
@@ -223,11 +222,6 @@ def poses(path: Path) -> Floats:
             f"{rows.shape[1]} numbers"
         )
     return np.array([pose_of(row, f"{path}, pose {k}") for k, row in enumerate(rows.tolist())])
-
-
-def numbers(vector: Sequence[float] | Floats) -> str:
-    """Write the coordinates of a point or a direction in readable form."""
-    return " ".join(f"{round(x, 12) + 0.0:.6g}" for x in vector)
 
 
 def _pose_file(path: Path) -> Floats:
@@ -256,15 +250,30 @@ def robot(options: argparse.Namespace) -> loewner.Robot:
         )
 
 
-def largest_margin(scene: loewner.Scene | None) -> float:
+def scene(options: argparse.Namespace) -> loewner.Scene:
+    """Read the scene, which is empty without --scene."""
+    return loewner.Scene() if options.scene is None else loewner.load_scene(options.scene)
+
+
+def largest_margin(scene: loewner.Scene) -> float:
     """Return the largest margin of a scene [m]."""
-    return 0.0 if scene is None else max(scene.margin, *scene.margins.values(), 0.0)
+    return max(scene.margin, *scene.margins.values(), 0.0)
 
 
-def refuse_no_pairs(checker: loewner.CollisionChecker, urdf: Path) -> None:
-    """Refuse a robot without pairs to check, since every configuration would count as free."""
-    if not checker.checked_pairs:
+def checker(options: argparse.Namespace, robot: loewner.Robot, scene: loewner.Scene) -> loewner.CollisionChecker:
+    """Make a checker; refuse a robot without pairs to check, since every configuration would count as free."""
+    new_checker = loewner.CollisionChecker(robot, scene)
+    if not new_checker.checked_pairs:
         raise InputError(
-            f"{urdf}: expected pairs to check, found none: links are rigidly joined, adjacent or disabled, and "
-            "there is nothing of a scene to meet; any configuration would count as free"
+            f"{options.urdf}: expected pairs to check, found none: links are rigidly joined, adjacent or disabled, and "
+            "no body of a scene can touch them; any configuration would count as free"
         )
+    return new_checker
+
+
+def row(text: str, wanted: str, kind: type[InputError] = InputError) -> list[float]:
+    """Read numbers from a text; if that is impossible, the message begins with `wanted`."""
+    try:
+        return _tables.row(text)
+    except ValueError as error:
+        raise kind(f"{wanted}, found {text!r} ({error})") from None

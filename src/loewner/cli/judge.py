@@ -45,20 +45,14 @@ def add(commands: Any) -> None:
     judge = inputs.command(
         commands, "judge", "other programs' answers about pairs, and models of robots", EXAMPLES, _run
     )
-    option = judge.add_argument
-    option(
-        "files", nargs="*", type=Path, metavar="FILE", help="--answers: bodies (.npz) or meshes; else: a robot (URDF)"
-    )
+    option, file, length, flag = inputs.adders(judge)
+    file("files", nargs="*", help="--answers: bodies (.npz) or meshes; else: a robot (URDF)")
     which = judge.add_mutually_exclusive_group(required=True)
     which.add_argument("--model", type=Path, metavar="FILE", help="spheres or other shapes that should contain links")
     which.add_argument("--answers", type=Path, metavar="TABLE", help="answers about pairs of bodies (.csv or .json)")
     which.add_argument("--configurations", type=Path, metavar="TABLE", help="verdicts about configurations (.csv)")
     of_robot = judge.add_argument_group("options of --model and --configurations")
-    of_robot.add_argument("--srdf", type=Path, metavar="FILE", help="groups, states, pairs that need no check")
-    of_robot.add_argument(
-        "--package-dir", type=Path, metavar="DIR", action="append", default=[], help="folder of packages; repeatable"
-    )
-    of_robot.add_argument("--scene", type=Path, metavar="FILE", help="--configurations: obstacles (.yaml)")
+    inputs.add_robot_files(of_robot, "--configurations: obstacles (.yaml)")
     of_model = judge.add_argument_group("options of --model")
     of_model.add_argument("--format", choices=FORMATS, help="the program that reads the model (by the suffix)")
     of_model.add_argument("--picture", type=Path, metavar="FILE", help="draw the parts outside (.png or .svg)")
@@ -66,8 +60,8 @@ def add(commands: Any) -> None:
     usual = f"representation of meshes (robots: {link_bodies.USUAL_MODEL}; --answers: surface)"
     option("--meshes", choices=[*dict.fromkeys([*link_bodies.MODELS, *inputs.MODELS])], help=usual)
     tolerance = "error that is allowed (1e-6), or --model: size of the smallest cells of a proof [m]"
-    option("--tolerance", type=float, metavar="M", help=tolerance)
-    option("--json", action="store_true", help="print JSON")
+    length("--tolerance", help=tolerance)
+    flag("--json", help="print JSON")
 
 
 def _run(options: argparse.Namespace) -> int:

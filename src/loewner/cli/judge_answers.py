@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import csv
 import io
-import json
 import math
 from collections.abc import Sequence
 from dataclasses import replace
@@ -21,7 +20,7 @@ from loewner._base._files import read_regular, replacing, shown
 from loewner._base._rotations import from_quaternion
 from loewner._base._validate import Floats, short
 from loewner.cli import inputs
-from loewner.cli.output import COLLIDING, FREE, counted, print_table
+from loewner.cli.output import COLLIDING, FREE, counted, print_answer, print_table
 from loewner.errors import FileError, InputError, LoewnerError
 from loewner.judging import PARTS, Finding, Judgement
 from loewner.reproductions import reproduction
@@ -34,6 +33,9 @@ NAMES, POSES = ("body_a", "body_b"), ("pose_a", "pose_b")
 ANSWERS = {"colliding": 1, "distance": 1, "depth": 1, "witness_a": 3, "witness_b": 3, "normal": 3}
 COLUMNS = (*NAMES, *POSES, *ANSWERS)
 WORDS = {"true": 1.0, "false": 0.0, "yes": 1.0, "no": 0.0}
+
+# Names of the two bodies of each row.
+Pairs = Sequence[tuple[str, str]]
 
 # Error that is allowed by default, in metres.
 TOLERANCE = 1e-6
@@ -78,35 +80,28 @@ def run(options: argparse.Namespace) -> int:
         tried = judging.Convention("rows", "are right with quaternions in the order qx qy qz qw", *counts)
         said = replace(said, conventions=(*said.conventions, tried))
     written = _program(options, said, named, bodies, poses, answers, tolerance) if options.program else None
-    if options.json:
-        print(json.dumps(_for_json(said, named, bodies), indent=2))
-    else:
-        _print(said, named, bodies, written)
+    print_answer(options, _for_json(said, named, bodies), lambda: _print(said, named, bodies, written))
     return COLLIDING if said.wrong.any() else FREE
 
 
-def _judged(named: Sequence[tuple[str, str]], bodies: Any, poses: Any, answers: Any, tolerance: float) -> Judgement:
+def _judged(named: Pairs, bodies: Any, poses: Any, answers: Any, tolerance: float) -> Judgement:
     """Judge all rows; rows about the same two bodies are judged together."""
-    kinds, excess = np.zeros((len(named), len(PARTS)), dtype=np.int8), np.zeros((len(named), len(PARTS)))
-    bounds = np.zeros((len(named), 2))
-    tried: list[judging.Convention] = []
     places: dict[tuple[str, str], list[int]] = {}
     for k, pair in enumerate(named):
         places.setdefault(pair, []).append(k)
-    for pair, chosen in places.items():
+    parts = []
+    for (a, b), chosen in places.items():
         Ta, Tb = (T[chosen] for T in poses)
-        a, b = (bodies[name] for name in pair)
-        said = judging.judge_answers(
-            a, Ta, b, Tb, **{name: x[chosen] for name, x in answers.items()}, tolerance=tolerance
-        )
-        kinds[chosen], excess[chosen] = said.kinds, said.excess
-        bounds[chosen] = np.stack([said.lower, said.upper], axis=-1)
-        tried += said.conventions
-    return Judgement(kinds, excess, bounds[:, 0], bounds[:, 1], tuple(tried))
+        own = {name: x[chosen] for name, x in answers.items()}
+        parts.append(judging.judge_answers(bodies[a], Ta, bodies[b], Tb, **own, tolerance=tolerance))
+    order = np.argsort(np.concatenate(list(places.values())))
+    fields = ("kinds", "excess", "lower", "upper")
+    arrays = (np.concatenate([getattr(part, name) for part in parts])[order] for name in fields)
+    return Judgement(*arrays, tuple(tried for part in parts for tried in part.conventions))
 
 
 def _reordered(said: Judgement, rows: Sequence[dict[str, Any]], poses: Sequence[Floats]) -> list[Floats] | None:
-    """Return poses with quaternions read real part last; None if few rows are wrong, or no row has a quaternion."""
+    """Return the poses with quaternions read as qx qy qz qw; None if few rows are wrong, or no row has a quaternion."""
     if said.wrong.sum() < max(1, judging.TRIED * len(rows)):
         return None
     other, some = [T.copy() for T in poses], False
@@ -290,7 +285,7 @@ def _is_convex(vertices: Any, triangles: Any) -> bool:
     return math.isclose(volume, float(ConvexHull(vertices).volume), rel_tol=1e-6)
 
 
-def _for_json(said: Judgement, named: Sequence[tuple[str, str]], bodies: dict[str, loewner.Body]) -> dict[str, Any]:
+def _for_json(said: Judgement, named: Pairs, bodies: dict[str, loewner.Body]) -> dict[str, Any]:
     rows = [
         {
             "row": k + 1,
@@ -307,9 +302,7 @@ def _for_json(said: Judgement, named: Sequence[tuple[str, str]], bodies: dict[st
     }  # fmt: skip
 
 
-def _print(
-    said: Judgement, named: Sequence[tuple[str, str]], bodies: dict[str, loewner.Body], written: str | None
-) -> None:
+def _print(said: Judgement, named: Pairs, bodies: dict[str, loewner.Body], written: str | None) -> None:
     worst = said.worst().tolist()
     print(f"{len(worst) or 'none'} of {counted(len(named), 'answer')} proven wrong")
     rows = []

@@ -29,10 +29,10 @@ def run(options: argparse.Namespace) -> int:
     """Judge a table of configurations, and print the wrong verdicts."""
     tolerance = TOLERANCE if options.tolerance is None else options.tolerance
     robot = robot_of(options)
-    scene = None if options.scene is None else loewner.load_scene(options.scene)
+    scene = inputs.scene(options)
     checker = loewner.CollisionChecker(robot, scene)
     Q, said = table(options.configurations, robot)
-    # A verdict is about contact, so that a body within a margin may be called free or colliding.
+    # Verdicts are about contact, so a body within a margin may be called free or colliding.
     rows = np.flatnonzero((checker.collide(Q) != said) | (said & (inputs.largest_margin(scene) > 0)))
     wrong: list[dict[str, Any]] = []
     if len(rows):

@@ -52,7 +52,7 @@ from loewner.cli.output import ERROR, PrintPath, standard_output
 from loewner.errors import FileError, InputError, LoewnerError
 from loewner.scenes.files.schema import SCHEMA_FILE
 
-# Options that name files to write, and the two that name the file to which `clash` adds pairs.
+# Options that name files to write. The options in UPDATED may name the same file, to which `clash` adds pairs.
 OUTPUTS = {"out", "proof", "csv", "json", "picture", "program", "screenshot", "write_srdf"}
 UPDATED = {"write_srdf", "srdf"}
 

@@ -30,6 +30,11 @@ FREE, COLLIDING, ERROR, AMBIGUOUS = 0, 1, 2, 3
 # Exit statuses by the name of a verdict.
 STATUS = {"FREE": FREE, "COLLIDING": COLLIDING, "AMBIGUOUS": AMBIGUOUS}
 
+WORST_FIRST = ("COLLIDING", "AMBIGUOUS", "FREE")
+
+# Number of configurations of each motion, including its ends, for which the distance of the nearest pair is measured.
+MEASURED = 33
+
 # Largest overlap [m] of bodies in a contact that rules allow; it is well above tolerances and errors of poses.
 OVERLAP = 1e-3
 
@@ -212,6 +217,12 @@ def pairs_of(checker: loewner.CollisionChecker) -> dict[str, int]:
     return {"checked_pairs": len(checked), "exempt_pairs": len(links) * (len(links) - 1) // 2 - own}
 
 
+def nearest_pairs(measured: loewner.StateDistance) -> list[dict[str, Any]]:
+    """Return the least distance on each motion with its pair; a row of `measured` has configurations of one motion."""
+    least = enumerate(measured.distance.argmin(axis=1))
+    return [{"nearest": float(measured.distance[at]), "nearest_pair": measured.names[at].tolist()} for at in least]
+
+
 def heading(answer: dict[str, Any]) -> str:
     """Return the title of a table: the robot and its numbers of pairs."""
     exempt = counted(answer["exempt_pairs"], "pair")
@@ -239,6 +250,18 @@ def print_table(columns: Sequence[str], rows: Iterable[Sequence[str]], title: st
     _console(width=None if sys.stdout.isatty() else UNBROKEN, markup=False, emoji=False).print(table)
 
 
+def print_contact_points(answer: dict[str, Any]) -> None:
+    """Print the witnesses and the normal of two bodies."""
+    print(f"on A        {coordinates(answer['witness_a'])}")
+    print(f"on B        {coordinates(answer['witness_b'])}")
+    print(f"normal      {coordinates(answer['normal'])}, from A to B")
+
+
+def coordinates(vector: Iterable[float]) -> str:
+    """Write the coordinates of a point or a direction in readable form."""
+    return " ".join(f"{round(x, 12) + 0.0:.6g}" for x in vector)
+
+
 def is_surface(body: loewner.Body) -> bool:
     """Return whether a body consists of the triangles of a mesh, not of convex pieces."""
     return all(piece.kind in ("surface", "solid") for piece in body.pieces)
@@ -250,7 +273,7 @@ def model_text(body: loewner.Body) -> str:
         return covering_text(body.covering)
     count = sum(len(piece.triangles) for piece in body.pieces if piece.triangles is not None)
     kinds = " and ".join(sorted({piece.kind for piece in body.pieces}))
-    hollow = ", what lies wholly inside counts as free" if any(piece.kind == "surface" for piece in body.pieces) else ""
+    hollow = ", bodies wholly inside it count as free" if any(piece.kind == "surface" for piece in body.pieces) else ""
     return f"{kinds} of the mesh's {count:,} triangles{hollow}"
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import sys
 import time
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,26 +12,11 @@ import numpy as np
 
 import loewner
 from loewner import Verdict, planners
-from loewner._base import _archives, _tables
+from loewner._base import _archives
 from loewner._base._files import read_regular, shown
 from loewner._base._validate import Floats
-from loewner.cli import configurations, drives, inputs
-from loewner.cli.output import (
-    NO_PATH,
-    STATUS,
-    counted,
-    heading,
-    lasting,
-    pairs_of,
-    print_answer,
-    print_table,
-    progress_of,
-    remove_older_proof,
-)
+from loewner.cli import configurations, drives, inputs, output
 from loewner.errors import ConvergenceError, InputError, PlanningError
-
-# Number of configurations of each motion, including its ends, for which the distance of the nearest pair is measured.
-MEASURED = 33
 
 # Options that request a plan in time.
 IN_TIME = ("start_time", "arrive_by", "velocity")
@@ -75,45 +59,35 @@ def add(commands: Any) -> None:
     """Add the command."""
     plan = inputs.command(commands, "plan", "a path from start to goal with proven motions", EXAMPLES, _run)
     inputs.add_robot_options(plan)
-    option, number = plan.add_argument, partial(plan.add_argument, type=float)
+    option, file, number, flag = inputs.adders(plan)
     inputs.add_rule_options(plan, "start", "goal")
     option("--start", required=True, metavar="Q", help='start: a state, a file, or numbers in quotes, "0 0.5 -0.7"')
     ends = plan.add_mutually_exclusive_group(required=True)
-    ends.add_argument("--goal", metavar="Q", help="goal, likewise")
-    ends.add_argument(
-        "--goal-pose", nargs=2, metavar=("LINK", "POSE"), help="or a pose of a link as the goal: numbers, or a file"
-    )
-    option(
-        "--joints",
-        metavar="NAME",
-        action="append",
-        help="a group of the SRDF, or a joint: these move, all others stay; joints are repeatable (all)",
-    )
-    option("-o", "--out", type=Path, metavar="FILE", help="write the path (.csv or .json)")
-    option("--proof", type=Path, metavar="FILE", help="write a proof of the path, for loewner verify")
+    ends.add_argument("--goal", metavar="Q", help="goal: a state, a file, or numbers in quotes")
+    pose = "or a pose of a link as the goal: numbers, or a file"
+    ends.add_argument("--goal-pose", nargs=2, metavar=("LINK", "POSE"), help=pose)
+    joints = "a group of the SRDF, or a joint: these move, all others stay; joints are repeatable (all)"
+    option("--joints", metavar="NAME", action="append", help=joints)
+    file("-o", "--out", help="write the path (.csv or .json)")
+    file("--proof", help="write a proof of the path, for loewner verify")
     option("--seed", type=int, default=0, help="equal seeds give equal paths (0)")
     option("--max-iterations", type=int, metavar="N", help="configurations to draw before giving up (no limit)")
     number("--timeout", default=10.0, metavar="S", help="seconds to search (10)")
     number("--joint-error", default=0.0, metavar="E", help="largest deviation of every value [rad or m] (0)")
     number("--improve-for", default=0.0, metavar="S", help="improve the path until S seconds have passed (0)")
-    option(
-        "--weights",
-        metavar="W",
-        help="with --improve-for: factors of the joint values in the cost of a path, one for each value (1)",
-    )
-    number("--clearance", metavar="D", help="with --improve-for: metres to keep from the scene where it can be")
+    weights = "with --improve-for: factors of the joint values in the cost of a path, one for each value (1)"
+    option("--weights", metavar="W", help=weights)
+    number("--clearance", metavar="D", help="with --improve-for: distance to keep from the scene where possible [m]")
     number("--start-time", metavar="T", help="plan in time, from T seconds on (0, if bodies follow motions)")
     number("--arrive-by", metavar="T", help="in time: the latest arrival, on the same clock")
     option("--velocity", metavar="V", help="in time: largest velocities, one number or one for each value (the URDF's)")
-    option("--sampled", action="store_true", help="sample motions in steps instead of proving them")
-    number(
-        "--resolution", metavar="R",
-        help="for --sampled, and for OMPL's planners: the longest step, in the units of the joints (0.05)",
-    )  # fmt: skip
-    option("--no-simplify", action="store_true", help="do not shorten the path")
+    flag("--sampled", help="sample motions in steps instead of proving them")
+    resolution = "for --sampled, and for OMPL's planners: the longest step, in the units of the joints (0.05)"
+    number("--resolution", metavar="R", help=resolution)
+    flag("--no-simplify", help="do not shorten the path")
     option("--planner", metavar="NAME", help="a planner of OMPL, such as BITstar (RRT-Connect, compiled, without OMPL)")
     drives.add_options(plan)
-    option("--json", action="store_true", help="print JSON")
+    flag("--json", help="print JSON")
 
 
 def _run(options: argparse.Namespace) -> int:
@@ -123,24 +97,23 @@ def _run(options: argparse.Namespace) -> int:
         return _plan(options) if options.base is None else drives.run(options)
     except PlanningError as error:
         print(f"loewner: no path: {error}", file=sys.stderr)
-        return NO_PATH
+        return output.NO_PATH
 
 
 def _plan(options: argparse.Namespace) -> int:
     """Plan a path or a trajectory, print it and write it to a file."""
-    scene = loewner.Scene() if options.scene is None else loewner.load_scene(options.scene)
+    scene = inputs.scene(options)
     _begin_in_time(options, scene)
-    remove_older_proof(options.proof)
+    output.remove_older_proof(options.proof)
     inputs.apply_rules(scene, options)
     robot = inputs.robot(options)
-    checker = loewner.CollisionChecker(robot, scene)
     start = robot.checked_one(configurations.given(options.start, "--start", options, robot, None), "--start")
     goal: Floats | planners.PoseGoal
     if options.goal_pose is None:
         goal = configurations.given(options.goal, "--goal", options, robot, start)
     else:
         goal = _pose_goal(*options.goal_pose)
-    inputs.refuse_no_pairs(checker, options.urdf)
+    checker = inputs.checker(options, robot, scene)
     began = time.perf_counter()
     try:
         planned = _found(checker, start, goal, options)
@@ -158,8 +131,8 @@ def _plan(options: argparse.Namespace) -> int:
     if options.proof is not None and isinstance(planned, planners.Plan) and planned.proof is not None:
         planned.proof.save(options.proof)
     answer = _answer(checker, planned, seconds, options)
-    print_answer(options, answer, lambda: _print_answer(answer))
-    return STATUS[answer["verdict"]]
+    output.print_answer(options, answer, lambda: _print_answer(answer))
+    return output.STATUS[answer["verdict"]]
 
 
 def _pose_goal(link: str, text: str) -> planners.PoseGoal:
@@ -167,10 +140,7 @@ def _pose_goal(link: str, text: str) -> planners.PoseGoal:
     if Path(text).suffix.lower() == ".npy":
         data = read_regular(Path(text), "poses", configurations.MOST_BYTES)
         return planners.PoseGoal(link, _archives.numbers(data, text, "an array of numbers"))
-    try:
-        numbers = _tables.row(text)
-    except ValueError as error:
-        raise InputError(f"--goal-pose: expected numbers or a .npy file, found {text!r} ({error})") from None
+    numbers = inputs.row(text, "--goal-pose: expected numbers or a .npy file")
     if len(numbers) not in (3, 7):
         raise InputError(f"--goal-pose: expected x y z qw qx qy qz, or x y z, found {len(numbers)} numbers")
     T = inputs.pose_of(numbers, "--goal-pose")
@@ -219,13 +189,11 @@ def _found(
     checker: loewner.CollisionChecker, start: Floats, goal: Floats | planners.PoseGoal, options: argparse.Namespace
 ) -> planners.Plan | planners.Trajectory:
     """Return the path with its cost and planning time in seconds, or the trajectory of a plan in time."""
-    arguments = {name: getattr(options, name) for name in ("planner", "max_iterations", "timeout", "resolution")}
-    arguments = {name: value for name, value in arguments.items() if value is not None}
-    search = planners.Search(certified=not options.sampled, simplify=not options.no_simplify, **arguments)
-    arguments = {"joint_error": options.joint_error, "search": search, "seed": options.seed, "joints": options.joints}
-    if options.joints is not None and len(options.joints) == 1:
-        arguments["joints"] = options.joints[0]
-    with progress_of("searching"):
+    limits = inputs.given(options, ("planner", "max_iterations", "timeout", "resolution"))
+    search = planners.Search(certified=not options.sampled, simplify=not options.no_simplify, **limits)
+    joints = options.joints[0] if options.joints is not None and len(options.joints) == 1 else options.joints
+    arguments: Any = {"joint_error": options.joint_error, "search": search, "seed": options.seed, "joints": joints}
+    with output.progress_of("searching"):
         if options.start_time is None:
             weights = options.weights and _numbers("--weights", options.weights)
             improve = planners.Improve(options.improve_for, weights=weights, clearance=options.clearance)
@@ -238,10 +206,7 @@ def _found(
 
 def _numbers(name: str, text: str) -> list[float] | float:
     """Read the numbers of an option; a single --velocity applies to all joints."""
-    try:
-        numbers = _tables.row(text)
-    except ValueError as error:
-        raise InputError(f"{name}: expected numbers, found {text!r} ({error})") from None
+    numbers = inputs.row(text, f"{name}: expected numbers")
     return numbers[0] if len(numbers) == 1 and name == "--velocity" else numbers
 
 
@@ -264,38 +229,33 @@ def _answer(
     started = time.perf_counter()
     edges = checker.certify_edges(a, b, joint_error=options.joint_error, t0=t0, t1=t1)
     proof_seconds = time.perf_counter() - started
-    lengths, shares = robot.distances(a, b), np.linspace(0, 1, MEASURED)
+    lengths, shares = robot.distances(a, b), np.linspace(0, 1, output.MEASURED)
     at = None if times is None else times[:-1, None] + np.diff(times)[:, None] * shares
     measured = checker.distance(robot.between(a[:, None], b[:, None], shares), at, exact=True)
-    motions = []
-    for k, least in enumerate(measured.distance.argmin(axis=1)):
-        verdict = Verdict(int(edges.verdict[k]))
-        free = verdict == Verdict.FREE
-        motions.append(
-            {
-                "length": float(lengths[k]),
-                "verdict": verdict.name,
-                "fraction": None if free else float(edges.fraction[k]),
-                "pair": None if free else edges.names[k].tolist(),
-                "nearest": float(measured.distance[k, least]),
-                "nearest_pair": measured.names[k, least].tolist(),
-                "poses": int(edges.poses[k]),
-                "searches": int(edges.searches[k]),
-            }
-        )
-    counts = {verdict.name: int((edges.verdict == verdict).sum()) for verdict in Verdict}
-    worst = next((name for name in ("COLLIDING", "AMBIGUOUS") if counts[name]), "FREE")
+    free = edges.verdict == Verdict.FREE
+    motions = [
+        {
+            "length": float(lengths[k]),
+            "verdict": Verdict(int(edges.verdict[k])).name,
+            "fraction": None if free[k] else float(edges.fraction[k]),
+            "pair": None if free[k] else edges.names[k].tolist(),
+            **near,
+            "poses": int(edges.poses[k]),
+            "searches": int(edges.searches[k]),
+        }
+        for k, near in enumerate(output.nearest_pairs(measured))
+    ]
     return {
         "robot": robot.name,
-        "verdict": worst,
+        "verdict": min((motion["verdict"] for motion in motions), key=output.WORST_FIRST.index, default="FREE"),
         "sampled": options.sampled,
         "joint_error": options.joint_error,
         "names": list(robot.configuration_names),
         "configurations": path.tolist(),
         "motions": motions,
         "length": float(lengths.sum()),
-        "measured": MEASURED,
-        **pairs_of(checker),
+        "measured": output.MEASURED,
+        **output.pairs_of(checker),
         **own,
         "proof_seconds": proof_seconds,
         "out": None if options.out is None else str(options.out),
@@ -315,14 +275,14 @@ def _print_answer(answer: dict[str, Any]) -> None:
         for k, motion in enumerate(motions)
     ]  # fmt: skip
     columns = ("motion", "length", "verdict", "nearest, mm", "body", "other body", "poses", "searches")
-    print_table(columns, rows, heading(answer))
+    output.print_table(columns, rows, output.heading(answer))
     if motions:
         k = min(range(len(motions)), key=lambda k: motions[k]["nearest"])
         print(
             f"nearest   {1e3 * motions[k]['nearest']:z.3f} mm, on motion {k}: the least of the exact distances at "
             f"{answer['measured']} configurations of each motion; margins are not subtracted"
         )
-    work = [sum(motion[kind] for motion in motions) for kind in ("poses", "searches")]
+    poses, searches = (sum(motion[kind] for motion in motions) for kind in ("poses", "searches"))
     print(f"length    {answer['length']:.6g}, in the units of the joints")
     if "times" in answer:
         begin, end = answer["times"][0], answer["times"][-1]
@@ -330,10 +290,11 @@ def _print_answer(answer: dict[str, Any]) -> None:
     else:
         print(
             f"cost      {answer['cost']:.6g}, weighted length; every path from start to goal costs at least "
-            f"{answer['cost_bound']:.6g}; {counted(answer['improvements'], 'round')} of improvement"
+            f"{answer['cost_bound']:.6g}; {output.counted(answer['improvements'], 'round')} of improvement"
         )
-    print(f"proof     {work[0]:,} poses, {work[1]:,} searches on pairs of pieces, {lasting(answer['proof_seconds'])}")
-    print(f"found in  {lasting(answer['seconds'])}, this machine, this run")
+    seconds = output.lasting(answer["proof_seconds"])
+    print(f"proof     {poses:,} poses, {searches:,} searches on pairs of pieces, {seconds}")
+    print(f"found in  {output.lasting(answer['seconds'])}, this machine, this run")
     if answer["out"] is not None:
         print(f"written   {shown(answer['out'])}")
     if answer["proof"] is not None:
@@ -345,7 +306,7 @@ def _print_answer(answer: dict[str, Any]) -> None:
 def _print_verdict(answer: dict[str, Any]) -> None:
     """Print the verdict on the whole path, and the places where the path is not free."""
     motions = answer["motions"]
-    count = counted(len(motions), "motion")
+    count = output.counted(len(motions), "motion")
     if answer["verdict"] == "FREE":
         error = f", with every value up to {answer['joint_error']:g} off" if answer["joint_error"] else ""
         where = "instant" if "times" in answer else "configuration on the way"

@@ -259,10 +259,10 @@ def _of_pair(options: argparse.Namespace, folder: Path) -> dict[str, Any]:
 
 def _of_robot(options: argparse.Namespace, folder: Path) -> dict[str, Any]:
     options.urdf, options.package_dir = folder / "robot.urdf", []
-    options.srdf, scene = (file if file.exists() else None for file in (folder / "robot.srdf", folder / "scene.yaml"))
+    files = (folder / "robot.srdf", folder / "scene.yaml")
+    options.srdf, options.scene = (file if file.exists() else None for file in files)
     robot, file = inputs.robot(options), _found(folder, "configs")
-    checker = loewner.CollisionChecker(robot, None if scene is None else loewner.load_scene(scene))
-    inputs.refuse_no_pairs(checker, options.urdf)
+    checker = inputs.checker(options, robot, inputs.scene(options))
     Q = np.atleast_2d(robot.checked(configurations.read(file, robot), file.name))
     Q = _validate.finite_array(Q, file.name, (None, robot.dof))
     bounds = checker.distance(Q)

@@ -15,18 +15,7 @@ import numpy as np
 import loewner
 from loewner._base import _validate
 from loewner._base._validate import Floats
-from loewner.cli import configurations, inputs
-from loewner.cli.output import (
-    COLLIDING,
-    FREE,
-    counted,
-    heading,
-    is_surface,
-    pairs_of,
-    print_answer,
-    print_table,
-    progress_bar,
-)
+from loewner.cli import configurations, inputs, output
 from loewner.cli.pair_tables import print_pairs
 from loewner.errors import InputError
 
@@ -82,7 +71,7 @@ def add(commands: Any) -> None:
     robot = inputs.command(commands, "robot", "a robot: its description, and whether it is free", EXAMPLES)
     inner = robot.add_subparsers(required=True, metavar="COMMAND")
     info = inputs.command(inner, "info", "links, joints and pairs of a robot", INFO_EXAMPLES, _info)
-    inputs.add_robot_options(info, scene=None)
+    inputs.add_robot_options(info, None)
     check = inputs.command(inner, "check", "which configurations are in collision", CHECK_EXAMPLES, _check)
     inputs.add_robot_options(check)
     which = check.add_mutually_exclusive_group(required=True)
@@ -100,14 +89,14 @@ def _info(options: argparse.Namespace) -> int:
     limits, heads = [robot.lower, robot.upper], ["lower", "upper"]
     if (robot.lower != robot.hard_lower).any() or (robot.upper != robot.hard_upper).any():
         limits, heads = [*limits, robot.hard_lower, robot.hard_upper], [*heads, "hard lower", "hard upper"]
-    print_table(
+    output.print_table(
         ("link", "pieces", "vertices", "gap", "shapes"),
         ((name, *shapes.get(name, ("-",) * 4)) for name in robot.link_names),
-        f"{robot.name}: {counted(len(robot.link_names), 'link')}",
+        f"{robot.name}: {output.counted(len(robot.link_names), 'link')}",
     )
     columns = zip(robot.configuration_names, *limits, strict=True)
     rows = [(name, *(f"{end:.6g}" for end in ends)) for name, *ends in columns]
-    print_table(("column", *heads), rows, f"{counted(len(robot.joint_names), 'joint')}, dof {robot.dof}")
+    output.print_table(("column", *heads), rows, f"{output.counted(len(robot.joint_names), 'joint')}, dof {robot.dof}")
     count = len(robot.bodies)
     checker = loewner.CollisionChecker(robot) if count else None
     checked = checker.checked_pairs if checker is not None else ()
@@ -118,7 +107,7 @@ def _info(options: argparse.Namespace) -> int:
     if count and exempt:
         print("exempt pairs, over the whole ranges of the joints between them:")
         body_pairs = [pair for pair in exempt if all(link in robot.bodies for link in pair)]
-        solid = any(is_surface(robot.bodies[link]) for pair in body_pairs for link in pair)
+        solid = any(output.is_surface(robot.bodies[link]) for pair in body_pairs for link in pair)
         print_pairs(robot.prove_pairs(body_pairs, boxes=BOXES_OF_SOLIDS if solid else BOXES), robot)
     if checker is not None and checked:
         always = np.all(checker.collide_by_pair(robot.random_configurations(TRIED)), axis=0)
@@ -146,16 +135,14 @@ def _check(options: argparse.Namespace) -> int:
     if options.state is not None and options.srdf is None:
         wanted = "expected --srdf with it, which has the states"
         raise InputError(f"--state: {wanted}; no SRDF was given for {options.state!r}")
-    scene = None if options.scene is None else loewner.load_scene(options.scene)
-    if options.margin is not None and scene is not None:
+    scene = inputs.scene(options)
+    if options.margin is not None:
         scene.widen(_validate.positive_scalar(options.margin, "--margin", zero=True))
     robot = inputs.robot(options)
-    checker = loewner.CollisionChecker(robot, scene)
     Q = _configurations(robot, options)
-    inputs.refuse_no_pairs(checker, options.urdf)
-    answer = _checked_configurations(checker, Q)
-    print_answer(options, answer, lambda: _print_checked(answer))
-    return COLLIDING if answer["colliding"] else FREE
+    answer = _checked_configurations(inputs.checker(options, robot, scene), Q)
+    output.print_answer(options, answer, lambda: _print_checked(answer))
+    return output.COLLIDING if answer["colliding"] else output.FREE
 
 
 def _configurations(robot: loewner.Robot, options: argparse.Namespace) -> Floats:
@@ -178,8 +165,7 @@ def _checked_configurations(checker: loewner.CollisionChecker, Q: Floats) -> dic
     tiers: Counter[str] = Counter()
     hits = np.zeros(len(checker.checked_pairs), dtype=np.int64)
     colliding, seconds = [], 0.0
-    with progress_bar() as progress:
-        task = progress.add_task("configurations", total=len(Q))
+    with output.progress_of("configurations", len(Q)) as progress:
         for first in range(0, len(Q), AT_ONCE):
             part = Q[first : first + AT_ONCE]
             started = time.perf_counter()
@@ -189,7 +175,7 @@ def _checked_configurations(checker: loewner.CollisionChecker, Q: Floats) -> dic
             tiers.update(asdict(settled))
             hits += checker.collide_by_pair(part[rows]).sum(axis=0)
             colliding += (rows + first).tolist()
-            progress.advance(task, len(part))
+            progress(first + len(part), len(Q))
     outside = (robot.hard_lower > Q) | (robot.hard_upper < Q)
     often = np.argsort(-hits, kind="stable")
     return {
@@ -199,7 +185,7 @@ def _checked_configurations(checker: loewner.CollisionChecker, Q: Floats) -> dic
         "colliding": len(colliding),
         "colliding_rows": colliding,
         "tiers": dict(tiers),
-        **pairs_of(checker),
+        **output.pairs_of(checker),
         "margin": inputs.largest_margin(checker.scene),
         "pairs": [[*checker.checked_pairs[p], int(hits[p])] for p in often if hits[p]],
         "outside_limits": np.flatnonzero(outside.any(axis=1)).tolist(),
@@ -211,19 +197,18 @@ def _checked_configurations(checker: loewner.CollisionChecker, Q: Floats) -> dic
 def _print_checked(answer: dict[str, Any]) -> None:
     count, colliding = answer["configurations"], answer["colliding"]
     near = f", or closer than a margin of up to {answer['margin']:g} m" if answer["margin"] else ""
-    print(
-        f"{'COLLIDING' if colliding else 'FREE'}  {colliding:,} of {counted(count, 'configuration')} in collision{near}"
-    )
+    of_all = f"{colliding:,} of {output.counted(count, 'configuration')}"
+    print(f"{'COLLIDING' if colliding else 'FREE'}  {of_all} in collision{near}")
     settled = [(text, [answer["tiers"].get(f"{kind}_by_{name}") for kind in VERDICTS]) for name, text in TIERS.items()]
     rows = [(text, *("-" if cell is None else f"{cell:,}" for cell in cells)) for text, cells in settled]
-    print_table(("settled by", *VERDICTS), rows, heading(answer))
+    output.print_table(("settled by", *VERDICTS), rows, output.heading(answer))
     if pairs := answer["pairs"]:
         often = [(a, b, f"{hits:,}", f"{100 * hits / count:.1f} %") for a, b, hits in pairs[:LISTED]]
         more = [(f"and {len(pairs) - LISTED} more",)] if len(pairs) > LISTED else []
-        print_table(("body", "other body", "collides", "of all"), [*often, *more])
+        output.print_table(("body", "other body", "collides", "of all"), [*often, *more])
     if answer["outside_limits"]:
         rows, names = answer["outside_limits"], ", ".join(answer["outside_limits_of"])
-        outside = counted(len(rows), "configuration")
+        outside = output.counted(len(rows), "configuration")
         print(f"note: {outside} outside the limits, the first in row {rows[0] + 1}: {names}")
     if answer["per_second"] is not None:
         print(f"{answer['per_second']:,.0f} configurations a second, this machine, this run")

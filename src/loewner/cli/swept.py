@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-import loewner
 from loewner import planners
 from loewner.bodies import for_pictures, packed_of
 from loewner.cli import inputs, trajectories
@@ -37,28 +35,22 @@ exit status: 0 written, 2 error
 def add(commands: Any) -> None:
     """Add the command."""
     swept = inputs.command(commands, "swept", "a body that contains links along a whole trajectory", EXAMPLES, _run)
-    inputs.add_robot_options(swept, scene="attached bodies (.yaml)")
-    option = swept.add_argument
+    inputs.add_robot_options(swept, "attached bodies (.yaml)")
+    option, file, length, _ = inputs.adders(swept)
     trajectories.add_input(swept)
-    option("-o", "--out", type=Path, metavar="FILE", required=True, help="the body (.stl or .npz)")
+    file("-o", "--out", required=True, help="the body (.stl or .npz)")
     option("--links", nargs="+", metavar="NAME", help="links, or bodies that are carried (all)")
-    option(
-        "--tolerance", type=float, default=0.01, metavar="M",
-        help="largest distance by which the body may stick out, in metres (default %(default)s)",
-    )  # fmt: skip
+    length("--tolerance", default=0.01, help="largest distance by which the body may stick out [m] (%(default)s)")
 
 
 def _run(options: argparse.Namespace) -> int:
     inputs.expect_suffix(options.out, "--out", (".stl", ".npz"))
-    scene = loewner.Scene() if options.scene is None else loewner.load_scene(options.scene)
-    robot, bodies = inputs.robot(options), []
-    parts, carrying = trajectories.read(options.trajectory, options, scene, robot)
+    scene, robot, bodies = inputs.scene(options), inputs.robot(options), []
+    parts = trajectories.read(options, scene, robot)
     kept: Any = {"tolerance": options.tolerance, "joint_error": options.joint_error, "scene": scene}
-    for number, part in enumerate(parts):
-        trajectories.carry(scene, robot, part, carrying[number])
-        with progress_of(f"part {number + 1}" if len(parts) > 1 else options.trajectory.name) as progress:
+    for number, part in enumerate(trajectories.carried(parts, scene, robot), 1):
+        with progress_of(f"part {number}" if len(parts) > 1 else options.trajectory.name) as progress:
             bodies.append(robot.swept(part, links=options.links, progress=progress, **kept))
-        trajectories.put_down(scene, robot, part, carrying[number])
     body, excess = united(bodies)
     if options.out.suffix.lower() == ".npz":
         body.save(options.out)
@@ -69,14 +61,11 @@ def _run(options: argparse.Namespace) -> int:
             raise FileError(f"{options.out}: expected the body that was written, found another one when reading it")
     print(f"{options.out}  {counted(len(body.pieces), 'piece')}")
     print(f"contains  the links at every time; sticks out by {1e3 * excess:.3g} mm at most")
-    for part in parts:
-        print(f"curve     {_described(part)}")
+    for part, _ in parts:
+        if isinstance(part, planners.ControllerPoints):
+            print(f"curve     {trajectories.controller_of(part)} between the points of the file")
+        else:
+            print("curve     straight between the configurations of the file")
         for column, value in trajectories.assumed(part).items():
             print(f"assumed   {column} = {value:.9g}: the file has no values of it (--others)")
     return FREE
-
-
-def _described(given: trajectories.Part) -> str:
-    if isinstance(given, planners.ControllerPoints):
-        return f"{trajectories.controller_of(given)} between the points of the file"
-    return "straight between the configurations of the file"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,7 @@ from loewner import planners
 from loewner._base import _validate
 from loewner._base._matrices import in_frame, product
 from loewner._base._validate import Floats
-from loewner.cli import configurations
+from loewner.cli import configurations, inputs
 from loewner.errors import InputError, LoewnerError
 from loewner.planners.controller_points import executed
 from loewner.planners.controllers import TIMES
@@ -26,51 +27,28 @@ Part = planners.ControllerPoints | Floats
 
 def add_input(command: argparse.ArgumentParser) -> None:
     """Add the trajectory of commands about it, the joint error, and the options for reading the trajectory."""
-    option = command.add_argument
-    option("trajectory", type=Path, metavar="FILE", help="points with times, or a path (.csv, .json, .yaml)")
+    _, file, length, _ = inputs.adders(command)
+    file("trajectory", help="points with times, or a path (.csv, .json, .yaml)")
     add_options(command)
-    option(
-        "--joint-error", type=float, default=0.0, metavar="E", help="largest deviation of every value [rad or m] (0)"
-    )
+    length("--joint-error", default=0.0, metavar="E", help="largest deviation of every value [rad or m] (0)")
 
 
 def add_options(command: argparse.ArgumentParser) -> None:
     """Add the options of commands that read a trajectory."""
     option = command.add_argument
-    option(
-        "--controller",
-        choices=CONTROLLERS,
-        help="interpolation between points (default: from the contents of the file)",
-    )
-    option(
-        "--others",
-        metavar="Q",
-        help="values of joints that the file does not name: a state, a file, or numbers (those of the message's start "
-        "state, or 0)",
-    )
-    option(
-        "--attach",
-        action="append",
-        default=[],
-        metavar="[PART:]BODY=LINK",
-        help="let a link carry a body of the scene, in all parts of a message or in one (may be repeated)",
-    )
-    option(
-        "--start-time",
-        type=float,
-        metavar="T",
-        help="when the trajectory starts, on the clock of bodies that move (what the file says, or 0)",
-    )
+    option("--controller", choices=CONTROLLERS, help="interpolation between points (from the contents of the file)")
+    others = "values of joints that are not in the file: a state, a file, or numbers (the message's start state, or 0)"
+    option("--others", metavar="Q", help=others)
+    attach = "let a link carry a body of the scene, in all parts of a message or in one (may be repeated)"
+    option("--attach", action="append", default=[], metavar="[PART:]BODY=LINK", help=attach)
+    start = "when the trajectory starts, on the clock of bodies that move (what the file says, or 0)"
+    option("--start-time", type=float, metavar="T", help=start)
 
 
 def read(
-    path: Path,
-    options: argparse.Namespace,
-    scene: loewner.Scene,
-    robot: loewner.Robot,
-    present: Floats | None = None,
-) -> tuple[list[Part], list[dict[str, str]]]:
-    """Read the successive parts of a file and, for each part, a dict that maps the carried bodies to their links.
+    options: argparse.Namespace, scene: loewner.Scene, robot: loewner.Robot, present: Floats | None = None
+) -> list[tuple[Part, dict[str, str]]]:
+    """Read the successive parts of a file, each with a dict that maps the carried bodies to their links.
 
     Joints that the file does not name have the values from --others, or from the robot's present state.
 
@@ -81,7 +59,7 @@ def read(
         it.
     """
     others = configurations.one(options.others, "--others", options, robot)
-    parts = _parts(path, robot, present if others is None else others)
+    parts = _parts(options.trajectory, robot, present if others is None else others)
     carrying = _carrying(options.attach, scene, robot, len(parts))
     clock = None if options.start_time is None else _validate.real(options.start_time, "--start-time")
     for number, (part, held) in enumerate(zip(parts, carrying, strict=True)):
@@ -97,36 +75,32 @@ def read(
             raise InputError(f"--start-time {options.start_time:g}: expected points with times, found a path without")
         elif options.controller not in (None, "linear"):
             raise InputError(f"--controller {options.controller}: expected points with times, found a path without")
-    return parts, carrying
+    return list(zip(parts, carrying, strict=True))
 
 
-def carry(scene: loewner.Scene, robot: loewner.Robot, part: Part, carrying: dict[str, str]) -> None:
+def carried(parts: Iterable[tuple[Part, dict[str, str]]], scene: loewner.Scene, robot: loewner.Robot) -> Iterator[Part]:
+    """Yield each part while links carry its bodies; afterwards, the bodies stay at the poses that they have reached."""
+    for part, carrying in parts:
+        _carry(scene, robot, part, carrying)
+        yield part
+        for body, link in carrying.items():
+            scene.detach(body, product(_link_pose(robot, part, -1, link), scene.attachments[body].T_link_body))
+
+
+def _carry(scene: loewner.Scene, robot: loewner.Robot, part: Part, carrying: dict[str, str]) -> None:
     """Let links carry bodies from the beginning of a part, starting at the present pose of each body."""
-    if not carrying:
-        return
     touching = part.origin.touching if isinstance(part, planners.ControllerPoints) else {}
-    links = robot.forward_kinematics(end(robot, part, 0))
     for body, link in carrying.items():
         if body in scene.attachments or body in scene.following:
-            raise InputError(f"--attach {body}={link}: expected a body that stands in the scene, found one that moves")
+            raise InputError(f"--attach {body}={link}: expected a static body of the scene, found one that moves")
         if body in scene.bounds:
             raise InputError(f"--attach {body}={link}: expected a body at a known pose, found an error of its pose")
-        T_link_body = in_frame(links[robot.link_names.index(link)], scene.pose(body))
+        T_link_body = in_frame(_link_pose(robot, part, 0, link), scene.pose(body))
         leave, reach = (
             [other for pair in rules if body in pair for other in pair if other != body]
             for rules in (scene.leaving, scene.reaching)
         )
         scene.attach(body, link, T_link_body, touch_links=touching.get(body, ()), leave=leave, reach=reach)
-
-
-def put_down(scene: loewner.Scene, robot: loewner.Robot, part: Part, carrying: dict[str, str]) -> None:
-    """Detach bodies at the end of a part, at the poses that they have reached."""
-    if not carrying:
-        return
-    links = robot.forward_kinematics(end(robot, part, -1))
-    for body, link in carrying.items():
-        T_link_body = scene.attachments[body].T_link_body
-        scene.detach(body, product(links[robot.link_names.index(link)], T_link_body))
 
 
 def controller_of(points: planners.ControllerPoints) -> str:
@@ -148,6 +122,11 @@ def end(robot: loewner.Robot, part: Part, row: int) -> Floats:
         rows = part if isinstance(part, np.ndarray) else part.positions
         return np.asarray(rows[row])
     return robot.configuration(dict(zip(part.names, part.positions[row], strict=True)))
+
+
+def _link_pose(robot: loewner.Robot, part: Part, row: int, link: str) -> Floats:
+    """Return the pose of a link at one configuration of a part."""
+    return np.asarray(robot.forward_kinematics(end(robot, part, row))[robot.link_names.index(link)])
 
 
 def _parts(path: Path, robot: loewner.Robot, others: Floats | None) -> list[Part]:

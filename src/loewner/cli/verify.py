@@ -42,19 +42,14 @@ MOST_SHOWN = 10
 def add(commands: Any) -> None:
     """Add the command."""
     command = inputs.command(commands, "verify", "check the proof of a plan", EXAMPLES, _run)
-    option = command.add_argument
-    option(
-        "file", type=Path, metavar="FILE",
-        help="a proof, as loewner plan --proof, loewner clash --proof or loewner.prove writes it",
-    )  # fmt: skip
-    inputs.add_robot_options(command, required=False)
+    _, file, length, flag = inputs.adders(command)
+    file("file", help="a proof, as loewner plan --proof, loewner clash --proof or loewner.prove writes it")
+    file("--robot", dest="urdf", metavar="URDF", help="the robot that the proof must be about")
+    inputs.add_reading_options(command)
     inputs.add_rule_options(command, "start of motions", "end of motions")
-    option("--path", type=Path, metavar="FILE", help="a path, as loewner plan -o writes it")
-    option(
-        "--overlap", type=float, default=OVERLAP, metavar="M",
-        help="deepest overlap that contacts may allow, in metres (default %(default)s)",
-    )  # fmt: skip
-    option("--json", action="store_true", help="print JSON")
+    file("--path", help="a path, as loewner plan -o writes it")
+    length("--overlap", default=OVERLAP, help="deepest overlap that contacts may allow [m] (%(default)s)")
+    flag("--json", help="print JSON")
 
 
 def _run(options: argparse.Namespace) -> int:
@@ -71,7 +66,7 @@ def _run(options: argparse.Namespace) -> int:
         return COLLIDING
     lines, faults, differences = [str(report)], list[str](), list[str]()
     if options.urdf is not None:
-        scene = loewner.Scene() if options.scene is None else loewner.load_scene(options.scene)
+        scene = inputs.scene(options)
         inputs.apply_rules(scene, options)
         made_for = ", ".join(file.name for file in (options.urdf, options.srdf, options.scene) if file is not None)
         differences = loewner.Proof(data).differences(loewner.CollisionChecker(inputs.robot(options), scene))

@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import sys
 from contextlib import redirect_stdout
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -33,39 +32,24 @@ The page is served on this machine, at the address that is printed; Ctrl+C close
 def add(commands: Any) -> None:
     """Add the command."""
     view = inputs.command(commands, "view", "two bodies, or a robot, in the browser", EXAMPLES, _run)
-    option = view.add_argument
-    option("a", metavar="A", type=Path, nargs="?", help="a saved body (.npz) or a mesh")
-    option("b", metavar="B", type=Path, nargs="?", help="the other one")
+    option, file, length, flag = inputs.adders(view)
+    file("a", metavar="A", nargs="?", help="a saved body (.npz) or a mesh")
+    file("b", metavar="B", nargs="?", help="the other one")
     option("--pose-a", metavar="POSE", help="initial pose of A (the origin); as in loewner check")
     option("--pose-b", metavar="POSE", help="initial pose of B (next to A)")
-    option("--margin", type=float, default=0.0, metavar="M", help="distance that A and B keep [m] (0)")
-    option(
-        "--robot",
-        dest="urdf",
-        metavar="URDF",
-        type=Path,
-        help="a robot instead of two bodies; its meshes become hulls, or --model",
-    )
-    option("--srdf", metavar="SRDF", type=Path, help="its states and disabled pairs")
-    option("--scene", metavar="YAML", type=Path, help="scene around the robot (docs/scenes.md)")
-    option(
-        "--trajectory",
-        metavar="FILE",
-        type=Path,
-        help="path of the robot to play, with or without times: any file of loewner audit (.csv, .json, .yaml)",
-    )
+    length("--margin", default=0.0, help="distance that A and B keep [m] (0)")
+    robot = "a robot instead of two bodies; its meshes become hulls, or --model"
+    file("--robot", dest="urdf", metavar="URDF", help=robot)
+    inputs.add_robot_files(view, "scene around the robot (.yaml)")
+    file("--trajectory", help="path of the robot to play, with or without times (.csv, .json, .yaml)")
     trajectories.add_options(view)
     option("--part", type=int, metavar="N", help="which trajectory of a message with several, from 1 on")
-    option(
-        "--at",
-        metavar="T",
-        help='where on the path the robot is at first: seconds since its start, or "worst", where it comes nearest (0)',
-    )
-    option("--package-dir", metavar="DIR", type=Path, action="append", default=[], help="for package://")
-    option("--decompose", action="store_true", help="for the robot: the same as --model pieces")
+    at = 'where on the path the robot is at first: seconds since its start, or "worst", where it comes nearest (0)'
+    option("--at", metavar="T", help=at)
+    flag("--decompose", help="for the robot: the same as --model pieces")
     option("--port", type=int, default=0, help="default: any free port")
-    option("--no-browser", action="store_true", help="only print the address")
-    option("--screenshot", metavar="PNG", type=Path, help="write a picture of the page and exit, without a window")
+    flag("--no-browser", help="only print the address")
+    file("--screenshot", metavar="PNG", help="write a picture of the page and exit, without a window")
     inputs.add_mesh_options(view, "pieces")
 
 
@@ -150,13 +134,10 @@ def _seconds(text: str) -> float:
 
 def _played(options: argparse.Namespace, scene: loewner.Scene, robot: loewner.Robot) -> trajectories.Part:
     """Read the trajectory to play; put bodies of the scene where earlier parts leave them, or attach them to links."""
-    parts, carrying = trajectories.read(options.trajectory, options, scene, robot)
+    parts = trajectories.read(options, scene, robot)
     number = 1 if options.part is None and len(parts) == 1 else options.part
     if number is None or not 1 <= number <= len(parts):
         text = "none" if number is None else number
         raise InputError(f"--part: expected one of the {len(parts)} trajectories of the file, from 1 on, found {text}")
-    for part, held in zip(parts[:number], carrying, strict=False):
-        trajectories.carry(scene, robot, part, held)
-        if part is not parts[number - 1]:
-            trajectories.put_down(scene, robot, part, held)
-    return parts[number - 1]
+    carried = trajectories.carried(parts, scene, robot)
+    return next(part for k, part in enumerate(carried, 1) if k == number)

@@ -80,12 +80,7 @@ def taken(x: Any, name: str, device: Device) -> View:
 
 def _in_order(shape: tuple[int, ...]) -> tuple[int, ...]:
     """Return the strides, in bytes, of a float32 array in C order."""
-    strides: list[int] = []
-    step = 4
-    for length in reversed(shape):
-        strides.insert(0, step)
-        step *= length
-    return tuple(strides)
+    return tuple(4 * math.prod(shape[axis + 1 :]) for axis in range(len(shape)))
 
 
 def _by_interface(x: Any, name: str, device: Device) -> tuple[int, tuple[int, ...], str, Any, Any]:
@@ -97,7 +92,7 @@ def _by_interface(x: Any, name: str, device: Device) -> tuple[int, tuple[int, ..
         strides, masked, stream = told.get("strides"), told.get("mask"), told.get("stream")
         address = int(address or 0)
     except (KeyError, TypeError, ValueError) as error:
-        raise InputError(f"{name}: expected a __cuda_array_interface__, found one without sense ({error!r})") from None
+        raise InputError(f"{name}: expected a __cuda_array_interface__, found a malformed one ({error!r})") from None
     if masked is not None:
         raise InputError(f"{name}: expected an array without a mask, found one with")
     if kind[:1] not in "<|=":

@@ -32,7 +32,6 @@ from loewner.robots.proofs.proofs import prove_by_rules
 
 KINDS = columns.FIXED, columns.REVOLUTE, columns.PRISMATIC
 
-
 # `Ask` queries a GPU about rows at addresses, and returns verdicts and the indices of the rows that are left to the
 # CPU. `Settle` returns the CPU's answers for these rows.
 Ask = Callable[..., tuple[Memory, Ints]]
@@ -205,7 +204,7 @@ class Checker:
         if ready.given is not None:
             names = ", ".join(self._checker.scene.bounds)
             raise InputError(
-                f"expected bodies at known poses on a GPU, found errors of poses ({names}); ask the CollisionChecker, "
+                f"expected bodies at known poses on a GPU, found errors of poses ({names}); use the CollisionChecker, "
                 "or give these bodies larger margins"
             )
         single_rows(ready.packed)
@@ -218,7 +217,8 @@ class Checker:
         verdicts, left = ask(gpu, len(given[0]), *(memory.address for memory in there))
         out = np.empty(len(given[0]), dtype=np.int8)
         gpu.download(verdicts.address, out)
-        out[left] = settle(*(np.ascontiguousarray(Q[left]) for Q in given))
+        if len(left):
+            out[left] = settle(*(np.ascontiguousarray(Q[left]) for Q in given))
         return out
 
     def _decided_there(
@@ -230,8 +230,9 @@ class Checker:
         if shapes[0] != shapes[-1]:
             raise InputError(f"expected {' and '.join(given)} of the same shape, found {shapes[0]} and {shapes[-1]}")
         verdicts, left = ask(gpu, math.prod(shapes[0][:-1]), *(view.address for view in views))
-        rows = [robot.checked(gathered(gpu, view.address, robot.dof, left)) for view in views]
-        scattered(gpu, left, settle(*rows), verdicts)
+        if len(left):
+            rows = [robot.checked(gathered(gpu, view.address, robot.dof, left)) for view in views]
+            scattered(gpu, left, settle(*rows), verdicts)
         return verdicts, shapes[0][:-1]
 
     def _taken(self, gpu: Device, Q: Any, name: str) -> View:
@@ -284,8 +285,6 @@ class Checker:
 
 def _settled(ready: Problem, Q: Floats) -> NDArray[np.int8]:
     """Let the CPU decide the given configurations, for the state of the scene that the GPU used."""
-    if len(Q) == 0:
-        return np.empty(0, dtype=np.int8)
     verdicts, _ = classified(ready, codes.EXACT, Q)
     expect_settled(ready, Q, verdicts)
     return verdicts
@@ -293,8 +292,6 @@ def _settled(ready: Problem, Q: Floats) -> NDArray[np.int8]:
 
 def _proven(ready: Problem, tolerance: float, a: Floats, b: Floats) -> NDArray[np.int8]:
     """Let the CPU prove the given motions, for the state of the scene that the GPU used."""
-    if len(a) == 0:
-        return np.empty(0, dtype=np.int8)
     answers = prove_by_rules(ready, a, b, tolerance)
     answers.expect_short(a, b)
     return np.asarray(answers.verdicts, dtype=np.int8)

@@ -179,7 +179,7 @@ def single_rows(packed: Packed) -> NDArray[np.float32]:
     rows: NDArray[np.float32] = packed.kernel.single
     if len(rows) == 0 and len(packed.layout) > 0:
         raise InputError(
-            "expected pieces between 1e-3 and 1e3 m for single precision, found others; ask loewner.classify"
+            "expected pieces between 1e-3 and 1e3 m for single precision, found others; use loewner.classify"
         )
     return rows
 

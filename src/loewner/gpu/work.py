@@ -46,7 +46,7 @@ def why_not(device: int = 0) -> str:
     Examples
     --------
     >>> from loewner import gpu
-    >>> bool(gpu.why_not(1000))  # nobody has that many
+    >>> bool(gpu.why_not(1000))  # no machine has that many
     True
     """
     try:

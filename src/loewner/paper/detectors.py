@@ -8,6 +8,7 @@ the baseline.
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, fields
@@ -17,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loewner._base import _validate
-from loewner._base._validate import Floats, Ints
+from loewner._base._validate import Bools, Floats, Ints
 from loewner._kernels import columns
 from loewner._kernels.tolerances import PAPER_ANGLE
 from loewner._native import entries
@@ -25,8 +26,6 @@ from loewner.bodies import Bodies, packed_of
 from loewner.ellipsoids.ellipsoid_pairs import contact_function
 from loewner.ellipsoids.ellipsoids import Ellipsoids
 from loewner.errors import InputError, UnknownNameError
-
-Bools = NDArray[np.bool_]
 
 DETECTORS = {
     1: "earlier method, with polyhedra",
@@ -90,6 +89,11 @@ class Confusion:
     def total(self) -> int:
         """Number of pairs counted."""
         return sum(self.counts)
+
+    @property
+    def accuracy(self) -> float:
+        """Share of answers that are right; NaN if there are no pairs."""
+        return (self.tp + self.tn) / self.total if self.total else math.nan
 
 
 def _truths(x: Any, name: str) -> Bools:

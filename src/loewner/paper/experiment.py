@@ -5,18 +5,20 @@ from __future__ import annotations
 import json as _json
 import os
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 
 from loewner._base import _validate
 from loewner._base._files import folder_exists
+from loewner._base._validate import Bools
 from loewner.bodies import Bodies
 from loewner.errors import FileError
 from loewner.paper import detectors, report
 from loewner.paper.dataset import sample
 from loewner.paper.detectors import Answers, Confusion, Pairs
 from loewner.paper.fitting import fit_one_by_one
-from loewner.paper.results import Bools, Experiment, Result, write_atomically
+from loewner.paper.results import Experiment, Result, write_atomically
 from loewner.queries.pairs import collide
 
 Progress = Callable[[str, int, int], None]
@@ -83,11 +85,9 @@ def run(
     tell = progress or (lambda stage, done, total: None)
     n = len(data)
 
-    def fitted(done: int, total: int) -> None:
-        tell("hulls and fits", done, total)
-
     # Fit all hulls at once, then separate the first and the second body of each pair.
-    bodies = Bodies.from_points(np.concatenate([data.points_1, data.points_2]), progress=fitted)
+    points, fitted = np.concatenate([data.points_1, data.points_2]), partial(tell, "hulls and fits")
+    bodies = Bodies.from_points(points, progress=fitted)
     bodies_1, bodies_2 = bodies[:n], bodies[n:]
     model = Pairs.from_bodies(bodies_1, bodies_2)
     tell("exact answers", 0, n)

@@ -141,17 +141,12 @@ def _section(experiment: Experiment, k: int, kind: str) -> Any:
 
     figure = require_matplotlib()(figsize=(7.5, 4.6), layout="constrained")
     ax = figure.add_subplot(aspect="equal")
-    for E, color, style in (
-        (outer[0], BLUE, "-"),
-        (inner[0], BLUE, "--"),
-        (outer[1], RED, "-"),
-        (inner[1], RED, "--"),
-    ):
-        curve = _ellipse(E, line.v1, line.e, across)
-        if curve is not None:
-            ax.plot(*curve, style, color=color, lw=1.4)
     faces_1, faces_2 = (faces[np.array([k])] for faces in (experiment.pairs.faces_1, experiment.pairs.faces_2))
-    for faces, color in ((faces_1, BLUE), (faces_2, RED)):
+    for side, (faces, color) in enumerate(((faces_1, BLUE), (faces_2, RED))):
+        for E, style in ((outer[side], "-"), (inner[side], "--")):
+            curve = _ellipse(E, line.v1, line.e, across)
+            if curve is not None:
+                ax.plot(*curve, style, color=color, lw=1.4)
         polygon = _polygon(faces.normals, faces.offsets, line.v1, line.e, across)
         if len(polygon):
             ax.fill(*polygon.T, facecolor=to_rgba(color, 0.22), edgecolor=to_rgba(color, 0.8), lw=1.0)
@@ -260,12 +255,8 @@ def _flow_chart() -> Any:
     ax.set(xlim=(-3.0, 3.0), ylim=(-0.35, 3.35))
     ax.axis("off")
     for x, y, width, height, text, question in BOXES.values():
-        ax.add_patch(
-            FancyBboxPatch(
-                (x - width, y - height), 2 * width, 2 * height, boxstyle="round,pad=0,rounding_size=0.06",
-                fc="#eef3f9" if question else "#f6f6f6", ec=GREY,
-            )
-        )  # fmt: skip
+        look = {"boxstyle": "round,pad=0,rounding_size=0.06", "fc": "#eef3f9" if question else "#f6f6f6", "ec": GREY}
+        ax.add_patch(FancyBboxPatch((x - width, y - height), 2 * width, 2 * height, **look))
         ax.text(x, y, text, ha="center", va="center", fontsize=10)
     for start, end, answer in ARROWS:
         corners = arrow_path(start, end)
@@ -286,17 +277,14 @@ def _flow_chart() -> Any:
 
 def _samples(experiment: Experiment) -> Any:
     """Draw an ambiguous pair of detector 2 from each cell of Table 2 (b)."""
-    require_matplotlib()
     from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
     figure = require_matplotlib()(figsize=(8.0, 7.6))
     answers, truth = experiment.detectors[1].answers, experiment.truth
     for place, (said, is_so) in enumerate(((True, True), (True, False), (False, True), (False, False))):
         ax = figure.add_subplot(2, 2, place + 1, projection="3d")
-        cell = f"cell ({place // 2 + 1},{place % 2 + 1})"
-        ax.set_title(
-            f"{cell}: says {'collision' if said else 'free'}, is {'colliding' if is_so else 'free'}", fontsize=10
-        )
+        words = f"says {'collision' if said else 'free'}, is {'colliding' if is_so else 'free'}"
+        ax.set_title(f"cell ({place // 2 + 1},{place % 2 + 1}): {words}", fontsize=10)
         ax.set_axis_off()
         indices = np.flatnonzero(answers.ambiguous & (answers.collides == said) & (truth == is_so))
         if not len(indices):
@@ -307,11 +295,8 @@ def _samples(experiment: Experiment) -> Any:
         for bodies, color in ((experiment.bodies_1, BLUE), (experiment.bodies_2, RED)):
             piece = bodies[k].pieces[0]
             assert piece.vertices is not None  # all pieces of the experiment are polytopes
-            ax.add_collection3d(
-                Poly3DCollection(
-                    piece.vertices[piece.triangles], facecolors=color, edgecolors=color, alpha=0.22, linewidths=0.5
-                )
-            )
+            look = {"facecolors": color, "edgecolors": color, "alpha": 0.22, "linewidths": 0.5}
+            ax.add_collection3d(Poly3DCollection(piece.vertices[piece.triangles], **look))
             ax.plot_surface(*_surface(piece.inner), color=color, alpha=0.55, linewidth=0, rstride=1, cstride=1)
             corners.append(piece.vertices)
         _look_across(ax, np.concatenate(corners), experiment.pairs, k)

@@ -176,7 +176,7 @@ def _blocks(experiment: Experiment) -> list[tuple[str, Any]]:
                 "the line, which is a certain collision.",
                 "Tables 2 and 4 of the paper are the same numbers, and they are detector 4's: their "
                 f"{PAPER[2][0].tn - PAPER[2][1].tn} separated pairs, cells (2,2) of (a) less (b), are what "
-                "its center-line check predicts, not the check of detector 2. What detector 2 really gives is above. "
+                "its center-line check predicts, not the check of detector 2, whose actual results are above. "
                 f"Against the printed Table 2 (a): detector 2 p = {homogeneity(second, printed):.2g}, "
                 f"detector 4 p = {homogeneity(fourth, printed):.2g}.",
                 "Each detector's table (b) is over the pairs ambiguous to that detector, by its own overlap checks; "

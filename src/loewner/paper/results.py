@@ -6,16 +6,12 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from loewner._base._files import replacing
+from loewner._base._validate import Bools
 from loewner.bodies import Bodies
 from loewner.paper.dataset import DataSet
 from loewner.paper.detectors import Answers, Confusion, Pairs
 from loewner.paper.fitting import Fitting
-
-Bools = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
@@ -49,6 +45,16 @@ class Result:
     ambiguous: Confusion
     microseconds: float = float("nan")
     ambiguous_microseconds: float = float("nan")
+
+    @property
+    def parts(self) -> tuple[Confusion, Confusion]:
+        """The counts for parts (a) and (b) of a table: over all pairs, and over the ambiguous pairs."""
+        return self.all, self.ambiguous
+
+    @property
+    def label(self) -> str:
+        """The name, after the number of a detector."""
+        return f"{self.id}: {self.name}" if self.id else self.name
 
 
 @dataclass(frozen=True)

@@ -70,7 +70,7 @@ def pairs(experiment: Experiment) -> Sheet:
         "The pairs, by exact overlap of their ellipsoids",
         ("class", "pairs", "%", "paper", "%", "paper's cells"),
         tuple(rows),
-        "The paper prints no classes; these follow from the cells named of its Table 3. "
+        "The paper prints no classes; its numbers are computed from the named cells of its Table 3. "
         f"Consistent with ours: {statement(p_value)}.",
     )
 
@@ -90,23 +90,20 @@ def shares(experiment: Experiment) -> tuple[Sheet, ...]:
 def right(experiment: Experiment) -> Sheet:
     """Tabulate how often each detector is right, and whether its counts are consistent with the paper's."""
     rows = []
-    fourth = experiment.detectors[3]
     for result in (*experiment.detectors, experiment.estimate):
         printed = PAPER[result.id][:2] if result.id in PAPER else (None, None)
+        # The paper printed detector 4's numbers in Table 2 (docs/design/paper.md), so compare with both detectors.
+        compared = (result, experiment.detectors[3]) if result.id == 2 else (result,)
         for part, letter in enumerate(("(a)", "(b)")):
             table = f"{result.id} {letter}" if result.id else letter
-            rows.append(_right(table, result, part, printed[part]))
-            if result.id == 2:
-                # The paper printed detector 4's numbers here (docs/design/paper.md), so compare with those results as
-                # well.
-                rows.append(_right(table, fourth, part, printed[part]))
+            rows += [_right(table, own, part, printed[part]) for own in compared]
     return Sheet(
         "Right answers in percent, and are the counts consistent with the paper's?",
         ("table", "detector", "right", "paper", "consistent"),
         tuple(rows),
-        "The paper's: cells (1,1) + (2,2) of the table named. Table 2 stands twice, since what is printed there is "
-        f"detector 4's. Consistent: Pearson's chi-square test finds no difference at the level {SIGNIFICANCE:g}; the "
-        "fewer the pairs, the less it can find.",
+        "The paper's: cells (1,1) + (2,2) of the table named. Table 2 appears twice, since the paper printed detector "
+        "4's numbers there. Consistent: Pearson's chi-square test finds no difference at the level "
+        f"{SIGNIFICANCE:g}; the fewer the pairs, the less it can find.",
     )
 
 
@@ -114,17 +111,17 @@ def outside(experiment: Experiment) -> Sheet:
     """Tabulate errors among the pairs that a detector's overlap checks decided; there should be none."""
     rows = []
     for result in (*experiment.detectors, experiment.estimate):
-        own = tables.errors_outside(result.all, result.ambiguous)
+        own = tables.errors_outside(*result.parts)
         printed = tables.errors_outside(*PAPER[result.id][:2]) if result.id in PAPER else ("-", "-")
         missed, false = zip(own, printed, strict=True)
-        rows.append((_name(result), *map(str, (*missed, *false))))
+        rows.append((result.label, *map(str, (*missed, *false))))
     return Sheet(
         f"Errors outside the ambiguous pairs, of {len(experiment):,} (the paper: of {PAPER_PAIRS:,})",
         ("detector", "missed", "paper", "false", "paper"),
         tuple(rows),
         "Counts. Collisions missed and false alarms among the pairs that a detector's own overlap checks decided. The "
-        "paper's: cells (2,1) and (1,2) of Tables 1 to 4 (a), less those of (b). Its section 5 puts the three of Table "
-        "2 down to the finite precision of the overlap check, and those of Table 1 to a wrong check of the outer "
+        "paper's: cells (2,1) and (1,2) of Tables 1 to 4 (a), less those of (b). Its section 5 attributes the three of "
+        "Table 2 to the finite precision of the overlap check, and those of Table 1 to a wrong check of the outer "
         "ellipsoids.",
     )
 
@@ -134,7 +131,7 @@ def times(experiment: Experiment) -> Sheet:
     rows = []
     for result in experiment.detectors:
         own = (result.microseconds, result.ambiguous_microseconds)
-        rows.append((_name(result), *map(number, (*own, *PAPER[result.id][2:]))))
+        rows.append((result.label, *map(number, (*own, *PAPER[result.id][2:]))))
     return Sheet(
         "Time of a check: microseconds here, milliseconds in the paper",
         ("detector", "us (a)", "us (b)", "ms (a)", "ms (b)"),
@@ -170,11 +167,6 @@ def in_order(experiment: Experiment) -> tuple[Sheet, ...]:
 
 
 # -- rows ------------------------------------------------------------------------------------------
-
-
-def _name(result: Result) -> str:
-    """Return the name of a detector, or of the estimate, for a row."""
-    return f"{result.id}: {result.name}" if result.id else result.name
 
 
 def _head(table: Table) -> tuple[str, str]:
@@ -223,15 +215,11 @@ def _shares(whole: Table, part: Table) -> Sheet:
 
 
 def _right(table: str, result: Result, part: int, paper: Confusion | None) -> tuple[str, ...]:
-    own = result.ambiguous if part else result.all
+    own = result.parts[part]
     if paper is None:
-        return table, _name(result), percent(_accuracy(own)), "-", "-"
+        return table, result.label, percent(own.accuracy), "-", "-"
     consistent = statement(tables.homogeneity(own.counts, paper.counts))
-    return table, _name(result), percent(_accuracy(own)), percent(_accuracy(paper)), consistent
-
-
-def _accuracy(matrix: Confusion) -> float:
-    return (matrix.tp + matrix.tn) / matrix.total if matrix.total else math.nan
+    return table, result.label, percent(own.accuracy), percent(paper.accuracy), consistent
 
 
 def _gap(gap: float) -> str:

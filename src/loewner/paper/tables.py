@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.special import chdtrc
@@ -109,22 +109,8 @@ def homogeneity(counts: Sequence[int], others: Sequence[int]) -> float:
 def tables(experiment: Experiment) -> tuple[Table, ...]:
     """Make all tables: 1 (a), 1 (b) ... 4 (b), then (a) and (b) for the library's estimate."""
     _validate.instance(experiment, "experiment", Experiment, "loewner.paper")
-    all_tables: list[Table] = []
-    fourth = experiment.detectors[3]
-    for result in experiment.detectors:
-        every, hard, milliseconds, hard_milliseconds = PAPER[result.id]
-        title = f"Table {result.id}"
-        name = f"{result.id}: {result.name}"
-        whole = _table(f"{title} (a)", name, result.all, every, result.microseconds, milliseconds)
-        part = _table(f"{title} (b)", name, result.ambiguous, hard, result.ambiguous_microseconds, hard_milliseconds)
-        if result.id == 2:
-            # The paper printed detector 4's numbers here (docs/design/paper.md), so compare with those results as well.
-            whole, part = _with_fourth(whole, fourth.all, every), _with_fourth(part, fourth.ambiguous, hard)
-        all_tables += [whole, part]
-    own: Result = experiment.estimate
-    all_tables.append(_table("Estimate (a)", own.name, own.all, None, math.nan, math.nan))
-    all_tables.append(_table("Estimate (b)", own.name, own.ambiguous, None, math.nan, math.nan))
-    return tuple(all_tables)
+    results, fourth = (*experiment.detectors, experiment.estimate), experiment.detectors[3]
+    return tuple(_table(result, part, fourth) for result in results for part in (0, 1))
 
 
 def classes(experiment: Experiment) -> tuple[tuple[int, ...], float]:
@@ -196,25 +182,23 @@ def _cell_text(cell: Cell) -> str:
     return text if cell.paper_count is None else f"{text} / {percent(cell.paper_share)}"
 
 
-def _table(
-    title: str, detector: str, own: Confusion, paper: Confusion | None, microseconds: float, milliseconds: float
-) -> Table:
+def _table(result: Result, part: int, fourth: Result) -> Table:
+    """Make part 0, that is (a), or part 1, that is (b), of the table of a detector or of the estimate."""
+    own, printed = result.parts[part], PAPER.get(result.id)
+    paper, milliseconds = (None, math.nan) if printed is None else (printed[:2][part], printed[2:][part])
     cells = []
     for k, (name, count) in enumerate(zip(CELLS, own.counts, strict=True)):
         share = count / own.total if own.total else math.nan
-        printed: tuple[int | None, float] = (None, math.nan)
-        if paper is not None:
-            printed = paper.counts[k], paper.counts[k] / paper.total
-        cells.append(Cell(name, count, share, *wilson(count, own.total), *printed))
+        theirs = (None, math.nan) if paper is None else (paper.counts[k], paper.counts[k] / paper.total)
+        cells.append(Cell(name, count, share, *wilson(count, own.total), *theirs))
     p = math.nan if paper is None else homogeneity(own.counts, paper.counts)
-    right = (own.tp + own.tn) / own.total if own.total else math.nan
-    return Table(title, detector, tuple(cells), right, p, statement(p), microseconds, milliseconds)
-
-
-def _with_fourth(table: Table, fourth: Confusion, printed: Confusion) -> Table:
-    """Add to the statement of table 2 how well the printed numbers fit detector 4."""
-    p = homogeneity(fourth.counts, printed.counts)
-    return replace(table, statement=f"{table.statement}; printed is detector 4: {statement(p)}")
+    text = statement(p)
+    if paper is not None and result.id == 2:
+        # The paper printed detector 4's numbers here (docs/design/paper.md), so compare with those results as well.
+        text += f"; printed is detector 4: {statement(homogeneity(fourth.parts[part].counts, paper.counts))}"
+    title = f"{f'Table {result.id}' if result.id else 'Estimate'} ({'ab'[part]})"
+    microseconds = (result.microseconds, result.ambiguous_microseconds)[part]
+    return Table(title, result.label, tuple(cells), own.accuracy, p, text, microseconds, milliseconds)
 
 
 def statement(p: float) -> str:

@@ -145,7 +145,7 @@ class Viewer(ABC):
         reach = "any of this machine's addresses" if where.everywhere else where.host
         address = where.url(port, self._guard.token, socket.gethostname() if where.everywhere else where.host)
         return (
-            f"loewner viewer: whoever can reach {reach} and has this address may see and move what is shown: {address}"
+            f"loewner viewer: anyone who can reach {reach} and has this address can see and move the bodies: {address}"
         )
 
     # -- for the two kinds of page ----------------------------------------------------------------
@@ -228,15 +228,25 @@ class Viewer(ABC):
         return handle
 
     def _show_verdict(
-        self,
-        name: str,
-        colour: Rgb,
-        rows: list[tuple[str, str]],
-        notes: list[str],
-        swatches: Mapping[str, Rgb] | None = None,
+        self, name: str, colour: Rgb, rows: list[tuple[str, str]], notes: list[str], swatches: Mapping[str, Rgb] = {}
     ) -> None:
-        """Fill the panel's first block; strings are escaped here, since names come from files."""
-        content = _block(name, colour, rows, notes, swatches)
+        """Fill the panel's first block: a coloured bar, a table, and lines of text.
+
+        Strings are escaped here, since names come from files.
+        """
+        cells = "".join(
+            f'<tr><th scope="row" style="padding:0 0.8em 0 0;font-weight:400;text-align:left;vertical-align:top;'
+            f'opacity:0.8;white-space:nowrap">{_swatch(swatches.get(key))}{escape(key)}</th>'
+            f'<td data-loewner="{escape(key)}" style="font-variant-numeric:tabular-nums;padding:0;'
+            f'overflow-wrap:anywhere">{escape(text)}</td></tr>'
+            for key, text in rows
+        )
+        content = (
+            f'<div style="{TEXT}">'
+            f'<div role="status" data-loewner="verdict" style="background:rgb{colour};color:white;font-weight:700;'
+            f'text-align:center;font-size:1.3em;border-radius:4px;margin-bottom:0.4em">{escape(name)}</div>'
+            f"<table>{cells}</table>{_lines(notes)}</div>"
+        )
         if self._verdict.content != content:
             self._verdict.content = content
 
@@ -245,6 +255,7 @@ class Viewer(ABC):
         self.verdict, self.colliding = Verdict.AMBIGUOUS, True
         kind = "UNDECIDED" if isinstance(error, LoewnerError) else "ERROR"
         self._show_verdict(kind, BAD, [], [f"{type(error).__name__}: {error}", "Treat it as colliding."])
+        self._near.hide()
 
     # -- inside -----------------------------------------------------------------------------------
 
@@ -273,6 +284,8 @@ class Viewer(ABC):
         started = time.perf_counter()
         with self.server.atomic():
             try:
+                if "marks" in done:
+                    self._ground.visible = self._marks["ground"].value
                 self._take(done)
                 self._answer()
             except Exception as error:
@@ -354,25 +367,6 @@ def length_text(length: float) -> str:
 def certified_words(verdict: Verdict) -> str:
     """Describe the verdict of the ellipsoids alone."""
     return f"{verdict.name}, " + ("settled by the exact search" if verdict == Verdict.AMBIGUOUS else "proven")
-
-
-def _block(
-    name: str, colour: Rgb, rows: list[tuple[str, str]], notes: list[str], swatches: Mapping[str, Rgb] | None = None
-) -> str:
-    """Format the verdict as HTML: a coloured bar, a table, and lines of text, all escaped."""
-    cells = "".join(
-        f'<tr><th scope="row" style="padding:0 0.8em 0 0;font-weight:400;text-align:left;vertical-align:top;'
-        f'opacity:0.8;white-space:nowrap">{_swatch((swatches or {}).get(key))}{escape(key)}</th>'
-        f'<td data-loewner="{escape(key)}" style="font-variant-numeric:tabular-nums;padding:0;'
-        f'overflow-wrap:anywhere">{escape(text)}</td></tr>'
-        for key, text in rows
-    )
-    return (
-        f'<div style="{TEXT}">'
-        f'<div role="status" data-loewner="verdict" style="background:rgb{colour};color:white;font-weight:700;'
-        f'text-align:center;font-size:1.3em;border-radius:4px;margin-bottom:0.4em">{escape(name)}</div>'
-        f"<table>{cells}</table>{_lines(notes)}</div>"
-    )
 
 
 def _swatch(colour: Rgb | None) -> str:

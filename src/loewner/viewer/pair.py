@@ -198,8 +198,6 @@ class PairViewer(Viewer):
         if "layers" in done:
             for drawing in self._drawings.values():
                 drawing.show(self._which())
-        if "marks" in done:
-            self._ground.visible = self._marks["ground"].value
 
     def _answer(self) -> None:
         operands: tuple[Any, ...] = self.a, self._movers["A"].T, self.b, self._movers["B"].T
@@ -213,7 +211,6 @@ class PairViewer(Viewer):
 
     def _show_failure(self, error: Exception) -> None:
         super()._show_failure(error)
-        self._near.hide()
         self._normal.visible = False
 
     def _rows(self) -> list[tuple[str, str]]:

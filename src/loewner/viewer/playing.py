@@ -30,16 +30,9 @@ PACE = 1.0
 # Number of evenly spaced times at which the page checks for collisions.
 LOOKS = 201
 
-# Results of the checks. An unsettled result has its own colour here, although it counts as colliding elsewhere.
-FREE, COLLIDING, UNSETTLED = 0, 1, 2
-COLOURS: dict[int, Rgb] = {
-    FREE: VERDICT_COLOURS[Verdict.FREE],
-    COLLIDING: VERDICT_COLOURS[Verdict.COLLIDING],
-    UNSETTLED: (119, 119, 119),
-}
-# The result for each verdict, in the order of the verdicts' numbers.
-SEEN = np.array([FREE, COLLIDING, UNSETTLED])
-NAMES = {FREE: "FREE", COLLIDING: "COLLIDING", UNSETTLED: "UNDECIDED"}
+# Colours and names of the results. An unsettled result, which is AMBIGUOUS, counts as colliding elsewhere.
+COLOURS: dict[int, Rgb] = {**VERDICT_COLOURS, Verdict.AMBIGUOUS: (119, 119, 119)}
+NAMES = ("FREE", "COLLIDING", "UNDECIDED")
 
 # Number of parts into which a path without times is divided for its proof, so that a bar shows where it is not free.
 PARTS = 60
@@ -186,11 +179,11 @@ def _checked(robot: Robot, trajectory: Any, name: str) -> Trajectory | Executed:
 
 
 def found_along(checker: CollisionChecker, way: Way) -> Ints:
-    """Return FREE, COLLIDING or UNSETTLED for each of LOOKS times, evenly spaced from start to end."""
+    """Return the verdict at each of LOOKS times, evenly spaced from start to end; AMBIGUOUS if it was not settled."""
     times = np.linspace(0.0, way.duration, LOOKS)
     ready = prepared_of(checker, timed=True)
     Q = np.ascontiguousarray(with_bodies(ready, way.positions(times), way.start_time + times))
-    return SEEN[classified(ready, codes.EXACT, Q)[0]]
+    return classified(ready, codes.EXACT, Q).verdicts.astype(np.int64)
 
 
 class Proof(NamedTuple):
@@ -248,7 +241,7 @@ def sampled_strip(found: Ints, duration: float) -> str:
     bars = [(NAMES[kind], COLOURS[kind], end - start) for kind, start, end in _stretches(found)]
     bad = [
         f"{NAMES[kind].lower()} {times[start]:.3g} .. {times[end - 1]:.3g} s"
-        for kind, start, end in _stretches(found) if kind != FREE
+        for kind, start, end in _stretches(found) if kind != Verdict.FREE
     ]  # fmt: skip
     return _strip("along", bars, f"{len(found)} samples: {_listed(bad) or 'free'}")
 

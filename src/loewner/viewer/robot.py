@@ -364,12 +364,7 @@ class RobotViewer(Viewer):
             self._chosen = self._watch(gui.add_dropdown("move", (NOTHING,), initial_value=NOTHING), "chosen")
             self._inputs = PoseInputs(self, "body", 1.0)
         links = robot.forward_kinematics(self._q)
-        self._links = [
-            self.server.scene.add_frame(
-                f"/robot/{k}", show_axes=False, wxyz=quaternions_of(T[:3, :3]), position=T[:3, 3]
-            )
-            for k, T in enumerate(links)
-        ]
+        self._links = [self.server.scene.add_frame(f"/robot/{k}", show_axes=False) for k in range(len(links))]
         for name, body in robot.bodies.items():
             self._add(name, body, LINK, robot.link_names.index(name), None)
         self._match_scene()
@@ -530,8 +525,6 @@ class RobotViewer(Viewer):
             scene.move(self._chosen.value, self._inputs.take())
         if "layers" in done:
             self._show_layers()
-        if "marks" in done:
-            self._ground.visible = self._marks["ground"].value
         if "chosen" in done or "clicked" in done:
             self._show_chosen()
 
@@ -667,12 +660,12 @@ class RobotViewer(Viewer):
         if self._way is None or not np.array_equal(self._q, self._way.positions(self._time)):
             return None
         verdicts = np.array([Verdict.AMBIGUOUS]) if self._proof is None else self._proof.verdicts
-        along = np.array([paths.UNSETTLED]) if self._along is None else self._along
+        along = np.array([Verdict.AMBIGUOUS]) if self._along is None else self._along
         if (verdicts == Verdict.FREE).all():
             return Verdict.FREE
         scene = self.checker.scene
         # Contact in a sample may be allowed at the beginning or the end of the path, so the proof decides.
-        sampled = (along == paths.COLLIDING).any() and not (scene.leaving or scene.reaching)
+        sampled = (along == Verdict.COLLIDING).any() and not (scene.leaving or scene.reaching)
         return Verdict.COLLIDING if sampled or (verdicts == Verdict.COLLIDING).any() else Verdict.AMBIGUOUS
 
     def _show_near(self) -> None:
@@ -686,7 +679,6 @@ class RobotViewer(Viewer):
         super()._show_failure(error)
         self.path_verdict = None
         self._paint(set())
-        self._near.hide()
 
     def _paint(self, touching: set[str]) -> None:
         for name, shown in self._shown.items():
