@@ -153,7 +153,7 @@ def test_a_pose_that_is_none_is_found(many, card, rng):
         (lambda card, T: OnGpu(card, T.astype("f4"), mask=object()), "without a mask"),
         (lambda card, T: OnGpu(card, T.astype("f4"), data=(1 << 40, False)), "found one elsewhere"),
         (lambda card, T: OnGpu(card, T.astype("f4"), data=(4, False)), "multiple of 16 bytes"),
-        (lambda card, T: OnGpu(card, T.astype("f4"), data="here"), "found one without sense"),
+        (lambda card, T: OnGpu(card, T.astype("f4"), data="here"), "found a malformed one"),
         (
             lambda card, T: OnGpu(card, T.astype("f4")[:, :3]),
             r"expected poses of shape \(..., 4, 4\), found \(5, 3, 4\)",
@@ -326,7 +326,7 @@ def test_motions_on_the_gpu(card, checker):
 def test_motions_that_are_none(card, checker):
     """Ends of different places, shapes or widths, or that are not finite, are refused."""
     on_gpu, Q = gpu.Checker(checker), np.zeros((3, checker.robot.dof), np.float32)
-    with pytest.raises(InputError, match="expected both on the GPU or both not"):
+    with pytest.raises(InputError, match="expected both on the GPU or neither"):
         on_gpu.certify_edges(OnGpu(card, Q), Q)
     with pytest.raises(InputError, match="of the same shape"):
         on_gpu.certify_edges(OnGpu(card, Q), OnGpu(card, Q[:2]))
@@ -405,7 +405,7 @@ FAULTS = [
     ({"gpus": 0}, "expected one of the 0 GPUs"),
     ({"capability": (7, 0)}, r"compute capability 7.5 \(Turing\) or newer, found Stand-in of 7.0"),
     ({"refuses": {"cuModuleLoadDataEx": 222}, "log": b"ptxas fatal"}, "found one for CUDA 12.4 .*: ptxas fatal"),
-    ({"refuses": {"cuMemAlloc_v2": 2}}, "expected 0 MB of memory on the GPU, found less; ask for fewer"),
+    ({"refuses": {"cuMemAlloc_v2": 2}}, "expected 0 MB of memory on the GPU, found less; pass fewer"),
     ({"refuses": {"cuLaunchKernel": 700}}, "the GPU's work was lost, .*CUDA_ERROR_ILLEGAL_ADDRESS"),
     ({"refuses": {"cuStreamSynchronize": 709}}, "the GPU's work was lost"),
     ({"refuses": {"cuCtxPushCurrent_v2": 4711}}, r"cuCtxPushCurrent_v2: error 4711"),

@@ -170,7 +170,7 @@ def reproduction(
 
 
 def _corners(body: Any, name: str) -> Floats:
-    """The corners of a convex hull."""
+    """Return the corners of a convex hull."""
     pieces = body.pieces if isinstance(body, Body) else ()
     if len(pieces) != 1 or pieces[0].kind != "polytope":
         kinds = ", ".join(sorted({piece.kind for piece in pieces})) or _validate.short(body)
@@ -283,7 +283,7 @@ def _error(
 
 
 def _weights(points: Floats, T: Floats, near: Floats) -> list[float]:
-    """Weights with which the mean of the corners is close to a point of their hull."""
+    """Return weights for which the mean of the corners is close to a point of their hull."""
     from scipy.optimize import nnls
 
     x = points @ T[:3, :3].T + T[:3, 3] - near

@@ -122,7 +122,7 @@ class Report:
     def __str__(self) -> str:
         lines = [("model", self.model), ("", ", ".join(f"{count} {what}" for what, count in self.sizes.items()))]
         for number, (degree, joined, inside, places) in enumerate(self.motions if self.deviations else ()):
-            start = ("starts anew", "starts where the last one ends", "the first")[joined + (number == 0)]
+            start = ("starts elsewhere", "starts where the last one ends", "the first")[joined + (number == 0)]
             text = f"degree {degree}, {start}, {'' if inside else 'NOT '}within limits, planes at {places} places"
             lines.append((f"motion {number}", text))
         ends = (self.points[0][0], self.points[-1][-1]) if self.points and self.deviations else ()
@@ -204,7 +204,7 @@ def _product(a: Whole, b: Whole) -> Whole:
 
 
 def _cos_sin(angle: int) -> Pair:
-    """Cosine and sine, in units, of an angle in multiples of 2^-GUARD."""
+    """Return cosine and sine, in units, of an angle in multiples of 2^-GUARD."""
     quarters = (2 * angle + HALF_PI) // (2 * HALF_PI)
     rest, sums = angle - quarters * HALF_PI, []
     square = rest * rest >> GUARD
@@ -265,7 +265,7 @@ class _Link:
         square, size = sum(n * n for n in self.axis), w * w + sum(n * n for n in v)
         wrong = self.kind > 2 or ((self.value != -1) if self.kind == 0 else self.value < 0)
         if wrong or not -1 <= self.above < len(links) or size == 0 or (self.kind == 1 and square == 0):
-            raise Refused(f"Link {name} has an impossible link above it, kind, value, quaternion or axis.")
+            raise Refused(f"Link {name}: the link above it, the kind, value, quaternion or axis is impossible.")
         base = links[self.above] if self.above >= 0 else None
         self.chain: tuple[_Link, ...] = (*base.chain, self) if base else (self,)
         self.group: int = base.group if base and not self.kind else len(links)
@@ -343,7 +343,7 @@ class _Body:
         self.radius, self.size = radius, _norm_up(self.center) + radius
 
     def support(self, part: Pair, n: Whole, norm: int) -> int:
-        """Largest product of n, whose length is at most `norm`, with a point of the given pieces, rounded up."""
+        """Return the largest product of n, of length at most `norm`, with a point of the given pieces, rounded up."""
         (a, b, c), products = n, []
         for piece in self.pieces[part[0] : part[1]]:
             for kind, radius, points, g in piece:
@@ -355,7 +355,7 @@ class _Body:
         return max(products)
 
     def contains(self, piece: int, four: Whole, point: list[Fraction]) -> bool:
-        """Whether four numbers show that an exact point in the frame of the link belongs to a piece."""
+        """Return whether four numbers show that an exact point in the frame of the link belongs to a piece."""
         (kind, radius, numbers), one = self.kinds[piece], Fraction(1)
         if kind in (1, 2, 3):
             columns = [_moved(self.turn, numbers[k::3], (0, 0, 0)) for k in (3, 4, 5)]
@@ -439,7 +439,7 @@ class _Box(_Motion):
         self.bends = dict[Pair, list[int]]()  # the bounds B_c
 
     def at(self, shares: Sequence[int]) -> dict[int, Pose]:
-        """Poses of the links in the frame of the common link (-1 for the world), at shares of the ranges."""
+        """Return poses of the links in the frame of the common link (-1 for the world), at shares of the ranges."""
         share, poses = {side[0]: t for side, t in zip(self.sides, shares, strict=True)}, dict[int, Pose]()
         for path in self.paths:
             for k in reversed(path):
@@ -578,7 +578,7 @@ class _Checker:
             between = [self.links[k] for path in paths for k in path if self.links[k].kind and self.links[k].by]
             ends = {value: self.reader.doubles(2) for value in sorted({link.value for link in between})}
             if any(low > high for low, high in ends.values()) or sum(a < b for a, b in ends.values()) > MOST_SIDES:
-                raise Refused(f"{names}: a range is upside down, or more than {MOST_SIDES} ranges have a width.")
+                raise Refused(f"{names}: a range ends before it begins, or more than {MOST_SIDES} ranges have a width.")
             self.tree(_Box(number, margin, paths, ends, self.links, len(self.values)), pair)
             before, ranges = pair, list[Range]()
             for value, (low, high) in ends.items():
@@ -591,7 +591,7 @@ class _Checker:
         self.sizes |= {"pairs": len(self.ranges), "boxes": self.sizes.pop("intervals")}
 
     def paths(self, a: int, b: int) -> tuple[list[int], list[int]]:
-        """The links from each of two links up to the common link, which is left out."""
+        """Return the links from each of two links up to the common link, which is left out."""
         ups: tuple[list[int], list[int]] = ([], [])
         while a != b:  # a link comes after the link above it, so the later of two links is not the common link
             ups[a < b].append(max(a, b))
@@ -670,7 +670,7 @@ class _Checker:
         self.sizes["intervals"] += 1
 
     def corners(self, box: _Box, sides: list[Pair], low: int, high: int, steps: int) -> Iterable[tuple[Pose, Pose]]:
-        """Poses of two links in the frame of the common link, at all corners of a part of a box."""
+        """Yield poses of two links in the frame of the common link, at all corners of a part of a box."""
         ends = [side if width else side[:1] for side, (_, _, width) in zip(sides, box.sides, strict=True)]
         for shares in product(*ends):
             old_count = len(box.local)
@@ -679,7 +679,7 @@ class _Checker:
             yield poses.get(low, STILL), poses.get(high, STILL)
 
     def bent(self, box: _Box, sides: list[Pair], below: int, high: int) -> int:
-        """The sum of B_c (2 h_c)^2 / 8 over a part of a box, for a body seen from a link, rounded up."""
+        """Return the sum of B_c (2 h_c)^2 / 8 over a part of a box, for a body seen from a link, rounded up."""
         if (below, high) not in box.bends:
             joints, bends = self.moving(box, below, high), list[int]()
             for value, _, _ in box.sides:
@@ -697,7 +697,7 @@ class _Checker:
         return total
 
     def poses(self, motion: _Motion, t: int) -> list[Pose]:
-        """Poses of all links, and at the end, as number -1, of the world. Values come from de Casteljau's scheme."""
+        """Return the poses of all links and, at the end, of the world (number -1); values by de Casteljau's scheme."""
         if t in motion.poses:
             return motion.poses[t]
         share, values, poses, count = Fraction(t, 1 << DEEPEST), [], list[Pose](), len(motion.points)
@@ -716,7 +716,7 @@ class _Checker:
         return motion.poses[t]
 
     def moving(self, motion: _Motion, below: int, high: int) -> list[tuple[int, bool, int]]:
-        """The joints between a link and a body: the link, whether it turns, and R_j or the length of the axis."""
+        """Return the joints between a link and a body: the link, whether it turns, R_j or the length of the axis."""
         key, above, center = (below, high), self.bodies[high].link, self.bodies[high].center
         if key not in self.balls:  # the links in between, body first, and the body's reach about each, without slides
             up, down = self.paths(above, below)

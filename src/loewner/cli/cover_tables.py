@@ -15,23 +15,22 @@ from loewner.bodies.triangulated import of_pieces
 from loewner.cli.output import AMBIGUOUS, COLLIDING, FREE, coordinates, counted, print_table, progress_of
 from loewner.meshes.coverage import CoverReport
 
+# Reports by the names of links.
+Reports = Mapping[str, CoverReport]
+
 STATUS = {"covered": FREE, "undecided": AMBIGUOUS, "uncovered": COLLIDING}
 
 
-def judged(robot: loewner.Robot, model: loewner.Robot, tolerance: float | None = None) -> dict[str, CoverReport]:
+def judged(robot: loewner.Robot, model: loewner.Robot, tolerance: float | None = None) -> Reports:
     """Judge a model while a progress bar is shown."""
     with progress_of("proofs", len(robot.bodies)) as progress:
         return robot.covered_by(model, tolerance=tolerance, progress=progress)
 
 
 def print_reports(
-    robot: loewner.Robot,
-    model: loewner.Robot,
-    reports: Mapping[str, CoverReport],
-    more: Mapping[str, Sequence[str]] | None = None,
+    robot: loewner.Robot, model: loewner.Robot, reports: Reports, more: Mapping[str, Sequence[str]] = {}
 ) -> None:
     """Print a row for each link, with additional columns if they are given."""
-    more = more or {}
     where = any(report.witness is not None for report in reports.values())
     columns = ["link", "shapes", "outcome", "uncovered", "up to", *["at, m"] * where, "sticks out", *more]
     rows = [
@@ -80,7 +79,7 @@ def _number(x: float, rounded: Callable[[float], float]) -> str:
     return f"{rounded(x / step) * step:.4g}"
 
 
-def entries(model: loewner.Robot, reports: Mapping[str, CoverReport]) -> dict[str, dict[str, Any]]:
+def entries(model: loewner.Robot, reports: Reports) -> dict[str, dict[str, Any]]:
     """Convert all reports to the form of JSON; infinite distances become null."""
 
     def ends(pair: tuple[float, float]) -> list[float | None]:
@@ -110,7 +109,7 @@ def draw(robot: loewner.Robot, model: loewner.Robot, picture: Path | None) -> No
         plots.save(plots.cover(robot, model), picture)
 
 
-def status(reports: Mapping[str, CoverReport]) -> int:
+def status(reports: Reports) -> int:
     """Return the exit status: 0 if all links are covered, 1 if a link is not covered, 3 if a link is undecided."""
     outcomes = {report.outcome for report in reports.values()}
     return next(STATUS[name] for name in ("uncovered", "undecided", "covered") if name in outcomes)

@@ -6,7 +6,7 @@ import argparse
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -50,11 +50,20 @@ def command(
     return added
 
 
-def adders(parser: Any) -> tuple[Callable[..., Any], ...]:
-    """Return functions that add to a parser or a group: an option of any kind, a file, a length in metres, a flag."""
+class Adders(NamedTuple):
+    """Functions that add to a parser, or to a group, an option of any kind, a file, a length in metres, or a flag."""
+
+    option: Callable[..., Any]
+    file: Callable[..., Any]
+    length: Callable[..., Any]
+    flag: Callable[..., Any]
+
+
+def adders(parser: Any) -> Adders:
+    """Return the functions that add options to a parser or to a group."""
     add = parser.add_argument
     file, length = partial(add, type=Path, metavar="FILE"), partial(add, type=float, metavar="M")
-    return add, file, length, partial(add, action="store_true")
+    return Adders(add, file, length, partial(add, action="store_true"))
 
 
 # Models of a mesh: its triangles, convex pieces, or its convex hull.
@@ -127,7 +136,7 @@ def add_reading_options(command: argparse.ArgumentParser, scene: str | None = SC
 
 def add_robot_files(parser: Any, scene: str | None = SCENE_HELP) -> None:
     """Add the options that name further files of a robot, and --scene unless its help is None."""
-    _, file, _, _ = adders(parser)
+    file = adders(parser).file
     file("--srdf", help="groups, states, pairs that need no check")
     file("--package-dir", metavar="DIR", action="append", default=[], help="folder of packages; repeatable")
     if scene is not None:

@@ -18,6 +18,9 @@ from loewner._base._validate import Floats
 from loewner.cli import configurations, drives, inputs, output
 from loewner.errors import ConvergenceError, InputError, PlanningError
 
+# A path, or the trajectory of a plan in time.
+Planned = planners.Plan | planners.Trajectory
+
 # Options that request a plan in time.
 IN_TIME = ("start_time", "arrive_by", "velocity")
 
@@ -187,7 +190,7 @@ def _begin_in_time(options: argparse.Namespace, scene: loewner.Scene) -> None:
 
 def _found(
     checker: loewner.CollisionChecker, start: Floats, goal: Floats | planners.PoseGoal, options: argparse.Namespace
-) -> planners.Plan | planners.Trajectory:
+) -> Planned:
     """Return the path with its cost and planning time in seconds, or the trajectory of a plan in time."""
     limits = inputs.given(options, ("planner", "max_iterations", "timeout", "resolution"))
     search = planners.Search(certified=not options.sampled, simplify=not options.no_simplify, **limits)
@@ -211,10 +214,7 @@ def _numbers(name: str, text: str) -> list[float] | float:
 
 
 def _answer(
-    checker: loewner.CollisionChecker,
-    plan: planners.Plan | planners.Trajectory,
-    seconds: float,
-    options: argparse.Namespace,
+    checker: loewner.CollisionChecker, plan: Planned, seconds: float, options: argparse.Namespace
 ) -> dict[str, Any]:
     """Make the full report on a path or a trajectory."""
     if isinstance(plan, planners.Trajectory):

@@ -73,14 +73,12 @@ def add(commands: Any) -> None:
         inner, "robot", "configurations of a robot, and the straight motions between them", EXAMPLES, _write
     )
     inputs.add_robot_options(robot)
-    robot.add_argument(
-        "--configs", type=Path, required=True, metavar="FILE", help="configurations, or a path (.npy, .csv or .json)"
-    )
+    inputs.adders(robot).file("--configs", required=True, help="configurations, or a path (.npy, .csv or .json)")
     for command, query, pack in ((pair, "check", _pack_pair), (robot, "robot", _pack_robot)):
-        command.add_argument("-o", "--out", type=Path, required=True, metavar="FILE", help="the report to write (.zip)")
+        inputs.adders(command).file("-o", "--out", required=True, help="the report to write (.zip)")
         command.set_defaults(query=query, pack=pack)
     again = inputs.command(inner, "rerun", "run the query of a report again, and compare the answers", EXAMPLES, _rerun)
-    again.add_argument("file", type=Path, metavar="FILE", help="a report (.zip)")
+    inputs.adders(again).file("file", help="a report (.zip)")
 
 
 def _write(options: argparse.Namespace) -> int:

@@ -99,8 +99,8 @@ def _view_robot(options: argparse.Namespace) -> Any:
     only, of_pairs = "view: expected {} with A and B only, not --robot", ("pose_a", "pose_b", "hull", "scale")
     inputs.refuse(options, (*of_pairs, *inputs.OF_SURFACES, *inputs.OF_PIECES), only)
     inputs.refuse(options, ("margin",), f"{only}: margins of a robot are the scene's")
-    scene = None if options.scene is None else loewner.load_scene(options.scene)
-    if scene is not None and len(scene) == 0:
+    scene = inputs.scene(options)
+    if options.scene is not None and len(scene) == 0:
         raise InputError(
             f"{options.scene}: expected a scene with bodies, found none; for the robot alone, drop --scene"
         )
@@ -109,10 +109,9 @@ def _view_robot(options: argparse.Namespace) -> Any:
         inputs.refuse(options, OF_TRAJECTORIES, "view: expected {} with --trajectory only")
         return viewer.show_robot(loewner.CollisionChecker(robot, scene), port=options.port)
     at = options.at if options.at in (None, "worst") else _seconds(options.at)
-    scene = loewner.Scene() if scene is None else scene
     played = _played(options, scene, robot)
     kind = "trajectory" if isinstance(played, planners.ControllerPoints) else "path"
-    shown: dict[str, Any] = {kind: played}
+    shown: Any = {kind: played}
     page = viewer.show_robot(loewner.CollisionChecker(robot, scene), port=options.port, **shown)
     try:
         if at == "worst":

@@ -177,7 +177,7 @@ class Checker:
         tolerance = _validate.positive_scalar(tolerance, "tolerance")
         there = is_on_gpu(Q0), is_on_gpu(Q1)
         if there[0] != there[1]:
-            raise InputError("Q0, Q1: expected both on the GPU or both not, found one there")
+            raise InputError("Q0, Q1: expected both on the GPU or neither, found one there")
         ready = self._ready()
         if len(ready.ruled):
             raise InputError("expected no pairs that may be in contact at the ends of motions, found some")

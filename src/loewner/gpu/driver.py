@@ -37,7 +37,7 @@ LOST = (201, 700, 702, 709, 710, 714, 715, 716, 717, 718, 719, 721, 999)
 
 # Messages for the error codes that need no numbers.
 CAUSES = {
-    **dict.fromkeys(LOST, "the GPU's work was lost, and all that this process keeps there; start the process again"),
+    **dict.fromkeys(LOST, "the GPU's work was lost, and everything that this process keeps there; restart the process"),
     **dict.fromkeys(OLD_DRIVER, "expected a newer driver of the GPU: update it"),
     NO_DEVICE: "expected an NVIDIA GPU, found none",
 }
@@ -248,7 +248,7 @@ class Device:
         self.lost = self.lost or code in LOST
         cause, text = CAUSES.get(code), f"{function}: {self._words(code)}"
         if code == OUT_OF_MEMORY and size is not None:
-            cause = f"expected {size / 1e6:.0f} MB of memory on the GPU, found less; ask for fewer at a time"
+            cause = f"expected {size / 1e6:.0f} MB of memory on the GPU, found less; pass fewer at a time"
         elif code in (UNSUPPORTED_PTX, INVALID_PTX, NO_IMAGE):
             wanted = f"PTX {_ptx.VERSION[3]}.{_ptx.VERSION[4]} (CUDA 11.0 or newer)"
             version = f"CUDA {self.driver // 1000}.{self.driver % 1000 // 10}"

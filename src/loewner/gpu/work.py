@@ -78,7 +78,7 @@ def attempted(on_gpu: Callable[[], Answer], on_cpu: Callable[[], Answer] | None)
 def expect_few(count: int, what: str) -> None:
     """Refuse a list with more entries than an index can address."""
     if count > MOST:
-        raise InputError(f"expected at most {MOST} {what} a call, found {count}; ask for fewer at a time")
+        raise InputError(f"expected at most {MOST} {what} a call, found {count}; pass fewer at a time")
 
 
 class Left:

@@ -255,8 +255,9 @@ def _flow_chart() -> Any:
     ax.set(xlim=(-3.0, 3.0), ylim=(-0.35, 3.35))
     ax.axis("off")
     for x, y, width, height, text, question in BOXES.values():
-        look = {"boxstyle": "round,pad=0,rounding_size=0.06", "fc": "#eef3f9" if question else "#f6f6f6", "ec": GREY}
-        ax.add_patch(FancyBboxPatch((x - width, y - height), 2 * width, 2 * height, **look))
+        style, colour = "round,pad=0,rounding_size=0.06", "#eef3f9" if question else "#f6f6f6"
+        corner, size = (x - width, y - height), (2 * width, 2 * height)
+        ax.add_patch(FancyBboxPatch(corner, *size, boxstyle=style, fc=colour, ec=GREY))
         ax.text(x, y, text, ha="center", va="center", fontsize=10)
     for start, end, answer in ARROWS:
         corners = arrow_path(start, end)

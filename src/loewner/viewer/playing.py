@@ -31,7 +31,7 @@ PACE = 1.0
 LOOKS = 201
 
 # Colours and names of the results. An unsettled result, which is AMBIGUOUS, counts as colliding elsewhere.
-COLOURS: dict[int, Rgb] = {**VERDICT_COLOURS, Verdict.AMBIGUOUS: (119, 119, 119)}
+COLOURS = (VERDICT_COLOURS[Verdict.FREE], VERDICT_COLOURS[Verdict.COLLIDING], (119, 119, 119))
 NAMES = ("FREE", "COLLIDING", "UNDECIDED")
 
 # Number of parts into which a path without times is divided for its proof, so that a bar shows where it is not free.
