@@ -153,7 +153,7 @@ def test_token_for_others(capsys):
         assert printed.count(token) == 1
         (line,) = [line for line in printed.splitlines() if token in line]
         assert "any of this machine's addresses" in line
-        assert "may see and move what is shown" in line
+        assert "can see and move the bodies" in line
         cookie, host = f"Cookie: a=b; loewner-token-{page.server.get_port()}={{}}; c", "Host: 127.0.0.1:{port}"
         strange = other.url.partition("token=")[2]
         assert strange != token

@@ -78,7 +78,7 @@ def _on_this_machine(options: argparse.Namespace, targets: list[Path]) -> int:
     """Fit the meshes in one or more processes; print tables of the bodies and of the failures."""
     count = 1 if options.jobs is None else _validate.whole_number(options.jobs, "--jobs", 1, MOST_THREADS)
     with told_to([]), suppress(GeometryError):  # a refused option need not be reported for each mesh
-        _body(TETRAHEDRON, options, lambda *_: None)
+        inputs.from_mesh(TETRAHEDRON, options, tol=options.tol, progress=_validate.silent)
     made_folder(_validate.path(options.out, "--out"))
     rows, failed = dict[int, list[str]](), dict[int, str]()
     # If a process is killed while it writes a file, the partial file stays in this temporary folder.
@@ -120,16 +120,13 @@ def serve_task(task: dict[str, Any], progress: Progress) -> list[Any]:
     row: list[str] = []
 
     def fit() -> Outcome:
-        body = _body(Path(task["mesh"]), argparse.Namespace(**task["options"]), progress)
+        options = argparse.Namespace(**task["options"])
+        body = inputs.from_mesh(Path(task["mesh"]), options, tol=options.tol, progress=progress)
         body.save(task["target"])
         row.extend(_fit_row(body))
         return Outcome("done")
 
     return [*outcome_of(Path(task["mesh"]), fit), row]
-
-
-def _body(source: Any, options: argparse.Namespace, progress: Progress) -> loewner.Body:
-    return inputs.from_mesh(source, options, tol=options.tol, progress=progress)
 
 
 def _outcome(mesh: Path, answer: list[Any] | None) -> tuple[Outcome, list[str]]:

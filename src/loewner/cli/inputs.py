@@ -107,10 +107,8 @@ def add_pair_options(command: argparse.ArgumentParser) -> None:
 def add_rule_options(command: argparse.ArgumentParser, start: str, end: str) -> None:
     """Add the options that allow contact at the ends of motions."""
     for rule, where in (("leave", start), ("reach", end)):
-        command.add_argument(
-            f"--{rule}", nargs=2, metavar=("A", "B"), action="append", default=[],
-            help=f"two bodies or links that may be in contact at the {where} only; repeatable",
-        )  # fmt: skip
+        what = f"two bodies or links that may be in contact at the {where} only; repeatable"
+        command.add_argument(f"--{rule}", nargs=2, metavar=("A", "B"), action="append", default=[], help=what)
 
 
 def apply_rules(scene: loewner.Scene, options: argparse.Namespace) -> None:
@@ -164,7 +162,7 @@ def body(path: Path, options: argparse.Namespace) -> loewner.Body:
 
 
 def from_mesh(
-    path: Path, options: argparse.Namespace, *, tol: float = DEFAULT_TOLERANCE, progress: Progress | None = None
+    path: Any, options: argparse.Namespace, *, tol: float = DEFAULT_TOLERANCE, progress: Progress | None = None
 ) -> loewner.Body:
     """Make the body of a mesh, and show a progress bar unless the caller shows progress."""
     chosen = model(options)

@@ -29,11 +29,10 @@ def run(options: argparse.Namespace) -> int:
     """Judge a table of configurations, and print the wrong verdicts."""
     tolerance = TOLERANCE if options.tolerance is None else options.tolerance
     robot = robot_of(options)
-    scene = inputs.scene(options)
-    checker = loewner.CollisionChecker(robot, scene)
+    checker = loewner.CollisionChecker(robot, inputs.scene(options))
     Q, said = table(options.configurations, robot)
     # Verdicts are about contact, so a body within a margin may be called free or colliding.
-    rows = np.flatnonzero((checker.collide(Q) != said) | (said & (inputs.largest_margin(scene) > 0)))
+    rows = np.flatnonzero((checker.collide(Q) != said) | (said & (inputs.largest_margin(checker.scene) > 0)))
     wrong: list[dict[str, Any]] = []
     if len(rows):
         distances = checker.distance(Q[rows], exact=True)

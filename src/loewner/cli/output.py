@@ -155,8 +155,6 @@ class NoProgress(nullcontext["NoProgress"]):
     def update(self, *_: Any, **__: Any) -> None:
         """Update the progress of a task."""
 
-    advance = update
-
 
 def _console(**options: Any) -> Console:
     """Make a Rich console that lets `main` handle a broken pipe of standard error.

@@ -197,10 +197,8 @@ class RobotViewer(Viewer):
         self._speed = 1.0
         if q is None and self._way is not None:
             q = self._way.positions(0.0)
-        self._first_state, first = first_shown(robot)
-        self._q = np.array(robot.checked_one(first if q is None else q))
-        if q is not None:
-            self._first_state = None
+        self._first_state, first = first_shown(robot) if q is None else (None, q)
+        self._q = np.array(robot.checked_one(first))
         if self._way is None and checker.scene.following:
             self._way = paths.Standing(checker.scene.following.values(), self._q)
         if not checker.checked_pairs:
