@@ -145,6 +145,22 @@ static loewner_status take(const File *file, int64_t number, int64_t type, int64
     return LOEWNER_OK;
 }
 
+/* What an array of a pack or of a surface must be; its number of rows is checked later. */
+typedef struct {
+    int64_t type, columns;
+    const char *name;
+} Kind;
+
+/* Find consecutive arrays of given kinds. */
+static loewner_status take_arrays(const File *file, int64_t at, const Kind *kinds, int count, Array2 *arrays)
+{
+    for (int k = 0; k < count; k++) {
+        arrays[k].columns = kinds[k].columns;
+        TRY(take(file, at + k, kinds[k].type, -1, kinds[k].columns, kinds[k].name, &arrays[k].data, &arrays[k].rows));
+    }
+    return LOEWNER_OK;
+}
+
 static int are_finite(const double *numbers, int64_t count)
 {
     double sum = 0;
@@ -186,9 +202,8 @@ static loewner_status check_nodes(const double *nodes, int64_t room, int64_t ver
 {
     int64_t count = room / 2;
     EXPECT(count >= 6, "points: nodes");
-    int8_t *depth = malloc((size_t)count);
-    if (depth == NULL)
-        return no_memory();
+    int8_t *depth;
+    TRY(allocate(&depth, (size_t)count));
     memset(depth, -1, (size_t)count);
     memset(depth, 0, 6);
     int is_sound = 1;
@@ -212,20 +227,21 @@ static loewner_status check_nodes(const double *nodes, int64_t room, int64_t ver
     return LOEWNER_OK;
 }
 
-static loewner_status check_pieces(const Pack *pack, int64_t surfaces)
+static loewner_status check_pieces(const struct pieces *pack, int64_t surfaces)
 {
-    int64_t columns = pack->numbers / 3, before = 0;
-    for (int64_t p = 0; p < pack->pieces; p++) {
-        const int64_t *row = pack->layout + LAYOUT * p;
+    const int64_t *row = pack->layout.data;
+    const double *points = pack->points.data;
+    int64_t pieces = pack->layout.rows, columns = pack->points.rows / 3, before = 0;
+    for (int64_t p = 0; p < pieces; p++, row += LAYOUT) {
         int64_t kind = row[KIND_OF], first = row[POINTS_FROM], last = row[POINTS_TO], at = row[SURFACE_AT];
-        int64_t next = p + 1 < pack->pieces ? row[LAYOUT + POINTS_FROM] : columns;
+        int64_t next = p + 1 < pieces ? row[LAYOUT + POINTS_FROM] : columns;
         EXPECT(SOLID <= kind && kind <= LAST_KIND, "layout: kinds");
         EXPECT(before <= first && first <= last && last <= next && next <= columns, "layout: points");
         EXPECT(first % POINT_BLOCK == 0 && last % POINT_BLOCK == 0 && next % POINT_BLOCK == 0, "layout: points");
         EXPECT(kind <= SURFACE ? 1 <= at && at <= surfaces : at == 0, "layout: surfaces");
         EXPECT(kind > POLYTOPE || last > first, "layout: polytopes without points");
         if (kind == MAPPED)
-            TRY(check_nodes(pack->points + 3 * last, 3 * (next - last), last - first));
+            TRY(check_nodes(points + 3 * last, 3 * (next - last), last - first));
         before = next;
     }
     return LOEWNER_OK;
@@ -233,21 +249,23 @@ static loewner_status check_pieces(const Pack *pack, int64_t surfaces)
 
 /* Check the trees over the pieces of bodies: the groups of a body must be contiguous, and lead only to pieces of the
    same body. */
-static loewner_status check_trees(const Pack *pack)
+static loewner_status check_trees(const struct pieces *pack)
 {
-    int64_t begin = 0;
-    int8_t *height = calloc(2 * (size_t)pack->groups + 1, 1), *has_parent = height + pack->groups;
-    if (height == NULL)
-        return no_memory();
+    const int64_t *roots = pack->roots.data, *starts = pack->piece_start.data, *children = pack->children.data;
+    const double *numbers = pack->groups.data;
+    int64_t begin = 0, groups = pack->groups.rows / GROUP_NUMBERS;
+    int8_t *height;
+    TRY(allocate(&height, 2 * (size_t)groups + 1));
+    int8_t *has_parent = height + groups;
     int is_sound = 1;
-    for (int64_t b = 0; is_sound && b < pack->bodies; b++) {
-        int64_t root = pack->roots[b], first = pack->piece_start[b], last = pack->piece_start[b + 1];
+    for (int64_t b = 0; is_sound && b < pack->roots.rows; b++) {
+        int64_t root = roots[b], first = starts[b], last = starts[b + 1];
         if (root == -1)
             continue;
-        is_sound = last - first > 1 && root < pack->groups && root == begin + groups_of(last - first) - 1;
+        is_sound = last - first > 1 && root < groups && root == begin + groups_of(last - first) - 1;
         for (int64_t g = begin; is_sound && g <= root; g++)
             for (int64_t c = WIDE * g; c < WIDE * (g + 1); c++) {
-                int64_t child = pack->children[c];
+                int64_t child = children[c];
                 if (child >= 0) {
                     is_sound &= begin <= child && child < g && !has_parent[child];
                     if (is_sound)
@@ -263,80 +281,77 @@ static loewner_status check_trees(const Pack *pack)
         begin = root + 1;
     }
     free(height);
-    EXPECT(is_sound && begin == pack->groups, "trees");
-    for (int64_t k = 0; k < GROUP_NUMBERS * pack->groups; k++)
-        EXPECT(!isnan(pack->tree_groups[k]), "groups");
+    EXPECT(is_sound && begin == groups, "trees");
+    for (int64_t k = 0; k < pack->groups.rows; k++)
+        EXPECT(!isnan(numbers[k]), "groups");
     return LOEWNER_OK;
 }
 
-static loewner_status take_pack(const File *file, int64_t at, int64_t bodies, int64_t surfaces, Pack *pack)
+static const Kind pack_kinds[PACK_ARRAYS] = {
+    {DOUBLES, COLUMNS, "table"}, {INTEGERS, LAYOUT, "layout"}, {DOUBLES, 1, "points"}, {INTEGERS, 1, "piece_start"},
+    {DOUBLES, HOT, "hot"},       {SINGLES, HOT, "single"},     {DOUBLES, 1, "groups"}, {INTEGERS, 1, "children"},
+    {INTEGERS, 1, "roots"},      {SINGLES, 1, "vertices"},     {DOUBLES, HOT, "parts"}, {INTEGERS, 1, "part_start"},
+};
+
+static loewner_status take_pack(const File *file, int64_t at, int64_t surfaces, struct pieces *pack)
 {
-    int64_t singles, vertices, numbers, groups, starts, children;
-    pack->bodies = bodies;
-    TRY(take(file, at, DOUBLES, -1, COLUMNS, "table", &pack->table, &pack->pieces));
-    TRY(take(file, at + 1, INTEGERS, pack->pieces, LAYOUT, "layout", &pack->layout, NULL));
-    TRY(take(file, at + 2, DOUBLES, -1, 1, "points", &pack->points, &numbers));
-    TRY(take(file, at + 3, INTEGERS, bodies + 1, 1, "piece_start", &pack->piece_start, NULL));
-    TRY(take(file, at + 4, DOUBLES, pack->pieces, HOT, "hot", &pack->hot, NULL));
-    TRY(take(file, at + 5, SINGLES, -1, HOT, "single", &pack->single, &singles));
-    TRY(take(file, at + 6, DOUBLES, -1, 1, "groups", &pack->tree_groups, &groups));
-    TRY(take(file, at + 7, INTEGERS, -1, 1, "children", &pack->children, &children));
-    TRY(take(file, at + 8, INTEGERS, bodies, 1, "roots", &pack->roots, NULL));
-    TRY(take(file, at + 9, SINGLES, -1, 1, "vertices", &pack->vertices, &vertices));
-    TRY(take(file, at + 10, DOUBLES, -1, HOT, "parts", &pack->part_rows, &pack->parts));
-    TRY(take(file, at + 11, INTEGERS, -1, 1, "part_start", &pack->part_start, &starts));
-    pack->numbers = numbers;
-    pack->groups = groups / GROUP_NUMBERS;
-    pack->is_single = singles > 0;
-    pack->has_parts = starts > 0;
+    TRY(take_arrays(file, at, pack_kinds, PACK_ARRAYS, (Array2 *)pack));
+    int64_t bodies = file->bodies, pieces = pack->table.rows, numbers = pack->points.rows, singles = pack->single.rows;
+    int64_t groups = pack->groups.rows, vertices = pack->vertices.rows, starts = pack->part_start.rows;
+    EXPECT(pack->layout.rows == pieces, "layout");
+    EXPECT(pack->piece_start.rows == bodies + 1, "piece_start");
+    EXPECT(pack->hot.rows == pieces, "hot");
+    EXPECT(pack->roots.rows == bodies, "roots");
     EXPECT(numbers % (3 * POINT_BLOCK) == 0, "points");
-    EXPECT(groups % GROUP_NUMBERS == 0 && children == WIDE * pack->groups, "groups");
-    EXPECT(singles == 0 || singles == pack->pieces, "single");
-    EXPECT(vertices == (pack->is_single ? numbers : 0), "vertices");
-    EXPECT(starts == 0 || starts == PARTS * pack->pieces, "part_start");
-    EXPECT(rises(pack->piece_start, bodies + 1, pack->pieces), "piece_start");
+    EXPECT(groups % GROUP_NUMBERS == 0 && pack->children.rows == WIDE * (groups / GROUP_NUMBERS), "groups");
+    EXPECT(singles == 0 || singles == pieces, "single");
+    EXPECT(vertices == (singles > 0 ? numbers : 0), "vertices");
+    EXPECT(starts == 0 || starts == PARTS * pieces, "part_start");
+    const int64_t *start = pack->piece_start.data, *layout = pack->layout.data, *part_start = pack->part_start.data;
+    EXPECT(rises(start, bodies + 1, pieces), "piece_start");
     for (int64_t b = 0; b < bodies; b++)
-        EXPECT(pack->piece_start[b] < pack->piece_start[b + 1], "a body without pieces");
-    EXPECT(are_finite(pack->table, COLUMNS * pack->pieces) && are_finite(pack->hot, HOT * pack->pieces) &&
-               are_finite(pack->points, numbers) && are_finite(pack->part_rows, HOT * pack->parts) &&
-               are_finite_singles(pack->single, HOT * singles) && are_finite_singles(pack->vertices, vertices),
+        EXPECT(start[b] < start[b + 1], "a body without pieces");
+    EXPECT(are_finite(pack->table.data, COLUMNS * pieces) && are_finite(pack->hot.data, HOT * pieces) &&
+               are_finite(pack->points.data, numbers) && are_finite(pack->parts.data, HOT * pack->parts.rows) &&
+               are_finite_singles(pack->single.data, HOT * singles) &&
+               are_finite_singles(pack->vertices.data, vertices),
            "numbers that are not finite");
     for (int64_t p = 0; p < starts / PARTS; p++) {
-        const int64_t *row = pack->part_start + PARTS * p;
-        EXPECT(0 <= row[0] && row[0] <= row[1] && row[1] <= row[2] && row[2] <= pack->parts, "part_start");
-        EXPECT(pack->layout[LAYOUT * p + KIND_OF] <= SURFACE ? row[0] < row[2] : row[2] == 0, "part_start");
+        const int64_t *row = part_start + PARTS * p;
+        EXPECT(0 <= row[0] && row[0] <= row[1] && row[1] <= row[2] && row[2] <= pack->parts.rows, "part_start");
+        EXPECT(layout[LAYOUT * p + KIND_OF] <= SURFACE ? row[0] < row[2] : row[2] == 0, "part_start");
     }
-    EXPECT(surfaces == 0 || starts > 0 || pack->pieces == 0 || !pack->has_parts, "part_start");
     TRY(check_pieces(pack, surfaces));
     return check_trees(pack);
 }
 
+static const Kind surface_kinds[SURFACE_ARRAYS] = {
+    {SINGLES, 1, "boxes of a surface"}, {INTEGERS, 1, "children of a surface"}, {DOUBLES, 1, "blocks of a surface"},
+    {DOUBLES, 1, "parts of a surface"}, {SINGLES, 1, "diagonals of a surface"},
+};
+
 /* Check the tree over the triangles of a surface (`triangle_tree.py`). */
-static loewner_status take_surface(const File *file, int64_t at, Array2 arrays[SURFACE_ARRAYS])
+static loewner_status take_surface(const File *file, int64_t at, Surface *surface)
 {
-    const float *boxes, *diagonals;
-    const int64_t *children;
-    const double *blocks, *parts;
-    int64_t sizes[SURFACE_ARRAYS];
-    TRY(take(file, at, SINGLES, -1, 1, "boxes of a surface", &boxes, &sizes[0]));
-    TRY(take(file, at + 1, INTEGERS, -1, 1, "children of a surface", &children, &sizes[1]));
-    TRY(take(file, at + 2, DOUBLES, -1, 1, "blocks of a surface", &blocks, &sizes[2]));
-    TRY(take(file, at + 3, DOUBLES, -1, 1, "parts of a surface", &parts, &sizes[3]));
-    TRY(take(file, at + 4, SINGLES, -1, 1, "diagonals of a surface", &diagonals, &sizes[4]));
-    int64_t nodes = sizes[1] / WIDE_SURFACE, leaves = sizes[2] / BLOCK_NUMBERS;
-    EXPECT(nodes >= 1 && leaves >= 1 && sizes[1] % WIDE_SURFACE == 0 && sizes[2] % BLOCK_NUMBERS == 0, "a surface");
-    EXPECT(sizes[0] == 6 * WIDE_SURFACE * nodes && sizes[4] == DIAGONAL_NUMBERS * nodes && sizes[3] % 3 == 0,
+    TRY(take_arrays(file, at, surface_kinds, SURFACE_ARRAYS, (Array2 *)surface));
+    const float *boxes = surface->boxes.data, *diagonals = surface->diagonals.data;
+    const int64_t *children = surface->children.data;
+    int64_t places = surface->children.rows, nodes = places / WIDE_SURFACE, numbers = surface->blocks.rows;
+    int64_t leaves = numbers / BLOCK_NUMBERS;
+    EXPECT(nodes >= 1 && leaves >= 1 && places % WIDE_SURFACE == 0 && numbers % BLOCK_NUMBERS == 0 &&
+               surface->boxes.rows == 6 * WIDE_SURFACE * nodes && surface->parts.rows % 3 == 0 &&
+               surface->diagonals.rows == DIAGONAL_NUMBERS * nodes,
            "a surface");
-    for (int64_t k = 0; k < sizes[0]; k++)
+    for (int64_t k = 0; k < surface->boxes.rows; k++)
         EXPECT(!isnan(boxes[k]), "boxes of a surface");
-    for (int64_t k = 0; k < sizes[4]; k++)
+    for (int64_t k = 0; k < surface->diagonals.rows; k++)
         EXPECT(!isnan(diagonals[k]), "diagonals of a surface");
-    EXPECT(are_finite(blocks, sizes[2]) && are_finite(parts, sizes[3]), "numbers that are not finite");
-    int8_t *depth = calloc((size_t)nodes, 1);
-    if (depth == NULL)
-        return no_memory();
+    EXPECT(are_finite(surface->blocks.data, numbers) && are_finite(surface->parts.data, surface->parts.rows),
+           "numbers that are not finite");
+    int8_t *depth;
+    TRY(allocate(&depth, (size_t)nodes));
     int is_sound = 1;
-    for (int64_t s = 0; is_sound && s < sizes[1]; s++) {
+    for (int64_t s = 0; is_sound && s < places; s++) {
         int64_t child = children[s], node = s / WIDE_SURFACE;
         if (child < 0) {
             is_sound = ~child >> LEAF_BITS < leaves;
@@ -353,28 +368,22 @@ static loewner_status take_surface(const File *file, int64_t at, Array2 arrays[S
     }
     free(depth);
     EXPECT(is_sound, "children of a surface");
-    const void *data[SURFACE_ARRAYS] = {boxes, children, blocks, parts, diagonals};
-    for (int k = 0; k < SURFACE_ARRAYS; k++)
-        arrays[k] = (Array2){data[k], sizes[k], 1};
     return LOEWNER_OK;
 }
 
 /* In a copy of the layout, replace the numbers of surfaces with the addresses of their tables. */
-static loewner_status link_surfaces(File *file, Pack *pack, int which)
+static loewner_status link_surfaces(File *file, Cutting cutting)
 {
-    if (file->surfaces == NULL || pack->pieces == 0)
+    Array2 *layout = &file->packs[cutting].layout;
+    if (file->surfaces == NULL || layout->rows == 0)
         return LOEWNER_OK;
-    size_t size = sizeof(int64_t) * LAYOUT * (size_t)pack->pieces;
-    int64_t *copy = file->owned[which] = malloc(size);
-    if (copy == NULL)
-        return no_memory();
-    memcpy(copy, pack->layout, size);
-    for (int64_t p = 0; p < pack->pieces; p++) {
-        int64_t *at = copy + LAYOUT * p + SURFACE_AT;
+    size_t size = sizeof(int64_t) * LAYOUT * (size_t)layout->rows;
+    TRY(allocate(&file->owned[cutting], size));
+    int64_t *copy = memcpy(file->owned[cutting], layout->data, size);
+    for (int64_t *at = copy + SURFACE_AT; at < copy + LAYOUT * layout->rows; at += LAYOUT)
         if (*at != 0)
-            *at = (int64_t)(file->surfaces + SURFACE_ARRAYS * (*at - 1));
-    }
-    pack->layout = copy;
+            *at = (int64_t)(file->surfaces + *at - 1);
+    layout->data = copy;
     return LOEWNER_OK;
 }
 
@@ -443,9 +452,7 @@ static loewner_status take_names(File *file, int64_t count)
     int64_t size, found = 0, begin = 0;
     TRY(take(file, FILE_NAMES, BYTES, -1, 1, "names", &text, &size));
     EXPECT(count <= size, "names");
-    file->names = malloc(sizeof(char *) * (size_t)(count + 1));
-    if (file->names == NULL)
-        return no_memory();
+    TRY(allocate(&file->names, sizeof(char *) * (size_t)(count + 1)));
     for (int64_t k = 0; k < size; k++)
         if (text[k] == '\0') {
             EXPECT(found < count, "names");
@@ -458,7 +465,7 @@ static loewner_status take_names(File *file, int64_t count)
 
 static loewner_status take_all(File *file, const Header *header)
 {
-    int64_t bodies = header->moving + header->standing, at = FILE_PACKS;
+    int64_t bodies = header->moving + header->standing, margins, at = FILE_PACKS;
     const double *margin;
     file->dof = header->dof;
     file->links = header->links;
@@ -467,26 +474,23 @@ static loewner_status take_all(File *file, const Header *header)
     file->has_cut = (int)header->has_cut;
     EXPECT(bodies <= INT32_MAX && header->links <= INT32_MAX && header->dof <= INT32_MAX, "a count in its header");
     TRY(take_names(file, bodies + header->links + header->dof));
-    TRY(take(file, FILE_MARGIN, DOUBLES, -1, 1, "margin", &margin, &file->pairs));
-    EXPECT(file->pairs <= 1, "margin");
-    file->margin = file->pairs == 1 ? *margin : 0;
+    TRY(take(file, FILE_MARGIN, DOUBLES, -1, 1, "margin", &margin, &margins));
+    EXPECT(margins <= 1, "margin");
+    file->margin = margins == 1 ? *margin : 0;
     EXPECT(file->margin >= 0 && file->margin <= 1e30, "margin");
-    file->pairs = 0;
     if (header->links > 0)
         TRY(take_robot(file, header));
     else
         EXPECT(header->dof == 0 && header->moving == 0, "a robot without links");
     for (int k = 0; k <= file->has_cut; k++, at += PACK_ARRAYS)
-        TRY(take_pack(file, at, bodies, header->surfaces, file->packs + k));
+        TRY(take_pack(file, at, header->surfaces, file->packs + k));
     if (header->surfaces > 0) {
-        file->surfaces = malloc(sizeof(Array2) * SURFACE_ARRAYS * (size_t)header->surfaces);
-        if (file->surfaces == NULL)
-            return no_memory();
+        TRY(allocate(&file->surfaces, sizeof(Surface) * (size_t)header->surfaces));
         for (int64_t k = 0; k < header->surfaces; k++, at += SURFACE_ARRAYS)
-            TRY(take_surface(file, at, file->surfaces + SURFACE_ARRAYS * k));
+            TRY(take_surface(file, at, file->surfaces + k));
     }
     for (int k = 0; k < CUTTINGS; k++)
-        TRY(link_surfaces(file, file->packs + k, k));
+        TRY(link_surfaces(file, k));
     return LOEWNER_OK;
 }
 
@@ -495,9 +499,8 @@ static loewner_status take_all(File *file, const Header *header)
 loewner_status open_file(const char *path, File **made)
 {
     Header header;
-    File *file = calloc(1, sizeof *file);
-    if (file == NULL)
-        return no_memory();
+    File *file;
+    TRY(allocate(&file, sizeof *file));
     atomic_init(&file->users, 1);
     opened_path = path;
     loewner_status outcome = map(file, path);
@@ -525,24 +528,6 @@ void leave_file(File *file)
     free(file);
 }
 
-struct pieces table_of(const Pack *pack)
-{
-    return (struct pieces){
-        .table = {pack->table, pack->pieces, COLUMNS},
-        .layout = {pack->layout, pack->pieces, LAYOUT},
-        .points = {pack->points, pack->numbers, 1},
-        .piece_start = {pack->piece_start, pack->bodies + 1, 1},
-        .hot = {pack->hot, pack->pieces, HOT},
-        .single = {pack->single, pack->is_single ? pack->pieces : 0, HOT},
-        .groups = {pack->tree_groups, GROUP_NUMBERS * pack->groups, 1},
-        .children = {pack->children, WIDE * pack->groups, 1},
-        .roots = {pack->roots, pack->bodies, 1},
-        .vertices = {pack->vertices, pack->is_single ? pack->numbers : 0, 1},
-        .parts = {pack->part_rows, pack->parts, HOT},
-        .part_start = {pack->part_start, pack->has_parts ? PARTS * pack->pieces : 0, 1},
-    };
-}
-
 /* -- bodies -------------------------------------------------------------------------------------------------------- */
 
 loewner_status loewner_bodies_open(const char *path, loewner_bodies **bodies)
@@ -552,9 +537,8 @@ loewner_status loewner_bodies_open(const char *path, loewner_bodies **bodies)
     *bodies = NULL;
     if (kernels() == NULL)
         return LOEWNER_NO_KERNELS;
-    loewner_bodies *made = calloc(1, sizeof *made);
-    if (made == NULL)
-        return no_memory();
+    loewner_bodies *made;
+    TRY(allocate(&made, sizeof *made));
     loewner_status outcome = open_file(path, &made->file);
     if (outcome == LOEWNER_OK)
         *bodies = made;

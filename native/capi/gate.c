@@ -6,8 +6,6 @@
 #include <stdlib.h>
 #include <string.h>
 
-enum { VECTORS = 9 };
-
 /* The properties of a body of the scene that may change while the scene remains the same. */
 typedef struct {
     double pose[16];
@@ -44,7 +42,7 @@ struct loewner_gate {
     int64_t dof, most, steps, pieces; /* `pieces` is the largest number of times in a brake. */
     int on_path, has_jerk, has_last, wants_scale;
     double latency, horizon, tolerance, now;
-    /* The VECTORS vectors, and `at`. */
+    /* Vectors of `dof` numbers; times of ticks (`at`); and the brake. */
     double *strongest, *jerk, *fastest, *error, *rate_error, *widened, *looser, *resting, *q, *at;
     double *times, *states, *courses, *seconds, *out[3];
     /* Numbers of pieces and rows of the brake in the arrays; the row before the first counts. */
@@ -98,36 +96,31 @@ static loewner_status take_options(loewner_gate *gate, const loewner_gate_option
     gate->latency = options->latency;
     gate->horizon = options->horizon > 0 ? options->horizon : INFINITY;
     gate->tolerance = options->tolerance > 0 ? options->tolerance : TOLERANCE;
-    gate->steps = options->steps > 0 && options->steps < CODE_NO_LIMIT ? options->steps : CODE_NO_LIMIT;
+    gate->steps = steps_of(options->steps);
     return LOEWNER_OK;
 }
 
 /* Divide one block of memory among the arrays. */
-static loewner_status divide(loewner_gate *gate)
+static loewner_status make_room(loewner_gate *gate)
 {
-    size_t dof = (size_t)gate->dof, most = (size_t)gate->most, pieces = (size_t)gate->pieces;
-    double **vectors[VECTORS + 1] = {&gate->strongest, &gate->jerk,    &gate->fastest, &gate->error, &gate->rate_error,
-                                     &gate->widened,   &gate->looser,  &gate->resting, &gate->q,
-                                     NULL};
-    size_t chunk = (2 * dof + 1) * (most + 2), numbers = VECTORS * dof + 3 * chunk + (most + 2) + 2 * pieces +
-                                                         (3 + 4 + 3) * dof * pieces;
-    double *at = gate->memory = calloc(numbers, sizeof(double));
-    if (at == NULL)
-        return no_memory();
-    for (int k = 0; vectors[k] != NULL; k++, at += dof)
-        *vectors[k] = at;
-    Chunk *const chunks[] = {&gate->last, &gate->made, &gate->slower};
-    for (int k = 0; k < 3; k++, at += chunk) {
-        chunks[k]->rows = at + dof;
-        chunks[k]->rates = at + dof * (most + 2);
-        chunks[k]->ends = (int64_t *)(at + 2 * dof * (most + 2));
-    }
-    double **arrays[] = {&gate->at,      &gate->times,  &gate->seconds, &gate->states,
-                         &gate->courses, &gate->out[0], &gate->out[1],  &gate->out[2]};
-    const size_t sizes[] = {most + 2,           pieces,       pieces,       3 * dof * pieces,
-                            4 * dof * pieces,   dof * pieces, dof * pieces, dof * pieces};
-    for (int k = 0; k < 8; at += sizes[k], k++)
-        *arrays[k] = at;
+    size_t vector = sizeof(double) * (size_t)gate->dof, ticks = (size_t)gate->most + 2, pieces = (size_t)gate->pieces;
+#define VECTOR(field) {(void **)&gate->field, vector}
+#define PIECES(field, size) {(void **)&gate->field, (size) * pieces}
+#define TICKS(field, size) {(void **)&gate->field, (size) * ticks}
+#define CHUNK_PARTS(chunk) TICKS(chunk.rows, vector), TICKS(chunk.rates, vector), TICKS(chunk.ends, sizeof(int64_t))
+    const Part parts[] = {
+        VECTOR(strongest), VECTOR(jerk), VECTOR(fastest), VECTOR(error), VECTOR(rate_error), VECTOR(widened),
+        VECTOR(looser), VECTOR(resting), VECTOR(q),
+        CHUNK_PARTS(last), CHUNK_PARTS(made), CHUNK_PARTS(slower), TICKS(at, sizeof(double)),
+        PIECES(times, sizeof(double)), PIECES(seconds, sizeof(double)), PIECES(states, 3 * vector),
+        PIECES(courses, 4 * vector), PIECES(out[0], vector), PIECES(out[1], vector), PIECES(out[2], vector),
+    };
+    size_t count = sizeof parts / sizeof *parts;
+    TRY(allocate(&gate->memory, divide(NULL, parts, count)));
+    divide(gate->memory, parts, count);
+    gate->last.rows += gate->dof;
+    gate->made.rows += gate->dof;
+    gate->slower.rows += gate->dof;
     return LOEWNER_OK;
 }
 
@@ -139,12 +132,8 @@ static loewner_status look(loewner_gate *gate)
     gate->known = (size_t)state->standing;
     if (gate->room < gate->known) {
         Known **all[] = {&gate->seen, &gate->allowed};
-        for (int k = 0; k < 2; k++) {
-            Known *more = realloc(*all[k], gate->known * sizeof *more);
-            if (more == NULL)
-                return no_memory();
-            *all[k] = more;
-        }
+        for (int k = 0; k < 2; k++)
+            TRY(enlarge(all[k], gate->known * sizeof(Known)));
         gate->room = gate->known;
     }
     for (size_t k = 0; k < gate->known; k++) {
@@ -166,15 +155,14 @@ loewner_status loewner_gate_new(const loewner_checker *checker, const loewner_ga
         return fail(LOEWNER_BAD_ARGUMENT, "most_targets: expected 1 to 1000000, found %zu", most_targets);
     if (checker->file->quaternion_count > 0)
         return fail(LOEWNER_BAD_ARGUMENT, "checker: expected a robot without floating and ball joints, found one");
-    loewner_gate *made = calloc(1, sizeof *made);
-    if (made == NULL)
-        return no_memory();
+    loewner_gate *made;
+    TRY(allocate(&made, sizeof *made));
     made->checker = checker;
     made->dof = checker->file->dof;
     made->most = (int64_t)most_targets;
     made->pieces = 3 * made->dof + 1 > made->most + 6 ? 3 * made->dof + 1 : made->most + 6;
     made->now = -INFINITY;
-    loewner_status outcome = divide(made);
+    loewner_status outcome = make_room(made);
     if (outcome == LOEWNER_OK)
         outcome = take_options(made, options);
     if (outcome == LOEWNER_OK)
@@ -344,13 +332,13 @@ static int goes_on(loewner_gate *gate, int64_t tick, const double *targets, int6
 
 /* -- proofs -------------------------------------------------------------------------------------------------------- */
 
-static loewner_status prove_course(loewner_gate *gate, double *course, int64_t points, const double *error, double t0,
+static loewner_status prove_course(loewner_gate *gate, const double *course, int64_t points, const double *error, double t0,
                                    double t1, double dt, Proof *proof)
 {
     loewner_workspace *its = gate->workspace;
     const loewner_checker *checker = gate->checker;
-    double late = SAME_TICK * dt + 0x1p-49 * fmax(fabs(t0), fabs(t1)), fraction;
-    int64_t growing = 3 * checker->state.growing, work[WORK];
+    double late = SAME_TICK * dt + 0x1p-49 * fmax(fabs(t0), fabs(t1));
+    int64_t growing = 3 * checker->state.growing;
     int8_t verdict;
     int is_off = 0;
     if (proof->work >= proof->most) {
@@ -360,16 +348,17 @@ static loewner_status prove_course(loewner_gate *gate, double *course, int64_t p
     for (int64_t c = 0; c < gate->dof; c++)
         is_off |= error[c] > 0;
     write_off(checker, course, points, is_off ? error : NULL, t0, t1, late, its->off);
-    TRY(certify(checker, its, course, 1, points, its->off, is_off || growing > 0 ? gate->dof + growing : 0,
-                gate->tolerance, 0, proof->most - proof->work, work, &verdict, &fraction, &proof->pair));
-    proof->work += work[WORK - 1];
+    TRY(certify(its, course, 1, points, is_off || growing > 0 ? gate->dof + growing : 0, gate->tolerance, 0,
+                proof->most - proof->work, &verdict));
+    proof->work += its->work[WORK - 1];
+    proof->pair = *its->found_pairs;
     if (verdict == LOEWNER_FREE)
         return LOEWNER_OK;
     proof->reason = LOEWNER_REASON_BUDGET;
     if (proof->is_attempt)
         return LOEWNER_OK;
-    evaluate(checker->file, course, (int32_t)points - 1, isnan(fraction) ? 0 : fraction, gate->q);
-    TRY(collide(checker, its, HASTY, gate->q, 1, &verdict));
+    evaluate(checker->file, course, (int32_t)points - 1, isnan(*its->fractions) ? 0 : *its->fractions, gate->q);
+    TRY(collide(its, HASTY, gate->q, 1, &verdict));
     proof->reason = verdict == LOEWNER_COLLIDING        ? LOEWNER_REASON_CONTACT
                     : proof->work >= proof->most ? LOEWNER_REASON_BUDGET
                                                  : LOEWNER_REASON_MAY_BE_HIT;
@@ -597,7 +586,6 @@ static int64_t within_limits(const loewner_gate *gate, const double *q, const do
 static loewner_status answer_with(loewner_gate *gate, int32_t state, int64_t steps, int is_proven, double begins,
                                   const Proof *proof, loewner_gate_answer *answer)
 {
-    const State *its = &gate->checker->state;
     size_t size = (size_t)gate->dof * sizeof(double);
     int is_finite = 1;
     for (int64_t k = 0; k < gate->pieces_made; k++) {
@@ -612,9 +600,7 @@ static loewner_status answer_with(loewner_gate *gate, int32_t state, int64_t ste
     answer->state = state;
     answer->reason = proof->reason;
     answer->steps = steps > 0 ? (size_t)steps : 0;
-    for (int side = 0; side < 2; side++)
-        answer->bodies[side] =
-            proof->reason && proof->pair >= 0 ? its->body[its->pair_list[2 * proof->pair + side]] : -1;
+    write_bodies(&gate->checker->state, proof->reason ? proof->pair : -1, answer->bodies);
     answer->joint = proof->reason == LOEWNER_REASON_LIMITS ? answer->joint : -1;
     answer->is_proven = is_proven;
     answer->work = proof->work;
@@ -650,18 +636,18 @@ static loewner_status begin_chunk(loewner_gate *gate, int goes_on, const double 
     made->braked = late;
     made->motion_stop.tick = made->brake_stop.tick = -1;
     loewner_workspace *its = gate->workspace;
-    double *still = gate->courses, fraction;
-    int64_t work[WORK];
+    double *still = gate->courses;
     int8_t verdict;
     memcpy(still, q, size);
     memcpy(still + gate->dof, q, size);
-    TRY(collide(gate->checker, its, HASTY, still, 1, &verdict));
+    TRY(collide(its, HASTY, still, 1, &verdict));
     if (verdict == LOEWNER_AMBIGUOUS)
-        TRY(collide(gate->checker, its, CODE_EXACT, still, 1, &verdict));
+        TRY(collide(its, CODE_EXACT, still, 1, &verdict));
     if (verdict == LOEWNER_FREE)
         return LOEWNER_OK;
-    TRY(certify(gate->checker, its, still, 1, 2, its->off, 0, gate->tolerance, 0, gate->steps, work, &verdict,
-                &fraction, &proof->pair)); /* This motion stays in place: its proof shows which pair collides. */
+    /* This motion stays in place: its proof shows which pair collides. */
+    TRY(certify(its, still, 1, 2, 0, gate->tolerance, 0, gate->steps, &verdict));
+    proof->pair = *its->found_pairs;
     proof->reason = LOEWNER_REASON_CONTACT;
     return LOEWNER_OK;
 }

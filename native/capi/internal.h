@@ -19,6 +19,12 @@
 loewner_status fail(loewner_status status, const char *format, ...) __attribute__((format(printf, 2, 3)));
 loewner_status no_memory(void);
 
+/* Write the address of new memory, all zero, to a field. */
+loewner_status allocate(void *field, size_t size);
+
+/* Give the memory at the address in a field another size, and write its new address; the field may hold NULL. */
+loewner_status enlarge(void *field, size_t size);
+
 #define TRY(call)                                                                                                      \
     do {                                                                                                               \
         loewner_status status_ = (call);                                                                               \
@@ -42,6 +48,27 @@ typedef struct {
 /* Return the kernels of this machine, which are loaded at the first call; NULL, with an error, if none exist. */
 const Kernels *kernels(void);
 
+/* Return the number of elements that are handled together, if n are left. */
+static inline size_t at_most(size_t n, size_t most)
+{
+    return n < most ? n : most;
+}
+
+/* Return a number of bytes, rounded up to whole cache lines. */
+static inline size_t in_lines(size_t bytes)
+{
+    return (bytes + CACHE_LINE - 1) / CACHE_LINE * CACHE_LINE;
+}
+
+/* A part of a block of memory: the field for its address, and its number of bytes. */
+typedef struct {
+    void **field;
+    size_t size;
+} Part;
+
+/* Write the addresses of the parts of a block, unless the block is NULL; return the size of the block. */
+size_t divide(void *block, const Part *parts, size_t count);
+
 /* Settle pairs; in mode EXACT, also settle the pairs that the fast searches leave open. Write whether all poses are
    rigid. */
 loewner_status settle_all(const struct settle_range *asked, int *are_rigid);
@@ -59,23 +86,8 @@ loewner_status call(Kernel kernel, const void *arguments, void *results);
 
 /* -- packs: bodies as kernels take them, see `loewner/_kernels/pieces/shapes.py` ----------------------------------- */
 
+/* A pack is a `struct pieces`, which consists of arrays only. */
 enum { PACK_ARRAYS = sizeof(struct pieces) / sizeof(Array2) };
-
-typedef struct {
-    int64_t bodies, pieces, numbers, groups, parts; /* `numbers` is the length of `points`. */
-    int is_single, has_parts;
-    const double *table;
-    const int64_t *layout;
-    const double *points;
-    const int64_t *piece_start;
-    const double *hot;
-    const float *single;
-    const double *tree_groups;
-    const int64_t *children, *roots;
-    const float *vertices;
-    const double *part_rows;
-    const int64_t *part_start;
-} Pack;
 
 /* Return the number of groups in the tree over the pieces of a body, if the body has a tree. */
 static inline int64_t groups_of(int64_t pieces)
@@ -88,9 +100,6 @@ static inline int64_t groups_of(int64_t pieces)
     return total;
 }
 
-/* Return the table of addresses behind a handle. */
-struct pieces table_of(const Pack *pack);
-
 /* -- files --------------------------------------------------------------------------------------------------------- */
 
 typedef struct {
@@ -99,7 +108,12 @@ typedef struct {
     const double *multiplier, *offset, *constants;
 } Tree;
 
-enum { SURFACE_ARRAYS = 5 };
+/* The arrays of a surface, see `triangle_tree.py`. */
+typedef struct {
+    Array2 boxes, children, blocks, parts, diagonals;
+} Surface;
+
+enum { SURFACE_ARRAYS = sizeof(Surface) / sizeof(Array2) };
 
 /* Which surfaces are cut into parts: none (WHOLE), all (CUT), or surfaces of static bodies without solids, into small
    parts (OPEN_CUT). */
@@ -110,7 +124,7 @@ typedef struct {
     void *map;
     size_t size;
     void *owned[CUTTINGS]; /* Copies of layouts, with addresses of surfaces. */
-    Array2 *surfaces;      /* Each surface has SURFACE_ARRAYS arrays. */
+    Surface *surfaces;
     int64_t dof, links, moving, bodies, pairs;
     int has_cut;
     const char **names; /* Names of bodies, links and values. */
@@ -127,7 +141,7 @@ typedef struct {
     const int64_t *lowered, *rules;
     const double *rule_margins;     /* -1 stands for no margin. */
     int64_t rule_count;
-    Pack packs[CUTTINGS]; /* Without cuts, only the first pack is used. */
+    struct pieces packs[CUTTINGS]; /* Without cuts, only the first pack is used. */
 } File;
 
 enum { JOINT_SINGLE = 1, JOINT_NO_LOWER = 2, JOINT_NO_UPPER = 4, JOINT_TURNING = 8 };
@@ -206,6 +220,7 @@ struct loewner_checker {
 
 struct loewner_workspace {
     atomic_flag is_used;
+    const loewner_checker *checker; /* The checker in the current query, from `prepare` on. */
     uint64_t serial; /* Serial number of the state for which the workspace is prepared. */
     Tables tables; /* These tables have the workspace's own order of the pairs. */
     int64_t pack;
@@ -240,6 +255,9 @@ enum { CHUNK = 4096, MOTIONS_AT_ONCE = 64 };
 enum { WORK = 3 }; /* A tally of `certify_motions` has WORK numbers; the last one counts the steps. */
 #define TOLERANCE 1e-5 /* Tolerance of proofs of motions in metres, unless the caller gives another tolerance. */
 
+/* Give a workspace at least `size` bytes. Their content is lost, and the workspace has to be prepared again. */
+loewner_status reserve(loewner_workspace *workspace, size_t size);
+
 /* Apply changes of the scene, and prepare a workspace. */
 loewner_status prepare(const loewner_checker *checker, loewner_workspace *workspace);
 
@@ -249,6 +267,12 @@ loewner_status prepare_exact(const loewner_checker *checker, loewner_workspace *
 /* Return the bodies with some of their surfaces cut, or whole bodies if no surface can be cut. */
 const Half *half_of(const loewner_checker *checker, Cutting cutting);
 
+/* Write the bodies of a checked pair; -1 for no pair. */
+void write_bodies(const State *state, int64_t pair, int32_t bodies[2]);
+
+/* Refuse NULL as the address of n elements, unless n is 0. */
+loewner_status expect_pointer(const void *pointer, size_t n, const char *name);
+
 loewner_status check_configurations(const loewner_checker *checker, const double *configurations, size_t n,
                                     const char *name);
 loewner_status check_poses(const double *poses, size_t n, const char *name);
@@ -256,29 +280,41 @@ loewner_status check_poses(const double *poses, size_t n, const char *name);
 /* Refuse a number of rows, each of several doubles, whose size in bytes would wrap around and pass for a small one. */
 loewner_status check_count(size_t n, size_t doubles, const char *name);
 
+/* Check the errors of joints, which may be NULL, and replace them by NULL if all are 0. */
+loewner_status take_errors(const loewner_checker *checker, const double **joint_error);
+
+/* Limit on the steps of a proof; 0 stands for no limit. */
+static inline int64_t steps_of(int64_t steps)
+{
+    return steps > 0 && steps < CODE_NO_LIMIT ? steps : CODE_NO_LIMIT;
+}
+
+/* The functions below take a prepared workspace, whose checker they query. */
+
 /* Decide valid configurations. In the mode HASTY, which allocates nothing, configurations that the fast searches leave
    open stay AMBIGUOUS. */
 enum { HASTY = -1 };
-loewner_status collide(const loewner_checker *checker, loewner_workspace *workspace, int mode,
-                       const double *configurations, size_t n, int8_t *verdicts);
+loewner_status collide(loewner_workspace *workspace, int mode, const double *configurations, size_t n,
+                       int8_t *verdicts);
 
 /* Write the verdict for one valid configuration, and the first pair with this verdict; -1 if all pairs are free. */
-loewner_status worst_pair(const loewner_checker *checker, loewner_workspace *workspace, const double *q,
-                          int8_t *verdict, int64_t *pair);
+loewner_status worst_pair(loewner_workspace *workspace, const double *q, int8_t *verdict, int64_t *pair);
 
-/* Prove at most MOTIONS_AT_ONCE motions, given by valid control points, shape (n, degree + 1, dof). `fractions` and
-   `pairs` have room for n entries. `t0` and `t1`, shape (n,), may be NULL. Each motion may take `steps` steps, and row
-   k of `workspace->work` receives the placed configurations, searches and steps of motion k. */
-loewner_status prove(const loewner_checker *checker, loewner_workspace *workspace, double *courses, size_t n,
-                     int32_t degree, double tolerance, const double *joint_error, const double *t0, const double *t1,
-                     int64_t steps, int8_t *verdicts, double *fractions, int64_t *pairs);
+/* Write the courses of straight motions, from number `first` of n on, to the workspace; return how many there are, at
+   most MOTIONS_AT_ONCE. */
+size_t write_courses(loewner_workspace *workspace, const double *starts, const double *ends, size_t first, size_t n);
 
-/* Let the kernel prove courses, and confirm nothing. The rows of `off`, with `width` numbers each, are errors of the
-   values and then of bodies. COLLIDING counts these errors as margins, unless `as_given` is set. Each course may take
-   `steps` steps, and `work`, shape (count, WORK), receives its work. */
-loewner_status certify(const loewner_checker *checker, loewner_workspace *workspace, double *courses, int64_t count,
-                       int64_t points, double *off, int64_t width, double tolerance, int64_t as_given, int64_t steps,
-                       int64_t *work, int8_t *verdicts, double *fractions, int64_t *pairs);
+/* Prove the n courses in the workspace, which begin at number `first` of all courses to which the options apply. The
+   options are checked and have no defaults. The workspace's `fractions` and `found_pairs` receive results, and row k of
+   its `work` receives the placed configurations, searches and steps of course k. */
+loewner_status prove(loewner_workspace *workspace, size_t first, size_t n, int32_t degree,
+                     const loewner_proof_options *options, int8_t *verdicts);
+
+/* Let the kernel prove courses, and confirm nothing. The rows of the workspace's `off`, with `width` numbers each, are
+   errors of the values and then of bodies. COLLIDING counts these errors as margins, unless `as_given` is set. Each
+   course may take `steps` steps; results are written as `prove` writes them. */
+loewner_status certify(loewner_workspace *workspace, const double *courses, int64_t count, int64_t points,
+                       int64_t width, double tolerance, int8_t as_given, int64_t steps, int8_t *verdicts);
 
 /* Write the errors of the values of a course (`joint_error` may be NULL), and the errors of bodies with bounds from t0
    to t1, where these times may be off by `late`. The row has dof + 3 growing numbers. */
@@ -287,8 +323,5 @@ void write_off(const loewner_checker *checker, const double *course, int64_t poi
 
 /* Write the configuration at a fraction of a course. */
 void evaluate(const File *file, const double *course, int32_t degree, double t, double *q);
-
-/* Write the course of the straight motion from a to b, shape (2, dof). */
-void straight(const loewner_checker *checker, const double *a, const double *b, double *course);
 
 #endif

@@ -27,6 +27,24 @@ loewner_status no_memory(void)
     return fail(LOEWNER_NO_MEMORY, "an allocation failed");
 }
 
+loewner_status allocate(void *field, size_t size)
+{
+    void *memory = calloc(1, size);
+    memcpy(field, &memory, sizeof memory);
+    return memory == NULL ? no_memory() : LOEWNER_OK;
+}
+
+loewner_status enlarge(void *field, size_t size)
+{
+    void *memory;
+    memcpy(&memory, field, sizeof memory);
+    memory = realloc(memory, size);
+    if (memory == NULL)
+        return no_memory();
+    memcpy(field, &memory, sizeof memory);
+    return LOEWNER_OK;
+}
+
 const char *loewner_version(void)
 {
     return LOEWNER_VERSION;

@@ -16,6 +16,13 @@ typedef struct {
     Array3 poses;
 } View;
 
+/* Return some rows of an array whose items have a given size; an array without rows stays as it is. */
+static Array2 some_rows(Array2 array, size_t item, int64_t first, int64_t count)
+{
+    const char *data = array.data;
+    return array.rows == 0 ? array : (Array2){data + (int64_t)item * array.columns * first, count, array.columns};
+}
+
 /* View the bodies of the pairs first .. first + n - 1. */
 static loewner_status view(const loewner_side *side, size_t first, size_t n, const char *name, View *made)
 {
@@ -30,22 +37,22 @@ static loewner_status view(const loewner_side *side, size_t first, size_t n, con
     if (side->poses != NULL && side->pose_count != 1 && side->pose_count < last)
         return fail(LOEWNER_BAD_ARGUMENT, "%s: expected one pose or as many as pairs, found %zu", name,
                     side->pose_count);
-    Pack pack = side->bodies->file->packs[WHOLE];
-    pack.piece_start += which;
-    pack.roots += which;
-    pack.bodies = all ? (int64_t)n : 1;
-    int64_t from = pack.piece_start[0];
-    if (!all && pack.roots[0] < 0) { /* Kernels are faster without the pieces of other bodies. */
+    struct pieces *pack = &made->pieces;
+    *pack = side->bodies->file->packs[WHOLE];
+    pack->piece_start = some_rows(pack->piece_start, 8, which, all ? (int64_t)n + 1 : 2);
+    pack->roots = some_rows(pack->roots, 8, which, all ? (int64_t)n : 1);
+    const int64_t *start = pack->piece_start.data, *root = pack->roots.data;
+    if (!all && *root < 0) { /* Kernels are faster without the pieces of other bodies. */
+        int64_t from = start[0], count = start[1] - from;
         made->start[0] = 0;
-        made->start[1] = pack.pieces = pack.piece_start[1] - from;
-        pack.piece_start = made->start;
-        pack.table += COLUMNS * from;
-        pack.layout += LAYOUT * from;
-        pack.hot += HOT * from;
-        pack.single += pack.is_single ? HOT * from : 0;
-        pack.part_start += pack.has_parts ? PARTS * from : 0;
+        made->start[1] = count;
+        pack->piece_start.data = made->start;
+        pack->table = some_rows(pack->table, 8, from, count);
+        pack->layout = some_rows(pack->layout, 8, from, count);
+        pack->hot = some_rows(pack->hot, 8, from, count);
+        pack->single = some_rows(pack->single, 4, from, count);
+        pack->part_start = some_rows(pack->part_start, 8, PARTS * from, PARTS * count);
     }
-    made->pieces = table_of(&pack);
     made->step = all;
     made->pose_step = side->poses != NULL && side->pose_count > 1;
     const double *poses = side->poses == NULL ? identity : side->poses + 16 * (made->pose_step ? first : 0);
@@ -61,19 +68,6 @@ static loewner_status views(const loewner_side *a, const loewner_side *b, size_t
     const int64_t rows[5] = {(int64_t)n, made[0].step, made[0].pose_step, made[1].step, made[1].pose_step};
     memcpy(plan, rows, sizeof rows);
     return LOEWNER_OK;
-}
-
-/* Make room in a workspace for pairs. If the workspace has a checker, the checker is bound again at its next use. */
-static loewner_status scratch(loewner_workspace *workspace, int64_t size)
-{
-    if (workspace->size >= (size_t)size)
-        return LOEWNER_OK;
-    size_t whole = ((size_t)size + CACHE_LINE - 1) / CACHE_LINE * CACHE_LINE;
-    free(workspace->block);
-    workspace->serial = 0;
-    workspace->block = aligned_alloc(CACHE_LINE, whole);
-    workspace->size = workspace->block == NULL ? 0 : whole;
-    return workspace->block == NULL ? no_memory() : LOEWNER_OK;
 }
 
 loewner_status settle_all(const struct settle_range *asked, int *are_rigid)
@@ -108,8 +102,7 @@ static loewner_status settle(loewner_workspace *workspace, int mode, const loewn
     if (!(margin >= 0 && margin < INFINITY) || verdicts == NULL)
         return fail(LOEWNER_BAD_ARGUMENT, "margin, verdicts: expected a number >= 0 and a pointer, found others");
     HOLD(workspace);
-    TRY(scratch(workspace, kernels()->settle_memory));
-    workspace->serial = 0; /* The workspace's memory for a checker is overwritten. */
+    TRY(reserve(workspace, (size_t)kernels()->settle_memory));
     const struct settle_range asked = {
         .mode = mode, .margin = margin, .stop = count, .plan = {plan, 5, 1}, .rows = {no_rows, 2, 0},
         .pack_a = (int64_t)&sides[0].pieces, .Ta = sides[0].poses, .pack_b = (int64_t)&sides[1].pieces,
@@ -157,14 +150,12 @@ loewner_status loewner_measure(loewner_workspace *workspace, const loewner_side 
         return LOEWNER_NO_KERNELS;
     if (n == 0)
         return LOEWNER_OK;
-    if (distances == NULL)
-        return fail(LOEWNER_BAD_ARGUMENT, "distances: expected a pointer, found NULL");
+    TRY(expect_pointer(distances, n, "distances"));
     HOLD(workspace);
-    TRY(scratch(workspace, known->distance_memory));
-    workspace->serial = 0;
+    TRY(reserve(workspace, (size_t)known->distance_memory));
     for (size_t first = 0; first < n; first += AT_ONCE) {
         View sides[2];
-        int64_t plan[5], count = (int64_t)(n - first < AT_ONCE ? n - first : AT_ONCE);
+        int64_t plan[5], count = (int64_t)at_most(n - first, AT_ONCE);
         double numbers[4 * AT_ONCE], vectors[9 * AT_ONCE];
         int8_t status[AT_ONCE];
         TRY(views(a, b, first, (size_t)count, sides, plan));

@@ -12,7 +12,7 @@
 typedef struct {
     const loewner_checker *checker;
     loewner_workspace *workspace;
-    const double *joint_error; /* The address is NULL if joints have no error. */
+    loewner_proof_options options;
     int64_t handles[7];
     double lengths[2];
 } Judge;
@@ -32,40 +32,17 @@ static void leave_search(Search *search)
     free((void *)search->arrays.trees.data);
 }
 
-static Judge judge_of(const loewner_checker *checker, loewner_workspace *workspace, const double *joint_error)
+/* Try to prove that n motions are free. `at` receives the first motion that is not proven free, or -1. */
+static loewner_status are_free(const Judge *judge, const double *starts, const double *ends, size_t n, int64_t *at)
 {
-    const Half *half = half_of(checker, CUT);
-    int is_off = 0;
-    for (int64_t c = 0; joint_error != NULL && c < checker->file->dof; c++)
-        is_off |= joint_error[c] > 0;
-    return (Judge){
-        checker,
-        workspace,
-        is_off ? joint_error : NULL,
-        {(int64_t)&half->pieces, half->handle, half->motions, (int64_t)workspace->memory, 1,
-         is_off ? (int64_t)joint_error : 0, 0},
-        {PLAN_TOLERANCE, 0},
-    };
-}
-
-/* Try to prove that all motions of a path are free. The rows of the path are `step` numbers apart. `at` receives the
-   first motion that is not proven free, or -1. */
-static loewner_status is_free(const Judge *judge, const double *path, int64_t step, int64_t count, int64_t *at)
-{
-    const loewner_checker *checker = judge->checker;
     loewner_workspace *workspace = judge->workspace;
-    int64_t dof = checker->file->dof;
     *at = -1;
-    for (int64_t first = 0; first + 1 < count && *at < 0; first += MOTIONS_AT_ONCE) {
-        int64_t motions = count - 1 - first < MOTIONS_AT_ONCE ? count - 1 - first : MOTIONS_AT_ONCE;
-        for (int64_t k = 0; k < motions; k++)
-            straight(checker, path + (first + k) * step, path + (first + k + 1) * step,
-                     workspace->courses + 2 * k * dof);
-        TRY(prove(checker, workspace, workspace->courses, (size_t)motions, 1, PLAN_TOLERANCE, judge->joint_error, NULL,
-                  NULL, CODE_NO_LIMIT, workspace->found, workspace->fractions, workspace->found_pairs));
-        for (int64_t k = motions - 1; k >= 0; k--)
+    for (size_t first = 0; first < n && *at < 0; first += MOTIONS_AT_ONCE) {
+        size_t count = write_courses(workspace, starts, ends, first, n);
+        TRY(prove(workspace, 0, count, 1, &judge->options, workspace->found));
+        for (size_t k = 0; k < count && *at < 0; k++)
             if (workspace->found[k] != LOEWNER_FREE)
-                *at = first + k;
+                *at = (int64_t)(first + k);
     }
     return LOEWNER_OK;
 }
@@ -75,9 +52,9 @@ static loewner_status is_free_at(const Judge *judge, const double *q, int *is)
 {
     int8_t verdict;
     int64_t at = -1;
-    TRY(collide(judge->checker, judge->workspace, CODE_EXACT, q, 1, &verdict));
-    if (verdict == LOEWNER_FREE && judge->joint_error != NULL)
-        TRY(is_free(judge, q, 0, 2, &at)); /* Prove a motion that stays at this configuration. */
+    TRY(collide(judge->workspace, CODE_EXACT, q, 1, &verdict));
+    if (verdict == LOEWNER_FREE && judge->options.joint_error != NULL)
+        TRY(are_free(judge, q, q, 1, &at)); /* Prove a motion that stays at this configuration. */
     *is = verdict == LOEWNER_FREE && at < 0;
     return LOEWNER_OK;
 }
@@ -90,9 +67,8 @@ static loewner_status make_search(const Judge *judge, const double *start, const
 {
     const File *file = judge->checker->file;
     int64_t dof = search->dof = file->dof, count = 0;
-    double *block = malloc(sizeof(double) * (8 + goal_count) * (size_t)dof);
-    if (block == NULL)
-        return no_memory();
+    double *block;
+    TRY(allocate(&block, sizeof(double) * (8 + goal_count) * (size_t)dof));
     search->columns = (int64_t *)block;
     search->turning = (int64_t *)block + dof;
     search->lower = block + 2 * dof;
@@ -151,29 +127,27 @@ static loewner_status refuse(const Judge *judge, const Search *search, const dou
 {
     const loewner_checker *checker = judge->checker;
     int64_t k = outside(search, q), pair;
+    int32_t bodies[2];
     int8_t verdict;
     if (k >= 0)
         return fail(LOEWNER_NOT_FREE, "%s: expected values within the limits, found %.100s = %g outside %g .. %g", name,
                     loewner_checker_value_name(checker, (int32_t)search->columns[k]), q[search->columns[k]],
                     search->lower[k], search->upper[k]);
-    TRY(worst_pair(checker, judge->workspace, q, &verdict, &pair));
+    TRY(worst_pair(judge->workspace, q, &verdict, &pair));
     if (pair < 0)
         return fail(LOEWNER_NOT_FREE, "%s: expected a free configuration, found one that is not proven free%s", name,
-                    judge->joint_error != NULL ? " with the joint_error" : "");
-    const int32_t *body = checker->state.body;
-    const int64_t *places = checker->state.pair_list + 2 * pair;
+                    judge->options.joint_error != NULL ? " with the joint_error" : "");
+    write_bodies(&checker->state, pair, bodies);
     return fail(LOEWNER_NOT_FREE, "%s: expected a free configuration, found %s %.100s and %.100s", name,
                 verdict == LOEWNER_COLLIDING ? "a collision of" : "no proof for",
-                loewner_checker_body_name(checker, body[places[0]]), loewner_checker_body_name(checker, body[places[1]]));
+                loewner_checker_body_name(checker, bodies[0]), loewner_checker_body_name(checker, bodies[1]));
 }
 
 /* Give the trees more memory, and copy their rows to it. */
 static loewner_status grow(Search *search, int64_t capacity)
 {
     Array2 old = search->arrays.trees, more = {NULL, 2 * search->joints + TREE_ROWS, capacity};
-    more.data = malloc(sizeof(double) * (size_t)(more.rows * capacity));
-    if (more.data == NULL)
-        return no_memory();
+    TRY(allocate(&more.data, sizeof(double) * (size_t)(more.rows * capacity)));
     for (int64_t row = 0; row < old.rows; row++)
         memcpy((double *)more.data + row * capacity, (const double *)old.data + row * old.columns,
                sizeof(double) * (size_t)old.columns);
@@ -194,10 +168,7 @@ static loewner_status make_room(loewner_workspace *workspace, int64_t rows, int6
 {
     size_t needed = (size_t)(rows * dof);
     if (workspace->path_room < needed) {
-        double *more = realloc(workspace->path, needed * sizeof *more);
-        if (more == NULL)
-            return no_memory();
-        workspace->path = more;
+        TRY(enlarge(&workspace->path, needed * sizeof(double)));
         workspace->path_room = needed;
     }
     return LOEWNER_OK;
@@ -228,8 +199,9 @@ static loewner_status connect(const Judge *judge, Search *search, const loewner_
     *count = search->state[ROWS];
     TRY(make_room(judge->workspace, *count, dof));
     TRY(CALL(path_through, &turned, .search = handle, .path = {judge->workspace->path, *count, dof}));
+    const double *path = judge->workspace->path;
     if (turned || judge->checker->state.starts_matter)
-        TRY(is_free(judge, judge->workspace->path, dof, *count, &at));
+        TRY(are_free(judge, path, path + dof, (size_t)*count - 1, &at));
     return at < 0 ? LOEWNER_OK
                   : fail(LOEWNER_NO_PATH, "expected a path that is free as a whole; another seed may help");
 }
@@ -257,14 +229,23 @@ static loewner_status cut_corners(const Judge *judge, int64_t *count, const loew
 
 /* -- interface ----------------------------------------------------------------------------------------------------- */
 
-static loewner_status check_plan_options(const loewner_checker *checker, const loewner_plan_options *options)
+/* Check options, and make the judge that they describe. */
+static loewner_status take_judge(const loewner_checker *checker, loewner_workspace *workspace,
+                                 const loewner_plan_options *options, Judge *judge)
 {
+    const double *joint_error = options->joint_error;
     if (options->max_iterations < 0 || !(options->timeout >= 0) || options->cuts < -1)
         return fail(LOEWNER_BAD_ARGUMENT,
                     "options: expected iterations, a time and cuts that are not negative, found others");
-    for (int64_t c = 0; options->joint_error != NULL && c < checker->file->dof; c++)
-        if (!(options->joint_error[c] >= 0 && options->joint_error[c] < INFINITY))
-            return fail(LOEWNER_BAD_ARGUMENT, "joint_error: expected numbers >= 0, found %g", options->joint_error[c]);
+    TRY(take_errors(checker, &joint_error));
+    const Half *half = half_of(checker, CUT);
+    *judge = (Judge){
+        checker,
+        workspace,
+        {.tolerance = PLAN_TOLERANCE, .joint_error = joint_error, .steps = CODE_NO_LIMIT},
+        {(int64_t)&half->pieces, half->handle, half->motions, (int64_t)workspace->memory, 1, (int64_t)joint_error, 0},
+        {PLAN_TOLERANCE, 0},
+    };
     return LOEWNER_OK;
 }
 
@@ -320,8 +301,8 @@ loewner_status loewner_checker_plan(const loewner_checker *checker, loewner_work
     *count = 0;
     TRY(check_configurations(checker, start, 1, "start"));
     TRY(check_configurations(checker, goals, goal_count, "goals"));
-    TRY(check_plan_options(checker, options));
-    Judge judge = judge_of(checker, workspace, options->joint_error);
+    Judge judge;
+    TRY(take_judge(checker, workspace, options, &judge));
     Search search __attribute__((cleanup(leave_search))) = {0};
     int64_t rows;
     TRY(make_search(&judge, start, goals, goal_count, options->joints, &search));
@@ -344,11 +325,11 @@ loewner_status loewner_checker_shorten(const loewner_checker *checker, loewner_w
     if (shorter == NULL || count == NULL || n < 2)
         return fail(LOEWNER_BAD_ARGUMENT, "expected two or more configurations and places for the path, found fewer");
     TRY(check_configurations(checker, path, n, "path"));
-    TRY(check_plan_options(checker, options));
     size_t dof = (size_t)checker->file->dof;
-    Judge judge = judge_of(checker, workspace, options->joint_error);
+    Judge judge;
     int64_t at, rows = (int64_t)n;
-    TRY(is_free(&judge, path, (int64_t)dof, rows, &at));
+    TRY(take_judge(checker, workspace, options, &judge));
+    TRY(are_free(&judge, path, path + dof, n - 1, &at));
     if (at >= 0)
         return fail(LOEWNER_NOT_FREE,
                     "path: expected free motions, found the one from row %lld, which is not proven free",

@@ -10,7 +10,19 @@
 _Static_assert(CODE_FREE == LOEWNER_FREE && CODE_COLLIDING == LOEWNER_COLLIDING && CODE_AMBIGUOUS == LOEWNER_AMBIGUOUS,
                "verdicts have the numbers of codes.py");
 
+/* Arguments by which kernels receive the scene of a workspace, and the tables for motions. */
+#define SCENE(workspace)                                                                                               \
+    .pack = (workspace)->pack, .problem_handle = (int64_t)&(workspace)->tables, .memory = (workspace)->memory
+#define MOTIONS(half)                                                                                                  \
+    .pack = (int64_t)&(half)->pieces, .problem_handle = (half)->handle, .tables_handle = (half)->motions
+
 /* -- arguments ----------------------------------------------------------------------------------------------------- */
+
+loewner_status expect_pointer(const void *pointer, size_t n, const char *name)
+{
+    return pointer != NULL || n == 0 ? LOEWNER_OK
+                                     : fail(LOEWNER_BAD_ARGUMENT, "%s: expected a pointer, found NULL", name);
+}
 
 loewner_status check_count(size_t n, size_t doubles, const char *name)
 {
@@ -78,12 +90,16 @@ static loewner_status place_links(const Tree *tree, const double *configurations
                 .Q = {configurations, n, dof}, .stop = n, .out = {poses, n, links, 4, 4});
 }
 
-/* Compute exact verdicts for all pairs, with all bodies at the given poses. */
-static loewner_status settle_pairs(const State *state, loewner_workspace *workspace, const double *poses,
-                                   int8_t *verdicts)
+/* Compute exact verdicts for all pairs, with all links at the poses in the workspace. */
+static loewner_status settle_pairs(loewner_workspace *workspace, int8_t *verdicts)
 {
+    const State *state = &workspace->checker->state;
     int64_t bodies = state->moving + state->standing, count = state->pairs, plan[5] = {count, 1, 1, 1, 1};
     int64_t pack = (int64_t)&state->halves[WHOLE].pieces;
+    const Array3 poses = {workspace->poses, bodies, 4, 4};
+    for (int64_t k = 0; k < state->moving; k++)
+        memcpy(workspace->poses + 16 * k, workspace->link_poses + 16 * state->link[k], 16 * sizeof(double));
+    memcpy(workspace->poses + 16 * state->moving, state->poses, (size_t)state->standing * 16 * sizeof(double));
     memset(verdicts, LOEWNER_AMBIGUOUS, (size_t)count);
     for (int64_t first = 0, last; first < count; first = last) {
         for (last = first + 1; last < count && state->margins[last] == state->margins[first];)
@@ -92,9 +108,8 @@ static loewner_status settle_pairs(const State *state, loewner_workspace *worksp
         int are_rigid;
         const struct settle_range asked = {
             .mode = CODE_EXACT, .margin = state->margins[first], .start = first, .stop = last, .plan = {plan, 5, 1},
-            .rows = {state->rows, 2, count}, .pack_a = pack, .Ta = {poses, bodies, 4, 4}, .pack_b = pack,
-            .Tb = {poses, bodies, 4, 4}, .out = {verdicts, count}, .tally = {tally, CODE_TIERS},
-            .memory = workspace->memory,
+            .rows = {state->rows, 2, count}, .pack_a = pack, .Ta = poses, .pack_b = pack, .Tb = poses,
+            .out = {verdicts, count}, .tally = {tally, CODE_TIERS}, .memory = workspace->memory,
         };
         TRY(settle_all(&asked, &are_rigid));
         if (!are_rigid) /* An overflow has distorted a pose. */
@@ -105,56 +120,40 @@ static loewner_status settle_pairs(const State *state, loewner_workspace *worksp
 
 static int8_t worst(const int8_t *verdicts, int64_t count)
 {
-    int8_t found = LOEWNER_FREE;
-    for (int64_t k = 0; k < count; k++) {
-        if (verdicts[k] == LOEWNER_COLLIDING)
-            return LOEWNER_COLLIDING;
-        if (verdicts[k] == LOEWNER_AMBIGUOUS)
-            found = LOEWNER_AMBIGUOUS;
-    }
-    return found;
+    if (memchr(verdicts, LOEWNER_COLLIDING, (size_t)count) != NULL)
+        return LOEWNER_COLLIDING;
+    return memchr(verdicts, LOEWNER_AMBIGUOUS, (size_t)count) != NULL ? LOEWNER_AMBIGUOUS : LOEWNER_FREE;
 }
 
-/* Compute the poses of all bodies from the poses of the links. */
-static void place_bodies(const State *state, const double *links, double *poses)
+static loewner_status settle_one(loewner_workspace *workspace, const double *q, int8_t *verdicts)
 {
-    for (int64_t k = 0; k < state->moving; k++)
-        memcpy(poses + 16 * k, links + 16 * state->link[k], 16 * sizeof(double));
-    memcpy(poses + 16 * state->moving, state->poses, (size_t)state->standing * 16 * sizeof(double));
+    const loewner_checker *checker = workspace->checker;
+    TRY(place_links(&checker->state.tree, q, 1, checker->file->dof, workspace->link_poses));
+    return settle_pairs(workspace, verdicts);
 }
 
-static loewner_status settle_one(const loewner_checker *checker, loewner_workspace *workspace, const double *q,
-                                 int8_t *verdicts)
+loewner_status worst_pair(loewner_workspace *workspace, const double *q, int8_t *verdict, int64_t *pair)
 {
-    const State *state = &checker->state;
-    TRY(place_links(&state->tree, q, 1, checker->file->dof, workspace->link_poses));
-    place_bodies(state, workspace->link_poses, workspace->poses);
-    return settle_pairs(state, workspace, workspace->poses, verdicts);
-}
-
-loewner_status worst_pair(const loewner_checker *checker, loewner_workspace *workspace, const double *q,
-                          int8_t *verdict, int64_t *pair)
-{
-    TRY(settle_one(checker, workspace, q, workspace->pair_verdicts));
-    *verdict = worst(workspace->pair_verdicts, checker->state.pairs);
-    *pair = -1;
-    for (int64_t p = checker->state.pairs - 1; p >= 0 && *verdict != LOEWNER_FREE; p--)
-        if (workspace->pair_verdicts[p] == *verdict)
-            *pair = p;
+    const int8_t *verdicts = workspace->pair_verdicts;
+    int64_t count = workspace->checker->state.pairs;
+    TRY(settle_one(workspace, q, workspace->pair_verdicts));
+    *verdict = worst(verdicts, count);
+    *pair = *verdict == LOEWNER_FREE ? -1 : (const int8_t *)memchr(verdicts, *verdict, (size_t)count) - verdicts;
     return LOEWNER_OK;
 }
 
 /* Move the pairs that have collided most often to the front. */
-static void learn(const State *state, loewner_workspace *workspace, size_t n)
+static void learn(loewner_workspace *workspace, int64_t n)
 {
-    workspace->seen += (int64_t)n;
+    int64_t pairs = workspace->checker->state.pairs;
+    workspace->seen += n;
     if (workspace->seen < workspace->next_look)
         return;
     workspace->next_look = 2 * workspace->seen;
     /* A stable insertion sort suffices, because few pairs ever collide, and these are soon in front. */
-    for (int64_t k = 0; k < state->pairs; k++)
+    for (int64_t k = 0; k < pairs; k++)
         workspace->order[k] = k;
-    for (int64_t k = 1; k < state->pairs; k++) {
+    for (int64_t k = 1; k < pairs; k++) {
         int64_t pair = workspace->order[k], at = k;
         if (workspace->hits[pair] == 0)
             continue;
@@ -165,24 +164,22 @@ static void learn(const State *state, loewner_workspace *workspace, size_t n)
     }
 }
 
-loewner_status collide(const loewner_checker *checker, loewner_workspace *workspace, int mode,
-                       const double *configurations, size_t n, int8_t *verdicts)
+loewner_status collide(loewner_workspace *workspace, int mode, const double *configurations, size_t n, int8_t *verdicts)
 {
-    const State *state = &checker->state;
-    int64_t dof = checker->file->dof;
+    int64_t dof = workspace->checker->file->dof, pairs = workspace->checker->state.pairs;
     for (size_t first = 0; first < n; first += CHUNK) {
-        int64_t count = (int64_t)(n - first < CHUNK ? n - first : CHUNK);
+        int64_t count = (int64_t)at_most(n - first, CHUNK);
         const double *rows = configurations + first * (size_t)dof;
+        int8_t *out = verdicts + first;
         TRY(CALL(check_configurations, NULL, .mode = mode == HASTY ? CODE_EXACT : mode, .stop = count,
-                 .Q = {rows, count, dof}, .pack = workspace->pack, .problem_handle = (int64_t)&workspace->tables,
-                 .out = {verdicts + first, count}, .tiers_out = {workspace->tiers, count},
-                 .hits = {workspace->hits, state->pairs}, .memory = workspace->memory));
+                 .Q = {rows, count, dof}, .out = {out, count}, .tiers_out = {workspace->tiers, count},
+                 .hits = {workspace->hits, pairs}, SCENE(workspace)));
         for (int64_t k = 0; mode == CODE_EXACT && k < count; k++)
-            if (verdicts[first + (size_t)k] == LOEWNER_AMBIGUOUS) {
-                TRY(settle_one(checker, workspace, rows + k * dof, workspace->pair_verdicts));
-                verdicts[first + (size_t)k] = worst(workspace->pair_verdicts, state->pairs);
+            if (out[k] == LOEWNER_AMBIGUOUS) {
+                TRY(settle_one(workspace, rows + k * dof, workspace->pair_verdicts));
+                out[k] = worst(workspace->pair_verdicts, pairs);
             }
-        learn(state, workspace, (size_t)count);
+        learn(workspace, count);
     }
     return LOEWNER_OK;
 }
@@ -193,9 +190,8 @@ static loewner_status asked(const loewner_checker *checker, loewner_workspace *w
     HOLD(workspace);
     TRY(prepare_exact(checker, workspace));
     TRY(check_configurations(checker, configurations, n, "configurations"));
-    if (verdicts == NULL && n > 0)
-        return fail(LOEWNER_BAD_ARGUMENT, "verdicts: expected a pointer, found NULL");
-    return collide(checker, workspace, mode, configurations, n, verdicts);
+    TRY(expect_pointer(verdicts, n, "verdicts"));
+    return collide(workspace, mode, configurations, n, verdicts);
 }
 
 loewner_status loewner_checker_classify(const loewner_checker *checker, loewner_workspace *workspace,
@@ -216,9 +212,8 @@ loewner_status loewner_checker_collide_by_pair(const loewner_checker *checker, l
     HOLD(workspace);
     TRY(prepare_exact(checker, workspace));
     TRY(check_configurations(checker, configuration, 1, "configuration"));
-    if (verdicts == NULL)
-        return fail(LOEWNER_BAD_ARGUMENT, "verdicts: expected a pointer, found NULL");
-    return settle_one(checker, workspace, configuration, verdicts);
+    TRY(expect_pointer(verdicts, 1, "verdicts"));
+    return settle_one(workspace, configuration, verdicts);
 }
 
 /* Write the product of two poses. */
@@ -240,8 +235,7 @@ loewner_status loewner_checker_collide_placed(const loewner_checker *checker, lo
     const State *state = &checker->state;
     int64_t links = checker->file->links;
     TRY(check_poses(link_poses, (size_t)links, "link_poses"));
-    if (verdict == NULL)
-        return fail(LOEWNER_BAD_ARGUMENT, "verdict: expected a pointer, found NULL");
+    TRY(expect_pointer(verdict, 1, "verdict"));
     memcpy(workspace->link_poses, link_poses, (size_t)links * 16 * sizeof(double));
     /* Attached bodies have links of their own, which follow the links of the robot. */
     for (int64_t k = 0; k < state->moving; k++) {
@@ -250,8 +244,7 @@ loewner_status loewner_checker_collide_placed(const loewner_checker *checker, lo
             multiply(link_poses + 16 * body->link, body->pose, workspace->link_poses + 16 * state->link[k]);
     }
     int8_t *out = verdicts != NULL ? verdicts : workspace->pair_verdicts;
-    place_bodies(state, workspace->link_poses, workspace->poses);
-    TRY(settle_pairs(state, workspace, workspace->poses, out));
+    TRY(settle_pairs(workspace, out));
     *verdict = worst(out, state->pairs);
     return LOEWNER_OK;
 }
@@ -271,25 +264,10 @@ loewner_status loewner_checker_link_poses(const loewner_checker *checker, const 
 static int64_t owner(const struct pieces *pieces, int64_t piece)
 {
     const int64_t *start = pieces->piece_start.data;
-    int64_t low = 0, high = pieces->piece_start.rows - 1;
-    while (high - low > 1) {
-        int64_t middle = (low + high) / 2;
-        if (start[middle] <= piece)
-            low = middle;
-        else
-            high = middle;
-    }
-    return low;
-}
-
-static loewner_status differentiate(const loewner_checker *checker, loewner_workspace *workspace, const double *rows,
-                                    int64_t count, double *gradients)
-{
-    int64_t dof = checker->file->dof;
-    return CALL(pair_gradients, NULL, .stop = count, .Q = {rows, count, dof}, .pack = workspace->pack,
-                .problem_handle = (int64_t)&workspace->tables, .memory = workspace->memory,
-                .bodies = {workspace->pieces, count, 2}, .force = {workspace->vectors + 6 * count, count, 3},
-                .point = {workspace->vectors, count, 3}, .slopes = {gradients, count, dof});
+    int64_t body = 0;
+    while (start[body + 1] <= piece)
+        body++;
+    return body;
 }
 
 loewner_status loewner_checker_distance(const loewner_checker *checker, loewner_workspace *workspace,
@@ -304,14 +282,13 @@ loewner_status loewner_checker_distance(const loewner_checker *checker, loewner_
     if (state->pairs == 0 || (distances == NULL && n > 0))
         return fail(LOEWNER_BAD_ARGUMENT, "expected pairs to check and a place for distances, found none");
     for (size_t first = 0; first < n; first += MOTIONS_AT_ONCE) {
-        int64_t count = (int64_t)(n - first < MOTIONS_AT_ONCE ? n - first : MOTIONS_AT_ONCE);
+        int64_t count = (int64_t)at_most(n - first, MOTIONS_AT_ONCE);
         const double *rows = configurations + first * (size_t)dof;
         int8_t *status = workspace->found;
         double *numbers = workspace->numbers, *vectors = workspace->vectors;
-        TRY(CALL(nearest_pairs, NULL, .wanted = 1, .stop = count, .Q = {rows, count, dof}, .pack = workspace->pack,
-                 .problem_handle = (int64_t)&workspace->tables, .memory = workspace->memory,
-                 .numbers = {numbers, 3, count}, .vectors = {vectors, 3, count, 3},
-                 .pieces_out = {workspace->pieces, count, 2}, .status = {status, count}));
+        TRY(CALL(nearest_pairs, NULL, .wanted = 1, .stop = count, .Q = {rows, count, dof}, .numbers = {numbers, 3, count},
+                 .vectors = {vectors, 3, count, 3}, .pieces_out = {workspace->pieces, count, 2},
+                 .status = {status, count}, SCENE(workspace)));
         for (int64_t k = 0; k < count; k++) {
             loewner_distance *found = distances + first + k;
             write_distance(found, numbers, numbers + count, numbers + 2 * count, vectors, count, k, status[k] == 0);
@@ -324,7 +301,9 @@ loewner_status loewner_checker_distance(const loewner_checker *checker, loewner_
         if (gradients == NULL)
             continue;
         double *slopes = gradients + first * (size_t)dof;
-        TRY(differentiate(checker, workspace, rows, count, slopes));
+        TRY(CALL(pair_gradients, NULL, .stop = count, .Q = {rows, count, dof}, .bodies = {workspace->pieces, count, 2},
+                 .force = {vectors + 6 * count, count, 3}, .point = {vectors, count, 3},
+                 .slopes = {slopes, count, dof}, SCENE(workspace)));
         for (int64_t k = 0; k < count * dof; k++)
             if (status[k / dof] != 0)
                 slopes[k] = NAN;
@@ -358,9 +337,9 @@ loewner_status loewner_checker_clearance(const loewner_checker *checker, loewner
 
 /* -- motions ------------------------------------------------------------------------------------------------------- */
 
-void straight(const loewner_checker *checker, const double *a, const double *b, double *course)
+/* Write the course of the straight motion from a to b, shape (2, dof). */
+static void straight(const File *file, const double *a, const double *b, double *course)
 {
-    const File *file = checker->file;
     size_t size = sizeof(double) * (size_t)file->dof;
     memcpy(course, a, size);
     memcpy(course + file->dof, b, size);
@@ -381,11 +360,20 @@ static double elementary(int64_t function, double x)
     return result;
 }
 
+static void normalize(double *quaternion)
+{
+    double norm = 0;
+    for (int k = 0; k < 4; k++)
+        norm += quaternion[k] * quaternion[k];
+    for (int k = 0; k < 4; k++)
+        quaternion[k] /= sqrt(norm);
+}
+
 /* Write an orientation on the shorter arc from p to q, as `Robot.between` does. */
 static void slerp(const double *p, const double *q, double t, double *made)
 {
     double cosine = fmin(p[0] * q[0] + p[1] * q[1] + p[2] * q[2] + p[3] * q[3], 1.0);
-    double angle = elementary(CODE_ARC_COSINE, cosine), of_p = 1 - t, of_q = t, norm = 0;
+    double angle = elementary(CODE_ARC_COSINE, cosine), of_p = 1 - t, of_q = t;
     if (angle >= 1e-6) {
         double sine = fmax(elementary(CODE_SINE_OF, angle), 1e-12);
         of_p = elementary(CODE_SINE_OF, (1 - t) * angle) / sine;
@@ -393,10 +381,7 @@ static void slerp(const double *p, const double *q, double t, double *made)
     }
     for (int k = 0; k < 4; k++)
         made[k] = of_p * p[k] + of_q * q[k];
-    for (int k = 0; k < 4; k++)
-        norm += made[k] * made[k];
-    for (int k = 0; k < 4; k++)
-        made[k] /= sqrt(norm);
+    normalize(made);
 }
 
 /* Use only products, in the order of `_matrices.power`, because the last bit of `pow` depends on the C library. */
@@ -426,29 +411,22 @@ void evaluate(const File *file, const double *course, int32_t degree, double t, 
             q[c] += weight * course[dof * k + c];
         choices = choices * (degree - k) / (k + 1);
     }
-    for (int64_t c = 0; c < file->quaternion_count; c++) {
-        double *its = q + file->quaternions[c], norm = 0;
-        for (int k = 0; k < 4; k++)
-            norm += its[k] * its[k];
-        for (int k = 0; k < 4; k++)
-            its[k] /= sqrt(norm);
-    }
+    for (int64_t c = 0; c < file->quaternion_count; c++)
+        normalize(q + file->quaternions[c]);
 }
 
-loewner_status certify(const loewner_checker *checker, loewner_workspace *workspace, double *courses, int64_t count,
-                       int64_t points, double *off, int64_t width, double tolerance, int64_t as_given, int64_t steps,
-                       int64_t *work, int8_t *verdicts, double *fractions, int64_t *pairs)
+loewner_status certify(loewner_workspace *workspace, const double *courses, int64_t count, int64_t points,
+                       int64_t width, double tolerance, int8_t as_given, int64_t steps, int8_t *verdicts)
 {
-    const Half *half = half_of(checker, CUT);
-    for (int64_t k = 0; k < count; k++) {
-        work[WORK * k + WORK - 1] = steps;
-        verdicts[k] = (int8_t)as_given;
-    }
+    const Half *half = half_of(workspace->checker, CUT);
+    memset(verdicts, as_given, (size_t)count);
+    for (int64_t k = 0; k < count; k++)
+        workspace->work[WORK * k + WORK - 1] = steps;
     /* `clear` is omitted, because bodies may be as near as their margins. */
-    return CALL(certify_motions, NULL, .stop = count, .courses = {courses, count, points, checker->file->dof},
-                .off = {off, width > 0 ? count : 0, width}, .tolerance = tolerance, .pack = (int64_t)&half->pieces,
-                .problem_handle = half->handle, .tables_handle = half->motions, .out = {verdicts, count},
-                .t_out = {fractions, count}, .pair_out = {pairs, count}, .tallies = {work, count, WORK},
+    return CALL(certify_motions, NULL, .stop = count, .courses = {courses, count, points, workspace->checker->file->dof},
+                .off = {workspace->off, width > 0 ? count : 0, width}, .tolerance = tolerance, MOTIONS(half),
+                .out = {verdicts, count}, .t_out = {workspace->fractions, count},
+                .pair_out = {workspace->found_pairs, count}, .tallies = {workspace->work, count, WORK},
                 .memory = workspace->memory);
 }
 
@@ -498,25 +476,34 @@ void write_off(const loewner_checker *checker, const double *course, int64_t poi
     write_growth(checker, t0, t1, late, row + dof);
 }
 
-loewner_status prove(const loewner_checker *checker, loewner_workspace *workspace, double *courses, size_t n,
-                     int32_t degree, double tolerance, const double *joint_error, const double *t0, const double *t1,
-                     int64_t steps, int8_t *verdicts, double *fractions, int64_t *pairs)
+/* Write how many steps each motion took; `first` is the index of the first motion. */
+static void write_steps(const loewner_workspace *workspace, const loewner_proof_options *options, size_t first,
+                        size_t count)
 {
+    for (size_t k = 0; options->steps_taken != NULL && k < count; k++)
+        options->steps_taken[first + k] = workspace->work[WORK * k + WORK - 1];
+}
+
+loewner_status prove(loewner_workspace *workspace, size_t first, size_t n, int32_t degree,
+                     const loewner_proof_options *options, int8_t *verdicts)
+{
+    const loewner_checker *checker = workspace->checker;
     const State *state = &checker->state;
     const File *file = checker->file;
-    int64_t dof = file->dof, count = (int64_t)n, points = degree + 1, width = dof + 3 * state->growing;
-    int is_off = 0;
-    for (int64_t c = 0; joint_error != NULL && c < dof; c++)
-        is_off |= joint_error[c] > 0;
-    int is_wide = is_off || state->growing > 0;
-    for (int64_t k = 0; is_wide && k < count; k++)
-        write_off(checker, courses + k * points * dof, points, is_off ? joint_error : NULL, t0 == NULL ? 0 : t0[k],
-                  t1 == NULL ? 0 : t1[k], 0, workspace->off + k * width);
-    TRY(certify(checker, workspace, courses, count, points, workspace->off, is_wide ? width : 0, tolerance, 1, steps,
-                workspace->work, verdicts, fractions, pairs));
-    double *q = workspace->slopes;
+    int64_t count = (int64_t)n, points = degree + 1, each = points * file->dof;
+    int64_t width = options->joint_error != NULL || state->growing > 0 ? file->dof + 3 * state->growing : 0;
+    const double *t0 = options->t0, *t1 = options->t1;
+    double *fractions = workspace->fractions, *q = workspace->slopes;
+    int64_t *pairs = workspace->found_pairs;
+    for (size_t k = 0; width > 0 && k < n; k++)
+        write_off(checker, workspace->courses + (int64_t)k * each, points, options->joint_error,
+                  t0 == NULL ? 0 : t0[first + k], t1 == NULL ? 0 : t1[first + k], 0,
+                  workspace->off + (int64_t)k * width);
+    TRY(certify(workspace, workspace->courses, count, points, width, options->tolerance, 1, options->steps, verdicts));
+    write_steps(workspace, options, first, n);
     for (int64_t k = 0; k < count; k++) {
-        const double *course = courses + k * points * dof;
+        const double *course = workspace->courses + k * each;
+        int8_t found;
         if (verdicts[k] == CODE_TOO_LONG) {
             verdicts[k] = LOEWNER_AMBIGUOUS;
             fractions[k] = 0;
@@ -524,16 +511,14 @@ loewner_status prove(const loewner_checker *checker, loewner_workspace *workspac
         } else if (verdicts[k] == CODE_BY_CARE ||
                    (verdicts[k] == LOEWNER_COLLIDING && (degree > 1 || file->quaternion_count > 0))) {
             /* A motion is COLLIDING only if the configuration that a user computes from the fraction collides. */
-            int8_t found;
             evaluate(file, course, degree, fractions[k], q);
-            TRY(collide(checker, workspace, CODE_EXACT, q, 1, &found));
+            TRY(collide(workspace, CODE_EXACT, q, 1, &found));
             verdicts[k] = found == LOEWNER_COLLIDING ? LOEWNER_COLLIDING : LOEWNER_AMBIGUOUS;
         } else if (verdicts[k] == LOEWNER_FREE && state->starts_matter) {
-            int8_t found;
-            TRY(collide(checker, workspace, CODE_EXACT, course, 1, &found));
+            TRY(collide(workspace, CODE_EXACT, course, 1, &found));
             if (found == LOEWNER_FREE)
                 continue;
-            TRY(worst_pair(checker, workspace, course, &verdicts[k], &pairs[k]));
+            TRY(worst_pair(workspace, course, &verdicts[k], &pairs[k]));
             verdicts[k] = verdicts[k] == LOEWNER_FREE ? LOEWNER_AMBIGUOUS : verdicts[k];
             fractions[k] = 0;
         }
@@ -541,17 +526,33 @@ loewner_status prove(const loewner_checker *checker, loewner_workspace *workspac
     return LOEWNER_OK;
 }
 
-static loewner_status check_options(const loewner_checker *checker, const loewner_proof_options *options)
+loewner_status take_errors(const loewner_checker *checker, const double **joint_error)
 {
-    if (options == NULL)
-        return LOEWNER_OK;
-    if (!(options->tolerance >= 0 && options->tolerance < INFINITY))
-        return fail(LOEWNER_BAD_ARGUMENT, "tolerance: expected a number >= 0, found %g", options->tolerance);
-    if (options->steps < 0)
-        return fail(LOEWNER_BAD_ARGUMENT, "steps: expected a number >= 0, found %lld", (long long)options->steps);
-    for (int64_t c = 0; options->joint_error != NULL && c < checker->file->dof; c++)
-        if (!(options->joint_error[c] >= 0 && options->joint_error[c] < INFINITY))
-            return fail(LOEWNER_BAD_ARGUMENT, "joint_error: expected numbers >= 0, found %g", options->joint_error[c]);
+    int is_off = 0;
+    for (int64_t c = 0; *joint_error != NULL && c < checker->file->dof; c++) {
+        double error = (*joint_error)[c];
+        if (!(error >= 0 && error < INFINITY))
+            return fail(LOEWNER_BAD_ARGUMENT, "joint_error: expected numbers >= 0, found %g", error);
+        is_off |= error > 0;
+    }
+    *joint_error = is_off ? *joint_error : NULL;
+    return LOEWNER_OK;
+}
+
+/* Check options, and replace omitted options by their defaults. Times count only if both are there. */
+static loewner_status take_options(const loewner_checker *checker, const loewner_proof_options *options,
+                                   loewner_proof_options *taken)
+{
+    *taken = options == NULL ? (loewner_proof_options){0} : *options;
+    if (!(taken->tolerance >= 0 && taken->tolerance < INFINITY))
+        return fail(LOEWNER_BAD_ARGUMENT, "tolerance: expected a number >= 0, found %g", taken->tolerance);
+    if (taken->steps < 0)
+        return fail(LOEWNER_BAD_ARGUMENT, "steps: expected a number >= 0, found %lld", (long long)taken->steps);
+    TRY(take_errors(checker, &taken->joint_error));
+    taken->tolerance = taken->tolerance > 0 ? taken->tolerance : TOLERANCE;
+    taken->steps = steps_of(taken->steps);
+    if (taken->t0 == NULL || taken->t1 == NULL)
+        taken->t0 = taken->t1 = NULL;
     return LOEWNER_OK;
 }
 
@@ -559,12 +560,11 @@ static loewner_status check_options(const loewner_checker *checker, const loewne
 static loewner_status check_times(const loewner_checker *checker, const loewner_proof_options *options, size_t n)
 {
     const State *state = &checker->state;
-    int is_timed = options != NULL && options->t0 != NULL && options->t1 != NULL;
-    for (size_t k = 0; is_timed && k < n; k++)
-        if (!(options->t0[k] <= options->t1[k] && fabs(options->t0[k]) < INFINITY && fabs(options->t1[k]) < INFINITY))
-            return fail(LOEWNER_BAD_ARGUMENT, "t0, t1: expected finite times, t0 <= t1, found %g and %g",
-                        options->t0[k], options->t1[k]);
-    for (int64_t place = state->moving; !is_timed && place < state->moving + state->standing; place++) {
+    const double *t0 = options->t0, *t1 = options->t1;
+    for (size_t k = 0; t0 != NULL && k < n; k++)
+        if (!(t0[k] <= t1[k] && fabs(t0[k]) < INFINITY && fabs(t1[k]) < INFINITY))
+            return fail(LOEWNER_BAD_ARGUMENT, "t0, t1: expected finite times, t0 <= t1, found %g and %g", t0[k], t1[k]);
+    for (int64_t place = state->moving; t0 == NULL && place < state->moving + state->standing; place++) {
         const Body *body = checker->bodies + state->body[place];
         if (body->has_bounds && (body->bounds.speed > 0 || body->bounds.turn > 0))
             return fail(LOEWNER_BAD_ARGUMENT, "t0, t1: expected times, since bounds on %.100s grow, found NULL",
@@ -573,59 +573,39 @@ static loewner_status check_times(const loewner_checker *checker, const loewner_
     return LOEWNER_OK;
 }
 
-static loewner_status check_edges(const loewner_checker *checker, const double *starts, const double *ends, size_t n,
-                                  const loewner_proof_options *options, const int8_t *answers, const char *name)
+size_t write_courses(loewner_workspace *workspace, const double *starts, const double *ends, size_t first, size_t n)
 {
-    TRY(check_configurations(checker, starts, n, "starts"));
-    TRY(check_configurations(checker, ends, n, "ends"));
-    TRY(check_options(checker, options));
-    if (answers == NULL && n > 0)
-        return fail(LOEWNER_BAD_ARGUMENT, "%s: expected a pointer, found NULL", name);
-    return LOEWNER_OK;
-}
-
-/* Write the courses of the next batch of motions, which starts at `first`, and return the size of the batch. */
-static size_t write_courses(const loewner_checker *checker, loewner_workspace *workspace, const double *starts,
-                            const double *ends, size_t first, size_t n)
-{
-    size_t dof = (size_t)checker->file->dof, count = n - first < MOTIONS_AT_ONCE ? n - first : MOTIONS_AT_ONCE;
+    const File *file = workspace->checker->file;
+    size_t dof = (size_t)file->dof, count = at_most(n - first, MOTIONS_AT_ONCE);
     for (size_t k = 0; k < count; k++)
-        straight(checker, starts + (first + k) * dof, ends + (first + k) * dof, workspace->courses + 2 * k * dof);
+        straight(file, starts + (first + k) * dof, ends + (first + k) * dof, workspace->courses + 2 * k * dof);
     return count;
 }
 
-/* Limit on the steps for each motion. */
-static int64_t steps_of(const loewner_proof_options *options)
+/* Prove curves, or motions between configurations, one block after another. For motions, `points` holds their starts;
+   for curves, `ends` is NULL. */
+static loewner_status prove_all(loewner_workspace *workspace, const double *points, const double *ends, size_t n,
+                                int32_t degree, const loewner_proof_options *options, int8_t *verdicts,
+                                double *fractions, int32_t (*bodies)[2])
 {
-    return options != NULL && options->steps > 0 && options->steps < CODE_NO_LIMIT ? options->steps : CODE_NO_LIMIT;
-}
-
-/* Write how many steps each motion took; `first` is the index of the first motion. */
-static void write_steps(const loewner_workspace *workspace, const loewner_proof_options *options, size_t first,
-                        size_t count)
-{
-    for (size_t k = 0; options != NULL && options->steps_taken != NULL && k < count; k++)
-        options->steps_taken[first + k] = workspace->work[WORK * k + WORK - 1];
-}
-
-/* Prove a block of courses in the workspace, and write the requested results. */
-static loewner_status prove_block(const loewner_checker *checker, loewner_workspace *workspace, size_t first,
-                                  size_t count, int32_t degree, const loewner_proof_options *options, int8_t *verdicts,
-                                  double *fractions, int32_t (*bodies)[2])
-{
-    int is_timed = options != NULL && options->t0 != NULL && options->t1 != NULL;
-    TRY(prove(checker, workspace, workspace->courses, count, degree,
-              options != NULL && options->tolerance > 0 ? options->tolerance : TOLERANCE,
-              options != NULL ? options->joint_error : NULL, is_timed ? options->t0 + first : NULL,
-              is_timed ? options->t1 + first : NULL, steps_of(options), verdicts, workspace->fractions,
-              workspace->found_pairs));
-    if (fractions != NULL)
-        memcpy(fractions, workspace->fractions, count * sizeof *fractions);
-    for (size_t k = 0; bodies != NULL && k < count; k++)
-        for (int side = 0; side < 2; side++) {
-            int64_t pair = workspace->found_pairs[k];
-            bodies[k][side] = pair < 0 ? -1 : checker->state.body[checker->state.pair_list[2 * pair + side]];
-        }
+    const loewner_checker *checker = workspace->checker;
+    size_t each = (size_t)checker->file->dof * (size_t)(degree + 1);
+    loewner_proof_options taken;
+    TRY(take_options(checker, options, &taken));
+    TRY(expect_pointer(verdicts, n, "verdicts"));
+    TRY(check_times(checker, &taken, n));
+    for (size_t first = 0; first < n; first += MOTIONS_AT_ONCE) {
+        size_t count = at_most(n - first, MOTIONS_AT_ONCE);
+        if (ends == NULL)
+            memcpy(workspace->courses, points + first * each, count * each * sizeof *points);
+        else
+            write_courses(workspace, points, ends, first, n);
+        TRY(prove(workspace, first, count, degree, &taken, verdicts + first));
+        if (fractions != NULL)
+            memcpy(fractions + first, workspace->fractions, count * sizeof *fractions);
+        for (size_t k = 0; bodies != NULL && k < count; k++)
+            write_bodies(&checker->state, workspace->found_pairs[k], bodies[first + k]);
+    }
     return LOEWNER_OK;
 }
 
@@ -636,59 +616,9 @@ loewner_status loewner_checker_certify_edges(const loewner_checker *checker, loe
 {
     HOLD(workspace);
     TRY(prepare(checker, workspace));
-    TRY(check_edges(checker, starts, ends, n, options, verdicts, "verdicts"));
-    TRY(check_times(checker, options, n));
-    for (size_t first = 0; first < n; first += MOTIONS_AT_ONCE) {
-        size_t count = write_courses(checker, workspace, starts, ends, first, n);
-        TRY(prove_block(checker, workspace, first, count, 1, options, verdicts + first,
-                        fractions == NULL ? NULL : fractions + first, bodies == NULL ? NULL : bodies + first));
-        write_steps(workspace, options, first, count);
-    }
-    return LOEWNER_OK;
-}
-
-/* Determine which of the straight courses in the workspace are free. */
-static loewner_status find_free(const loewner_checker *checker, loewner_workspace *workspace, int64_t count,
-                                const loewner_proof_options *options, int8_t *is_free)
-{
-    const Half *half = half_of(checker, CUT);
-    int64_t dof = checker->file->dof;
-    const double *error = options != NULL ? options->joint_error : NULL;
-    int is_off = 0;
-    for (int64_t c = 0; error != NULL && c < dof; c++)
-        is_off |= error[c] > 0;
-    for (int64_t k = 0; k < count; k++)
-        workspace->work[WORK * k + WORK - 1] = steps_of(options);
-    int64_t is_ready = workspace->is_ready;
-    workspace->is_ready = 0;
-    TRY(CALL(free_motions, NULL, .prepared = is_ready, .stop = count, .courses = {workspace->courses, count, 2, dof},
-             .error = is_off ? (int64_t)error : 0,
-             .tolerance = options != NULL && options->tolerance > 0 ? options->tolerance : TOLERANCE,
-             .pack = (int64_t)&half->pieces, .problem_handle = half->handle, .tables_handle = half->motions,
-             .tallies = {workspace->work, count, WORK}, .out = {is_free, count}, .memory = workspace->validator));
-    workspace->is_ready = 1;
-    for (int64_t k = 0; checker->state.starts_matter && k < count; k++)
-        if (is_free[k]) {
-            int8_t found;
-            TRY(collide(checker, workspace, CODE_EXACT, workspace->courses + 2 * k * dof, 1, &found));
-            is_free[k] = found == LOEWNER_FREE;
-        }
-    return LOEWNER_OK;
-}
-
-loewner_status loewner_checker_motions_free(const loewner_checker *checker, loewner_workspace *workspace,
-                                            const double *starts, const double *ends, size_t n,
-                                            const loewner_proof_options *options, int8_t *is_free)
-{
-    HOLD(workspace);
-    TRY(prepare_exact(checker, workspace));
-    TRY(check_edges(checker, starts, ends, n, options, is_free, "is_free"));
-    for (size_t first = 0; first < n; first += MOTIONS_AT_ONCE) {
-        size_t count = write_courses(checker, workspace, starts, ends, first, n);
-        TRY(find_free(checker, workspace, (int64_t)count, options, is_free + first));
-        write_steps(workspace, options, first, count);
-    }
-    return LOEWNER_OK;
+    TRY(check_configurations(checker, starts, n, "starts"));
+    TRY(check_configurations(checker, ends, n, "ends"));
+    return prove_all(workspace, starts, ends, n, 1, options, verdicts, fractions, bodies);
 }
 
 loewner_status loewner_checker_certify_curves(const loewner_checker *checker, loewner_workspace *workspace,
@@ -700,21 +630,50 @@ loewner_status loewner_checker_certify_curves(const loewner_checker *checker, lo
     TRY(prepare(checker, workspace));
     if (degree < 1 || degree >= CODE_MOST_POINTS)
         return fail(LOEWNER_BAD_ARGUMENT, "degree: expected 1 to %d, found %d", CODE_MOST_POINTS - 1, degree);
-    size_t each = (size_t)checker->file->dof * (size_t)(degree + 1);
     if (checker->file->quaternion_count > 0)
         return fail(LOEWNER_BAD_ARGUMENT, "expected a robot without quaternions: curves of orientations are Python's");
-    TRY(check_count(n, each, "points"));
+    TRY(check_count(n, (size_t)checker->file->dof * (size_t)(degree + 1), "points"));
     TRY(check_configurations(checker, points, n * (size_t)(degree + 1), "points"));
-    TRY(check_options(checker, options));
-    TRY(check_times(checker, options, n));
-    if (verdicts == NULL && n > 0)
-        return fail(LOEWNER_BAD_ARGUMENT, "verdicts: expected a pointer, found NULL");
+    return prove_all(workspace, points, NULL, n, degree, options, verdicts, fractions, bodies);
+}
+
+/* Determine which of the straight courses in the workspace are free. */
+static loewner_status find_free(loewner_workspace *workspace, int64_t count, const loewner_proof_options *options,
+                                int8_t *is_free)
+{
+    const loewner_checker *checker = workspace->checker;
+    int64_t dof = checker->file->dof, is_ready = workspace->is_ready;
+    for (int64_t k = 0; k < count; k++)
+        workspace->work[WORK * k + WORK - 1] = options->steps;
+    workspace->is_ready = 0;
+    TRY(CALL(free_motions, NULL, .prepared = is_ready, .stop = count, .courses = {workspace->courses, count, 2, dof},
+             .error = (int64_t)options->joint_error, .tolerance = options->tolerance, MOTIONS(half_of(checker, CUT)),
+             .tallies = {workspace->work, count, WORK}, .out = {is_free, count}, .memory = workspace->validator));
+    workspace->is_ready = 1;
+    for (int64_t k = 0; checker->state.starts_matter && k < count; k++)
+        if (is_free[k]) {
+            int8_t found;
+            TRY(collide(workspace, CODE_EXACT, workspace->courses + 2 * k * dof, 1, &found));
+            is_free[k] = found == LOEWNER_FREE;
+        }
+    return LOEWNER_OK;
+}
+
+loewner_status loewner_checker_motions_free(const loewner_checker *checker, loewner_workspace *workspace,
+                                            const double *starts, const double *ends, size_t n,
+                                            const loewner_proof_options *options, int8_t *is_free)
+{
+    loewner_proof_options taken;
+    HOLD(workspace);
+    TRY(prepare_exact(checker, workspace));
+    TRY(check_configurations(checker, starts, n, "starts"));
+    TRY(check_configurations(checker, ends, n, "ends"));
+    TRY(take_options(checker, options, &taken));
+    TRY(expect_pointer(is_free, n, "is_free"));
     for (size_t first = 0; first < n; first += MOTIONS_AT_ONCE) {
-        size_t count = n - first < MOTIONS_AT_ONCE ? n - first : MOTIONS_AT_ONCE;
-        memcpy(workspace->courses, points + first * each, count * each * sizeof *points);
-        TRY(prove_block(checker, workspace, first, count, degree, options, verdicts + first,
-                        fractions == NULL ? NULL : fractions + first, bodies == NULL ? NULL : bodies + first));
-        write_steps(workspace, options, first, count);
+        size_t count = write_courses(workspace, starts, ends, first, n);
+        TRY(find_free(workspace, (int64_t)count, &taken, is_free + first));
+        write_steps(workspace, &taken, first, count);
     }
     return LOEWNER_OK;
 }

@@ -14,9 +14,7 @@ static _Atomic uint64_t serials = 1;
 /* Allocate memory that lives as long as the state, and write its address to `field`. */
 static loewner_status room(State *state, void *field, int64_t count, size_t size)
 {
-    /* Allocate at least one cache line. */
-    size_t bytes = ((size_t)count * size + CACHE_LINE) / CACHE_LINE * CACHE_LINE;
-    void *made = aligned_alloc(CACHE_LINE, bytes);
+    void *made = aligned_alloc(CACHE_LINE, in_lines((size_t)count * size + 1)); /* Allocate at least one line. */
     if (made == NULL || state->memory_count == (int)(sizeof state->memory / sizeof *state->memory)) {
         free(made);
         return no_memory();
@@ -49,7 +47,7 @@ static int stands(const State *state, int64_t k)
 }
 
 /* Return the pack of the body at a place. */
-static const Pack *pack_of(const State *state, const Body *body, int64_t k, Cutting cutting)
+static const struct pieces *pack_of(const State *state, const Body *body, int64_t k, Cutting cutting)
 {
     int is_whole = !body->file->has_cut || (cutting == OPEN_CUT && !stands(state, k));
     return body->file->packs + (is_whole ? WHOLE : cutting);
@@ -59,13 +57,10 @@ static const Pack *pack_of(const State *state, const Body *body, int64_t k, Cutt
 static loewner_status join(const loewner_checker *checker, State *state, Cutting cutting, Half *half)
 {
     int64_t bodies = state->moving + state->standing, *chosen, words;
-    struct pieces *packs;
-    TRY(room(state, &packs, bodies, sizeof *packs));
     TRY(room(state, &chosen, 2 * bodies, 8));
     for (int64_t k = 0; k < bodies; k++) {
         const Body *body = checker->bodies + state->body[k];
-        packs[k] = table_of(pack_of(state, body, k, cutting));
-        chosen[2 * k] = (int64_t)(packs + k);
+        chosen[2 * k] = (int64_t)pack_of(state, body, k, cutting);
         chosen[2 * k + 1] = body->which;
     }
     struct join_bodies asked = {.chosen = {chosen, bodies, 2}};
@@ -258,7 +253,7 @@ static loewner_status make_half(const loewner_checker *checker, State *state, Cu
     const Tree *tree = &state->tree;
     int64_t links = tree->links, pairs = state->pairs;
     if (state->is_as_saved)
-        half->pieces = table_of(checker->file->packs + cutting);
+        half->pieces = checker->file->packs[cutting];
     else
         TRY(join(checker, state, cutting, half));
     const int64_t *layout = half->pieces.layout.data;
@@ -378,10 +373,8 @@ const Half *half_of(const loewner_checker *checker, Cutting cutting)
 
 loewner_status loewner_workspace_new(loewner_workspace **workspace)
 {
-    if (workspace == NULL)
-        return fail(LOEWNER_BAD_ARGUMENT, "workspace: expected a pointer, found NULL");
-    *workspace = calloc(1, sizeof **workspace);
-    return *workspace == NULL ? no_memory() : LOEWNER_OK;
+    TRY(expect_pointer(workspace, 1, "workspace"));
+    return allocate(workspace, sizeof **workspace);
 }
 
 void loewner_workspace_free(loewner_workspace *workspace)
@@ -393,17 +386,42 @@ void loewner_workspace_free(loewner_workspace *workspace)
     free(workspace);
 }
 
+size_t divide(void *block, const Part *parts, size_t count)
+{
+    size_t at = 0;
+    for (size_t k = 0; k < count; k++) {
+        if (block != NULL)
+            *parts[k].field = (char *)block + at;
+        at += in_lines(parts[k].size + CACHE_LINE);
+    }
+    return at;
+}
+
+loewner_status reserve(loewner_workspace *workspace, size_t size)
+{
+    workspace->serial = 0;
+    if (workspace->size >= size)
+        return LOEWNER_OK;
+    free(workspace->block);
+    workspace->size = 0;
+    workspace->block = aligned_alloc(CACHE_LINE, in_lines(size));
+    if (workspace->block == NULL)
+        return no_memory();
+    workspace->size = in_lines(size);
+    return LOEWNER_OK;
+}
+
 static loewner_status bind(const loewner_checker *checker, loewner_workspace *workspace)
 {
     const State *state = &checker->state;
     const Half *half = half_of(checker, CUT);
-    size_t dof = (size_t)checker->file->dof, pairs = (size_t)state->pairs,
-           bodies = (size_t)(state->moving + state->standing);
-    size_t memory = 0;
+    size_t dof = (size_t)checker->file->dof, pairs = (size_t)state->pairs;
+    size_t bodies = (size_t)(state->moving + state->standing);
+    int64_t memory = 0;
     for (int k = 0; k < CUTTINGS; k++)
-        memory = (size_t)state->halves[k].memory > memory ? (size_t)state->halves[k].memory : memory;
-    const struct { void **field; size_t size; } parts[] = {
-        {(void **)&workspace->memory, memory},
+        memory = state->halves[k].memory > memory ? state->halves[k].memory : memory;
+    const Part parts[] = {
+        {(void **)&workspace->memory, (size_t)memory},
         {(void **)&workspace->validator, (size_t)half->memory},
         {(void **)&workspace->order, 8 * pairs},
         {(void **)&workspace->hits, 8 * pairs},
@@ -422,23 +440,9 @@ static loewner_status bind(const loewner_checker *checker, loewner_workspace *wo
         {(void **)&workspace->pair_verdicts, pairs},
         {(void **)&workspace->found, MOTIONS_AT_ONCE},
     };
-    size_t total = 0, count = sizeof parts / sizeof *parts;
-    for (size_t k = 0; k < count; k++)
-        total += (parts[k].size + 2 * CACHE_LINE - 1) / CACHE_LINE * CACHE_LINE;
-    if (workspace->size < total) {
-        workspace->serial = 0;
-        free(workspace->block);
-        workspace->size = 0;
-        workspace->block = aligned_alloc(CACHE_LINE, total);
-        if (workspace->block == NULL)
-            return no_memory();
-        workspace->size = total;
-    }
-    char *at = workspace->block;
-    for (size_t k = 0; k < count; k++) {
-        *parts[k].field = at;
-        at += (parts[k].size + 2 * CACHE_LINE - 1) / CACHE_LINE * CACHE_LINE;
-    }
+    size_t count = sizeof parts / sizeof *parts;
+    TRY(reserve(workspace, divide(NULL, parts, count)));
+    divide(workspace->block, parts, count);
     /* Each workspace has its own order of pairs, because it learns which pairs collide most often. */
     memcpy(&workspace->tables, (const void *)state->halves[WHOLE].handle, sizeof workspace->tables);
     memcpy(workspace->order, state->order, 8 * pairs);
@@ -454,8 +458,7 @@ static loewner_status bind(const loewner_checker *checker, loewner_workspace *wo
 /* Apply changes of the scene, in one of the threads that query it. */
 static loewner_status settle_scene(const loewner_checker *checker)
 {
-    if (checker == NULL)
-        return fail(LOEWNER_BAD_ARGUMENT, "checker: expected a pointer, found NULL");
+    TRY(expect_pointer(checker, 1, "checker"));
     if (!atomic_load_explicit(&checker->is_stale, memory_order_acquire))
         return LOEWNER_OK;
     loewner_checker *its = (loewner_checker *)checker;
@@ -467,8 +470,7 @@ static loewner_status settle_scene(const loewner_checker *checker)
 
 loewner_status take_workspace(loewner_workspace *workspace, loewner_workspace **held)
 {
-    if (workspace == NULL)
-        return fail(LOEWNER_BAD_ARGUMENT, "workspace: expected a pointer, found NULL");
+    TRY(expect_pointer(workspace, 1, "workspace"));
     if (atomic_flag_test_and_set_explicit(&workspace->is_used, memory_order_acquire))
         return fail(LOEWNER_BAD_ARGUMENT,
                     "workspace: expected one for each thread, found one that another thread uses now");
@@ -479,6 +481,7 @@ loewner_status take_workspace(loewner_workspace *workspace, loewner_workspace **
 loewner_status prepare(const loewner_checker *checker, loewner_workspace *workspace)
 {
     TRY(settle_scene(checker));
+    workspace->checker = checker;
     return workspace->serial == checker->serial ? LOEWNER_OK : bind(checker, workspace);
 }
 
@@ -496,6 +499,29 @@ loewner_status prepare_exact(const loewner_checker *checker, loewner_workspace *
 
 /* -- checkers ------------------------------------------------------------------------------------------------------ */
 
+/* Open the file of a checker, and list its bodies. */
+static loewner_status load(loewner_checker *checker, const char *path)
+{
+    TRY(open_file(path, &checker->file));
+    File *file = checker->file;
+    if (file->moving == 0 || file->dof == 0)
+        return fail(LOEWNER_BAD_FILE, "%.300s: expected a robot that CollisionChecker.save wrote, found bodies only",
+                    path);
+    if (check_poses(file->poses, (size_t)(file->bodies - file->moving), "poses") != LOEWNER_OK)
+        return fail(LOEWNER_BAD_FILE, "%.300s: the file is damaged: poses", path);
+    TRY(allocate(&checker->bodies, (size_t)file->bodies * sizeof(Body)));
+    checker->body_count = (int32_t)file->bodies;
+    for (int32_t b = 0; b < checker->body_count; b++) {
+        Body *body = checker->bodies + b;
+        *body = (Body){.name = (char *)file->names[b], .file = file, .which = b, .link = -1, .is_present = 1};
+        if (b < file->moving)
+            body->link = file->link[b];
+        else
+            memcpy(body->pose, file->poses + 16 * (b - file->moving), sizeof body->pose);
+    }
+    return renew(checker);
+}
+
 loewner_status loewner_checker_open(const char *path, loewner_checker **checker)
 {
     if (path == NULL || checker == NULL)
@@ -503,33 +529,11 @@ loewner_status loewner_checker_open(const char *path, loewner_checker **checker)
     *checker = NULL;
     if (kernels() == NULL)
         return LOEWNER_NO_KERNELS;
-    File *file;
-    TRY(open_file(path, &file));
-    loewner_checker *made = calloc(1, sizeof *made);
-    Body *bodies = calloc((size_t)file->bodies + 1, sizeof *bodies);
-    int is_robot = file->moving > 0 && file->dof > 0;
-    if (made == NULL || bodies == NULL || !is_robot) {
-        free(made);
-        free(bodies);
-        leave_file(file);
-        return is_robot ? no_memory()
-                        : fail(LOEWNER_BAD_FILE,
-                               "%.300s: expected a robot that CollisionChecker.save wrote, found bodies only", path);
-    }
-    *made = (loewner_checker){.file = file, .bodies = bodies, .body_count = (int32_t)file->bodies, .is_stale = 2};
+    loewner_checker *made;
+    TRY(allocate(&made, sizeof *made));
     pthread_mutex_init(&made->lock, NULL);
-    for (int32_t b = 0; b < made->body_count; b++) {
-        bodies[b] = (Body){.name = (char *)file->names[b], .file = file, .which = b, .link = -1, .is_present = 1};
-        if (b < file->moving)
-            bodies[b].link = file->link[b];
-        else
-            memcpy(bodies[b].pose, file->poses + 16 * (b - file->moving), sizeof bodies[b].pose);
-    }
-    loewner_status outcome;
-    if (check_poses(file->poses, (size_t)(file->bodies - file->moving), "poses") != LOEWNER_OK)
-        outcome = fail(LOEWNER_BAD_FILE, "%.300s: the file is damaged: poses", path);
-    else
-        outcome = renew(made);
+    atomic_init(&made->is_stale, 2);
+    loewner_status outcome = load(made, path);
     if (outcome == LOEWNER_OK)
         *checker = made;
     else
@@ -577,13 +581,18 @@ int64_t loewner_checker_pair_count(const loewner_checker *checker)
     return settle_scene(checker) == LOEWNER_OK ? checker->state.pairs : 0;
 }
 
+void write_bodies(const State *state, int64_t pair, int32_t bodies[2])
+{
+    for (int side = 0; side < 2; side++)
+        bodies[side] = pair < 0 ? -1 : state->body[state->pair_list[2 * pair + side]];
+}
+
 loewner_status loewner_checker_pair(const loewner_checker *checker, int64_t pair, int32_t bodies[2])
 {
     TRY(settle_scene(checker));
     if (bodies == NULL || pair < 0 || pair >= checker->state.pairs)
         return fail(LOEWNER_BAD_ARGUMENT, "pair: expected a number below %lld", (long long)checker->state.pairs);
-    for (int k = 0; k < 2; k++)
-        bodies[k] = checker->state.body[checker->state.pair_list[2 * pair + k]];
+    write_bodies(&checker->state, pair, bodies);
     return LOEWNER_OK;
 }
 
@@ -640,8 +649,7 @@ static void spoil(loewner_checker *checker, int how)
 
 static loewner_status expect_body(const loewner_checker *checker, int32_t body)
 {
-    if (checker == NULL)
-        return fail(LOEWNER_BAD_ARGUMENT, "checker: expected a pointer, found NULL");
+    TRY(expect_pointer(checker, 1, "checker"));
     if (body < 0 || body >= checker->body_count)
         return fail(LOEWNER_BAD_ARGUMENT, "body: expected a number below %d, found %d", checker->body_count, body);
     return LOEWNER_OK;
@@ -678,17 +686,11 @@ loewner_status loewner_checker_add(loewner_checker *checker, const char *name, c
     if (loewner_checker_find_body(checker, name) >= 0 || loewner_checker_find_link(checker, name) >= 0)
         return fail(LOEWNER_BAD_ARGUMENT, "name: expected a new one, found %.200s, which there is already", name);
     TRY(check_poses(pose, 1, "pose"));
-    Body *more = realloc(checker->bodies, sizeof *more * ((size_t)checker->body_count + 1));
-    if (more == NULL)
-        return no_memory();
-    checker->bodies = more;
-    size_t length = strlen(name) + 1;
-    char *copy = malloc(length);
-    if (copy == NULL)
-        return no_memory();
-    memcpy(copy, name, length);
+    TRY(enlarge(&checker->bodies, sizeof(Body) * ((size_t)checker->body_count + 1)));
     Body *made = checker->bodies + checker->body_count;
-    *made = (Body){.name = copy, .file = bodies->file, .which = which, .link = -1, .is_present = 1};
+    *made = (Body){.name = strdup(name), .file = bodies->file, .which = which, .link = -1, .is_present = 1};
+    if (made->name == NULL)
+        return no_memory();
     memcpy(made->pose, pose, sizeof made->pose);
     atomic_fetch_add(&bodies->file->users, 1);
     if (body != NULL)
@@ -723,9 +725,8 @@ loewner_status loewner_checker_attach(loewner_checker *checker, int32_t body, in
             return fail(LOEWNER_BAD_ARGUMENT, "link, touch_links: expected numbers below %d, found %d",
                         (int)checker->file->links, named);
     }
-    int32_t *touch = malloc(sizeof *touch * (touch_count + 1));
-    if (touch == NULL)
-        return no_memory();
+    int32_t *touch;
+    TRY(allocate(&touch, sizeof *touch * (touch_count + 1)));
     if (touch_count > 0)
         memcpy(touch, touch_links, sizeof *touch * touch_count);
     free(its->touch);
@@ -764,12 +765,9 @@ static loewner_status its_rule(loewner_checker *checker, int32_t a, int32_t b, R
     int32_t low = a < b ? a : b, high = a < b ? b : a;
     int64_t known = row_of((const int64_t *)checker->rules, (int64_t)checker->rule_count, sizeof(Rule) / 8, low, high);
     if (known < 0) {
-        Rule *more = realloc(checker->rules, sizeof *more * (checker->rule_count + 1));
-        if (more == NULL)
-            return no_memory();
-        checker->rules = more;
+        TRY(enlarge(&checker->rules, sizeof(Rule) * (checker->rule_count + 1)));
         known = (int64_t)checker->rule_count++;
-        more[known] = (Rule){.a = low, .b = high, .touch = -1, .margin = -1};
+        checker->rules[known] = (Rule){.a = low, .b = high, .touch = -1, .margin = -1};
     }
     *rule = checker->rules + known;
     spoil(checker, 2);
