@@ -9,16 +9,13 @@
 /* -- Configurations ------------------------------------------------------------------------------------------------ */
 
 typedef struct {
-    PyObject_HEAD
-    PyObject *held; /* Owners of the memory of the other fields. */
+    Holder holder;
     Function check_configurations, check_motion;
-    int64_t pack, problem, memory, width, piece_pairs;
+    long long pack, problem, memory, piece_pairs;
+    int64_t width;
     const double *least, *most; /* Values within these limits cause no warning; `Watch` may widen the limits. */
     Array1 hits;
 } Configurations;
-
-/* With more than MANY pairs of pieces, other threads may run during a call. */
-#define MANY 64
 
 /* Return the entries of a configuration if it is of the usual kind and causes neither an error nor a warning; otherwise
    NULL. */
@@ -54,19 +51,13 @@ static int verdict_of(const Configurations *self, int mode, PyObject *given)
 /* collide(q): a bool, or None. */
 static PyObject *configurations_collide(Configurations *self, PyObject *q)
 {
-    int verdict = verdict_of(self, CODE_EXACT, q);
-    if (verdict < 0)
-        Py_RETURN_NONE;
-    return PyBool_FromLong(verdict == CODE_COLLIDING);
+    return answer_of(CODE_EXACT, verdict_of(self, CODE_EXACT, q));
 }
 
 /* classify(q): the number of a verdict, or None. */
 static PyObject *configurations_classify(Configurations *self, PyObject *q)
 {
-    int verdict = verdict_of(self, CODE_CERTIFY, q);
-    if (verdict < 0)
-        Py_RETURN_NONE;
-    return PyLong_FromLong(verdict);
+    return answer_of(CODE_CERTIFY, verdict_of(self, CODE_CERTIFY, q));
 }
 
 /* -- motions ------------------------------------------------------------------------------------------------------- */
@@ -176,43 +167,34 @@ static PyObject *configurations_motion(Configurations *self, PyObject *const *gi
 
 static PyObject *configurations_new(PyTypeObject *type, PyObject *arguments, PyObject *names)
 {
-    PyObject *check, *motion, *range, *hits, *held;
-    long long pack, problem, memory, piece_pairs;
+    PyObject *check, *motion, *held;
+    PyArrayObject *range, *hits;
     static char *known[] = {
         "check_configurations", "check_motion", "pack", "problem", "memory", "piece_pairs", "range", "hits", "held", NULL,
     };
-    if (!PyArg_ParseTupleAndKeywords(arguments, names, "OOLLLLO!O!O", known, &check, &motion, &pack, &problem, &memory,
-                                     &piece_pairs, &PyArray_Type, &range, &PyArray_Type, &hits, &held) ||
-        !is_kernel(check, CHECK_CONFIGURATIONS_WORDS) || !is_kernel(motion, CHECK_MOTION_WORDS))
-        return NULL;
-    if (!is_plain(range, 2) || PyArray_DIM((PyArrayObject *)range, 0) != 2 || PyArray_NDIM((PyArrayObject *)hits) != 1 ||
-        PyArray_TYPE((PyArrayObject *)hits) != NPY_INT64 || !PyArray_ISCARRAY((PyArrayObject *)hits)) {
-        PyErr_SetString(PyExc_TypeError, "expected a range of shape (2, dof) of float64, and hits of int64");
+    Configurations *made = new_object(type);
+    if (made == NULL ||
+        !PyArg_ParseTupleAndKeywords(arguments, names, "OOLLLLO!O!O", known, &check, &motion, &made->pack,
+                                     &made->problem, &made->memory, &made->piece_pairs, &PyArray_Type, &range,
+                                     &PyArray_Type, &hits, &held)) {
+        Py_XDECREF(made);
         return NULL;
     }
-    Configurations *made = new_object(type);
-    if (made == NULL)
-        return NULL;
-    made->held = PyTuple_Pack(5, check, motion, range, hits, held);
-    made->check_configurations = kernel_of(check)->function;
-    made->check_motion = kernel_of(motion)->function;
-    made->pack = pack;
-    made->problem = problem;
-    made->memory = memory;
-    made->piece_pairs = piece_pairs;
-    made->width = PyArray_DIM((PyArrayObject *)range, 1);
-    made->least = PyArray_DATA((PyArrayObject *)range);
-    made->most = made->least + made->width;
-    made->hits = (Array1){PyArray_DATA((PyArrayObject *)hits), PyArray_DIM((PyArrayObject *)hits, 0)};
-    if (made->held == NULL)
+    made->check_configurations = function_of(check, CHECK_CONFIGURATIONS_WORDS);
+    made->check_motion = function_of(motion, CHECK_MOTION_WORDS);
+    if (!is_plain((PyObject *)range, 2) || PyArray_DIM(range, 0) != 2 || PyArray_NDIM(hits) != 1 ||
+        PyArray_TYPE(hits) != NPY_INT64 || !PyArray_ISCARRAY(hits))
+        PyErr_SetString(PyExc_TypeError, "expected a range of shape (2, dof) of float64, and hits of int64");
+    if (!PyErr_Occurred()) {
+        made->width = PyArray_DIM(range, 1);
+        made->least = PyArray_DATA(range);
+        made->most = made->least + made->width;
+        made->hits = (Array1){PyArray_DATA(hits), PyArray_DIM(hits, 0)};
+        made->holder.held = PyTuple_Pack(5, check, motion, range, hits, held);
+    }
+    if (made->holder.held == NULL)
         Py_CLEAR(made);
     return (PyObject *)made;
-}
-
-static void configurations_free(PyObject *self)
-{
-    Py_XDECREF(((Configurations *)self)->held);
-    free_object(self);
 }
 
 static PyMethodDef configurations_methods[] = {
@@ -222,23 +204,13 @@ static PyMethodDef configurations_methods[] = {
     {NULL, NULL, 0, NULL},
 };
 
-static PyType_Spec configurations_spec = {
-    .name = "loewner._native._call.Configurations",
-    .basicsize = sizeof(Configurations),
-    .flags = Py_TPFLAGS_DEFAULT,
-    .slots = (PyType_Slot[]){
-        {Py_tp_doc, "Queries of one configuration or motion; made by `singles.configurations`."},
-        {Py_tp_new, configurations_new},
-        {Py_tp_dealloc, configurations_free},
-        {Py_tp_methods, configurations_methods},
-        {0, NULL},
-    },
-};
-
 int add_configurations(PyObject *module)
 {
     PyObject *math = PyImport_ImportModule("math");
     dist = math != NULL ? PyObject_GetAttrString(math, "dist") : NULL;
     Py_XDECREF(math);
-    return dist == NULL || add_type(module, &configurations_spec) == NULL ? -1 : 0;
+    return dist == NULL ? -1
+                        : add_holder(module, "loewner._native._call.Configurations",
+                                     "Queries of one configuration or motion; made by `singles.configurations`.",
+                                     sizeof(Configurations), configurations_new, configurations_methods);
 }

@@ -14,10 +14,6 @@ static const double identity[16] = {1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0,
 
 /* -- bodies and poses ---------------------------------------------------------------------------------------------- */
 
-/* With more than MANY pairs of pieces, other threads may run during a call; with fewer pairs, letting them run would
- * cost too much. */
-#define MANY 64
-
 static PyObject *word_exact, *name_packed, *name_handle;
 
 /* One side of a query: a body and its pose. */
@@ -89,11 +85,10 @@ static int is_long(const Side *a, const Side *b)
 /* -- verdicts ------------------------------------------------------------------------------------------------------ */
 
 typedef struct {
-    PyObject_HEAD
-    PyObject *kernels; /* This tuple keeps the library alive. */
+    Holder holder;
     Function settle_range, distance_range, measure_left, first_fault;
     void (*release)(void *);
-    int64_t settle_memory, distance_memory; /* Numbers of bytes for `settle_range` and `distance_range`. */
+    long long settle_memory, distance_memory; /* Numbers of bytes for `settle_range` and `distance_range`. */
 } Pairs;
 
 /* Return the verdict for two bodies; -1 if Python has to take the long way. */
@@ -113,34 +108,33 @@ static int settled(const Pairs *self, int mode, double margin, const Side *a, co
     return mode == CODE_EXACT && (tally[CODE_OPEN] != 0 || verdict == CODE_AMBIGUOUS) ? -1 : verdict;
 }
 
+/* Answer a query about two bodies at poses, which are the arguments from the second one on. */
+static PyObject *answer(const Pairs *self, int mode, PyObject *const *given, PyObject *margin, PyObject *pairs)
+{
+    Side a, b;
+    double least;
+    if (pairs != Py_None || !take_margin(margin, &least))
+        Py_RETURN_NONE;
+    int verdict = take_sides(given[0], given + 1, &a, &b) ? settled(self, mode, least, &a, &b) : -1;
+    leave_sides(&a, &b);
+    return answer_of(mode, verdict);
+}
+
 /* collide(Body, a, T_world_a, b, T_world_b, method, margin, pairs): a bool, or None. */
 static PyObject *pairs_collide(Pairs *self, PyObject *const *given, Py_ssize_t count)
 {
-    Side a, b;
-    double margin;
-    if (count != 8 || given[7] != Py_None || !take_margin(given[6], &margin))
+    if (count != 8 || (given[5] != word_exact &&
+                       !(PyUnicode_CheckExact(given[5]) && PyUnicode_Compare(given[5], word_exact) == 0)))
         Py_RETURN_NONE;
-    if (given[5] != word_exact && !(PyUnicode_CheckExact(given[5]) && PyUnicode_Compare(given[5], word_exact) == 0))
-        Py_RETURN_NONE;
-    int verdict = take_sides(given[0], given + 1, &a, &b) ? settled(self, CODE_EXACT, margin, &a, &b) : -1;
-    leave_sides(&a, &b);
-    if (verdict < 0)
-        Py_RETURN_NONE;
-    return PyBool_FromLong(verdict == CODE_COLLIDING);
+    return answer(self, CODE_EXACT, given, given[6], given[7]);
 }
 
 /* classify(Body, a, T_world_a, b, T_world_b, margin, pairs): the number of a verdict, or None. */
 static PyObject *pairs_classify(Pairs *self, PyObject *const *given, Py_ssize_t count)
 {
-    Side a, b;
-    double margin;
-    if (count != 7 || given[6] != Py_None || !take_margin(given[5], &margin))
+    if (count != 7)
         Py_RETURN_NONE;
-    int verdict = take_sides(given[0], given + 1, &a, &b) ? settled(self, CODE_CERTIFY, margin, &a, &b) : -1;
-    leave_sides(&a, &b);
-    if (verdict < 0)
-        Py_RETURN_NONE;
-    return PyLong_FromLong(verdict);
+    return answer(self, CODE_CERTIFY, given, given[5], given[6]);
 }
 
 /* -- distances ----------------------------------------------------------------------------------------------------- */
@@ -259,35 +253,26 @@ static PyObject *pairs_distance(Pairs *self, PyObject *const *given, Py_ssize_t 
 static PyObject *pairs_new(PyTypeObject *type, PyObject *arguments, PyObject *names)
 {
     PyObject *settle, *distance, *left, *fault;
-    long long settle_memory, distance_memory;
     static char *known[] = {
         "settle_range", "distance_range", "measure_left", "first_fault", "settle_memory", "distance_memory", NULL,
     };
-    if (!PyArg_ParseTupleAndKeywords(arguments, names, "OOOOLL", known, &settle, &distance, &left, &fault,
-                                     &settle_memory, &distance_memory) ||
-        !is_kernel(settle, SETTLE_RANGE_WORDS) || !is_kernel(distance, DISTANCE_RANGE_WORDS) ||
-        !is_kernel(left, MEASURE_LEFT_WORDS) || !is_kernel(fault, FIRST_FAULT_WORDS))
-        return NULL;
     Pairs *made = new_object(type);
-    if (made == NULL)
+    if (made == NULL || !PyArg_ParseTupleAndKeywords(arguments, names, "OOOOLL", known, &settle, &distance, &left,
+                                                     &fault, &made->settle_memory, &made->distance_memory)) {
+        Py_XDECREF(made);
         return NULL;
-    made->kernels = PyTuple_Pack(4, settle, distance, left, fault);
-    made->settle_range = kernel_of(settle)->function;
-    made->distance_range = kernel_of(distance)->function;
-    made->measure_left = kernel_of(left)->function;
-    made->first_fault = kernel_of(fault)->function;
-    made->release = kernel_of(distance)->release;
-    made->settle_memory = settle_memory;
-    made->distance_memory = distance_memory;
-    if (made->kernels == NULL)
+    }
+    made->settle_range = function_of(settle, SETTLE_RANGE_WORDS);
+    made->distance_range = function_of(distance, DISTANCE_RANGE_WORDS);
+    made->measure_left = function_of(left, MEASURE_LEFT_WORDS);
+    made->first_fault = function_of(fault, FIRST_FAULT_WORDS);
+    if (!PyErr_Occurred()) {
+        made->release = kernel_of(distance)->release;
+        made->holder.held = PyTuple_Pack(4, settle, distance, left, fault);
+    }
+    if (made->holder.held == NULL)
         Py_CLEAR(made);
     return (PyObject *)made;
-}
-
-static void pairs_free(PyObject *self)
-{
-    Py_XDECREF(((Pairs *)self)->kernels);
-    free_object(self);
 }
 
 static PyMethodDef pairs_methods[] = {
@@ -295,19 +280,6 @@ static PyMethodDef pairs_methods[] = {
     FAST_METHOD("classify", pairs_classify, "classify(Body, a, T_world_a, b, T_world_b, margin, pairs)"),
     FAST_METHOD("distance", pairs_distance, "distance(Body, Distance, a, T_world_a, b, T_world_b, exact, pairs)"),
     {NULL, NULL, 0, NULL},
-};
-
-static PyType_Spec pairs_spec = {
-    .name = "loewner._native._call.Pairs",
-    .basicsize = sizeof(Pairs),
-    .flags = Py_TPFLAGS_DEFAULT,
-    .slots = (PyType_Slot[]){
-        {Py_tp_doc, "Queries of one pair of bodies; made by `singles.py`."},
-        {Py_tp_new, pairs_new},
-        {Py_tp_dealloc, pairs_free},
-        {Py_tp_methods, pairs_methods},
-        {0, NULL},
-    },
 };
 
 int add_pairs(PyObject *module)
@@ -319,5 +291,8 @@ int add_pairs(PyObject *module)
     new_of_object = (newfunc)PyType_GetSlot(&PyBaseObject_Type, Py_tp_new);
     for (int place = 0; place < NUMBERS + VECTORS; place++)
         field_names[place] = PyUnicode_InternFromString(field_texts[place]);
-    return PyErr_Occurred() || add_type(module, &pairs_spec) == NULL ? -1 : 0;
+    return PyErr_Occurred() ? -1
+                            : add_holder(module, "loewner._native._call.Pairs",
+                                         "Queries of one pair of bodies; made by `singles.py`.", sizeof(Pairs),
+                                         pairs_new, pairs_methods);
 }

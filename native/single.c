@@ -48,20 +48,42 @@ int32_t call_kernel(Function function, const void *arguments, void *results, int
     return code;
 }
 
-int is_kernel(PyObject *given, const char *takes, const char *gives)
+Function function_of(PyObject *given, const char *takes, const char *gives)
 {
     Word argument[MOST_WORDS] = {0}, result[MOST_WORDS] = {0};
     const Kernel *kernel = kernel_of(given);
     if (kernel == NULL) {
         PyErr_SetString(PyExc_TypeError, "expected kernels of the library");
-        return 0;
+        return NULL;
     }
     int arguments = read_words(takes, argument, MOST_WORDS), results = read_words(gives, result, MOST_WORDS);
     if (kernel->arguments == arguments && memcmp(kernel->argument, argument, arguments * sizeof(Word)) == 0 &&
         kernel->results == results && memcmp(kernel->result, result, results * sizeof(Word)) == 0)
-        return 1;
+        return kernel->function;
     PyErr_Format(PyExc_TypeError, "%U: expected arguments %s and results %s", kernel->name, takes, gives);
-    return 0;
+    return NULL;
+}
+
+PyObject *answer_of(int mode, int verdict)
+{
+    if (verdict < 0)
+        Py_RETURN_NONE;
+    return mode == CODE_EXACT ? PyBool_FromLong(verdict == CODE_COLLIDING) : PyLong_FromLong(verdict);
+}
+
+static void free_holder(PyObject *self)
+{
+    Py_XDECREF(((Holder *)self)->held);
+    free_object(self);
+}
+
+int add_holder(PyObject *module, const char *name, const char *text, size_t size, newfunc make, PyMethodDef *methods)
+{
+    PyType_Slot slots[] = {
+        {Py_tp_doc, (void *)text}, {Py_tp_new, make}, {Py_tp_dealloc, free_holder}, {Py_tp_methods, methods}, {0, NULL},
+    };
+    PyType_Spec spec = {.name = name, .basicsize = (int)size, .flags = Py_TPFLAGS_DEFAULT, .slots = slots};
+    return add_type(module, &spec) != NULL ? 0 : -1;
 }
 
 int is_plain(PyObject *given, int axes)

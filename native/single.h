@@ -21,8 +21,25 @@ void *thread_memory(size_t size);
    ran out. */
 int32_t call_kernel(Function function, const void *arguments, void *results, int is_long);
 
-/* Return whether an object is a kernel with this signature; if not, set an exception. */
-int is_kernel(PyObject *given, const char *takes, const char *gives);
+/* With more than MANY pairs of pieces, other threads may run during a call; with fewer pairs, letting them run would
+   cost too much. */
+#define MANY 64
+
+/* Return the function of a kernel with this signature; NULL, with an exception, for any other object. */
+Function function_of(PyObject *given, const char *takes, const char *gives);
+
+/* Return the answer of a query: a bool in the mode EXACT, otherwise the number of the verdict; None for -1. */
+PyObject *answer_of(int mode, int verdict);
+
+/* The beginning of an object for queries. `held` keeps alive whatever the other fields refer to. */
+typedef struct {
+    PyObject_HEAD
+    PyObject *held;
+} Holder;
+
+/* Make a type of such objects, whose size is `size` bytes, and add the type to a module; return 0, or -1 with an
+   exception. */
+int add_holder(PyObject *module, const char *name, const char *text, size_t size, newfunc make, PyMethodDef *methods);
 
 /* Return whether an array is exactly of NumPy's class, and holds float64 in the layout that kernels take. */
 int is_plain(PyObject *given, int axes);

@@ -20,10 +20,10 @@
 
 #define MOST ((int64_t)1 << 40) /* MOST limits all counts, so that products of a few counts stay far below overflow. */
 
+/* The counts in the header of a file. */
 typedef struct {
-    uint64_t format, size, checksum;
-    int64_t arrays, dof, links, moving, standing, has_cut, surfaces;
-} Header;
+    int64_t arrays, dof, links, moving, standing, has_cut, surfaces, unused;
+} Counts;
 
 typedef struct {
     int64_t type, rows, columns;
@@ -84,36 +84,31 @@ static loewner_status map(File *file, const char *path)
     return outcome;
 }
 
-static loewner_status read_header(const File *file, const char *path, Header *header)
+static loewner_status read_header(const File *file, const char *path, Counts *counts)
 {
     const char *content = file->map;
-    uint64_t numbers[8];
+    struct { uint64_t format, size, checksum; } header;
+    uint64_t numbers[sizeof *counts / sizeof(uint64_t)];
     if (memcmp(content, MAGIC, 8) != 0)
         return fail(LOEWNER_BAD_FILE, "%.300s: expected a file that loewner saved, found another", path);
-    memcpy(&header->format, content + 8, 24);
+    memcpy(&header, content + 8, sizeof header);
     memcpy(numbers, content + 32 + SOURCES_LENGTH, sizeof numbers);
-    if (header->format != FILE_FORMAT || memcmp(content + 32, SOURCES, SOURCES_LENGTH) != 0)
+    if (header.format != FILE_FORMAT || memcmp(content + 32, SOURCES, SOURCES_LENGTH) != 0)
         return fail(LOEWNER_OTHER_VERSION,
                     "%.300s: expected a file of format %d for kernels %.8s, found one of format %llu for kernels %.8s; "
                     "save it again with the loewner that this library belongs to",
-                    path, FILE_FORMAT, SOURCES, (unsigned long long)header->format, content + 32);
-    EXPECT(header->size == file->size && file->size % CACHE_LINE == 0, "its size is not the one in its header");
-    EXPECT(header->checksum == checksum(content + BEHIND_CHECKSUM, file->size - BEHIND_CHECKSUM),
+                    path, FILE_FORMAT, SOURCES, (unsigned long long)header.format, content + 32);
+    EXPECT(header.size == file->size && file->size % CACHE_LINE == 0, "its size is not the one in its header");
+    EXPECT(header.checksum == checksum(content + BEHIND_CHECKSUM, file->size - BEHIND_CHECKSUM),
            "its checksum differs");
-    for (int k = 0; k < 8; k++)
+    for (size_t k = 0; k < sizeof numbers / sizeof *numbers; k++)
         EXPECT(numbers[k] < (uint64_t)MOST, "a count in its header");
-    header->arrays = (int64_t)numbers[0];
-    header->dof = (int64_t)numbers[1];
-    header->links = (int64_t)numbers[2];
-    header->moving = (int64_t)numbers[3];
-    header->standing = (int64_t)numbers[4];
-    header->has_cut = (int64_t)numbers[5];
-    header->surfaces = (int64_t)numbers[6];
-    EXPECT((header->has_cut == 0 || header->has_cut == CUTTINGS - 1) &&
-               header->arrays == FILE_PACKS + PACK_ARRAYS * (1 + header->has_cut) + SURFACE_ARRAYS * header->surfaces,
+    memcpy(counts, numbers, sizeof *counts);
+    EXPECT((counts->has_cut == 0 || counts->has_cut == CUTTINGS - 1) &&
+               counts->arrays == FILE_PACKS + PACK_ARRAYS * (1 + counts->has_cut) + SURFACE_ARRAYS * counts->surfaces,
            "the number of its arrays");
-    EXPECT(header->arrays <= (int64_t)(file->size / 32), "the number of its arrays");
-    EXPECT(FILE_HEADER + 32 * header->arrays <= (int64_t)file->size, "its directory");
+    EXPECT(counts->arrays <= (int64_t)(file->size / 32), "the number of its arrays");
+    EXPECT(FILE_HEADER + 32 * counts->arrays <= (int64_t)file->size, "its directory");
     return LOEWNER_OK;
 }
 
@@ -391,10 +386,10 @@ static loewner_status link_surfaces(File *file, Cutting cutting)
 
 static const int64_t widths[] = {0, 1, 1, 3, 7, 4}; /* Number of values of a joint, by its kind in `columns.py`. */
 
-static loewner_status take_robot(File *file, const Header *header)
+static loewner_status take_robot(File *file)
 {
     Tree *tree = &file->tree;
-    int64_t links = header->links, dof = header->dof, moving = header->moving, bodies = moving + header->standing;
+    int64_t links = file->links, dof = file->dof, moving = file->moving, bodies = file->bodies;
     TRY(take(file, FILE_PARENT, INTEGERS, links, 1, "parent", &tree->parent, NULL));
     TRY(take(file, FILE_KIND, INTEGERS, links, 1, "kind", &tree->kind, NULL));
     TRY(take(file, FILE_COLUMN, INTEGERS, links, 1, "column", &tree->column, NULL));
@@ -408,7 +403,7 @@ static loewner_status take_robot(File *file, const Header *header)
     TRY(take(file, FILE_PAIRS, INTEGERS, -1, 2, "pairs", &file->pair_list, &file->pairs));
     TRY(take(file, FILE_MARGINS, DOUBLES, file->pairs, 1, "margins", &file->margins, NULL));
     TRY(take(file, FILE_ORDER, INTEGERS, file->pairs, 1, "order", &file->order, NULL));
-    TRY(take(file, FILE_POSES, DOUBLES, header->standing, 16, "poses", &file->poses, NULL));
+    TRY(take(file, FILE_POSES, DOUBLES, bodies - moving, 16, "poses", &file->poses, NULL));
     TRY(take(file, FILE_OWN, DOUBLES, bodies, 1, "own", &file->own, NULL));
     TRY(take(file, FILE_LOWERED, INTEGERS, bodies, 1, "lowered", &file->lowered, NULL));
     TRY(take(file, FILE_RULES, INTEGERS, -1, 3, "rules", &file->rules, &file->rule_count));
@@ -463,30 +458,33 @@ static loewner_status take_names(File *file, int64_t count)
     return LOEWNER_OK;
 }
 
-static loewner_status take_all(File *file, const Header *header)
+static loewner_status read_file(File *file, const char *path)
 {
-    int64_t bodies = header->moving + header->standing, margins, at = FILE_PACKS;
+    Counts counts;
+    int64_t margins, at = FILE_PACKS;
     const double *margin;
-    file->dof = header->dof;
-    file->links = header->links;
-    file->moving = header->moving;
-    file->bodies = bodies;
-    file->has_cut = (int)header->has_cut;
-    EXPECT(bodies <= INT32_MAX && header->links <= INT32_MAX && header->dof <= INT32_MAX, "a count in its header");
-    TRY(take_names(file, bodies + header->links + header->dof));
+    TRY(map(file, path));
+    TRY(read_header(file, path, &counts));
+    file->dof = counts.dof;
+    file->links = counts.links;
+    file->moving = counts.moving;
+    file->bodies = counts.moving + counts.standing;
+    file->has_cut = (int)counts.has_cut;
+    EXPECT(file->bodies <= INT32_MAX && file->links <= INT32_MAX && file->dof <= INT32_MAX, "a count in its header");
+    TRY(take_names(file, file->bodies + file->links + file->dof));
     TRY(take(file, FILE_MARGIN, DOUBLES, -1, 1, "margin", &margin, &margins));
     EXPECT(margins <= 1, "margin");
     file->margin = margins == 1 ? *margin : 0;
     EXPECT(file->margin >= 0 && file->margin <= 1e30, "margin");
-    if (header->links > 0)
-        TRY(take_robot(file, header));
+    if (file->links > 0)
+        TRY(take_robot(file));
     else
-        EXPECT(header->dof == 0 && header->moving == 0, "a robot without links");
+        EXPECT(file->dof == 0 && file->moving == 0, "a robot without links");
     for (int k = 0; k <= file->has_cut; k++, at += PACK_ARRAYS)
-        TRY(take_pack(file, at, header->surfaces, file->packs + k));
-    if (header->surfaces > 0) {
-        TRY(allocate(&file->surfaces, sizeof(Surface) * (size_t)header->surfaces));
-        for (int64_t k = 0; k < header->surfaces; k++, at += SURFACE_ARRAYS)
+        TRY(take_pack(file, at, counts.surfaces, file->packs + k));
+    if (counts.surfaces > 0) {
+        TRY(allocate(&file->surfaces, sizeof(Surface) * (size_t)counts.surfaces));
+        for (int64_t k = 0; k < counts.surfaces; k++, at += SURFACE_ARRAYS)
             TRY(take_surface(file, at, file->surfaces + k));
     }
     for (int k = 0; k < CUTTINGS; k++)
@@ -498,16 +496,11 @@ static loewner_status take_all(File *file, const Header *header)
 
 loewner_status open_file(const char *path, File **made)
 {
-    Header header;
     File *file;
     TRY(allocate(&file, sizeof *file));
     atomic_init(&file->users, 1);
     opened_path = path;
-    loewner_status outcome = map(file, path);
-    if (outcome == LOEWNER_OK)
-        outcome = read_header(file, path, &header);
-    if (outcome == LOEWNER_OK)
-        outcome = take_all(file, &header);
+    loewner_status outcome = read_file(file, path);
     if (outcome == LOEWNER_OK)
         *made = file;
     else
@@ -537,24 +530,15 @@ loewner_status loewner_bodies_open(const char *path, loewner_bodies **bodies)
     *bodies = NULL;
     if (kernels() == NULL)
         return LOEWNER_NO_KERNELS;
-    loewner_bodies *made;
-    TRY(allocate(&made, sizeof *made));
-    loewner_status outcome = open_file(path, &made->file);
-    if (outcome == LOEWNER_OK)
-        *bodies = made;
-    else
-        free(made);
-    return outcome;
+    return open_file(path, bodies);
 }
 
 void loewner_bodies_close(loewner_bodies *bodies)
 {
-    if (bodies != NULL)
-        leave_file(bodies->file);
-    free(bodies);
+    leave_file(bodies);
 }
 
 int64_t loewner_bodies_count(const loewner_bodies *bodies)
 {
-    return bodies == NULL ? 0 : bodies->file->bodies;
+    return bodies == NULL ? 0 : bodies->bodies;
 }

@@ -145,6 +145,16 @@ static loewner_status look(loewner_gate *gate)
     return LOEWNER_OK;
 }
 
+/* Make what a gate consists of, except for the memory of the gate itself. */
+static loewner_status set_up(loewner_gate *gate, const loewner_gate_options *options)
+{
+    TRY(make_room(gate));
+    TRY(take_options(gate, options));
+    TRY(loewner_workspace_new(&gate->workspace));
+    TRY(prepare(gate->checker, gate->workspace));
+    return look(gate);
+}
+
 loewner_status loewner_gate_new(const loewner_checker *checker, const loewner_gate_options *options,
                                 size_t most_targets, loewner_gate **gate)
 {
@@ -162,15 +172,7 @@ loewner_status loewner_gate_new(const loewner_checker *checker, const loewner_ga
     made->most = (int64_t)most_targets;
     made->pieces = 3 * made->dof + 1 > made->most + 6 ? 3 * made->dof + 1 : made->most + 6;
     made->now = -INFINITY;
-    loewner_status outcome = make_room(made);
-    if (outcome == LOEWNER_OK)
-        outcome = take_options(made, options);
-    if (outcome == LOEWNER_OK)
-        outcome = loewner_workspace_new(&made->workspace);
-    if (outcome == LOEWNER_OK)
-        outcome = prepare(checker, made->workspace);
-    if (outcome == LOEWNER_OK)
-        outcome = look(made);
+    loewner_status outcome = set_up(made, options);
     if (outcome == LOEWNER_OK)
         *gate = made;
     else
@@ -197,7 +199,7 @@ static int is_within(const Known *seen, const Known *allowed, double now)
 {
     const loewner_bounds *its = &seen->bounds, *old = &allowed->bounds;
     double away = 0, turned = 0, far = 0;
-    if (memcmp(seen->pose, allowed->pose, sizeof seen->pose) == 0 && memcmp(its, old, sizeof *its) == 0)
+    if (memcmp(seen, allowed, sizeof *seen) == 0)
         return 1;
     if (fmax(its->since, old->since) > now || its->speed > old->speed || its->turn > old->turn)
         return 0;
@@ -217,11 +219,7 @@ static int is_within(const Known *seen, const Known *allowed, double now)
 /* Return whether the poses that bodies may have are the same as in the world of the last chunk. */
 static int is_same_world(const loewner_gate *gate)
 {
-    for (size_t k = 0; k < gate->known; k++)
-        if (memcmp(gate->seen[k].pose, gate->allowed[k].pose, sizeof gate->seen->pose) != 0 ||
-            memcmp(&gate->seen[k].bounds, &gate->allowed[k].bounds, sizeof gate->seen->bounds) != 0)
-            return 0;
-    return 1;
+    return gate->known == 0 || memcmp(gate->seen, gate->allowed, gate->known * sizeof *gate->seen) == 0;
 }
 
 static Stop later(Stop stop, int64_t tick)

@@ -119,7 +119,8 @@ enum { SURFACE_ARRAYS = sizeof(Surface) / sizeof(Array2) };
    parts (OPEN_CUT). */
 typedef enum { WHOLE, CUT, OPEN_CUT, CUTTINGS } Cutting;
 
-typedef struct {
+/* A mapped file. The bodies that a program opens are such a file; the files of checkers also describe a robot. */
+typedef struct loewner_bodies {
     atomic_int users;
     void *map;
     size_t size;
@@ -148,10 +149,6 @@ enum { JOINT_SINGLE = 1, JOINT_NO_LOWER = 2, JOINT_NO_UPPER = 4, JOINT_TURNING =
 
 loewner_status open_file(const char *path, File **file);
 void leave_file(File *file);
-
-struct loewner_bodies {
-    File *file;
-};
 
 /* -- checkers ------------------------------------------------------------------------------------------------------ */
 
@@ -249,6 +246,11 @@ static inline void leave_workspace(loewner_workspace **held)
 #define HOLD(workspace)                                                                                                \
     loewner_workspace *held __attribute__((cleanup(leave_workspace))) = NULL;                                          \
     TRY(take_workspace(workspace, &held))
+
+/* Reserve a workspace, and prepare it by `prepare` or `prepare_exact`. */
+#define HOLD_PREPARED(checker, workspace, prepare)                                                                     \
+    HOLD(workspace);                                                                                                   \
+    TRY(prepare(checker, workspace))
 
 /* Numbers of configurations and motions that are handled together. */
 enum { CHUNK = 4096, MOTIONS_AT_ONCE = 64 };

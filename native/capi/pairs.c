@@ -29,7 +29,7 @@ static loewner_status view(const loewner_side *side, size_t first, size_t n, con
     if (side == NULL || side->bodies == NULL)
         return fail(LOEWNER_BAD_ARGUMENT, "%s: expected bodies, found NULL", name);
     TRY(check_count(n, 1, name));
-    int64_t bodies = side->bodies->file->bodies, all = side->body == -1, which = all ? (int64_t)first : side->body;
+    int64_t bodies = side->bodies->bodies, all = side->body == -1, which = all ? (int64_t)first : side->body;
     size_t last = first + n;
     if (side->body < -1 || side->body >= bodies || (all && (int64_t)last > bodies))
         return fail(LOEWNER_BAD_ARGUMENT, "%s: expected bodies below number %lld, found others", name,
@@ -38,7 +38,7 @@ static loewner_status view(const loewner_side *side, size_t first, size_t n, con
         return fail(LOEWNER_BAD_ARGUMENT, "%s: expected one pose or as many as pairs, found %zu", name,
                     side->pose_count);
     struct pieces *pack = &made->pieces;
-    *pack = side->bodies->file->packs[WHOLE];
+    *pack = side->bodies->packs[WHOLE];
     pack->piece_start = some_rows(pack->piece_start, 8, which, all ? (int64_t)n + 1 : 2);
     pack->roots = some_rows(pack->roots, 8, which, all ? (int64_t)n : 1);
     const int64_t *start = pack->piece_start.data, *root = pack->roots.data;

@@ -291,8 +291,7 @@ loewner_status loewner_checker_plan(const loewner_checker *checker, loewner_work
 {
     static const loewner_plan_options usual;
     options = options == NULL ? &usual : options;
-    HOLD(workspace);
-    TRY(prepare_exact(checker, workspace));
+    HOLD_PREPARED(checker, workspace, prepare_exact);
     if (path == NULL || count == NULL || goal_count == 0)
         return fail(
             LOEWNER_BAD_ARGUMENT,
@@ -320,8 +319,7 @@ loewner_status loewner_checker_shorten(const loewner_checker *checker, loewner_w
 {
     static const loewner_plan_options usual;
     options = options == NULL ? &usual : options;
-    HOLD(workspace);
-    TRY(prepare_exact(checker, workspace));
+    HOLD_PREPARED(checker, workspace, prepare_exact);
     if (shorter == NULL || count == NULL || n < 2)
         return fail(LOEWNER_BAD_ARGUMENT, "expected two or more configurations and places for the path, found fewer");
     TRY(check_configurations(checker, path, n, "path"));

@@ -187,8 +187,7 @@ loewner_status collide(loewner_workspace *workspace, int mode, const double *con
 static loewner_status asked(const loewner_checker *checker, loewner_workspace *workspace, int mode,
                             const double *configurations, size_t n, int8_t *verdicts)
 {
-    HOLD(workspace);
-    TRY(prepare_exact(checker, workspace));
+    HOLD_PREPARED(checker, workspace, prepare_exact);
     TRY(check_configurations(checker, configurations, n, "configurations"));
     TRY(expect_pointer(verdicts, n, "verdicts"));
     return collide(workspace, mode, configurations, n, verdicts);
@@ -209,8 +208,7 @@ loewner_status loewner_checker_collide(const loewner_checker *checker, loewner_w
 loewner_status loewner_checker_collide_by_pair(const loewner_checker *checker, loewner_workspace *workspace,
                                                const double *configuration, int8_t *verdicts)
 {
-    HOLD(workspace);
-    TRY(prepare_exact(checker, workspace));
+    HOLD_PREPARED(checker, workspace, prepare_exact);
     TRY(check_configurations(checker, configuration, 1, "configuration"));
     TRY(expect_pointer(verdicts, 1, "verdicts"));
     return settle_one(workspace, configuration, verdicts);
@@ -230,8 +228,7 @@ static void multiply(const double *a, const double *b, double *made)
 loewner_status loewner_checker_collide_placed(const loewner_checker *checker, loewner_workspace *workspace,
                                               const double *link_poses, int8_t *verdict, int8_t *verdicts)
 {
-    HOLD(workspace);
-    TRY(prepare_exact(checker, workspace));
+    HOLD_PREPARED(checker, workspace, prepare_exact);
     const State *state = &checker->state;
     int64_t links = checker->file->links;
     TRY(check_poses(link_poses, (size_t)links, "link_poses"));
@@ -274,8 +271,7 @@ loewner_status loewner_checker_distance(const loewner_checker *checker, loewner_
                                         const double *configurations, size_t n, loewner_distance *distances,
                                         double *gradients)
 {
-    HOLD(workspace);
-    TRY(prepare_exact(checker, workspace));
+    HOLD_PREPARED(checker, workspace, prepare_exact);
     TRY(check_configurations(checker, configurations, n, "configurations"));
     const State *state = &checker->state;
     int64_t dof = checker->file->dof;
@@ -315,8 +311,7 @@ loewner_status loewner_checker_clearance(const loewner_checker *checker, loewner
                                          const double *configurations, size_t n, double softness, double *clearances,
                                          double *gradients)
 {
-    HOLD(workspace);
-    TRY(prepare_exact(checker, workspace));
+    HOLD_PREPARED(checker, workspace, prepare_exact);
     TRY(check_configurations(checker, configurations, n, "configurations"));
     const State *state = &checker->state;
     if (state->pairs == 0 || (clearances == NULL && n > 0))
@@ -614,8 +609,7 @@ loewner_status loewner_checker_certify_edges(const loewner_checker *checker, loe
                                              const loewner_proof_options *options, int8_t *verdicts, double *fractions,
                                              int32_t (*bodies)[2])
 {
-    HOLD(workspace);
-    TRY(prepare(checker, workspace));
+    HOLD_PREPARED(checker, workspace, prepare);
     TRY(check_configurations(checker, starts, n, "starts"));
     TRY(check_configurations(checker, ends, n, "ends"));
     return prove_all(workspace, starts, ends, n, 1, options, verdicts, fractions, bodies);
@@ -626,8 +620,7 @@ loewner_status loewner_checker_certify_curves(const loewner_checker *checker, lo
                                               const loewner_proof_options *options, int8_t *verdicts, double *fractions,
                                               int32_t (*bodies)[2])
 {
-    HOLD(workspace);
-    TRY(prepare(checker, workspace));
+    HOLD_PREPARED(checker, workspace, prepare);
     if (degree < 1 || degree >= CODE_MOST_POINTS)
         return fail(LOEWNER_BAD_ARGUMENT, "degree: expected 1 to %d, found %d", CODE_MOST_POINTS - 1, degree);
     if (checker->file->quaternion_count > 0)
@@ -664,8 +657,7 @@ loewner_status loewner_checker_motions_free(const loewner_checker *checker, loew
                                             const loewner_proof_options *options, int8_t *is_free)
 {
     loewner_proof_options taken;
-    HOLD(workspace);
-    TRY(prepare_exact(checker, workspace));
+    HOLD_PREPARED(checker, workspace, prepare_exact);
     TRY(check_configurations(checker, starts, n, "starts"));
     TRY(check_configurations(checker, ends, n, "ends"));
     TRY(take_options(checker, options, &taken));

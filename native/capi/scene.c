@@ -680,19 +680,19 @@ loewner_status loewner_checker_add(loewner_checker *checker, const char *name, c
     if (checker == NULL || name == NULL || *name == '\0' || bodies == NULL || pose == NULL)
         return fail(LOEWNER_BAD_ARGUMENT,
                     "checker, name, bodies, pose: expected a name and pointers, found none or NULL");
-    if (which < 0 || which >= bodies->file->bodies)
+    if (which < 0 || which >= bodies->bodies)
         return fail(LOEWNER_BAD_ARGUMENT, "which: expected a number below %lld, found %lld",
-                    (long long)bodies->file->bodies, (long long)which);
+                    (long long)bodies->bodies, (long long)which);
     if (loewner_checker_find_body(checker, name) >= 0 || loewner_checker_find_link(checker, name) >= 0)
         return fail(LOEWNER_BAD_ARGUMENT, "name: expected a new one, found %.200s, which there is already", name);
     TRY(check_poses(pose, 1, "pose"));
     TRY(enlarge(&checker->bodies, sizeof(Body) * ((size_t)checker->body_count + 1)));
     Body *made = checker->bodies + checker->body_count;
-    *made = (Body){.name = strdup(name), .file = bodies->file, .which = which, .link = -1, .is_present = 1};
+    *made = (Body){.name = strdup(name), .file = (File *)bodies, .which = which, .link = -1, .is_present = 1};
     if (made->name == NULL)
         return no_memory();
     memcpy(made->pose, pose, sizeof made->pose);
-    atomic_fetch_add(&bodies->file->users, 1);
+    atomic_fetch_add(&made->file->users, 1);
     if (body != NULL)
         *body = checker->body_count;
     checker->body_count++;

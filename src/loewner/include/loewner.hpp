@@ -39,6 +39,26 @@ inline void expect(loewner_status status)
         throw Error(status, loewner_error_text());
 }
 
+namespace detail
+{
+
+template <auto leave> struct Leave {
+    template <class T> void operator()(T *held) const noexcept { leave(held); }
+};
+
+/* The owner of an object of the library; `leave` is the function that closes the object. */
+template <class T, auto leave> using Held = std::unique_ptr<T, Leave<leave>>;
+
+/* Call a function that makes an object, and return the object, which the function writes to its last argument. */
+template <class T, class Make, class... Arguments> T *make(Make function, Arguments... arguments)
+{
+    T *made = nullptr;
+    expect(function(arguments..., &made));
+    return made;
+}
+
+} // namespace detail
+
 enum class Verdict : std::int8_t { Free = LOEWNER_FREE, Colliding = LOEWNER_COLLIDING, Ambiguous = LOEWNER_AMBIGUOUS };
 
 /* A view of numbers that it does not own, from a vector, an array, or a pointer and a length. */
@@ -69,39 +89,23 @@ using Pose = std::array<double, 16>; /* a 4x4 matrix in row order */
 class Workspace
 {
 public:
-    Workspace()
-    {
-        loewner_workspace *made = nullptr;
-        expect(loewner_workspace_new(&made));
-        held_.reset(made);
-    }
+    Workspace() : held_(detail::make<loewner_workspace>(loewner_workspace_new)) {}
     loewner_workspace *get() const noexcept { return held_.get(); }
 
 private:
-    struct Leave {
-        void operator()(loewner_workspace *held) const noexcept { loewner_workspace_free(held); }
-    };
-    std::unique_ptr<loewner_workspace, Leave> held_;
+    detail::Held<loewner_workspace, loewner_workspace_free> held_;
 };
 
 /* The bodies in a file that `Body.save` or `Bodies.save` wrote. */
 class Bodies
 {
 public:
-    explicit Bodies(const std::string &path)
-    {
-        loewner_bodies *made = nullptr;
-        expect(loewner_bodies_open(path.c_str(), &made));
-        held_.reset(made);
-    }
+    explicit Bodies(const std::string &path) : held_(detail::make<loewner_bodies>(loewner_bodies_open, path.c_str())) {}
     std::size_t size() const noexcept { return static_cast<std::size_t>(loewner_bodies_count(held_.get())); }
     const loewner_bodies *get() const noexcept { return held_.get(); }
 
 private:
-    struct Leave {
-        void operator()(loewner_bodies *held) const noexcept { loewner_bodies_close(held); }
-    };
-    std::unique_ptr<loewner_bodies, Leave> held_;
+    detail::Held<loewner_bodies, loewner_bodies_close> held_;
 };
 
 struct Motion {
@@ -116,10 +120,8 @@ class Checker
 {
 public:
     explicit Checker(const std::string &path)
+        : held_(detail::make<loewner_checker>(loewner_checker_open, path.c_str()))
     {
-        loewner_checker *made = nullptr;
-        expect(loewner_checker_open(path.c_str(), &made));
-        held_.reset(made);
     }
 
     std::size_t dof() const noexcept { return static_cast<std::size_t>(loewner_checker_dof(get())); }
@@ -156,18 +158,9 @@ public:
     /* The verdict for one configuration. */
     Verdict classify(Workspace &workspace, Numbers q) const
     {
-        std::int8_t found = LOEWNER_AMBIGUOUS;
-        expect_rows(q, 1);
-        expect(loewner_checker_classify(get(), workspace.get(), q.data(), 1, &found));
-        return static_cast<Verdict>(found);
+        return verdict_of(loewner_checker_classify, workspace, q);
     }
-    Verdict collide(Workspace &workspace, Numbers q) const
-    {
-        std::int8_t found = LOEWNER_AMBIGUOUS;
-        expect_rows(q, 1);
-        expect(loewner_checker_collide(get(), workspace.get(), q.data(), 1, &found));
-        return static_cast<Verdict>(found);
-    }
+    Verdict collide(Workspace &workspace, Numbers q) const { return verdict_of(loewner_checker_collide, workspace, q); }
 
     /* The verdicts for configurations that are stored one after another. */
     void collide(Workspace &workspace, Numbers configurations, View<std::int8_t> verdicts) const
@@ -214,13 +207,14 @@ public:
         double fraction = NAN;
         if (times.size() != 0 && times.size() != 2)
             throw Error(LOEWNER_BAD_ARGUMENT, "times: expected two, found " + std::to_string(times.size()));
-        const double *t0 = times.size() == 2 ? times.data() : nullptr, *t1 = t0 == nullptr ? t0 : t0 + 1;
-        const loewner_proof_options options = {tolerance, joint_error.size() == 0 ? nullptr : joint_error.data(), t0,
-                                               t1,        steps, &taken};
+        loewner_proof_options options = options_of(tolerance, joint_error, steps);
+        options.steps_taken = &taken;
+        if (times.size() == 2) {
+            options.t0 = times.data();
+            options.t1 = times.data() + 1;
+        }
         expect_rows(start, 1);
         expect_rows(end, 1);
-        if (joint_error.size() != 0)
-            expect_rows(joint_error, 1);
         expect(loewner_checker_certify_edges(get(), workspace.get(), start.data(), end.data(), 1, &options, &found,
                                              &fraction, bodies));
         return {static_cast<Verdict>(found), fraction, {bodies[0][0], bodies[0][1]}, taken};
@@ -231,12 +225,9 @@ public:
                  std::int64_t steps = 0) const
     {
         std::int8_t found = 0;
-        const loewner_proof_options options = {tolerance, joint_error.size() == 0 ? nullptr : joint_error.data(),
-                                               nullptr,   nullptr, steps, nullptr};
+        const loewner_proof_options options = options_of(tolerance, joint_error, steps);
         expect_rows(start, 1);
         expect_rows(end, 1);
-        if (joint_error.size() != 0)
-            expect_rows(joint_error, 1);
         expect(loewner_checker_motions_free(get(), workspace.get(), start.data(), end.data(), 1, &options, &found));
         return found == 1;
     }
@@ -245,7 +236,7 @@ public:
     void certify_edges(Workspace &workspace, Numbers starts, Numbers ends, View<std::int8_t> verdicts,
                        double tolerance = 1e-5, std::int64_t steps = 0) const
     {
-        const loewner_proof_options options = {tolerance, nullptr, nullptr, nullptr, steps, nullptr};
+        const loewner_proof_options options = options_of(tolerance, {}, steps);
         expect_rows(starts, verdicts.size());
         expect_rows(ends, verdicts.size());
         expect(loewner_checker_certify_edges(get(), workspace.get(), starts.data(), ends.data(), verdicts.size(),
@@ -313,10 +304,19 @@ public:
     loewner_checker *get() noexcept { return held_.get(); }
 
 private:
-    struct Leave {
-        void operator()(loewner_checker *held) const noexcept { loewner_checker_close(held); }
-    };
-
+    template <class Query> Verdict verdict_of(Query query, Workspace &workspace, Numbers q) const
+    {
+        std::int8_t found = LOEWNER_AMBIGUOUS;
+        expect_rows(q, 1);
+        expect(query(get(), workspace.get(), q.data(), 1, &found));
+        return static_cast<Verdict>(found);
+    }
+    loewner_proof_options options_of(double tolerance, Numbers joint_error, std::int64_t steps) const
+    {
+        if (joint_error.size() != 0)
+            expect_rows(joint_error, 1);
+        return {tolerance, joint_error.size() == 0 ? nullptr : joint_error.data(), nullptr, nullptr, steps, nullptr};
+    }
     static std::string text(const char *name)
     {
         if (name == nullptr)
@@ -349,18 +349,17 @@ private:
             throw Error(LOEWNER_BAD_ARGUMENT, "gradient: expected room for a configuration");
     }
 
-    std::unique_ptr<loewner_checker, Leave> held_;
+    detail::Held<loewner_checker, loewner_checker_close> held_;
 };
 
 /* Chunks of targets in a control loop. The checker must live longer than its gates. */
 class Gate
 {
 public:
-    Gate(const Checker &checker, const loewner_gate_options &options, std::size_t most_targets) : dof_(checker.dof())
+    Gate(const Checker &checker, const loewner_gate_options &options, std::size_t most_targets)
+        : dof_(checker.dof()),
+          held_(detail::make<loewner_gate>(loewner_gate_new, checker.get(), &options, most_targets))
     {
-        loewner_gate *made = nullptr;
-        expect(loewner_gate_new(checker.get(), &options, most_targets, &made));
-        held_.reset(made);
     }
 
     /* The brake in the answer is valid until the next check. */
@@ -381,11 +380,8 @@ public:
     loewner_gate *get() noexcept { return held_.get(); }
 
 private:
-    struct Leave {
-        void operator()(loewner_gate *held) const noexcept { loewner_gate_free(held); }
-    };
     std::size_t dof_;
-    std::unique_ptr<loewner_gate, Leave> held_;
+    detail::Held<loewner_gate, loewner_gate_free> held_;
 };
 
 } // namespace loewner
