@@ -422,12 +422,6 @@ def go_on_in_background(lock: int | None, work: Path, log: Path) -> None:
     print(f"native library: being built in the background; {log} has its progress", file=sys.stderr, flush=True)
 
 
-def time_of_processes() -> float:
-    """Processor time [s] of the processes that have ended."""
-    spent = os.times()
-    return spent.children_user + spent.children_system
-
-
 def main() -> int:
     """Build the requested files, unless they exist."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -465,7 +459,9 @@ def main() -> int:
             built_files = build(levels, work, options.to, options.gpu, in_groups=in_groups, nice=nice)
             size = sum(path.stat().st_size for path in built_files)
             count = json.loads(built_files[-1].read_text(encoding="utf-8"))["functions"]
-            took = f"{time.perf_counter() - start:.0f} s, {time_of_processes():.0f} s of processor time"
+            spent = os.times()  # The processes that compiled have ended.
+            work_time = spent.children_user + spent.children_system
+            took = f"{time.perf_counter() - start:.0f} s, {work_time:.0f} s of processor time"
             print(f"native library: {', '.join(levels)}, {count} functions, {size / 1e6:.1f} MB, {took}")
     except (BuildError, OSError) as error:
         print(f"native library: {error}", file=sys.stderr)

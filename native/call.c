@@ -37,6 +37,10 @@ void free_object(PyObject *object)
 
 /* -- signatures of kernels ----------------------------------------------------------------------------------------- */
 
+/* The letters of arrays, and NumPy's types of their numbers. */
+static const char ARRAYS[] = "FIBUT";
+static const int types[] = {NPY_DOUBLE, NPY_INT64, NPY_INT8, NPY_UINT8, NPY_BOOL};
+
 int read_words(const char *text, Word *words, int most)
 {
     int count = 0;
@@ -49,19 +53,17 @@ int read_words(const char *text, Word *words, int most)
         *word = (Word){.constant = *text == 'c'};
         text += word->constant;
         word->kind = *text;
-        switch (*text++) {
-        case 'i': case 'f': case 'b': break;
-        case 'F': word->type = NPY_DOUBLE; word->kind = 'A'; break;
-        case 'I': word->type = NPY_INT64; word->kind = 'A'; break;
-        case 'B': word->type = NPY_INT8; word->kind = 'A'; break;
-        case 'U': word->type = NPY_UINT8; word->kind = 'A'; break;
-        case 'T': word->type = NPY_BOOL; word->kind = 'A'; break;
-        default:
+        const char *array = memchr(ARRAYS, word->kind, sizeof ARRAYS - 1);
+        if (array == NULL && memchr("ifb", word->kind, 3) == NULL) {
             PyErr_SetString(PyExc_ValueError, "expected a signature as entries.py describes it");
             return -1;
         }
-        if (word->kind == 'A')
+        text++;
+        if (array != NULL) {
+            word->kind = 'A';
+            word->type = types[array - ARRAYS];
             word->axes = *text++ - '0';
+        }
         while (*text == ' ')
             text++;
     }

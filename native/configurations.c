@@ -67,50 +67,33 @@ static PyObject *configurations_classify(Configurations *self, PyObject *q)
 
 static PyObject *dist; /* The function math.dist. */
 
-static PyObject *tuple_of(const double *entries, int64_t count)
-{
-    PyObject *tuple = PyTuple_New(count);
-    for (int64_t k = 0; tuple != NULL && k < count; k++) {
-        PyObject *entry = PyFloat_FromDouble(entries[k]);
-        if (entry == NULL)
-            Py_CLEAR(tuple);
-        else
-            PyTuple_SetItem(tuple, k, entry);
-    }
-    return tuple;
-}
-
 /* Return the distance between two points, exactly as Python computes it; NaN after an error. */
-static double exact_length(const double *a, const double *b, int64_t count)
+static double exact_length(PyObject *a, PyObject *b)
 {
-    PyObject *first = tuple_of(a, count), *second = tuple_of(b, count);
-    PyObject *found = first && second ? PyObject_CallFunctionObjArgs(dist, first, second, NULL) : NULL;
+    PyObject *found = PyObject_CallFunctionObjArgs(dist, a, b, NULL);
     double length = found != NULL ? PyFloat_AsDouble(found) : NAN;
-    Py_XDECREF(first);
-    Py_XDECREF(second);
     Py_XDECREF(found);
     return length;
 }
 
 /* Return the number of steps of a motion, as `edges.steps` does; 0 if Python has to take the long way. A quotient
    within NEARLY_WHOLE of an integer may have been rounded to the wrong side of this integer. */
-static int64_t steps_of(const double *a, const double *b, int64_t count, double step)
+static int64_t steps_of(PyObject *start, PyObject *end, double step)
 {
+    const double *a = PyArray_DATA((PyArrayObject *)start), *b = PyArray_DATA((PyArrayObject *)end);
     double squared = 0;
-    for (int64_t k = 0; k < count; k++)
+    for (int64_t k = 0; k < PyArray_DIM((PyArrayObject *)start, 0); k++)
         squared += (a[k] - b[k]) * (a[k] - b[k]);
     double steps = sqrt(squared) / step;
     if (fabs(steps - nearbyint(steps)) <= NEARLY_WHOLE * (1 + steps))
-        steps = exact_length(a, b, count) / step;
+        steps = exact_length(start, end) / step;
     return steps <= MOST_STEPS ? (int64_t)fmax(ceil(steps), 1) : 0;
 }
 
 /* Get the fractions of a motion with `steps` steps from Python; return a new reference to an array, or NULL. */
 static PyObject *fractions_of(PyObject *order, int64_t steps)
 {
-    PyObject *number = steps > 0 ? PyLong_FromLongLong(steps) : NULL;
-    PyObject *fractions = number != NULL ? PyObject_CallFunctionObjArgs(order, number, NULL) : NULL;
-    Py_XDECREF(number);
+    PyObject *fractions = steps > 0 ? PyObject_CallFunction(order, "L", (long long)steps) : NULL;
     if (fractions != NULL && !(is_plain(fractions, 1) && PyArray_DIM((PyArrayObject *)fractions, 0) == steps + 1))
         Py_CLEAR(fractions);
     return fractions;
@@ -148,8 +131,7 @@ static PyObject *configurations_motion(Configurations *self, PyObject *const *gi
     const double *start = take_configuration(self, given[0]), *end = take_configuration(self, given[1]);
     if (start == NULL || end == NULL)
         Py_RETURN_NONE;
-    int64_t steps = steps_of(start, end, self->width, step);
-    PyObject *fractions = fractions_of(given[3], steps);
+    PyObject *fractions = fractions_of(given[3], steps_of(given[0], given[1], step));
     /* Read both configurations again, because Python code ran in between and may have changed them. */
     start = take_configuration(self, given[0]);
     end = take_configuration(self, given[1]);
@@ -177,7 +159,7 @@ static PyObject *configurations_new(PyTypeObject *type, PyObject *arguments, PyO
         !PyArg_ParseTupleAndKeywords(arguments, names, "OOLLLLO!O!O", known, &check, &motion, &made->pack,
                                      &made->problem, &made->memory, &made->piece_pairs, &PyArray_Type, &range,
                                      &PyArray_Type, &hits, &held)) {
-        Py_XDECREF(made);
+        Py_CLEAR(made);
         return NULL;
     }
     made->check_configurations = function_of(check, CHECK_CONFIGURATIONS_WORDS);

@@ -259,7 +259,7 @@ static PyObject *pairs_new(PyTypeObject *type, PyObject *arguments, PyObject *na
     Pairs *made = new_object(type);
     if (made == NULL || !PyArg_ParseTupleAndKeywords(arguments, names, "OOOOLL", known, &settle, &distance, &left,
                                                      &fault, &made->settle_memory, &made->distance_memory)) {
-        Py_XDECREF(made);
+        Py_CLEAR(made);
         return NULL;
     }
     made->settle_range = function_of(settle, SETTLE_RANGE_WORDS);

@@ -25,11 +25,6 @@ typedef struct {
     int64_t arrays, dof, links, moving, standing, has_cut, surfaces, unused;
 } Counts;
 
-typedef struct {
-    int64_t type, rows, columns;
-    const void *data;
-} Found;
-
 enum { INTEGERS, DOUBLES, SINGLES, BYTES };
 static const int64_t item_sizes[] = {8, 8, 4, 1};
 
@@ -112,64 +107,59 @@ static loewner_status read_header(const File *file, const char *path, Counts *co
     return LOEWNER_OK;
 }
 
-/* Find an array in the directory; it must lie within the file. */
-static loewner_status look_up(const File *file, int64_t number, Found *found)
-{
-    int64_t row[4];
-    memcpy(row, (const char *)file->map + FILE_HEADER + 32 * number, sizeof row);
-    EXPECT(0 <= row[0] && row[0] <= BYTES && 0 <= row[1] && row[1] < MOST && 0 <= row[2] && row[2] < MOST,
-           "its directory");
-    EXPECT(row[2] == 0 || row[1] <= MOST / row[2], "its directory");
-    int64_t bytes = row[1] * row[2] * item_sizes[row[0]], size = (int64_t)file->size;
-    EXPECT(row[3] % CACHE_LINE == 0 && FILE_HEADER + 32 <= row[3] && row[3] <= size && bytes <= size - row[3],
-           "its directory");
-    *found = (Found){row[0], row[1], row[2], (const char *)file->map + row[3]};
-    return LOEWNER_OK;
-}
-
-/* Find an array with a given type and shape; -1 stands for any number of rows. */
+/* Find an array with a given type and shape in the directory; -1 stands for any number of rows. */
 static loewner_status take(const File *file, int64_t number, int64_t type, int64_t rows, int64_t columns,
                            const char *name, const void *data, int64_t *count)
 {
-    Found found = {0};
-    TRY(look_up(file, number, &found));
-    EXPECT(found.type == type && found.columns == columns && (rows < 0 || found.rows == rows), name);
-    memcpy((void *)data, &found.data, sizeof found.data);
+    struct { int64_t type, rows, columns, at; } entry;
+    memcpy(&entry, (const char *)file->map + FILE_HEADER + 32 * number, sizeof entry);
+    EXPECT(0 <= entry.type && entry.type <= BYTES && 0 <= entry.rows && entry.rows < MOST && 0 <= entry.columns &&
+               entry.columns < MOST && (entry.columns == 0 || entry.rows <= MOST / entry.columns),
+           "its directory");
+    int64_t bytes = entry.rows * entry.columns * item_sizes[entry.type], size = (int64_t)file->size;
+    EXPECT(entry.at % CACHE_LINE == 0 && FILE_HEADER + 32 <= entry.at && entry.at <= size && bytes <= size - entry.at,
+           "its directory");
+    EXPECT(entry.type == type && entry.columns == columns && (rows < 0 || entry.rows == rows), name);
+    const void *found = (const char *)file->map + entry.at;
+    memcpy((void *)data, &found, sizeof found);
     if (count != NULL)
-        *count = found.rows;
+        *count = entry.rows;
     return LOEWNER_OK;
+}
+
+/* Which numbers an array may hold. */
+typedef enum { ANY, NOT_NAN, FINITE } Allowed;
+
+/* Return whether an array of singles or doubles holds only allowed numbers. */
+static int are_allowed(const void *numbers, int64_t type, int64_t count, Allowed allowed)
+{
+    const double *doubles = numbers;
+    const float *singles = numbers;
+    int is = 1;
+    for (int64_t k = 0; allowed != ANY && k < count; k++) {
+        double number = type == SINGLES ? singles[k] : doubles[k];
+        is &= allowed == FINITE ? isfinite(number) != 0 : !isnan(number);
+    }
+    return is;
 }
 
 /* What an array of a pack or of a surface must be; its number of rows is checked later. */
 typedef struct {
     int64_t type, columns;
     const char *name;
+    Allowed allowed;
 } Kind;
 
 /* Find consecutive arrays of given kinds. */
 static loewner_status take_arrays(const File *file, int64_t at, const Kind *kinds, int count, Array2 *arrays)
 {
-    for (int k = 0; k < count; k++) {
-        arrays[k].columns = kinds[k].columns;
-        TRY(take(file, at + k, kinds[k].type, -1, kinds[k].columns, kinds[k].name, &arrays[k].data, &arrays[k].rows));
+    for (const Kind *kind = kinds; kind < kinds + count; kind++, at++, arrays++) {
+        TRY(take(file, at, kind->type, -1, kind->columns, kind->name, &arrays->data, &arrays->rows));
+        arrays->columns = kind->columns;
+        EXPECT(are_allowed(arrays->data, kind->type, arrays->rows * kind->columns, kind->allowed),
+               kind->allowed == FINITE ? "numbers that are not finite" : kind->name);
     }
     return LOEWNER_OK;
-}
-
-static int are_finite(const double *numbers, int64_t count)
-{
-    double sum = 0;
-    for (int64_t k = 0; k < count; k++)
-        sum += numbers[k] - numbers[k]; /* The term is 0, or NaN if the number is not finite. */
-    return sum == 0;
-}
-
-static int are_finite_singles(const float *numbers, int64_t count)
-{
-    float sum = 0;
-    for (int64_t k = 0; k < count; k++)
-        sum += numbers[k] - numbers[k];
-    return sum == 0;
 }
 
 static int is_within(const int64_t *numbers, int64_t count, int64_t least, int64_t beyond)
@@ -191,34 +181,37 @@ static int rises(const int64_t *starts, int64_t count, int64_t total)
 
 /* -- packs --------------------------------------------------------------------------------------------------------- */
 
+static void leave_bytes(int8_t **bytes)
+{
+    free(*bytes);
+}
+
 /* Check the nodes of a large hull (`directions.py`), which follow its vertices. Each node has two numbers; all nodes
    together have `room` numbers. */
 static loewner_status check_nodes(const double *nodes, int64_t room, int64_t vertices)
 {
     int64_t count = room / 2;
+    int8_t *depth __attribute__((cleanup(leave_bytes))) = NULL;
     EXPECT(count >= 6, "points: nodes");
-    int8_t *depth;
     TRY(allocate(&depth, (size_t)count));
     memset(depth, -1, (size_t)count);
     memset(depth, 0, 6);
-    int is_sound = 1;
-    for (int64_t k = 0; is_sound && k < count; k++) {
+    for (int64_t k = 0; k < count; k++) {
         if (depth[k] < 0)
             continue; /* No node leads to this node. */
         double first = nodes[2 * k], last = nodes[2 * k + 1];
         if (last >= 0) {
-            is_sound = 0 <= first && first < last && last <= (double)vertices && fmod(first, POINT_BLOCK) == 0 &&
-                       fmod(last, POINT_BLOCK) == 0;
+            EXPECT(0 <= first && first < last && last <= (double)vertices && fmod(first, POINT_BLOCK) == 0 &&
+                       fmod(last, POINT_BLOCK) == 0,
+                   "points: nodes");
             continue;
         }
         /* Children must come after their parents, so that no walk goes back. */
-        is_sound = (double)k < first && first <= (double)(count - 4) && depth[k] < DEEPEST;
-        for (int c = 0; is_sound && c < 4; c++)
-            if (depth[(int64_t)first + c] <= depth[k])
-                depth[(int64_t)first + c] = (int8_t)(depth[k] + 1);
+        EXPECT((double)k < first && first <= (double)(count - 4) && depth[k] < DEEPEST, "points: nodes");
+        for (int64_t child = (int64_t)first; child < (int64_t)first + 4; child++)
+            if (depth[child] <= depth[k])
+                depth[child] = (int8_t)(depth[k] + 1);
     }
-    free(depth);
-    EXPECT(is_sound, "points: nodes");
     return LOEWNER_OK;
 }
 
@@ -247,45 +240,40 @@ static loewner_status check_pieces(const struct pieces *pack, int64_t surfaces)
 static loewner_status check_trees(const struct pieces *pack)
 {
     const int64_t *roots = pack->roots.data, *starts = pack->piece_start.data, *children = pack->children.data;
-    const double *numbers = pack->groups.data;
     int64_t begin = 0, groups = pack->groups.rows / GROUP_NUMBERS;
-    int8_t *height;
+    int8_t *height __attribute__((cleanup(leave_bytes))) = NULL;
     TRY(allocate(&height, 2 * (size_t)groups + 1));
     int8_t *has_parent = height + groups;
-    int is_sound = 1;
-    for (int64_t b = 0; is_sound && b < pack->roots.rows; b++) {
+    for (int64_t b = 0; b < pack->roots.rows; b++) {
         int64_t root = roots[b], first = starts[b], last = starts[b + 1];
         if (root == -1)
             continue;
-        is_sound = last - first > 1 && root < groups && root == begin + groups_of(last - first) - 1;
-        for (int64_t g = begin; is_sound && g <= root; g++)
-            for (int64_t c = WIDE * g; c < WIDE * (g + 1); c++) {
-                int64_t child = children[c];
-                if (child >= 0) {
-                    is_sound &= begin <= child && child < g && !has_parent[child];
-                    if (is_sound)
-                        /* Each group must have only one parent, because a walk through a graph that is not a tree would
-                           follow all paths. */
-                        has_parent[child] = 1;
-                    if (is_sound && height[g] <= height[child])
-                        height[g] = (int8_t)(height[child] + 1);
-                } else /* An unused place contains -1. */
-                    is_sound &= child == -1 || (first <= ~child && ~child < last);
-                is_sound = is_sound && height[g] < TREE_LEVELS;
+        EXPECT(last - first > 1 && root < groups && root == begin + groups_of(last - first) - 1, "trees");
+        for (int64_t c = WIDE * begin; c < WIDE * (root + 1); c++) {
+            int64_t child = children[c], group = c / WIDE;
+            if (child < 0) { /* An unused place contains -1. */
+                EXPECT(child == -1 || (first <= ~child && ~child < last), "trees");
+                continue;
             }
+            /* Each group must have only one parent, because a walk through a graph that is not a tree would follow all
+               paths. */
+            EXPECT(begin <= child && child < group && !has_parent[child], "trees");
+            has_parent[child] = 1;
+            if (height[group] <= height[child])
+                height[group] = (int8_t)(height[child] + 1);
+            EXPECT(height[group] < TREE_LEVELS, "trees");
+        }
         begin = root + 1;
     }
-    free(height);
-    EXPECT(is_sound && begin == groups, "trees");
-    for (int64_t k = 0; k < pack->groups.rows; k++)
-        EXPECT(!isnan(numbers[k]), "groups");
+    EXPECT(begin == groups, "trees");
     return LOEWNER_OK;
 }
 
 static const Kind pack_kinds[PACK_ARRAYS] = {
-    {DOUBLES, COLUMNS, "table"}, {INTEGERS, LAYOUT, "layout"}, {DOUBLES, 1, "points"}, {INTEGERS, 1, "piece_start"},
-    {DOUBLES, HOT, "hot"},       {SINGLES, HOT, "single"},     {DOUBLES, 1, "groups"}, {INTEGERS, 1, "children"},
-    {INTEGERS, 1, "roots"},      {SINGLES, 1, "vertices"},     {DOUBLES, HOT, "parts"}, {INTEGERS, 1, "part_start"},
+    {DOUBLES, COLUMNS, "table", FINITE}, {INTEGERS, LAYOUT, "layout", ANY},  {DOUBLES, 1, "points", FINITE},
+    {INTEGERS, 1, "piece_start", ANY},   {DOUBLES, HOT, "hot", FINITE},      {SINGLES, HOT, "single", FINITE},
+    {DOUBLES, 1, "groups", NOT_NAN},     {INTEGERS, 1, "children", ANY},     {INTEGERS, 1, "roots", ANY},
+    {SINGLES, 1, "vertices", FINITE},    {DOUBLES, HOT, "parts", FINITE},    {INTEGERS, 1, "part_start", ANY},
 };
 
 static loewner_status take_pack(const File *file, int64_t at, int64_t surfaces, struct pieces *pack)
@@ -306,11 +294,6 @@ static loewner_status take_pack(const File *file, int64_t at, int64_t surfaces, 
     EXPECT(rises(start, bodies + 1, pieces), "piece_start");
     for (int64_t b = 0; b < bodies; b++)
         EXPECT(start[b] < start[b + 1], "a body without pieces");
-    EXPECT(are_finite(pack->table.data, COLUMNS * pieces) && are_finite(pack->hot.data, HOT * pieces) &&
-               are_finite(pack->points.data, numbers) && are_finite(pack->parts.data, HOT * pack->parts.rows) &&
-               are_finite_singles(pack->single.data, HOT * singles) &&
-               are_finite_singles(pack->vertices.data, vertices),
-           "numbers that are not finite");
     for (int64_t p = 0; p < starts / PARTS; p++) {
         const int64_t *row = part_start + PARTS * p;
         EXPECT(0 <= row[0] && row[0] <= row[1] && row[1] <= row[2] && row[2] <= pack->parts.rows, "part_start");
@@ -321,15 +304,16 @@ static loewner_status take_pack(const File *file, int64_t at, int64_t surfaces, 
 }
 
 static const Kind surface_kinds[SURFACE_ARRAYS] = {
-    {SINGLES, 1, "boxes of a surface"}, {INTEGERS, 1, "children of a surface"}, {DOUBLES, 1, "blocks of a surface"},
-    {DOUBLES, 1, "parts of a surface"}, {SINGLES, 1, "diagonals of a surface"},
+    {SINGLES, 1, "boxes of a surface", NOT_NAN}, {INTEGERS, 1, "children of a surface", ANY},
+    {DOUBLES, 1, "blocks of a surface", FINITE}, {DOUBLES, 1, "parts of a surface", FINITE},
+    {SINGLES, 1, "diagonals of a surface", NOT_NAN},
 };
 
 /* Check the tree over the triangles of a surface (`triangle_tree.py`). */
 static loewner_status take_surface(const File *file, int64_t at, Surface *surface)
 {
     TRY(take_arrays(file, at, surface_kinds, SURFACE_ARRAYS, (Array2 *)surface));
-    const float *boxes = surface->boxes.data, *diagonals = surface->diagonals.data;
+    const float *boxes = surface->boxes.data;
     const int64_t *children = surface->children.data;
     int64_t places = surface->children.rows, nodes = places / WIDE_SURFACE, numbers = surface->blocks.rows;
     int64_t leaves = numbers / BLOCK_NUMBERS;
@@ -337,32 +321,25 @@ static loewner_status take_surface(const File *file, int64_t at, Surface *surfac
                surface->boxes.rows == 6 * WIDE_SURFACE * nodes && surface->parts.rows % 3 == 0 &&
                surface->diagonals.rows == DIAGONAL_NUMBERS * nodes,
            "a surface");
-    for (int64_t k = 0; k < surface->boxes.rows; k++)
-        EXPECT(!isnan(boxes[k]), "boxes of a surface");
-    for (int64_t k = 0; k < surface->diagonals.rows; k++)
-        EXPECT(!isnan(diagonals[k]), "diagonals of a surface");
-    EXPECT(are_finite(surface->blocks.data, numbers) && are_finite(surface->parts.data, surface->parts.rows),
-           "numbers that are not finite");
-    int8_t *depth;
+    int8_t *depth __attribute__((cleanup(leave_bytes))) = NULL;
     TRY(allocate(&depth, (size_t)nodes));
-    int is_sound = 1;
-    for (int64_t s = 0; is_sound && s < places; s++) {
+    for (int64_t s = 0; s < places; s++) {
         int64_t child = children[s], node = s / WIDE_SURFACE;
         if (child < 0) {
-            is_sound = ~child >> LEAF_BITS < leaves;
+            EXPECT(~child >> LEAF_BITS < leaves, "children of a surface");
             continue;
         }
         if (child == 0) { /* The place is unused: its box must be empty, so that no walk opens it. */
             const float *half = boxes + 6 * WIDE_SURFACE * node + 3 * WIDE_SURFACE + s % WIDE_SURFACE;
-            is_sound = half[0] == -INFINITY && half[WIDE_SURFACE] == -INFINITY && half[2 * WIDE_SURFACE] == -INFINITY;
+            EXPECT(half[0] == -INFINITY && half[WIDE_SURFACE] == -INFINITY && half[2 * WIDE_SURFACE] == -INFINITY,
+                   "children of a surface");
             continue;
         }
-        is_sound = node < child && child < nodes && depth[child] == 0 && depth[node] < SURFACE_LEVELS;
-        if (is_sound) /* The node is the only parent of the child. */
-            depth[child] = (int8_t)(depth[node] + 1);
+        /* The node must be the only parent of the child. */
+        EXPECT(node < child && child < nodes && depth[child] == 0 && depth[node] < SURFACE_LEVELS,
+               "children of a surface");
+        depth[child] = (int8_t)(depth[node] + 1);
     }
-    free(depth);
-    EXPECT(is_sound, "children of a surface");
     return LOEWNER_OK;
 }
 
@@ -421,8 +398,8 @@ static loewner_status take_robot(File *file)
         EXPECT(-1 <= tree->parent[k] && tree->parent[k] < k && 0 <= kind && kind <= BALL, "parent, kind");
         EXPECT(0 <= tree->column[k] && tree->column[k] <= dof - widths[kind], "column");
     }
-    EXPECT(are_finite(tree->multiplier, links) && are_finite(tree->offset, links) &&
-               are_finite(tree->constants, LINK_CONSTANTS * links),
+    EXPECT(are_allowed(tree->multiplier, DOUBLES, links, FINITE) && are_allowed(tree->offset, DOUBLES, links, FINITE) &&
+               are_allowed(tree->constants, DOUBLES, LINK_CONSTANTS * links, FINITE),
            "numbers that are not finite");
     for (int64_t k = 0; k < 5 * dof; k++)
         EXPECT(!isnan(file->limits[k]) && (k < 4 * dof || file->limits[k] > 0), "limits");

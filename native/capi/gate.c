@@ -33,6 +33,7 @@ typedef struct {
 typedef struct {
     int32_t reason;
     int64_t pair, most, work;
+    double dt;      /* The period of the targets. */
     int is_attempt; /* An attempt counts only if its course is free. */
 } Proof;
 
@@ -238,9 +239,10 @@ static Stop stop_at(int64_t tick, int64_t needed, const Proof *proof)
 
 /* Write the range of ticks of the last chunk at which the robot may be, and return whether the chunk's proofs still
    hold. A robot that executes the answers is never behind the proven motions. */
-static int find_ticks(const loewner_gate *gate, double now, int64_t *from, int64_t *to)
+static int find_ticks(const loewner_gate *gate, int64_t *from, int64_t *to)
 {
     const Chunk *last = &gate->last;
+    double now = gate->now;
     *from = *to = 0;
     if (!gate->has_last)
         return 0;
@@ -330,23 +332,21 @@ static int goes_on(loewner_gate *gate, int64_t tick, const double *targets, int6
 
 /* -- proofs -------------------------------------------------------------------------------------------------------- */
 
-static loewner_status prove_course(loewner_gate *gate, const double *course, int64_t points, const double *error, double t0,
-                                   double t1, double dt, Proof *proof)
+static loewner_status prove_course(loewner_gate *gate, const double *course, int64_t points, const double *error,
+                                   double t0, double t1, Proof *proof)
 {
     loewner_workspace *its = gate->workspace;
     const loewner_checker *checker = gate->checker;
-    double late = SAME_TICK * dt + 0x1p-49 * fmax(fabs(t0), fabs(t1));
+    double late = SAME_TICK * proof->dt + 0x1p-49 * fmax(fabs(t0), fabs(t1));
     int64_t growing = 3 * checker->state.growing;
     int8_t verdict;
-    int is_off = 0;
     if (proof->work >= proof->most) {
         proof->reason = LOEWNER_REASON_BUDGET;
         return LOEWNER_OK;
     }
-    for (int64_t c = 0; c < gate->dof; c++)
-        is_off |= error[c] > 0;
-    write_off(checker, course, points, is_off ? error : NULL, t0, t1, late, its->off);
-    TRY(certify(its, course, 1, points, is_off || growing > 0 ? gate->dof + growing : 0, gate->tolerance, 0,
+    error = if_any(error, gate->dof);
+    write_off(checker, course, points, error, t0, t1, late, its->off);
+    TRY(certify(its, course, 1, points, error != NULL || growing > 0 ? gate->dof + growing : 0, gate->tolerance, 0,
                 proof->most - proof->work, &verdict));
     proof->work += its->work[WORK - 1];
     proof->pair = *its->found_pairs;
@@ -406,17 +406,17 @@ static int64_t steps_of_whole(const loewner_gate *gate)
 
 /* Try to prove a whole brake as one course with at most `steps` steps; if nothing is near, the proof takes one
    interval. The robot may come to rest as late as `until` seconds after the brake began. */
-static loewner_status prove_whole(loewner_gate *gate, double begin, double dt, int64_t points, double until,
-                                  int64_t steps, Proof *proof, int *is_free)
+static loewner_status prove_whole(loewner_gate *gate, double begin, int64_t points, double until, int64_t steps,
+                                  Proof *proof, int *is_free)
 {
     int64_t dof = gate->dof;
-    Proof attempt = {0, -1, proof->work + steps, proof->work, 1};
+    Proof attempt = {0, -1, proof->work + steps, proof->work, proof->dt, 1};
     TRY(CALL(whole_brakes, NULL, .until = {&until, 1}, .courses = {gate->courses, 1, points, dof},
              .off = {gate->looser, 1, dof}, BRAKE(gate)));
     for (int64_t c = 0; c < dof; c++)
         gate->looser[c] += gate->widened[c];
     until = fmax(until, gate->times[gate->pieces_made - 1]);
-    TRY(prove_course(gate, gate->courses, points, gate->looser, begin, begin + until, dt, &attempt));
+    TRY(prove_course(gate, gate->courses, points, gate->looser, begin, begin + until, &attempt));
     proof->work = attempt.work;
     *is_free = !attempt.reason;
     return LOEWNER_OK;
@@ -425,11 +425,10 @@ static loewner_status prove_whole(loewner_gate *gate, double begin, double dt, i
 /* Prove the most recent brake, which begins at a given time; `rate` is its velocity, or NULL in the mode on the path. A
    robot that is faster by the velocity error travels farther and comes to rest later. The proof of a joint-by-joint
    brake as a whole may take `steps` steps. */
-static loewner_status prove_brake(loewner_gate *gate, double begin, double dt, const double *rate, int64_t steps,
-                                  Proof *proof)
+static loewner_status prove_brake(loewner_gate *gate, double begin, const double *rate, int64_t steps, Proof *proof)
 {
     int64_t dof = gate->dof, points = gate->has_jerk || rate == NULL ? 4 : 3, pieces = gate->pieces_made - 1, made;
-    double stands = 0;
+    double stands = 0, end = begin + gate->times[pieces];
     int is_off = 0, is_free = 0;
     for (int64_t c = 0; c < dof; c++) {
         double v = rate == NULL ? 0 : fabs(rate[c]), fast = v + gate->rate_error[c];
@@ -441,7 +440,7 @@ static loewner_status prove_brake(loewner_gate *gate, double begin, double dt, c
     }
     int rests = is_off && stands > gate->times[pieces] && (gate->checker->state.growing > 0 || pieces == 0);
     if (rate != NULL && pieces > 1 && steps > 0)
-        TRY(prove_whole(gate, begin, dt, points, rests ? stands : 0, steps, proof, &is_free));
+        TRY(prove_whole(gate, begin, points, rests ? stands : 0, steps, proof, &is_free));
     if (is_free)
         return LOEWNER_OK;
     TRY(CALL(courses_of_brakes, &made, .courses = {gate->courses, pieces, points, dof},
@@ -451,18 +450,16 @@ static loewner_status prove_brake(loewner_gate *gate, double begin, double dt, c
         double *still = gate->courses + pieces * points * dof;
         for (int k = 0; k < 2; k++)
             memcpy(still + k * dof, gate->states + 3 * pieces * dof, (size_t)dof * sizeof *still);
-        TRY(prove_course(gate, still, 2, gate->widened, begin + gate->times[pieces], begin + gate->times[pieces], dt,
-                         proof));
+        TRY(prove_course(gate, still, 2, gate->widened, end, end, proof));
     }
     for (int64_t k = 0; k < pieces && !proof->reason; k++)
         TRY(prove_course(gate, gate->courses + k * points * dof, points, gate->widened, begin + gate->times[k],
-                         begin + gate->times[k + 1], dt, proof));
+                         begin + gate->times[k + 1], proof));
     if (!rests || proof->reason)
         return LOEWNER_OK;
     for (int64_t k = 0; k < points; k++)
         memcpy(gate->courses + k * dof, gate->states + 3 * pieces * dof, (size_t)dof * sizeof *gate->courses);
-    return prove_course(gate, gate->courses, points, gate->widened, begin + gate->times[pieces], begin + stands, dt,
-                        proof);
+    return prove_course(gate, gate->courses, points, gate->widened, end, begin + stands, proof);
 }
 
 /* Prove motions, and then the brakes from their ends, until a motion or a brake is not free. */
@@ -481,8 +478,7 @@ static loewner_status prove_chunk(loewner_gate *gate, Chunk *chunk, Proof *proof
             proof->pair = stop->pair;
             break;
         }
-        TRY(prove_course(gate, chunk->rows + chunk->motions * dof, 2, gate->widened, begin, begin + chunk->dt,
-                         chunk->dt, proof));
+        TRY(prove_course(gate, chunk->rows + chunk->motions * dof, 2, gate->widened, begin, begin + chunk->dt, proof));
         chunk->motion_stop = stop_at(chunk->motions, chunk->motions + 1, proof);
         if (proof->reason)
             break;
@@ -508,7 +504,7 @@ static loewner_status prove_chunk(loewner_gate *gate, Chunk *chunk, Proof *proof
         /* The proofs of the motions cover the brake at all times. */
         int is_covered = gate->on_path && growing == 0 && end <= chunk->motions;
         if (!is_covered)
-            TRY(prove_brake(gate, chunk->t0 + chunk->dt * (double)tick, chunk->dt,
+            TRY(prove_brake(gate, chunk->t0 + chunk->dt * (double)tick,
                             gate->on_path ? NULL : chunk->rates + tick * dof, steps, proof));
         if (proof->reason) {
             if (proof->reason == LOEWNER_REASON_CONTACT)
@@ -549,6 +545,7 @@ static loewner_status find_scale(loewner_gate *gate, Proof *proof, double *scale
             rates[c] = *scale * chunk->rates[c];
         write_rates(gate, slower);
         proof->reason = 0;
+        proof->dt = slower->dt;
         TRY(prove_chunk(gate, slower, proof));
         if (!proof->reason)
             break;
@@ -556,6 +553,7 @@ static loewner_status find_scale(loewner_gate *gate, Proof *proof, double *scale
     *scale = proof->reason ? 0 : *scale;
     proof->reason = found.reason;
     proof->pair = found.pair;
+    proof->dt = found.dt;
     return LOEWNER_OK;
 }
 
@@ -614,8 +612,7 @@ static loewner_status answer_with(loewner_gate *gate, int32_t state, int64_t ste
 /* Begin a new chunk, or prove again a chunk that continues the last one; both start from the last command. A pair that
    is not free at the robot's position becomes the result of the proof. */
 static loewner_status begin_chunk(loewner_gate *gate, int goes_on, const double *q, const double *dq,
-                                  const double *targets, int64_t count, double dt, double now, int64_t late,
-                                  Proof *proof)
+                                  const double *targets, int64_t count, int64_t late, Proof *proof)
 {
     Chunk *made = &gate->made;
     size_t size = (size_t)gate->dof * sizeof *q;
@@ -624,11 +621,11 @@ static loewner_status begin_chunk(loewner_gate *gate, int goes_on, const double 
         memcpy(made->rows, q, size);
         memcpy(made->rows + gate->dof, targets, (size_t)count * size);
         memcpy(made->rates, dq, size);
-        made->dt = dt;
+        made->dt = proof->dt;
         made->count = count;
         write_rates(gate, made);
     }
-    made->t0 = now;
+    made->t0 = gate->now;
     made->motions = 0;
     made->first = late + 1;
     made->braked = late;
@@ -665,19 +662,20 @@ static void adopt(loewner_gate *gate)
 }
 
 static loewner_status judge(loewner_gate *gate, const double *q, const double *dq, const double *targets,
-                            int64_t wanted, double dt, double now, loewner_gate_answer *answer)
+                            int64_t wanted, double dt, loewner_gate_answer *answer)
 {
+    double now = gate->now;
     int64_t late = periods(gate, dt), from, to, tick;
     int64_t count = within_limits(gate, q, targets, wanted, dt, &answer->joint);
-    Proof proof = {0, -1, gate->steps, 0, 0};
+    Proof proof = {0, -1, gate->steps, 0, dt, 0};
     TRY(look(gate));
-    int holds = find_ticks(gate, now, &from, &to);
+    int holds = find_ticks(gate, &from, &to);
     double off = -1;
     for (tick = -1; (tick = next_tick(gate, q, dq, from, to, &off, tick)) >= 0;)
         if (goes_on(gate, tick, targets, count, dt))
             break;
     if (tick < 0 || !holds) {
-        TRY(begin_chunk(gate, tick >= 0, q, dq, targets, count, dt, now, late, &proof));
+        TRY(begin_chunk(gate, tick >= 0, q, dq, targets, count, late, &proof));
         if (proof.reason) {
             gate->has_last = 0;
             answer->scale = 0;
@@ -714,10 +712,10 @@ static loewner_status judge(loewner_gate *gate, const double *q, const double *d
             TRY(brake_from(gate, &gate->last, late + tick));
             return answer_with(gate, LOEWNER_GATE_BRAKE, 0, 1, dt * (double)late, &proof, answer);
         }
-    Proof stopping = {0, -1, proof.most, proof.work, 0};
+    Proof stopping = {0, -1, proof.most, proof.work, dt, 0};
     TRY(stop(gate, q, dq));
     if (late == 0)
-        TRY(prove_brake(gate, now, dt, dq, 0, &stopping));
+        TRY(prove_brake(gate, now, dq, 0, &stopping));
     proof.work = stopping.work;
     return answer_with(gate, LOEWNER_GATE_BRAKE, 0, late == 0 && !stopping.reason, 0, &proof, answer);
 }
@@ -741,5 +739,5 @@ loewner_status loewner_gate_check(loewner_gate *gate, const double *q, const dou
     TRY(check_configurations(gate->checker, targets, n, "targets"));
     gate->now = time;
     double within = ceil(fmin(gate->horizon / dt, (double)n) * (1 - SAME_TICK));
-    return judge(gate, q, dq, targets, within < 1 ? 1 : (int64_t)within, dt, time, answer);
+    return judge(gate, q, dq, targets, within < 1 ? 1 : (int64_t)within, dt, answer);
 }

@@ -282,6 +282,15 @@ loewner_status check_poses(const double *poses, size_t n, const char *name);
 /* Refuse a number of rows, each of several doubles, whose size in bytes would wrap around and pass for a small one. */
 loewner_status check_count(size_t n, size_t doubles, const char *name);
 
+/* Return the errors of joints, which may be NULL; NULL if all of them are 0. */
+static inline const double *if_any(const double *errors, int64_t dof)
+{
+    for (int64_t c = 0; errors != NULL && c < dof; c++)
+        if (errors[c] > 0)
+            return errors;
+    return NULL;
+}
+
 /* Check the errors of joints, which may be NULL, and replace them by NULL if all are 0. */
 loewner_status take_errors(const loewner_checker *checker, const double **joint_error);
 

@@ -80,12 +80,7 @@ static int load(const char *path, const char *level)
     }
     const char *build = dlsym(handle, "loewner_build");
     snprintf(expected, sizeof expected, "%s %s", SOURCES, level);
-    if (build == NULL || strcmp(build, expected) != 0) {
-        snprintf(why_not, sizeof why_not, "%.300s belongs to another version", path);
-        dlclose(handle);
-        return 0;
-    }
-    int is_whole = 1;
+    int is_ours = build != NULL && strcmp(build, expected) == 0, is_whole = is_ours;
 #define LOOK_UP(name)                                                                                    \
     *(void **)&found.name = dlsym(handle, "loewner_" #name);                                                           \
     is_whole = is_whole && found.name != NULL;
@@ -93,14 +88,14 @@ static int load(const char *path, const char *level)
 #undef LOOK_UP
     *(void **)&found.release = dlsym(handle, "loewner_release");
     is_whole = is_whole && found.release != NULL;
-    if (!is_whole || found.workspace_size(NULL, &found.settle_memory) != 0 ||
-        found.memory_of_distances(NULL, &found.distance_memory) != 0) {
-        snprintf(why_not, sizeof why_not, "%.300s lacks a function", path);
-        dlclose(handle);
-        return 0;
+    if (is_whole && found.workspace_size(NULL, &found.settle_memory) == 0 &&
+        found.memory_of_distances(NULL, &found.distance_memory) == 0) {
+        found.level = level;
+        return 1;
     }
-    found.level = level;
-    return 1;
+    snprintf(why_not, sizeof why_not, "%.300s %s", path, is_ours ? "lacks a function" : "belongs to another version");
+    dlclose(handle);
+    return 0;
 }
 
 static void look(void)

@@ -9,9 +9,11 @@
 #include <string.h>
 #include <time.h>
 
+/* How paths are planned, and how their motions are proven. */
 typedef struct {
     const loewner_checker *checker;
     loewner_workspace *workspace;
+    loewner_plan_options plan;
     loewner_proof_options options;
     int64_t handles[7];
     double lengths[2];
@@ -63,8 +65,9 @@ static loewner_status is_free_at(const Judge *judge, const double *q, int *is)
 
 /* Choose the values that move, and their ranges; trees have no memory yet. */
 static loewner_status make_search(const Judge *judge, const double *start, const double *goals, size_t goal_count,
-                                  const uint8_t *joints, Search *search)
+                                  Search *search)
 {
+    const uint8_t *joints = judge->plan.joints;
     const File *file = judge->checker->file;
     int64_t dof = search->dof = file->dof, count = 0;
     double *block;
@@ -175,8 +178,9 @@ static loewner_status make_room(loewner_workspace *workspace, int64_t rows, int6
 }
 
 /* Let the trees grow until they meet, and write the path to the workspace. */
-static loewner_status connect(const Judge *judge, Search *search, const loewner_plan_options *options, int64_t *count)
+static loewner_status connect(const Judge *judge, Search *search, int64_t *count)
 {
+    const loewner_plan_options *options = &judge->plan;
     int64_t handle = (int64_t)&search->arrays, portion = FIRST_ITERATIONS, outcome = CODE_FULL, at = -1, turned;
     int64_t limit = options->max_iterations > 0 ? options->max_iterations : USUAL_ITERATIONS;
     int64_t goals = (int64_t)search->goal_count, dof = search->dof;
@@ -208,8 +212,9 @@ static loewner_status connect(const Judge *judge, Search *search, const loewner_
 
 /* Shorten the path in the workspace, in which all motions must be free. If the number of cuts is negative, leave the
    path unchanged. */
-static loewner_status cut_corners(const Judge *judge, int64_t *count, const loewner_plan_options *options)
+static loewner_status cut_corners(const Judge *judge, int64_t *count)
 {
+    const loewner_plan_options *options = &judge->plan;
     loewner_workspace *workspace = judge->workspace;
     int64_t cuts = options->cuts == 0 ? USUAL_CUTS : options->cuts, dof = judge->checker->file->dof, done = -1;
     int64_t state[STATE] = {[RANDOM] = options->seed}, room = *count + (cuts < MOST_ROOM ? cuts : MOST_ROOM);
@@ -233,8 +238,9 @@ static loewner_status cut_corners(const Judge *judge, int64_t *count, const loew
 static loewner_status take_judge(const loewner_checker *checker, loewner_workspace *workspace,
                                  const loewner_plan_options *options, Judge *judge)
 {
-    const double *joint_error = options->joint_error;
-    if (options->max_iterations < 0 || !(options->timeout >= 0) || options->cuts < -1)
+    const loewner_plan_options plan = options == NULL ? (loewner_plan_options){0} : *options;
+    const double *joint_error = plan.joint_error;
+    if (plan.max_iterations < 0 || !(plan.timeout >= 0) || plan.cuts < -1)
         return fail(LOEWNER_BAD_ARGUMENT,
                     "options: expected iterations, a time and cuts that are not negative, found others");
     TRY(take_errors(checker, &joint_error));
@@ -242,6 +248,7 @@ static loewner_status take_judge(const loewner_checker *checker, loewner_workspa
     *judge = (Judge){
         checker,
         workspace,
+        plan,
         {.tolerance = PLAN_TOLERANCE, .joint_error = joint_error, .steps = CODE_NO_LIMIT},
         {(int64_t)&half->pieces, half->handle, half->motions, (int64_t)workspace->memory, 1, (int64_t)joint_error, 0},
         {PLAN_TOLERANCE, 0},
@@ -289,8 +296,6 @@ loewner_status loewner_checker_plan(const loewner_checker *checker, loewner_work
                                     const double *goals, size_t goal_count, const loewner_plan_options *options,
                                     const double **path, size_t *count)
 {
-    static const loewner_plan_options usual;
-    options = options == NULL ? &usual : options;
     HOLD_PREPARED(checker, workspace, prepare_exact);
     if (path == NULL || count == NULL || goal_count == 0)
         return fail(
@@ -304,10 +309,10 @@ loewner_status loewner_checker_plan(const loewner_checker *checker, loewner_work
     TRY(take_judge(checker, workspace, options, &judge));
     Search search __attribute__((cleanup(leave_search))) = {0};
     int64_t rows;
-    TRY(make_search(&judge, start, goals, goal_count, options->joints, &search));
+    TRY(make_search(&judge, start, goals, goal_count, &search));
     TRY(choose_goals(&judge, &search, goals, goal_count));
-    TRY(connect(&judge, &search, options, &rows));
-    TRY(cut_corners(&judge, &rows, options));
+    TRY(connect(&judge, &search, &rows));
+    TRY(cut_corners(&judge, &rows));
     *path = workspace->path;
     *count = (size_t)rows;
     return LOEWNER_OK;
@@ -317,8 +322,6 @@ loewner_status loewner_checker_shorten(const loewner_checker *checker, loewner_w
                                        size_t n, const loewner_plan_options *options, const double **shorter,
                                        size_t *count)
 {
-    static const loewner_plan_options usual;
-    options = options == NULL ? &usual : options;
     HOLD_PREPARED(checker, workspace, prepare_exact);
     if (shorter == NULL || count == NULL || n < 2)
         return fail(LOEWNER_BAD_ARGUMENT, "expected two or more configurations and places for the path, found fewer");
@@ -337,7 +340,7 @@ loewner_status loewner_checker_shorten(const loewner_checker *checker, loewner_w
     ptrdiff_t begin = is_own ? path - workspace->path : 0;
     TRY(make_room(workspace, (is_own ? (int64_t)begin / (int64_t)dof + 1 : 0) + rows, (int64_t)dof));
     memmove(workspace->path, is_own ? workspace->path + begin : path, n * dof * sizeof *path);
-    TRY(cut_corners(&judge, &rows, options));
+    TRY(cut_corners(&judge, &rows));
     *shorter = workspace->path;
     *count = (size_t)rows;
     return LOEWNER_OK;

@@ -523,14 +523,11 @@ loewner_status prove(loewner_workspace *workspace, size_t first, size_t n, int32
 
 loewner_status take_errors(const loewner_checker *checker, const double **joint_error)
 {
-    int is_off = 0;
-    for (int64_t c = 0; *joint_error != NULL && c < checker->file->dof; c++) {
-        double error = (*joint_error)[c];
-        if (!(error >= 0 && error < INFINITY))
-            return fail(LOEWNER_BAD_ARGUMENT, "joint_error: expected numbers >= 0, found %g", error);
-        is_off |= error > 0;
-    }
-    *joint_error = is_off ? *joint_error : NULL;
+    int64_t dof = checker->file->dof;
+    for (int64_t c = 0; *joint_error != NULL && c < dof; c++)
+        if (!((*joint_error)[c] >= 0 && (*joint_error)[c] < INFINITY))
+            return fail(LOEWNER_BAD_ARGUMENT, "joint_error: expected numbers >= 0, found %g", (*joint_error)[c]);
+    *joint_error = if_any(*joint_error, dof);
     return LOEWNER_OK;
 }
 
