@@ -1,10 +1,10 @@
 """Build the native library: the kernels as machine code for levels of processors, and the extension that calls them.
 
     python native/build.py                     for this machine's level, if it is not there already
-    python native/build.py --gpu               the threads' functions as PTX, too; elsewhere a GPU's first use makes it
+    python native/build.py --gpu               the threads' functions as PTX, too; otherwise, a GPU's first use makes it
     python native/build.py --levels all --gpu  for all levels of this architecture, as a wheel has them
     python native/build.py --to FOLDER         somewhere else than beside `src/loewner/_native/library.py`
-    python native/build.py --log FILE          go on in the background, and write messages into a file
+    python native/build.py --log FILE          build in the background, and write messages into a file
 
 A build takes Numba, NumPy's headers and a C compiler. For this machine's level, groups of kernels can be used as soon
 as they are compiled, and callers of other kernels wait for them (`library.py`). Files for other machines are built as a
@@ -55,8 +55,8 @@ LEVELS = {
 CPU_OF = {"arm64": "generic"}
 
 # Entries by module. For this machine's level, each group becomes a separate object file, so that an edit rebuilds few
-# files, and a program can begin when the files that it needs are there. Each group that calls a small function has a
-# copy of it, so that groups with many common functions are merged. For other machines, each level has a single object
+# files, and a program can begin when the files that it needs are there. Each group has a copy of the small functions
+# that it calls, so groups with many common functions are merged. For other machines, each level has a single object
 # file, which takes the least space.
 GROUPS = {
     "bodies": ("fits.hulls", "fits.pieces", "fits.mv", "pieces.", "trees.piece_tree", "trees.triangle_tree",
@@ -72,11 +72,11 @@ GROUPS = {
     "others": ("",),
 }  # fmt: skip
 
-# The demo does not need these groups, so that a build in the background has a lower priority for them.
+# The demo does not need these groups, so a build in the background compiles them with a lower priority.
 LATER = ("distances", "arms", "others")
 
-# IN_BACKGROUND is the difference in priority: a program on a second core is not slowed, and a busy machine still ends
-# the build.
+# IN_BACKGROUND is the difference in priority. A program on a second core is then not slowed, and the build ends even on
+# a busy machine.
 IN_BACKGROUND = 5
 
 # Figures for estimates of the remaining time: the number of functions, the seconds of one core per function, and the
@@ -217,8 +217,8 @@ def build(
                 done = [name for path in made for name in groups[path.stem.removeprefix(f"{level}-")]]
                 publish([early, work / CALL], home, entries=done)
 
-        # Start the check first: while it runs, one process less compiles to byte code the modules that all processes
-        # import.
+        # Start the check first. While it runs, one process fewer compiles the modules that all processes import to byte
+        # code.
         check = Command("check of Numba", [str(HERE / "emit.py")], {}, work / "check")
         commands = [check, *workers, *([ptx(work / _ptx.NAME)] if gpu else [])]
         functions = build_all(commands, objects, hand_out)
@@ -425,10 +425,10 @@ def go_on_in_background(lock: int | None, work: Path, log: Path) -> None:
 def main() -> int:
     """Build the requested files, unless they exist."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--levels", default="machine", help="'machine' (default), 'all', or names with commas")
-    parser.add_argument("--gpu", action="store_true", help="code for NVIDIA's GPUs, too")
-    parser.add_argument("--to", type=Path, default=HOME, metavar="FOLDER", help="where what is built goes")
-    parser.add_argument("--log", type=Path, metavar="FILE", help="go on in the background, and write to a file")
+    parser.add_argument("--levels", default="machine", help="'machine' (default), 'all', or names separated by commas")
+    parser.add_argument("--gpu", action="store_true", help="also compile code for NVIDIA's GPUs")
+    parser.add_argument("--to", type=Path, default=HOME, metavar="FOLDER", help="folder for the files that are built")
+    parser.add_argument("--log", type=Path, metavar="FILE", help="build in the background, and write messages to FILE")
     parser.add_argument("--lock", type=int, help=argparse.SUPPRESS)
     parser.add_argument("--work", type=Path, help=argparse.SUPPRESS)
     options = parser.parse_args()

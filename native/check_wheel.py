@@ -1,7 +1,7 @@
 """Check a wheel: its files, its size, and the system libraries that it needs.
 
 python native/check_wheel.py dist/*.whl
-python native/check_wheel.py --same-as other.whl dist/*.whl     besides, that both hold the same files
+python native/check_wheel.py --same-as other.whl dist/*.whl     also check that both hold the same files
 """
 
 import argparse

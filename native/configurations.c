@@ -152,7 +152,8 @@ static PyObject *configurations_new(PyTypeObject *type, PyObject *arguments, PyO
     PyObject *check, *motion, *held;
     PyArrayObject *range, *hits;
     static char *known[] = {
-        "check_configurations", "check_motion", "pack", "problem", "memory", "piece_pairs", "range", "hits", "held", NULL,
+        "check_configurations", "check_motion", "pack", "problem", "memory", "piece_pairs", "range", "hits", "held",
+        NULL,
     };
     Configurations *made = new_object(type);
     if (made == NULL ||

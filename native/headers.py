@@ -48,8 +48,8 @@ _Static_assert(sizeof(void *) == sizeof(int64_t), "an address takes a slot");
 
 COLUMNS = (
     "SOLID", "SURFACE", "MAPPED", "POLYTOPE", "REACH", "HOT", "COLUMNS", "POINTS_FROM", "POINTS_TO", "SURFACE_AT",
-    "LAYOUT", "PARTS", "DEEPEST", "WIDE", "FIXED", "REVOLUTE", "PLANAR", "BALL", "TRANSLATION", "SINE", "COSINE",
-    "BOUNDS", "CACHE_LINE", "ITERATION", "RANDOM", "ROWS", "STATE", "TREE_ROWS",
+    "LAYOUT", "PARTS", "DEEPEST", "WIDE", "FIXED", "BALL", "TRANSLATION", "CACHE_LINE", "ITERATION", "RANDOM", "ROWS",
+    "STATE", "TREE_ROWS",
 )  # fmt: skip
 
 

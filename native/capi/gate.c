@@ -46,7 +46,7 @@ struct loewner_gate {
     /* Vectors of `dof` numbers; times of ticks (`at`); and the brake. */
     double *strongest, *jerk, *fastest, *error, *rate_error, *widened, *looser, *resting, *q, *at;
     double *times, *states, *courses, *seconds, *out[3];
-    /* Numbers of pieces and rows of the brake in the arrays; the row before the first counts. */
+    /* How many pieces and rows the brake in the arrays has, including the row before the first one. */
     int64_t pieces_made, rows_needed;
     Chunk last, made, slower;
     uint64_t structure; /* Serial number of the scene when the last chunk was made. */
@@ -320,7 +320,7 @@ static int goes_on(loewner_gate *gate, int64_t tick, const double *targets, int6
     for (int64_t k = 0; k <= made->braked; k++)
         made->ends[k] = last->ends[tick + k] - tick;
     int64_t first = made->first > 0 ? made->first : 0;
-    /* The path of this brake had more targets. */
+    /* A brake that was proven along a path with more targets does not count. */
     while (gate->on_path && made->braked >= first && made->ends[made->braked] > count)
         made->braked--;
     const Stop none = {-1, 0, -1, 0}, stops[] = {later(last->motion_stop, tick), later(last->brake_stop, tick)};
@@ -528,8 +528,8 @@ static loewner_status prove_chunk(loewner_gate *gate, Chunk *chunk, Proof *proof
 static loewner_status find_scale(loewner_gate *gate, Proof *proof, double *scale)
 {
     const Chunk *chunk = &gate->made;
-    const Proof found = *proof;
     Chunk *slower = &gate->slower;
+    Proof attempt = *proof;
     for (*scale = 0.5; *scale > 0.1; *scale /= 2) {
         double *rates = slower->rates;
         int64_t *ends = slower->ends;
@@ -544,16 +544,14 @@ static loewner_status find_scale(loewner_gate *gate, Proof *proof, double *scale
         for (int64_t c = 0; c < gate->dof; c++)
             rates[c] = *scale * chunk->rates[c];
         write_rates(gate, slower);
-        proof->reason = 0;
-        proof->dt = slower->dt;
-        TRY(prove_chunk(gate, slower, proof));
-        if (!proof->reason)
+        attempt.reason = 0;
+        attempt.dt = slower->dt;
+        TRY(prove_chunk(gate, slower, &attempt));
+        if (!attempt.reason)
             break;
     }
-    *scale = proof->reason ? 0 : *scale;
-    proof->reason = found.reason;
-    proof->pair = found.pair;
-    proof->dt = found.dt;
+    *scale = attempt.reason ? 0 : *scale;
+    proof->work = attempt.work;
     return LOEWNER_OK;
 }
 
@@ -567,7 +565,7 @@ static int64_t within_limits(const loewner_gate *gate, const double *q, const do
     for (int64_t k = 0; k < count; k++)
         for (int64_t c = 0; c < gate->dof; c++) {
             double to = targets[k * gate->dof + c], from = k == 0 ? q[c] : targets[(k - 1) * gate->dof + c];
-            /* The first target counts from the measured `q`, not from the command. */
+            /* The speed to the first target is counted from the measured `q`, not from the command. */
             double speed = fabs(to - from) / dt - (k == 0 ? gate->error[c] / dt : 0);
             if (to < lower[c] || to > upper[c] || speed > gate->fastest[c] * (1 + SAME_TICK)) {
                 *joint = (int32_t)c;
@@ -647,8 +645,8 @@ static loewner_status begin_chunk(loewner_gate *gate, int goes_on, const double 
     return LOEWNER_OK;
 }
 
-/* Make this chunk the most recent one that may run. From now on, bodies may be at their current poses only. If the chunk
-   continues the previous one, these poses are within the earlier bounds, so that the old proofs hold. */
+/* Make this chunk the most recent one that may run. From now on, bodies may only be at their current poses. If the
+   chunk continues the previous one, these poses are within the earlier bounds, so the old proofs still hold. */
 static void adopt(loewner_gate *gate)
 {
     const Chunk made = gate->made;
@@ -708,7 +706,8 @@ static loewner_status judge(loewner_gate *gate, const double *q, const double *d
     int is_sure = other < 0 || (here > 0 && (double)here == rint((now - gate->last.t0) / gate->last.dt));
     off = -1;
     for (tick = -1; holds && (tick = next_tick(gate, q, dq, from, to, &off, tick)) >= 0;)
-        if ((late == 0 || (is_sure && tick == here)) && gate->last.first <= late + tick && late + tick <= gate->last.braked) {
+        if ((late == 0 || (is_sure && tick == here)) && gate->last.first <= late + tick &&
+            late + tick <= gate->last.braked) {
             TRY(brake_from(gate, &gate->last, late + tick));
             return answer_with(gate, LOEWNER_GATE_BRAKE, 0, 1, dt * (double)late, &proof, answer);
         }

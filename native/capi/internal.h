@@ -198,7 +198,7 @@ typedef struct {
     Tree tree;      /* The tree has a link for each attached body. */
     int64_t *link, *pair_list, *rows, *order;
     double *margins, *poses;
-    Half halves[CUTTINGS]; /* If a half is missing, it has no block, and `half_of` returns the first half. */
+    Half halves[CUTTINGS]; /* Without cut surfaces, only the first half has a block, and `half_of` returns it. */
     void *memory[32];
     int memory_count;
 } State;

@@ -60,15 +60,11 @@ static loewner_status view(const loewner_side *side, size_t first, size_t n, con
     return LOEWNER_OK;
 }
 
-static loewner_status views(const loewner_side *a, const loewner_side *b, size_t first, size_t n, View made[2],
-                            int64_t plan[5])
-{
-    TRY(view(a, first, n, "a", &made[0]));
-    TRY(view(b, first, n, "b", &made[1]));
-    const int64_t rows[5] = {(int64_t)n, made[0].step, made[0].pose_step, made[1].step, made[1].pose_step};
-    memcpy(plan, rows, sizeof rows);
-    return LOEWNER_OK;
-}
+/* Arguments by which kernels receive two views, and the plan for their n pairs, an array of five integers. */
+#define PLAN(n, a, b) {(n), (a).step, (a).pose_step, (b).step, (b).pose_step}
+#define VIEWS(plan, a, b)                                                                                              \
+    .plan = {plan, 5, 1}, .rows = {no_rows, 2, 0}, .pack_a = (int64_t)&(a).pieces, .Ta = (a).poses,                    \
+    .pack_b = (int64_t)&(b).pieces, .Tb = (b).poses
 
 loewner_status settle_all(const struct settle_range *asked, int *are_rigid)
 {
@@ -91,22 +87,23 @@ loewner_status settle_all(const struct settle_range *asked, int *are_rigid)
 static loewner_status settle(loewner_workspace *workspace, int mode, const loewner_side *a, const loewner_side *b,
                              size_t n, double margin, int8_t *verdicts)
 {
-    View sides[2];
-    int64_t plan[5], tally[CODE_TIERS] = {0}, count = (int64_t)n;
+    View first, second;
+    int64_t tally[CODE_TIERS] = {0}, count = (int64_t)n;
     int are_rigid;
     if (kernels() == NULL)
         return LOEWNER_NO_KERNELS;
     if (n == 0)
         return LOEWNER_OK;
-    TRY(views(a, b, 0, n, sides, plan));
+    TRY(view(a, 0, n, "a", &first));
+    TRY(view(b, 0, n, "b", &second));
     if (!(margin >= 0 && margin < INFINITY) || verdicts == NULL)
         return fail(LOEWNER_BAD_ARGUMENT, "margin, verdicts: expected a number >= 0 and a pointer, found others");
     HOLD(workspace);
     TRY(reserve(workspace, (size_t)kernels()->settle_memory));
+    const int64_t plan[5] = PLAN(count, first, second);
     const struct settle_range asked = {
-        .mode = mode, .margin = margin, .stop = count, .plan = {plan, 5, 1}, .rows = {no_rows, 2, 0},
-        .pack_a = (int64_t)&sides[0].pieces, .Ta = sides[0].poses, .pack_b = (int64_t)&sides[1].pieces,
-        .Tb = sides[1].poses, .out = {verdicts, count}, .tally = {tally, CODE_TIERS}, .memory = workspace->block,
+        .mode = mode, .margin = margin, .stop = count, VIEWS(plan, first, second), .out = {verdicts, count},
+        .tally = {tally, CODE_TIERS}, .memory = workspace->block,
     };
     TRY(settle_all(&asked, &are_rigid));
     return are_rigid ? LOEWNER_OK : fail(LOEWNER_BAD_ARGUMENT, "poses: expected rigid motions, found others");
@@ -154,18 +151,18 @@ loewner_status loewner_measure(loewner_workspace *workspace, const loewner_side 
     HOLD(workspace);
     TRY(reserve(workspace, (size_t)known->distance_memory));
     for (size_t first = 0; first < n; first += AT_ONCE) {
-        View sides[2];
-        int64_t plan[5], count = (int64_t)at_most(n - first, AT_ONCE);
+        View at_a, at_b;
+        int64_t count = (int64_t)at_most(n - first, AT_ONCE);
         double numbers[4 * AT_ONCE], vectors[9 * AT_ONCE];
         int8_t status[AT_ONCE];
-        TRY(views(a, b, first, (size_t)count, sides, plan));
-        for (int side = 0; side < 2; side++)
-            TRY(check_poses(sides[side].poses.data, (size_t)sides[side].poses.count, side == 0 ? "a" : "b"));
+        TRY(view(a, first, (size_t)count, "a", &at_a));
+        TRY(view(b, first, (size_t)count, "b", &at_b));
+        TRY(check_poses(at_a.poses.data, (size_t)at_a.poses.count, "a"));
+        TRY(check_poses(at_b.poses.data, (size_t)at_b.poses.count, "b"));
+        const int64_t plan[5] = PLAN(count, at_a, at_b);
         const struct distance_range asked = {
-            .wanted = 1, .stop = count, .plan = {plan, 5, 1}, .rows = {no_rows, 2, 0},
-            .pack_a = (int64_t)&sides[0].pieces, .Ta = sides[0].poses, .pack_b = (int64_t)&sides[1].pieces,
-            .Tb = sides[1].poses, .memory = workspace->block, .numbers = {numbers, 4, count},
-            .vectors = {vectors, 3, count, 3}, .status = {status, count},
+            .wanted = 1, .stop = count, VIEWS(plan, at_a, at_b), .memory = workspace->block,
+            .numbers = {numbers, 4, count}, .vectors = {vectors, 3, count, 3}, .status = {status, count},
         };
         struct distance_range_results left;
         TRY(call(known->distance_range, &asked, &left));

@@ -54,23 +54,18 @@ loewner_status check_configurations(const loewner_checker *checker, const double
                                     const char *name)
 {
     const File *file = checker->file;
-    size_t count = n * (size_t)file->dof;
-    int is = 1;
-    TRY(check_count(n, (size_t)file->dof, name));
+    size_t dof = (size_t)file->dof;
+    TRY(check_count(n, dof, name));
     if (configurations == NULL && n > 0)
         return fail(LOEWNER_BAD_ARGUMENT, "%s: expected configurations, found NULL", name);
-    for (size_t k = 0; k < count; k++)
-        is &= fabs(configurations[k]) <= LARGEST_VALUE; /* The comparison is false for NaN. */
-    for (size_t k = 0; !is && k < count; k++)
-        if (!(fabs(configurations[k]) <= LARGEST_VALUE)) {
-            size_t dof = (size_t)file->dof;
+    for (size_t k = 0; k < n * dof; k++)
+        if (!(fabs(configurations[k]) <= LARGEST_VALUE)) /* The comparison is false for NaN. */
             return fail(LOEWNER_BAD_ARGUMENT, "%s[%zu]: expected finite numbers within %g, found %g for %.100s", name,
                         k / dof, LARGEST_VALUE, configurations[k],
                         loewner_checker_value_name(checker, (int32_t)(k % dof)));
-        }
     for (int64_t c = 0; c < file->quaternion_count; c++)
         for (size_t k = 0; k < n; k++) {
-            const double *q = configurations + k * (size_t)file->dof + file->quaternions[c];
+            const double *q = configurations + k * dof + file->quaternions[c];
             double norm = sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]);
             if (fabs(norm - 1) > QUATERNION_TOLERANCE)
                 return fail(LOEWNER_BAD_ARGUMENT, "%s: expected quaternions of norm 1, found norm %.9g", name, norm);
@@ -150,7 +145,7 @@ static void learn(loewner_workspace *workspace, int64_t n)
     if (workspace->seen < workspace->next_look)
         return;
     workspace->next_look = 2 * workspace->seen;
-    /* A stable insertion sort suffices, because few pairs ever collide, and these are soon in front. */
+    /* A stable insertion sort suffices, because few pairs ever collide, and these pairs soon move to the front. */
     for (int64_t k = 0; k < pairs; k++)
         workspace->order[k] = k;
     for (int64_t k = 1; k < pairs; k++) {
@@ -282,9 +277,9 @@ loewner_status loewner_checker_distance(const loewner_checker *checker, loewner_
         const double *rows = configurations + first * (size_t)dof;
         int8_t *status = workspace->found;
         double *numbers = workspace->numbers, *vectors = workspace->vectors;
-        TRY(CALL(nearest_pairs, NULL, .wanted = 1, .stop = count, .Q = {rows, count, dof}, .numbers = {numbers, 3, count},
-                 .vectors = {vectors, 3, count, 3}, .pieces_out = {workspace->pieces, count, 2},
-                 .status = {status, count}, SCENE(workspace)));
+        TRY(CALL(nearest_pairs, NULL, .wanted = 1, .stop = count, .Q = {rows, count, dof},
+                 .numbers = {numbers, 3, count}, .vectors = {vectors, 3, count, 3},
+                 .pieces_out = {workspace->pieces, count, 2}, .status = {status, count}, SCENE(workspace)));
         for (int64_t k = 0; k < count; k++) {
             loewner_distance *found = distances + first + k;
             write_distance(found, numbers, numbers + count, numbers + 2 * count, vectors, count, k, status[k] == 0);
@@ -338,7 +333,7 @@ static void straight(const File *file, const double *a, const double *b, double 
     size_t size = sizeof(double) * (size_t)file->dof;
     memcpy(course, a, size);
     memcpy(course + file->dof, b, size);
-    for (int64_t c = 0; c < file->quaternion_count; c++) { /* Take q or -q: the nearer one. */
+    for (int64_t c = 0; c < file->quaternion_count; c++) { /* Take q or -q, whichever is nearer to p. */
         const double *p = a + file->quaternions[c];
         double *q = course + file->dof + file->quaternions[c];
         if (p[0] * q[0] + p[1] * q[1] + p[2] * q[2] + p[3] * q[3] < 0)
@@ -414,11 +409,12 @@ loewner_status certify(loewner_workspace *workspace, const double *courses, int6
                        int64_t width, double tolerance, int8_t as_given, int64_t steps, int8_t *verdicts)
 {
     const Half *half = half_of(workspace->checker, CUT);
+    int64_t dof = workspace->checker->file->dof;
     memset(verdicts, as_given, (size_t)count);
     for (int64_t k = 0; k < count; k++)
         workspace->work[WORK * k + WORK - 1] = steps;
     /* `clear` is omitted, because bodies may be as near as their margins. */
-    return CALL(certify_motions, NULL, .stop = count, .courses = {courses, count, points, workspace->checker->file->dof},
+    return CALL(certify_motions, NULL, .stop = count, .courses = {courses, count, points, dof},
                 .off = {workspace->off, width > 0 ? count : 0, width}, .tolerance = tolerance, MOTIONS(half),
                 .out = {verdicts, count}, .t_out = {workspace->fractions, count},
                 .pair_out = {workspace->found_pairs, count}, .tallies = {workspace->work, count, WORK},

@@ -33,8 +33,8 @@ static void leave_state(State *state)
 
 /* -- packs of chosen bodies ---------------------------------------------------------------------------------------- */
 
-/* Return the link to which a link is rigidly joined: its parent if its joint is fixed, otherwise the link itself; -1 is
-   the world. */
+/* Return the link with which a link moves rigidly: the parent if the link's joint is fixed, otherwise the link itself;
+   -1 is the world. */
 static int64_t rigid_link(const Tree *tree, int64_t link)
 {
     return tree->kind[link] == FIXED ? tree->parent[link] : link;
@@ -239,8 +239,7 @@ static loewner_status list_pairs(const loewner_checker *checker, State *state)
 
 /* -- halves -------------------------------------------------------------------------------------------------------- */
 
-/* Place the static bodies that have moved, in the same memory. No other thread may query this checker at the same time.
-   */
+/* Place the static bodies that have moved, in the same memory. No other thread may query this checker meanwhile. */
 static loewner_status place(const State *state, Half *half)
 {
     return CALL(place_static, &half->handle, .pack = (int64_t)&half->pieces, .handle = half->handle,
