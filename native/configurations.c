@@ -93,7 +93,9 @@ static int64_t steps_of(PyObject *start, PyObject *end, double step)
 /* Get the fractions of a motion with `steps` steps from Python; return a new reference to an array, or NULL. */
 static PyObject *fractions_of(PyObject *order, int64_t steps)
 {
-    PyObject *fractions = steps > 0 ? PyObject_CallFunction(order, "L", (long long)steps) : NULL;
+    PyObject *number = steps > 0 ? PyLong_FromLongLong(steps) : NULL;
+    PyObject *fractions = number != NULL ? PyObject_CallFunctionObjArgs(order, number, NULL) : NULL;
+    Py_XDECREF(number);
     if (fractions != NULL && !(is_plain(fractions, 1) && PyArray_DIM((PyArrayObject *)fractions, 0) == steps + 1))
         Py_CLEAR(fractions);
     return fractions;
@@ -165,8 +167,9 @@ static PyObject *configurations_new(PyTypeObject *type, PyObject *arguments, PyO
     }
     made->check_configurations = function_of(check, CHECK_CONFIGURATIONS_WORDS);
     made->check_motion = function_of(motion, CHECK_MOTION_WORDS);
-    if (!is_plain((PyObject *)range, 2) || PyArray_DIM(range, 0) != 2 || PyArray_NDIM(hits) != 1 ||
-        PyArray_TYPE(hits) != NPY_INT64 || !PyArray_ISCARRAY(hits))
+    int is_usual = is_plain((PyObject *)range, 2) && PyArray_DIM(range, 0) == 2 && PyArray_NDIM(hits) == 1 &&
+                   PyArray_TYPE(hits) == NPY_INT64 && PyArray_ISCARRAY(hits);
+    if (!is_usual && !PyErr_Occurred())
         PyErr_SetString(PyExc_TypeError, "expected a range of shape (2, dof) of float64, and hits of int64");
     if (!PyErr_Occurred()) {
         made->width = PyArray_DIM(range, 1);

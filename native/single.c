@@ -52,6 +52,8 @@ Function function_of(PyObject *given, const char *takes, const char *gives)
 {
     Word argument[MOST_WORDS] = {0}, result[MOST_WORDS] = {0};
     const Kernel *kernel = kernel_of(given);
+    if (PyErr_Occurred())
+        return NULL;
     if (kernel == NULL) {
         PyErr_SetString(PyExc_TypeError, "expected kernels of the library");
         return NULL;

@@ -25,7 +25,8 @@ int32_t call_kernel(Function function, const void *arguments, void *results, int
    cost too much. */
 #define MANY 64
 
-/* Return the function of a kernel with this signature; NULL, with an exception, for any other object. */
+/* Return the function of a kernel with this signature; NULL, with an exception, for any other object. An exception that
+   is set already remains. */
 Function function_of(PyObject *given, const char *takes, const char *gives);
 
 /* Return the answer of a query: a bool in the mode EXACT, otherwise the number of the verdict; None for -1. */
