@@ -112,14 +112,11 @@ static int put_number(char kind, PyObject *given, int64_t *slot)
         *slot = truth;
         return truth < 0 ? -1 : 0;
     }
-    if (!PyLong_Check(given)) { /* The number is an integer of NumPy. */
-        PyObject *number = PyNumber_Index(given);
-        if (number == NULL)
-            return -1;
-        *slot = PyLong_AsLongLong(number);
-        Py_DECREF(number);
-    } else
-        *slot = PyLong_AsLongLong(given);
+    PyObject *number = PyNumber_Index(given); /* The number may be an integer of NumPy. */
+    if (number == NULL)
+        return -1;
+    *slot = PyLong_AsLongLong(number);
+    Py_DECREF(number);
     return *slot == -1 && PyErr_Occurred() ? -1 : 0;
 }
 

@@ -398,12 +398,6 @@ static double stopping_time(const loewner_gate *gate, int64_t c, double v)
     return v <= strongest * strongest / jerk ? 2 * sqrt(v / jerk) : v / strongest + strongest / jerk;
 }
 
-/* Limit on the steps for proving a brake as a whole: about the steps that one interval takes. */
-static int64_t steps_of_whole(const loewner_gate *gate)
-{
-    return gate->checker->state.pairs > LEAST_STEPS ? gate->checker->state.pairs : LEAST_STEPS;
-}
-
 /* Try to prove a whole brake as one course with at most `steps` steps; if nothing is near, the proof takes one
    interval. The robot may come to rest as late as `until` seconds after the brake began. */
 static loewner_status prove_whole(loewner_gate *gate, double begin, int64_t points, double until, int64_t steps,
@@ -489,7 +483,8 @@ static loewner_status prove_chunk(loewner_gate *gate, Chunk *chunk, Proof *proof
     proof->reason = 0;
     proof->pair = -1;
     tick = tick > 0 ? tick : 0;
-    int64_t steps = steps_of_whole(gate);
+    /* A brake as a whole may take about the steps that one interval takes. */
+    int64_t pairs = gate->checker->state.pairs, steps = pairs > LEAST_STEPS ? pairs : LEAST_STEPS;
     if (proof->most - proof->work < steps * (chunk->motions - tick + 1))
         steps = 0;
     for (; tick <= chunk->motions; tick++) {

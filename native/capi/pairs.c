@@ -3,8 +3,6 @@
 #include "internal.h"
 
 #include <math.h>
-#include <stdlib.h>
-#include <string.h>
 
 static const double identity[16] = {1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1};
 static const int64_t no_rows[1];

@@ -4,7 +4,6 @@
 #include "internal.h"
 
 #include <math.h>
-#include <stdlib.h>
 #include <string.h>
 
 _Static_assert(CODE_FREE == LOEWNER_FREE && CODE_COLLIDING == LOEWNER_COLLIDING && CODE_AMBIGUOUS == LOEWNER_AMBIGUOUS,
@@ -438,10 +437,17 @@ static double off_at(const loewner_checker *checker, int64_t place, double t, do
     return fmin(off * (1 + 0x1p-44), 1e100); /* The result is 1e100 for NaN, too. */
 }
 
-/* Write the deviations of bodies, in the form that the kernel takes, after the values of a motion. */
-static void write_growth(const loewner_checker *checker, double t0, double t1, double late, double *row)
+void write_off(const loewner_checker *checker, const double *course, int64_t points, const double *joint_error,
+               double t0, double t1, double late, double *row)
 {
     const State *state = &checker->state;
+    int64_t dof = checker->file->dof;
+    for (int64_t c = 0; c < dof; c++) {
+        double most = 0;
+        for (int64_t p = 0; p < points; p++)
+            most = fmax(most, fabs(course[p * dof + c]));
+        *row++ = joint_error != NULL ? joint_error[c] + ROUNDED_VALUES * most : 0;
+    }
     for (int64_t place = state->moving; place < state->moving + state->standing; place++) {
         if (!checker->bodies[state->body[place]].has_bounds)
             continue;
@@ -452,19 +458,6 @@ static void write_growth(const loewner_checker *checker, double t0, double t1, d
         row[2] = end + more;
         row += 3;
     }
-}
-
-void write_off(const loewner_checker *checker, const double *course, int64_t points, const double *joint_error,
-               double t0, double t1, double late, double *row)
-{
-    int64_t dof = checker->file->dof;
-    for (int64_t c = 0; c < dof; c++) {
-        double most = 0;
-        for (int64_t p = 0; p < points; p++)
-            most = fmax(most, fabs(course[p * dof + c]));
-        row[c] = joint_error != NULL ? joint_error[c] + ROUNDED_VALUES * most : 0;
-    }
-    write_growth(checker, t0, t1, late, row + dof);
 }
 
 /* Write how many steps each motion took; `first` is the index of the first motion. */
