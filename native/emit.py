@@ -41,7 +41,6 @@ import numba
 import numpy as np
 from llvmlite import ir
 from numba import config, njit, types
-from numba.core import cgutils
 from numba.extending import intrinsic
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "src"))
@@ -246,7 +245,7 @@ def _loaded(context, builder, kind, load):
         for length in reversed(lengths):
             strides.insert(0, step)
             step = builder.mul(step, length)
-        array.shape, array.strides = cgutils.pack_array(builder, lengths), cgutils.pack_array(builder, strides)
+        array.shape, array.strides = _tuple_of(builder, lengths), _tuple_of(builder, strides)
         array.itemsize = ir.Constant(SLOT, itemsize)
         array.nitems = builder.udiv(step, array.itemsize)
         array.meminfo, array.parent = array.meminfo.type(None), array.parent.type(None)
@@ -273,6 +272,13 @@ def _stored(context, builder, kind, value, store):
         store(builder.zext(value, SLOT))
     else:
         store(value)
+
+
+def _tuple_of(builder, values):
+    result = ir.Constant(ir.ArrayType(SLOT, len(values)), ir.Undefined)
+    for n, value in enumerate(values):
+        result = builder.insert_value(result, value, n)
+    return result
 
 
 # Offsets, in the description of an array's memory, on which `runtime.c` relies: the count of references, and the
@@ -408,7 +414,7 @@ def uncounted(text: str) -> str:
 
 
 def hide(module: llvm.ModuleRef, linkage: str, apart: list[str]) -> None:
-    """Give functions that are not called from outside a linkage with which LLVM removes those without any caller.
+    """Set a linkage that lets LLVM remove functions without a caller, except functions that are called from outside.
 
     Python calls the entries from outside, and objects of other groups call the functions that are apart.
     """

@@ -32,7 +32,7 @@ Function function_of(PyObject *given, const char *takes, const char *gives);
 /* Return the answer of a query: a bool in the mode EXACT, otherwise the number of the verdict; None for -1. */
 PyObject *answer_of(int mode, int verdict);
 
-/* The beginning of an object for queries. `held` keeps alive whatever the other fields refer to. */
+/* The beginning of an object for queries. `held` keeps the objects alive to which the other fields refer. */
 typedef struct {
     PyObject_HEAD
     PyObject *held;

@@ -143,7 +143,8 @@ static int are_allowed(const void *numbers, int64_t type, int64_t count, Allowed
     return is;
 }
 
-/* What an array of a pack or of a surface must be; its number of rows is checked later. */
+/* The required type and columns of an array of a pack or a surface, its name, and the numbers that it may hold. Its
+   number of rows is checked later. */
 typedef struct {
     int64_t type, columns;
     const char *name;
@@ -437,7 +438,7 @@ static loewner_status take_names(File *file, int64_t count)
 
 static loewner_status read_file(File *file, const char *path)
 {
-    Counts counts;
+    Counts counts = {0};
     int64_t margins, at = FILE_PACKS;
     const double *margin;
     TRY(map(file, path));

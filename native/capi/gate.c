@@ -146,7 +146,7 @@ static loewner_status look(loewner_gate *gate)
     return LOEWNER_OK;
 }
 
-/* Make what a gate consists of, except for the memory of the gate itself. */
+/* Make the parts of a gate, whose own memory exists already. */
 static loewner_status set_up(loewner_gate *gate, const loewner_gate_options *options)
 {
     TRY(make_room(gate));

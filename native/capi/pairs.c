@@ -60,8 +60,8 @@ static loewner_status view(const loewner_side *side, size_t first, size_t n, con
 
 /* Arguments by which kernels receive two views, and the plan for their n pairs, an array of five integers. */
 #define PLAN(n, a, b) {(n), (a).step, (a).pose_step, (b).step, (b).pose_step}
-#define VIEWS(plan, a, b)                                                                                              \
-    .plan = {plan, 5, 1}, .rows = {no_rows, 2, 0}, .pack_a = (int64_t)&(a).pieces, .Ta = (a).poses,                    \
+#define VIEWS(numbers, a, b)                                                                                           \
+    .plan = {numbers, 5, 1}, .rows = {no_rows, 2, 0}, .pack_a = (int64_t)&(a).pieces, .Ta = (a).poses,                    \
     .pack_b = (int64_t)&(b).pieces, .Tb = (b).poses
 
 loewner_status settle_all(const struct settle_range *asked, int *are_rigid)
