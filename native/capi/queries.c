@@ -332,7 +332,7 @@ static void straight(const File *file, const double *a, const double *b, double 
     size_t size = sizeof(double) * (size_t)file->dof;
     memcpy(course, a, size);
     memcpy(course + file->dof, b, size);
-    for (int64_t c = 0; c < file->quaternion_count; c++) { /* Of q and -q, take the one nearer to p. */
+    for (int64_t c = 0; c < file->quaternion_count; c++) { /* Take q or -q: the one nearer to p. */
         const double *p = a + file->quaternions[c];
         double *q = course + file->dof + file->quaternions[c];
         if (p[0] * q[0] + p[1] * q[1] + p[2] * q[2] + p[3] * q[3] < 0)
