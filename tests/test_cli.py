@@ -1309,7 +1309,7 @@ def test_audit_explains_positive_distances(with_end, capsys):
     """A pair within its margin, or near it by a joint error, is not in contact; the output says why it is not free."""
     Path("moves.csv").write_text(AROUND_END)
     status, out, _ = run(capsys, *AUDIT)
-    assert "margins are not subtracted" in out
+    assert "margins and errors are not subtracted" in out
     assert "have to keep" not in out
     Path("kept.yaml").write_text("margin: 0.15\n" + Path("end.yaml").read_text())
     kept = ("audit", *ROBOT, "moves.csv", "--scene", "kept.yaml")

@@ -364,6 +364,57 @@ def test_a_body_with_an_error_of_its_pose_is_not_attached(written, capsys):
     assert "--attach can=cart: expected a body at a known pose, found an error of its pose" in err
 
 
+@pytest.mark.parametrize("command", [["audit"], ["swept", "-o", "o.stl"]])
+def test_errors_of_joints_are_not_lost_in_a_grasp(written, capsys, command):
+    """A joint that is off when the hand takes the can puts the can off in the hand: the can would hit what is FREE."""
+    written(CAN, "s.yaml")
+    words = ["r.urdf", written(SOLUTION), "--scene", "s.yaml", "--attach", "3:can=cart", "--joint-error", "0.02"]
+    assert main([*command, *words]) == 2
+    assert (
+        "--joint-error 0.02: expected 0 with --attach, since errors at the time of the grasp" in capsys.readouterr().err
+    )
+
+
+def test_a_way_between_parts_is_proven(written, capsys):
+    """A message whose second part begins elsewhere does not contain the way there, which leads through the post."""
+    message = written(
+        {"trajectory": [of_joints((0, x, 0.0), (1, x, 0.1), names=["slide", "lift"]) for x in (0.0, 2.0)]}
+    )
+    for place, verdict, status in (([9, 9, 9], "FREE", 0), ([1.3, 0, 0], "COLLIDING", 1)):
+        written(f"bodies:\n  post: {{box: [0.1, 0.1, 1], position: {place}}}", "s.yaml")
+        end, out, err = audit(capsys, message, "--scene", "s.yaml")
+        assert "does not contain the way" in err
+        assert end == status
+        assert f"before    the straight way from the end of part 1 to the first point is {verdict}" in out
+        assert out.splitlines()[-1] == f"{verdict}  2 of 2 parts proven free"
+    assert main(["swept", "r.urdf", message, "-o", "o.stl"]) == 2
+    assert "expected parts that begin where the part before them ends, found a gap" in capsys.readouterr().err
+    assert not Path("o.stl").exists()
+
+
+def test_contact_on_the_way_from_the_present_state_may_not_be_deep(written, capsys):
+    """The same state as the file's first row has the same status: `leave` allows contact, not a wrong pose."""
+    written("bodies:\n  post: {box: [0.1, 0.1, 0.1], position: [0.33, 0, 0]}\nleave: [[post, cart]]", "s.yaml")
+    name = written(moved((0, 0.0, 0.3), (1, 0.0, 0.4), names=["slide", "lift"]))
+    status, out, _ = audit(capsys, name, "--scene", "s.yaml", "--from", "0 0")
+    assert status == 1
+    assert out.startswith("FREE  ")
+    assert re.search("deep      .*post.* overlap by 70.000 mm before the first point, and --overlap allows 1 mm", out)
+    assert audit(capsys, name, "--scene", "s.yaml", "--from", "0 0", "--overlap", "0.08")[0] == 0
+
+
+def test_positions_are_compared_with_the_limits_of_the_file(written, capsys):
+    """Limits of --limits replace those of the URDF, in the text as in the status."""
+    written(CAN, "s.yaml")
+    name = written(moved((0, 0.0, 0.0), (1, 1.0, 0.0), names=["slide", "lift"]))
+    for least, most, status in ((-0.5, 0.5, 4), (-9, 9, 0)):
+        limits = f"{{has_position_limits: true, min_position: {least}, max_position: {most}}}"
+        written(f"joint_limits:\n  slide: {limits}", "l.yaml")
+        end, out, _ = audit(capsys, name, "--scene", "s.yaml", "--limits", "l.yaml")
+        assert end == status
+        assert ("limits    slide is 0 .. 1, outside its limits -0.5 .. 0.5\n" in out) == bool(status)
+
+
 def test_the_way_to_a_later_first_point_is_told(written, capsys):
     """What happens before the first point is not in the file."""
     written(CAN, "s.yaml")

@@ -17,6 +17,7 @@ from loewner._base._validate import Floats
 from loewner.cli import configurations, inputs, output, trajectories
 from loewner.planners import limit_use
 from loewner.planners.controller_points import START_TOLERANCE
+from loewner.planners.joint_limits import position_limits
 from loewner.robots import ClosestApproach
 from loewner.robots.proofs import approaches, curves
 
@@ -89,13 +90,22 @@ def _run(options: argparse.Namespace) -> int:
     overlap = _validate.positive_scalar(options.overlap, "--overlap", zero=True)
     present = configurations.one(options.present, "--from", options, robot)
     parts, answers = trajectories.read(options, scene, robot, present), list[dict[str, Any]]()
-    # While the robot moves to the first point, the bodies that the first part carries are still in their places.
-    before = None if present is None else _way_to(checker, parts[0][0], present, options.joint_error)
-    for number, part in enumerate(trajectories.carried(parts, scene, robot)):
+    ways: list[dict[str, Any] | None] = []
+
+    def arrive(number: int) -> None:
+        # While the robot moves to the first point, the bodies that the part carries are still in their places.
+        part = parts[number][0]
+        start = trajectories.end(robot, parts[number - 1][0], -1) if number else present
+        if number and np.abs(trajectories.end(robot, part, 0) - start).max() <= START_TOLERANCE:
+            start = None
+        whence = f"the end of part {number}" if number else "--from"
+        ways.append(None if start is None else _way_to(checker, part, start, whence, options.joint_error, overlap))
+
+    for number, part in enumerate(trajectories.carried(parts, scene, robot, arrive)):
         proof, picture = (_numbered(file, number, len(parts)) for file in (options.proof, options.out))
         output.remove_older_proof(proof)
-        answer = _answer(checker, part, options, limits, proof) | {"before": None if number else before}
-        deep = [each for each in answer["allowed"] if each["nearest"] < -overlap]
+        answer = _answer(checker, part, options, limits, proof) | {"before": ways[number]}
+        deep = _deeper(answer["allowed"], overlap)
         answers.append(answer | {"overlap": overlap, "deep": deep})
         if picture is not None:
             plots.save(plots.trajectory(checker, part, joint_error=options.joint_error), picture)
@@ -105,31 +115,40 @@ def _run(options: argparse.Namespace) -> int:
             _print_answer(answers[-1])
             if proof is not None and answer["proof"] is None:
                 print(f"no proof  {proof} is not written: there is no proof of this motion")
-    verdicts = [answer["verdict"] for answer in [*answers, *([before] if before else [])]]
+    befores = [way for way in ways if way is not None]
+    verdicts = [answer["verdict"] for answer in [*answers, *befores]]
     worst = min(verdicts, key=output.WORST_FIRST.index)
     if options.json:
         print(json.dumps(answers[0] if len(answers) == 1 else {"verdict": worst, "parts": answers}, indent=2))
     elif len(answers) > 1:
         free = sum(answer["verdict"] == "FREE" for answer in answers)
         print(f"\n{worst}  {free} of {len(answers)} parts proven free")
-    if worst == "FREE" and any(answer["deep"] for answer in answers):
+    if worst == "FREE" and any(answer["deep"] for answer in [*answers, *befores]):
         return output.COLLIDING
-    exceeded = any(answer["exceeded"] for answer in answers) or (before is not None and before["too_fast"])
+    exceeded = any(answer["exceeded"] for answer in answers) or any(way["too_fast"] for way in befores)
     return BEYOND if exceeded and worst == "FREE" else output.STATUS[worst]
 
 
 def _way_to(
-    checker: loewner.CollisionChecker, part: trajectories.Part, present: Floats, joint_error: float
-) -> dict[str, Any]:
-    """Prove the straight motion from the present state to the first point of a part, within the available time."""
+    checker: loewner.CollisionChecker, part: trajectories.Part, present: Floats, whence: str, joint_error: float,
+    overlap: float,
+) -> dict[str, Any]:  # fmt: skip
+    """Prove the straight motion from a state to the first point of a part, within the available time."""
     robot, first = checker.robot, trajectories.end(checker.robot, part, 0)
     timed = isinstance(part, planners.ControllerPoints)
     begin, due = (part.start_time, float(part.times[0])) if isinstance(part, planners.ControllerPoints) else (0.0, 0.0)
     t0, t1 = (begin, begin + due) if checker.scene.following else (None, None)
     answer = checker.certify_edges(present, first, joint_error=joint_error, t0=t0, t1=t1)
+    deep = list[dict[str, Any]]()
+    ruled = checker.scene.leaving | checker.scene.reaching
+    if ruled and answer.verdict == Verdict.FREE and (t0 is None or due > 0):
+        way = curves.of_path(robot, np.stack([present, first]))
+        way = way._replace(times=way.times if t0 is None else np.array([t0, t1]))
+        allowed = approaches.along(checker, way, np.arange(0)).allowed
+        deep = _deeper([_allowed(checker, pair, each) for pair, each in allowed.items()], overlap)
     off = np.abs(first - present)
     most, fast = int(off.argmax()), False
-    text = f"the straight way from --from to the first point is {answer.verdict.name}"
+    text = f"the straight way from {whence} to the first point is {answer.verdict.name}"
     if answer.verdict != Verdict.FREE:
         text += f": {' and '.join(answer.names)} at the fraction {answer.fraction:.4g}"
     if off[most] <= START_TOLERANCE:
@@ -145,7 +164,7 @@ def _way_to(
         k = int(np.nan_to_num(shares).argmax())
         fast = bool(shares[k] > 1 + limit_use.ROUNDED)
         text += f"; in {due:.6g} s it takes {shares[k]:.3g} of the velocity limit of {robot.configuration_names[k]}"
-    numbers = {"fraction": float(answer.fraction), "off": float(off[most]), "too_fast": fast}
+    numbers = {"fraction": float(answer.fraction), "off": float(off[most]), "too_fast": fast, "deep": deep}
     return _for_json({"verdict": answer.verdict.name, "pair": list(answer.names), **numbers, "text": text})
 
 
@@ -208,7 +227,7 @@ def _answer(
         "moving": list(checker.scene.following),
         "limits": [_for_json(use._asdict()) for use in uses if np.isfinite(use.limit)],
         "exceeded": [_for_json(use._asdict()) for use in uses if use.ratio > 1 + limit_use.ROUNDED],
-        "beyond_limits": _beyond_limits(robot, curve),
+        "beyond_limits": _beyond_limits(robot, curve, limits),
         "jumps": [jump._asdict() for jump in limit_use.jumps(robot, curve)] if timed else [],
         "doubts": limit_use.doubts(robot, curve, uses, getattr(given, "velocities", None) is not None),
         **_told_by_a_message(given),
@@ -221,6 +240,11 @@ def _allowed(checker: loewner.CollisionChecker, pair: tuple[str, str], near: Clo
     ends = ("the beginning",) * (both in checker.scene.leaving) + ("the end",) * (both in checker.scene.reaching)
     margin = checker.scene.margin_of(*pair)
     return {"pair": list(pair), "at": " or ".join(ends), "margin": margin} | _nearest(near, near.nearest)
+
+
+def _deeper(allowed: list[dict[str, Any]], overlap: float) -> list[dict[str, Any]]:
+    """Return the contacts that rules allow, but that are deeper than --overlap."""
+    return [each for each in allowed if each["nearest"] < -overlap]
 
 
 def _for_json(numbers: dict[str, Any]) -> dict[str, Any]:
@@ -250,13 +274,16 @@ def _told_by_a_message(given: trajectories.Part) -> dict[str, Any]:
     return {"place": origin.place, "first_point_due": float(given.times[0]), **more}
 
 
-def _beyond_limits(robot: loewner.Robot, curve: curves.Curve) -> list[dict[str, Any]]:
-    """Return the joint values that are outside a soft or hard limit of the robot at some time."""
+def _beyond_limits(
+    robot: loewner.Robot, curve: curves.Curve, limits: planners.JointLimits | None
+) -> list[dict[str, Any]]:
+    """Return the joint values that are outside a soft or hard limit of the robot, or of --limits, at some time."""
     ends = [limit_use.extremes(curve.courses[:, :, k], curve.times) for k in range(robot.dof)]
     least, most = np.array([[low[0], high[0]] for low, high in ends]).reshape(-1, 2).T
-    hard = (least < robot.hard_lower - ROUNDED) | (most > robot.hard_upper + ROUNDED)
-    outside = hard | (least < robot.lower - ROUNDED) | (most > robot.upper + ROUNDED)
-    lower, upper = np.where(hard, robot.hard_lower, robot.lower), np.where(hard, robot.hard_upper, robot.upper)
+    (hard_lower, hard_upper), soft = position_limits(robot, limits), limits or robot
+    hard = (least < hard_lower - ROUNDED) | (most > hard_upper + ROUNDED)
+    outside = hard | (least < soft.lower - ROUNDED) | (most > soft.upper + ROUNDED)
+    lower, upper = np.where(hard, hard_lower, soft.lower), np.where(hard, hard_upper, soft.upper)
     return [
         {
             "value": robot.configuration_names[k],
@@ -305,9 +332,12 @@ def _print_answer(answer: dict[str, Any]) -> None:
                 f"allowed   contact of {' and '.join(one['pair'])} at {one['at']}, down to "
                 f"{1e3 * one['nearest']:z.3f} mm at {one['nearest_time']:.6g}{unit}"
             )
-    for one in answer["deep"]:
+    for one, where in [
+        *((one, "in this contact") for one in answer["deep"]),
+        *((one, "before the first point") for one in (answer["before"] or {"deep": []})["deep"]),
+    ]:
         print(
-            f"deep      {' and '.join(one['pair'])} overlap by {-1e3 * one['nearest']:.3f} mm in this contact, and "
+            f"deep      {' and '.join(one['pair'])} overlap by {-1e3 * one['nearest']:.3f} mm {where}, and "
             f"--overlap allows {1e3 * answer['overlap']:.6g} mm; are the poses right?"
         )
     error = f", every value up to {answer['joint_error']:g} off" if answer["joint_error"] else ""
@@ -372,7 +402,7 @@ def _print_nearest(answer: dict[str, Any], unit: str) -> None:
         bound = f"proven {proven}" + ("" if answer["nearest_close"] else ", far from the distance found")
     print(
         f"nearest   {distance:z.3f} mm at {answer['nearest_time']:.6g}{unit}, {' and '.join(answer['nearest_pair'])}; "
-        f"{bound}; negative is a depth; margins are not subtracted"
+        f"{bound}; negative is a depth; margins and errors are not subtracted"
     )
 
 

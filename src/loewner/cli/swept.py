@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -11,8 +12,9 @@ from loewner import planners
 from loewner.bodies import for_pictures, packed_of
 from loewner.cli import inputs, trajectories
 from loewner.cli.output import FREE, counted, progress_of
-from loewner.errors import FileError
+from loewner.errors import FileError, InputError
 from loewner.meshes import decomposition as meshes
+from loewner.planners.controller_points import START_TOLERANCE
 from loewner.robots.swept import united
 
 EXAMPLES = """examples:
@@ -47,6 +49,12 @@ def _run(options: argparse.Namespace) -> int:
     inputs.expect_suffix(options.out, "--out", (".stl", ".npz"))
     scene, robot, bodies = inputs.scene(options), inputs.robot(options), []
     parts = trajectories.read(options, scene, robot)
+    for (part, _), (after, _) in pairwise(parts):
+        if np.abs(trajectories.end(robot, part, -1) - trajectories.end(robot, after, 0)).max() > START_TOLERANCE:
+            raise InputError(
+                f"{options.trajectory}: expected parts that begin where the part before them ends, found a gap, whose "
+                "way the body would not contain; split the file there"
+            )
     kept: Any = {"tolerance": options.tolerance, "joint_error": options.joint_error, "scene": scene}
     for number, part in enumerate(trajectories.carried(parts, scene, robot), 1):
         with progress_of(f"part {number}" if len(parts) > 1 else options.trajectory.name) as progress:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -61,6 +61,11 @@ def read(
     others = configurations.one(options.others, "--others", options, robot)
     parts = _parts(options.trajectory, robot, present if others is None else others)
     carrying = _carrying(options.attach, scene, robot, len(parts))
+    if options.attach and getattr(options, "joint_error", 0.0) > 0:
+        raise InputError(
+            f"--joint-error {options.joint_error:g}: expected 0 with --attach, since errors at the time of the grasp "
+            "also shift the body in the hand; attach the body in the scene file if its pose in the hand is exact"
+        )
     clock = None if options.start_time is None else _validate.real(options.start_time, "--start-time")
     for number, (part, held) in enumerate(zip(parts, carrying, strict=True)):
         if isinstance(part, planners.ControllerPoints):
@@ -78,9 +83,18 @@ def read(
     return list(zip(parts, carrying, strict=True))
 
 
-def carried(parts: Iterable[tuple[Part, dict[str, str]]], scene: loewner.Scene, robot: loewner.Robot) -> Iterator[Part]:
-    """Yield each part while links carry its bodies; afterwards, the bodies stay at the poses that they have reached."""
-    for part, carrying in parts:
+def carried(
+    parts: Iterable[tuple[Part, dict[str, str]]],
+    scene: loewner.Scene,
+    robot: loewner.Robot,
+    arrive: Callable[[int], None] = lambda number: None,
+) -> Iterator[Part]:
+    """Yield each part while links carry its bodies; afterwards, the bodies stay at the poses that they have reached.
+
+    Before links take the bodies of a part, `arrive` is called with the number of the part.
+    """
+    for number, (part, carrying) in enumerate(parts):
+        arrive(number)
         _carry(scene, robot, part, carrying)
         yield part
         for body, link in carrying.items():
