@@ -1,6 +1,7 @@
 """Swept volumes: what links pass is inside, at real times and in extended precision; nothing sticks out farther."""
 
 import warnings
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -107,8 +108,8 @@ def test_points_of_random_links_are_inside(seed: int, tmp_path):
 
 def test_floating_and_planar_joints_are_swept_with_their_errors(tmp_path):
     """Each value may deviate from the curve by the joint errors."""
-    rng, robot = np.random.default_rng(0), written(tmp_path, AFLOAT)
-    robot.bodies.update(hand=Body.box([0.1, 0.1, 0.3]), cart=Body.sphere(0.1))
+    bodies = {"hand": Body.box([0.1, 0.1, 0.3]), "cart": Body.sphere(0.1)}
+    rng, robot = np.random.default_rng(0), replace(written(tmp_path, AFLOAT), bodies=bodies)
     q = np.array([0.0, 0.0, 0.5, 1.0, 0.0, 0.0, 0.0, 0.1, 0.2, 0.3, 0.4, 0.1])
     Q = np.stack([q, q + [0.3, 0.1, 0, 0, 0, 0, 0, 0.1, 0.2, 0.5, -0.6, -0.1]])
     Q[1, 3:7] = np.array([0.9, 0.1, 0.0, 0.2]) / np.linalg.norm([0.9, 0.1, 0.0, 0.2])

@@ -192,11 +192,11 @@ def fit(
         "threshold": threshold, "max_pieces": max_pieces, "seed": seed,
     })  # fmt: skip
     targets = _targets(paths, _validate.path(out, "out", wanted="a folder"), root)
-    _validate.callback(progress, "progress")
+    report = _validate.reporter(progress)
     with _connected(client) as connected:
         for folder in dict.fromkeys(target.parent for target in targets.values()):
             made_folder(folder)
-        outcomes = _outcomes(connected, targets, options, progress)
+        outcomes = _outcomes(connected, targets, options, report)
     return _told(targets, outcomes)
 
 
@@ -313,7 +313,7 @@ def _checksum(data: bytes) -> str:
 
 
 def _outcomes(
-    client: Any, targets: Mapping[Path, Path], options: dict[str, Any], progress: Progress | None
+    client: Any, targets: Mapping[Path, Path], options: dict[str, Any], progress: Progress
 ) -> dict[Path, Outcome]:
     """Let the workers make all bodies, and wait for them; cancelled work is requested again.
 
@@ -327,8 +327,7 @@ def _outcomes(
 
     def report(mesh: Path, outcome: Outcome) -> None:
         outcomes[mesh] = outcome
-        if progress is not None:
-            progress(len(outcomes), len(targets))
+        progress(len(outcomes), len(targets))
 
     for _ in range(ATTEMPTS):
         left = {mesh: target for mesh, target in targets.items() if mesh not in outcomes}
@@ -338,8 +337,8 @@ def _outcomes(
         if not _reconnected(client):
             break
     raise LoewnerError(
-        "expected a scheduler that stays until the work is done, found that it went away, or that somebody "
-        f"cancelled the work {ATTEMPTS} times; what is done is kept: make the same call again"
+        "expected a scheduler that runs until the work is done, found that the scheduler was lost, or that another "
+        f"client cancelled the work {ATTEMPTS} times; finished bodies are kept: make the same call again"
     )
 
 
@@ -375,7 +374,7 @@ def _outcome(future: Any, mesh: Path) -> Outcome | None:
         outcome: Outcome = future.result()  # the outcome of a worker that has died is computed again, and waited for
     except _dask("distributed").KilledWorker:
         return Outcome(
-            "failed", f"{shown(mesh)}: the workers that fitted it died, one by one; it may take too much memory"
+            "failed", f"{shown(mesh)}: the workers that fitted it died, one after another; it may need too much memory"
         )
     except Exception as error:
         if future.status != "error" and (future.status == "cancelled" or isinstance(error, OSError)):
@@ -441,7 +440,7 @@ def _connected(client: Any) -> Iterator[Any]:
             "distributed.Client(address) makes one"
         )
     if client.asynchronous:
-        raise InputError("client: expected a client that waits, found one made with asynchronous=True")
+        raise InputError("client: expected a synchronous client, found one made with asynchronous=True")
     if client.status != "running":
         raise InputError(f"client: expected a client that is connected, found one that is {client.status}")
     yield client

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from enum import IntEnum
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -445,48 +445,24 @@ def _judged(pairs: _Pairs, said: dict[str, Floats], allowed: float) -> Judgement
     way = np.where(value < 0.0, 3.0 * slack - value, 0.0)
     apart = (value < 0.0) & pairs.moved(way[..., None] * normal).verdicts()[0]
     lower = np.where(apart, np.maximum(lower, -way - pairs.rounding()), lower)
-    court = _filled(pairs, said, lower, upper, allowed)
-    return Judgement(court.kinds, court.excess, lower, upper, tuple(_conventions(court, pairs, said, lower, upper)))
+    court = _Court(pairs, lower, upper, allowed)
+    kinds, excess = court.findings(said)
+    return Judgement(kinds, excess, lower, upper, tuple(_conventions(court, said, kinds, excess)))
 
 
-def _filled(pairs: _Pairs, said: dict[str, Floats], lower: Floats, upper: Floats, allowed: float) -> _Court:
-    """Judge the parts of answers that are given."""
-    shape = (*lower.shape, len(PARTS))
-    court = _Court(np.zeros(shape, dtype=np.int8), np.zeros(shape), allowed)
-    if "colliding" in said:
-        yes = said["colliding"] == 1.0
-        court.judge(
-            "colliding", ~np.isnan(said["colliding"]), np.where(yes, lower, -upper), np.where(yes, upper, -lower),
-            np.where(yes, Finding.WRONG_COLLIDING, Finding.WRONG_FREE),
-        )  # fmt: skip
-    _judge_lengths(court, said, lower, upper)
-    for name, body, T in (("witness_a", pairs.a, pairs.Ta), ("witness_b", pairs.b, pairs.Tb)):
-        if name in said:
-            _judge_witness(court, name, body, T, said[name])
-    if "witness_a" in said and "witness_b" in said:
-        _judge_witnesses(court, said, pairs.kinds()[0] | (lower > 0.0), upper)
-    if "normal" in said:
-        _judge_normal(court, pairs, said["normal"], lower, upper)
-    return court
-
-
-def _conventions(
-    court: _Court, pairs: _Pairs, said: dict[str, Floats], lower: Floats, upper: Floats
-) -> Iterator[Convention]:
+def _conventions(court: _Court, said: dict[str, Floats], kinds: Any, excess: Floats) -> Iterator[Convention]:
     """Count the errors that other conventions explain, if many answers are wrong."""
-    for about, reading, answers, is_unit in _readings(pairs, said):
-        at = [PARTS.index(name) for name in answers]
-        kinds, excess, right, spoilt = court.kinds[..., at], court.excess[..., at], 0, 0
-        wrong = kinds > Finding.UNDECIDED
-        if wrong.any() and wrong.sum() >= TRIED * (kinds != Finding.NOT_GIVEN).sum():
-            other = _filled(pairs, answers, lower, upper, court.allowed)
-            explained = wrong & (other.excess[..., at] <= LEFT * excess)
+    for about, reading, answers, is_unit in _readings(court.pairs, said):
+        at, right, spoilt = [PARTS.index(name) for name in answers], 0, 0
+        wrong = kinds[..., at] > Finding.UNDECIDED
+        if wrong.any() and wrong.sum() >= TRIED * (kinds[..., at] != Finding.NOT_GIVEN).sum():
+            other_kinds, other_excess = (findings[..., at] for findings in court.findings(answers))
+            explained = wrong & (other_excess <= LEFT * excess[..., at])
             if is_unit:
-                half = {name: x / 2 for name, x in answers.items()}
-                halved = _filled(pairs, half, lower, upper, court.allowed).excess[..., at]
-                explained &= halved > HALVED * other.excess[..., at]
+                _, of_half = court.findings({name: x / 2 for name, x in answers.items()})
+                explained &= of_half[..., at] > HALVED * other_excess
             right = int(explained.sum())
-            spoilt = int(((kinds == Finding.OK) & (other.kinds[..., at] > Finding.UNDECIDED)).sum())
+            spoilt = int(((kinds[..., at] == Finding.OK) & (other_kinds > Finding.UNDECIDED)).sum())
         if wrong.any():
             yield Convention(about, reading, int(wrong.sum()), right, spoilt)
 
@@ -495,12 +471,11 @@ def _readings(pairs: _Pairs, said: dict[str, Floats]) -> Iterator[tuple[str, str
     """Yield other conventions: kind of parts, description, converted answers, and whether the convention is a unit."""
     if "normal" in said:
         yield "normals", "point the other way, from b to a", {"normal": -said["normal"]}, False
-    for name in ("distance", "depth"):
-        for unit, many in UNITS.items() if name in said else ():
-            yield f"{name}s", f"are right in {unit}", {name: said[name] / many}, True
     points = {name: said[name] for name in VECTORS[:2] if name in said}
-    for unit, many in UNITS.items() if points else ():
-        yield "witnesses", f"are right in {unit}", {name: x / many for name, x in points.items()}, True
+    for about, parts in (("distances", ("distance",)), ("depths", ("depth",)), ("witnesses", VECTORS[:2])):
+        answers = {name: said[name] for name in parts if name in said}
+        for unit, many in UNITS.items() if answers else ():
+            yield about, f"are right in {unit}", {name: x / many for name, x in answers.items()}, True
     if len(points) == 2:
         a, b = points.values()
         yield "witnesses", "are right with a and b exchanged", {"witness_a": b, "witness_b": a}, False
@@ -512,85 +487,101 @@ def _readings(pairs: _Pairs, said: dict[str, Floats]) -> Iterator[tuple[str, str
         yield "witnesses", f"are right in the frame{'s' * (len(whose) > 1)} of {whose}", world, False
 
 
+# Where a part is given, lower and upper bounds on its error, and the finding if the error is too large.
+_Error: TypeAlias = tuple[Bools, Floats, Floats, Any]
+
+
 @dataclass(frozen=True)
 class _Court:
-    """The table of findings, which is filled part by part."""
+    """Pairs of bodies with proven bounds on their signed distances, by which answers are judged."""
 
-    kinds: Any
-    excess: Floats
+    pairs: _Pairs
+    lower: Floats
+    upper: Floats
     allowed: float
 
-    def judge(self, part: str, given: Bools, least: Floats, most: Floats, wrong: Any) -> None:
-        """Judge errors that are proven to be at least `least` and at most `most`."""
-        at = PARTS.index(part)
-        undecided = np.where(most <= self.allowed, Finding.OK, Finding.UNDECIDED)
-        kind = np.where(least > self.allowed, wrong, undecided)
-        self.kinds[..., at] = np.where(given, kind, Finding.NOT_GIVEN)
-        self.excess[..., at] = np.where(self.kinds[..., at] > Finding.UNDECIDED, least, 0.0)
+    def findings(self, said: dict[str, Floats]) -> tuple[Any, Floats]:
+        """Judge the parts that are given: return the findings, and lower bounds on the errors of wrong parts."""
+        errors = {part: _JUDGES[part](self, part, claim) for part, claim in said.items()}
+        if "witness_a" in said and "witness_b" in said:
+            errors["witnesses"] = self._of_witnesses(said)
+        shape = (*self.lower.shape, len(PARTS))
+        kinds, excess = np.zeros(shape, dtype=np.int8), np.zeros(shape)
+        for part, (is_given, least, most, wrong) in errors.items():
+            at = PARTS.index(part)
+            undecided = np.where(most <= self.allowed, Finding.OK, Finding.UNDECIDED)
+            kind = np.where(least > self.allowed, wrong, undecided)
+            kinds[..., at] = np.where(is_given, kind, Finding.NOT_GIVEN)
+            excess[..., at] = np.where(kinds[..., at] > Finding.UNDECIDED, least, 0.0)
+        return kinds, excess
 
+    def _of_flags(self, _: str, flags: Floats) -> _Error:
+        """Bound the distance of bodies that are called colliding, and the depth of bodies that are called free."""
+        yes = flags == 1.0
+        least, most = np.where(yes, self.lower, -self.upper), np.where(yes, self.upper, -self.lower)
+        return ~np.isnan(flags), least, most, np.where(yes, Finding.WRONG_COLLIDING, Finding.WRONG_FREE)
 
-def _judge_lengths(court: _Court, said: dict[str, Floats], lower: Floats, upper: Floats) -> None:
-    """Judge distances and depths by the interval of the signed distance."""
-    near, far = np.maximum(lower, 0.0), np.maximum(upper, 0.0)
-    shallow, deep = np.maximum(-upper, 0.0), np.maximum(-lower, 0.0)
-    claims = [(part, -said[part] if part == "depth" else said[part]) for part in ("distance", "depth") if part in said]
-    for part, claim in claims:
-        as_depth = (part == "depth") | ((claim < 0.0) & (lower <= 0.0))
-        length = np.where(as_depth, -claim, claim)
-        low, high = np.where(as_depth, shallow, near), np.where(as_depth, deep, far)
+    def _of_lengths(self, part: str, length: Floats) -> _Error:
+        """Compare a distance or a depth with the interval of the signed distance."""
+        signed = -length if part == "depth" else length
+        as_depth = (part == "depth") | ((signed < 0.0) & (self.lower <= 0.0))
+        length = np.where(as_depth, -signed, signed)
+        low = np.maximum(np.where(as_depth, -self.upper, self.lower), 0.0)
+        high = np.maximum(np.where(as_depth, -self.lower, self.upper), 0.0)
         rounding = FEW_ROUNDINGS * np.abs(length)
         above, below = length - high - rounding, low - length - rounding
         large = np.where(as_depth, Finding.DEPTH_TOO_LARGE, Finding.DISTANCE_TOO_LARGE)
         small = np.where(as_depth, Finding.DEPTH_TOO_SMALL, Finding.DISTANCE_TOO_SMALL)
         most = np.maximum(length - low, high - length) + rounding
-        court.judge(part, ~np.isnan(claim), np.maximum(above, below), most, np.where(above > below, large, small))
+        return ~np.isnan(length), np.maximum(above, below), most, np.where(above > below, large, small)
+
+    def _of_witness(self, part: str, point: Floats) -> _Error:
+        """Bound how far a point is from its body; any point inside the body counts as right."""
+        body, T = (self.pairs.a, self.pairs.Ta) if part == "witness_a" else (self.pairs.b, self.pairs.Tb)
+        is_given = np.asarray(~np.isnan(point).any(axis=-1))
+        place = np.broadcast_to(np.eye(4), T.shape).copy()
+        place[..., :3, 3] = np.where(is_given[..., None], point, T[..., :3, 3])
+        _, lower, upper, _ = _Pairs(body, T, Body.sphere(POINT), place).measured()
+        return is_given, lower, upper + POINT, Finding.WITNESS_OFF_BODY
+
+    def _of_witnesses(self, said: dict[str, Floats]) -> _Error:
+        """Compare the distance between two witnesses with the distance, or with the depth if it has a single meaning.
+
+        A distance of 0 for overlapping bodies has no witnesses.
+        """
+        missing = np.full(self.lower.shape, np.nan)
+        claim, depth = np.abs(said.get("distance", missing)), said.get("depth", missing)
+        length = np.where(np.isnan(claim) | ((claim == 0.0) & ~np.isnan(depth)), depth, claim)
+        a, b = said["witness_a"], said["witness_b"]
+        rounding = FEW_ROUNDINGS * (lengths(a) + lengths(b) + length)
+        error = np.abs(lengths(b - a) - length)
+        is_given = ~(np.isnan(error) | ((length == 0.0) & (self.upper < 0.0)))
+        least = np.where(self.pairs.kinds()[0] | (self.lower > 0.0), error - rounding, 0.0)
+        return is_given, least, error + rounding, Finding.WITNESSES_DO_NOT_MATCH
+
+    def _of_normal(self, _: str, normal: Floats) -> _Error:
+        """Move b along its normal, into or out of contact, and bound the remaining distance or depth."""
+        lower, upper = self.lower, self.upper
+        scale = np.abs(normal).max(axis=-1, keepdims=True)
+        unit = np.divide(normal, scale, out=np.full(normal.shape, np.nan), where=scale > 0.0)
+        unit = unit / lengths(unit)[..., None]
+        overlapping = upper < 0.0
+        # If the bodies are apart, the right move leaves a distance of at most the width of the interval.
+        way = np.where(overlapping, np.maximum(-lower, 0.0), -np.maximum(lower, 0.0))
+        is_known = np.isfinite(way) & (self.pairs.kinds()[0] | ~overlapping)
+        moved = self.pairs.moved(np.where(is_known, way, 0.0)[..., None] * unit)
+        _, left_lower, left_upper, _ = moved.measured()
+        width = np.where(overlapping, 0.0, np.maximum(upper, 0.0) - np.maximum(lower, 0.0)) + moved.rounding()
+        # For bodies that still overlap, `left_lower` is unknown and not needed: only depths beyond a bound prove an
+        # error.
+        least = np.where(is_known, np.where(overlapping, -left_upper, left_lower) - width, 0.0)
+        most = np.where(overlapping, -left_lower, left_upper)
+        most = np.where(overlapping & moved.verdicts()[0], 0.0, most)
+        is_given = np.asarray(~np.isnan(unit).any(axis=-1))
+        return is_given, least, np.where(is_known, most, np.inf), Finding.NORMAL_WRONG
 
 
-def _judge_witness(court: _Court, name: str, body: Body | Bodies, T: Floats, point: Floats) -> None:
-    """Judge whether a point is in its body; any point inside the body counts as right."""
-    is_given = np.asarray(~np.isnan(point).any(axis=-1))
-    place = np.zeros(T.shape)
-    place[...] = np.eye(4)
-    place[..., :3, 3] = np.where(is_given[..., None], point, T[..., :3, 3])
-    _, lower, upper, _ = _Pairs(body, T, Body.sphere(POINT), place).measured()
-    court.judge(name, is_given, lower, upper + POINT, Finding.WITNESS_OFF_BODY)
-
-
-def _judge_witnesses(court: _Court, said: dict[str, Floats], known: Bools, upper: Floats) -> None:
-    """Judge whether two witnesses are as far apart as the distance, or the depth if it has a single meaning.
-
-    A distance of 0 for overlapping bodies has no witnesses.
-    """
-    missing = np.full(said["witness_a"].shape[:-1], np.nan)
-    claim, depth = np.abs(said.get("distance", missing)), said.get("depth", missing)
-    length = np.where(np.isnan(claim) | ((claim == 0.0) & ~np.isnan(depth)), depth, claim)
-    a, b = said["witness_a"], said["witness_b"]
-    step = lengths(b - a)
-    rounding = FEW_ROUNDINGS * (lengths(a) + lengths(b) + length)
-    error = np.abs(step - length)
-    is_given = ~(np.isnan(error) | ((length == 0.0) & (upper < 0.0)))
-    least = np.where(known, error - rounding, 0.0)
-    court.judge("witnesses", is_given, least, error + rounding, Finding.WITNESSES_DO_NOT_MATCH)
-
-
-def _judge_normal(court: _Court, pairs: _Pairs, normal: Floats, lower: Floats, upper: Floats) -> None:
-    """Judge normals by moving b along them, into or out of contact, and measuring the remaining distance or depth."""
-    scale = np.abs(normal).max(axis=-1, keepdims=True)
-    unit = np.divide(normal, scale, out=np.full(normal.shape, np.nan), where=scale > 0.0)
-    unit = unit / lengths(unit)[..., None]
-    is_given = np.asarray(~np.isnan(unit).any(axis=-1))
-    overlapping = upper < 0.0
-    # If the bodies are apart, the right move leaves a distance of at most the width of the interval.
-    way = np.where(overlapping, np.maximum(-lower, 0.0), -np.maximum(lower, 0.0))
-    single, _ = pairs.kinds()
-    is_known = np.isfinite(way) & (single | ~overlapping)
-    moved = pairs.moved(np.where(is_known, way, 0.0)[..., None] * unit)
-    _, left_lower, left_upper, _ = moved.measured()
-    width = np.where(overlapping, 0.0, np.maximum(upper, 0.0) - np.maximum(lower, 0.0)) + moved.rounding()
-    # For bodies that still overlap, `left_lower` is unknown and not needed: only depths beyond a bound prove an error.
-    least = np.where(overlapping, -left_upper, left_lower) - width
-    most = np.where(overlapping, -left_lower, left_upper)
-    most = np.where(overlapping & moved.verdicts()[0], 0.0, most)
-    court.judge(
-        "normal", is_given, np.where(is_known, least, 0.0), np.where(is_known, most, np.inf), Finding.NORMAL_WRONG
-    )  # fmt: skip
+_JUDGES = {
+    "colliding": _Court._of_flags, "distance": _Court._of_lengths, "depth": _Court._of_lengths,
+    "witness_a": _Court._of_witness, "witness_b": _Court._of_witness, "normal": _Court._of_normal,
+}  # fmt: skip

@@ -320,13 +320,13 @@ def reporter(progress: Any) -> Progress:
     return cast(Progress, silent if callback(progress, "progress") is None else progress)
 
 
-def broadcast(shapes: dict[str, tuple[int, ...]]) -> tuple[int, ...]:
+def broadcast(shapes: dict[str, tuple[int, ...]], error: type[InputError] = InputError) -> tuple[int, ...]:
     """Return the shape to which batch shapes broadcast; an error names shapes that do not broadcast."""
     try:
         return np.broadcast_shapes(*shapes.values())
     except ValueError:
         listing = ", ".join(f"{name}: {shape_text(shape)}" for name, shape in shapes.items())
-        raise InputError(f"expected batch shapes that broadcast, found {listing}") from None
+        raise error(f"expected batch shapes that broadcast, found {listing}") from None
 
 
 def positive_array(x: ArrayLike, name: str, shape: tuple[int | None | str, ...]) -> Floats:

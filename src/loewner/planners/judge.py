@@ -17,6 +17,7 @@ from loewner._base import _validate
 from loewner._base._validate import Bools, Floats, Ints, fits_memory
 from loewner._base._workspaces import workspace
 from loewner._kernels import codes
+from loewner._native import entries
 from loewner.errors import InputError, PlanningError
 from loewner.planners.kept_axes import KeptAxis
 from loewner.queries.pairs import Verdict
@@ -111,7 +112,7 @@ class Judge:
     def asked(self) -> tuple[Ints, Floats]:
         """Return the handles and lengths for `_kernels.robots.free_motions.judge_of`, for calls from this thread."""
         ready = self.ready if self.resolution else self.ready.in_parts
-        memory = workspace(max(ready.memory_of_motions, ready.memory))
+        memory = workspace(max(map(ready.memory, (entries.motion_memory, entries.memory_size))))
         error = 0 if self.joint_error is None else self.joint_error.ctypes.data
         kept = 0 if self.kept is None else self.kept.handle
         handles = [ready.packed.handle, ready.handle, ready.handle_of_motions, memory, self.samples, error, kept]

@@ -16,8 +16,7 @@ from loewner._native import entries
 from loewner.queries import _exact
 from loewner.queries._exact import Operands as Operands
 
-# The plan of one pair, and the empty rows for pairs that are not listed by row numbers.
-ONE_PAIR = np.array([[1], [0], [0], [0], [0]], dtype=np.int64)
+# The empty rows for pairs that are not listed by row numbers.
 NO_ROWS = np.empty((2, 0), dtype=np.int64)
 
 

@@ -22,8 +22,7 @@ from loewner.queries._settle import Operands, settle
 # The smallest number of bodies that is worth a thread of its own.
 CHUNK = 4096
 
-# Number of candidate pairs that are collected before they are settled, in addition to the largest number for one group
-# of boxes.
+# Number of candidate pairs at which they are settled. The last group of boxes may add WIDE pairs for each body.
 CANDIDATES = 65536
 
 # Bytes for a body: two corners of its box, its sorted keys, its place in the order, and its share of the groups' boxes.
@@ -161,7 +160,7 @@ def overlapping_pairs(
 
 
 class _Crowd(NamedTuple):
-    """Bodies at poses: their number, two flags (1 if each body has its own pieces, own pose), pieces and poses."""
+    """Bodies at poses: how many; whether each has its own pieces, and its own pose (1 or 0); the pieces; the poses."""
 
     n: int
     steps: tuple[int, int]

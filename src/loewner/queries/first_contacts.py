@@ -16,7 +16,7 @@ from loewner._base._workspaces import workspace
 from loewner._native import entries
 from loewner.bodies import Bodies, Body, packed_of
 from loewner.errors import PoseError
-from loewner.queries.pairs import Verdict, VerdictOrVerdicts, expect_bodies, plan_of
+from loewner.queries.pairs import VerdictOrVerdicts, expect_bodies, plan_of
 
 # The smallest number of pairs that is worth a thread of its own.
 CHUNK = 512
@@ -146,10 +146,7 @@ def first_contact(
             )
 
     in_shares(run, plan.total, CHUNK)
-    if plan.shape == ():
-        return FirstContact(Verdict(int(verdicts[0])), float(times[0, 0]), float(times[1, 0]))
-    free, touching = (x.reshape(plan.shape) for x in times)
-    return FirstContact(verdicts.reshape(plan.shape), free, touching)
+    return FirstContact(plan.verdicts(verdicts), *map(plan.shaped, times))
 
 
 def _ends(motion: Any, name: str) -> tuple[Floats, Floats]:
@@ -162,13 +159,7 @@ def _ends(motion: Any, name: str) -> tuple[Floats, Floats]:
         T = _validate.poses(motion, name)
         return T, T
     first, last = (_validate.poses(T, f"{name}[{end}]") for end, T in enumerate(motion))
-    if first.shape == last.shape:
-        return first, last
-    try:
-        both = np.broadcast_arrays(first, last)
-    except ValueError:
-        raise PoseError(
-            f"{name}: expected two poses whose batch shapes broadcast, found "
-            f"{_validate.shape_text(first.shape)} and {_validate.shape_text(last.shape)}"
-        ) from None
-    return both[0].copy(), both[1].copy()
+    if first.shape != last.shape:
+        shape = _validate.broadcast({f"{name}[0]": first.shape[:-2], f"{name}[1]": last.shape[:-2]}, PoseError)
+        first, last = (np.broadcast_to(T, (*shape, 4, 4)).copy() for T in (first, last))
+    return first, last

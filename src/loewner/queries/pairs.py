@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from enum import IntEnum
 from functools import reduce
-from typing import TYPE_CHECKING, Any, Generic, Literal, NamedTuple, NoReturn, overload
+from typing import TYPE_CHECKING, Any, Generic, Literal, NamedTuple, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,7 +21,7 @@ from loewner._native import entries, singles
 from loewner.bodies import Bodies, Body, Packed, packed_of
 from loewner.errors import ConvergenceError, InputError, PoseError
 from loewner.queries._measure import BOUND_BYTES, CHUNK, EXACT_BYTES, measure
-from loewner.queries._settle import NO_ROWS, ONE_PAIR, Operands, settle
+from loewner.queries._settle import NO_ROWS, Operands, settle
 
 if TYPE_CHECKING:  # defaults of type variables need Python 3.13 at runtime
     from typing_extensions import TypeVar
@@ -141,9 +141,7 @@ class Distance(_validate.Brief, Generic[Number, Exact, Vector]):
         array([1., 0., 0., 0., 1., 0.])
         """
         normal: Any = self.normal
-        witness: Any = self.witness_b
-        wrench: Any = None if normal is None else np.concatenate([normal, np.cross(witness, normal)], axis=-1)
-        return wrench  # type: ignore[no-any-return]
+        return NOTHING if normal is None else np.concatenate([normal, np.cross(self.witness_b, normal)], axis=-1)
 
 
 # The results without and with ``exact=True``.
@@ -169,19 +167,15 @@ def _prepare(
     expect_bodies(a, b)
     Ta = _validate.poses(T_world_a, "T_world_a", check=check)
     Tb = _validate.poses(T_world_b, "T_world_b", check=check)
-    packs = packed_of(a), packed_of(b)
-    if chosen is None and Ta.ndim == 2 and Tb.ndim == 2 and isinstance(a, Body) and isinstance(b, Body):
-        plan = Plan((), 1, ONE_PAIR)
-    else:
-        plan = plan_of(a, Ta.shape, b, Tb.shape, each=each, chosen=chosen)
-    return _Pairs(plan, packs, (Ta.reshape(-1, 4, 4), Tb.reshape(-1, 4, 4)))
+    plan = plan_of(a, Ta.shape, b, Tb.shape, each=each, chosen=chosen)
+    return _Pairs(plan, (packed_of(a), packed_of(b)), (Ta.reshape(-1, 4, 4), Tb.reshape(-1, 4, 4)))
 
 
 def expect_bodies(a: Any, b: Any) -> None:
     """Refuse operands that are not bodies."""
     for name, x in (("a", a), ("b", b)):
         if not isinstance(x, (Body, Bodies)):
-            advice = "; Body.from_surface or Body.from_mesh makes one of it" if hasattr(x, "faces") else ""
+            advice = "; Body.from_surface or Body.from_mesh makes a body of it" if hasattr(x, "faces") else ""
             raise InputError(f"{name}: expected loewner.Body or loewner.Bodies, found {type(x).__name__}{advice}")
 
 
@@ -202,6 +196,16 @@ class Plan(NamedTuple):
     total: int
     steps: Ints
     rows: Ints = NO_ROWS
+
+    def shaped(self, values: NDArray[Any]) -> Any:
+        """Give the values of all pairs the shape of the batch; one number becomes a number of Python."""
+        if self.shape == ():
+            return values[0].item() if values.ndim == 1 else values[0]
+        return values.reshape(self.shape + values.shape[1:])
+
+    def verdicts(self, codes_of_pairs: Verdicts) -> VerdictOrVerdicts:
+        """Give verdicts the shape of the batch."""
+        return VERDICTS[codes_of_pairs[0]] if self.shape == () else self.shaped(codes_of_pairs)
 
 
 class _Pairs(NamedTuple):
@@ -232,17 +236,11 @@ def plan_of(
         return _listed(chosen, a, of_poses_a, b, of_poses_b, each)
     of_a = (len(a),) if isinstance(a, Bodies) else ()
     of_b = (len(b),) if isinstance(b, Bodies) else ()
-    parts = (of_a, of_poses_a[:-2], of_b, of_poses_b[:-2])
-    try:
-        shape = np.broadcast_shapes(*parts)
-    except ValueError:
-        texts = [_validate.shape_text(p) for p in parts]
-        raise PoseError(
-            "expected bodies and poses whose batch shapes broadcast, found "
-            f"a: {texts[0]}, T_world_a: {texts[1]}, b: {texts[2]}, T_world_b: {texts[3]}"
-        ) from None
+    parts = {"a": of_a, "T_world_a": of_poses_a[:-2], "b": of_b, "T_world_b": of_poses_b[:-2]}
+    shape = _validate.broadcast(parts, PoseError)
     _validate.fits_memory(each * math.prod(shape), f"{_validate.shape_text(shape)} pairs")
-    return Plan(shape, math.prod(shape), _collapse(shape, [_row_strides(p, len(shape)) for p in parts]))
+    strides = [_row_strides(part, len(shape)) for part in parts.values()]
+    return Plan(shape, math.prod(shape), _collapse(shape, strides))
 
 
 def _listed(
@@ -405,7 +403,7 @@ def classify(
 def _classified(margin: float, a: Any, T_world_a: Any, b: Any, T_world_b: Any, chosen: Any) -> VerdictOrVerdicts:
     pairs = _prepare(a, T_world_a, b, T_world_b, check=False, chosen=chosen)
     out, _ = _settle(codes.CERTIFY, margin, pairs)
-    return Verdict(int(out[0])) if pairs.plan.shape == () else out.reshape(pairs.plan.shape)
+    return pairs.plan.verdicts(out)
 
 
 # fmt: off
@@ -492,16 +490,12 @@ def collide(
         return is_colliding
     exact = _validate.choice(method, "method", METHODS) == "exact"
     keep = _validate.positive_scalar(margin, "margin", zero=True)
-    return _collided(exact, keep, a, T_world_a, b, T_world_b, pairs)
+    collisions, unsettled = decided(exact, keep, a, T_world_a, b, T_world_b, pairs)
+    _expect_settled(unsettled, "collide", collisions)
+    return collisions
 
 
 @guarded
-def _collided(exact: bool, margin: float, a: Any, T_world_a: Any, b: Any, T_world_b: Any, chosen: Any) -> BoolOrBools:
-    """Decide whether bodies collide, exactly or by the estimate."""
-    collisions, unsettled = decided(exact, margin, a, T_world_a, b, T_world_b, chosen)
-    return _refused(unsettled, "collide", collisions) if unsettled.any() else collisions
-
-
 def decided(
     exact: bool, margin: float, a: Any, T_world_a: Any, b: Any, T_world_b: Any, chosen: Any = None
 ) -> tuple[BoolOrBools, Bools]:
@@ -510,9 +504,7 @@ def decided(
     out, _ = _settle(codes.EXACT if exact else codes.CERTIFY, margin, pairs, estimate=not exact)
     # Compare with a plain number: NumPy would call Python code of `Verdict`, and drop an interrupt that occurs there.
     unsettled = out == codes.AMBIGUOUS
-    colliding = (out == codes.COLLIDING) | unsettled
-    shape = pairs.plan.shape
-    return bool(colliding[0]) if shape == () else colliding.reshape(shape), unsettled
+    return pairs.plan.shaped((out == codes.COLLIDING) | unsettled), unsettled
 
 
 # fmt: off
@@ -616,7 +608,11 @@ def distance(
     1.5
     """
     measurement: Distance | None = singles.distance(Body, Distance, a, T_world_a, b, T_world_b, exact, pairs)
-    return _measured(a, T_world_a, b, T_world_b, exact, pairs) if measurement is None else measurement
+    if measurement is not None:
+        return measurement
+    distances, unsettled = measured(a, T_world_a, b, T_world_b, _validate.flag(exact, "exact"), pairs)
+    _expect_settled(unsettled, "distance", distances)
+    return distances
 
 
 @guarded
@@ -662,11 +658,7 @@ def push(T_world_body: Poses, wrench: ArrayLike, *, radius: float) -> Floats:
     """
     T = _validate.poses(T_world_body, "T_world_body")
     w, length = _validate.finite_array(wrench, "wrench", ("...", 6)), _validate.positive_scalar(radius, "radius")
-    try:
-        shape = np.broadcast_shapes(T.shape[:-2], w.shape[:-1])
-    except ValueError:
-        shapes = f"{_validate.shape_text(T.shape)} and {_validate.shape_text(w.shape)}"
-        raise InputError(f"wrench: expected shapes of poses and wrenches that broadcast, found {shapes}") from None
+    shape = _validate.broadcast({"T_world_body": T.shape[:-2], "wrench": w.shape[:-1]})
     moved = np.array(np.broadcast_to(T, (*shape, 4, 4)))
     with np.errstate(over="ignore", invalid="ignore"):
         half = (w[..., 3:] - np.cross(T[..., :3, 3], w[..., :3])) / length / length / 2
@@ -681,33 +673,22 @@ def push(T_world_body: Poses, wrench: ArrayLike, *, radius: float) -> Floats:
 
 
 @guarded
-def _measured(a: Any, T_world_a: Any, b: Any, T_world_b: Any, exact: Any, chosen: Any) -> Distance:
-    """Compute bounds on distances, and the distances themselves."""
-    distances, unsettled = measured(a, T_world_a, b, T_world_b, _validate.flag(exact, "exact"), chosen)
-    return _refused(unsettled, "distance", distances) if unsettled.any() else distances
-
-
 def measured(a: Any, T_world_a: Any, b: Any, T_world_b: Any, exact: bool, chosen: Any = None) -> tuple[Distance, Bools]:
     """Compute bounds on distances, and distances, which are NaN for unsettled pairs; a flat array marks these pairs."""
     pairs = _prepare(a, T_world_a, b, T_world_b, check=True, each=EXACT_BYTES if exact else BOUND_BYTES, chosen=chosen)
-    shape = pairs.plan.shape
     *answers, unsettled = measure(exact, pairs.plan.total, pairs.operands)
-
-    def shaped(x: Floats) -> Any:
-        if shape == ():
-            return float(x[0]) if x.ndim == 1 else x[0]
-        return x.reshape(shape + x.shape[1:])
-
-    return Distance(*map(shaped, answers if exact else answers[:3])), unsettled
+    return Distance(*map(pairs.plan.shaped, answers if exact else answers[:3])), unsettled
 
 
-def _refused(unsettled: NDArray[np.bool_], query: str, partial: Any) -> NoReturn:
-    """Raise an exception for pairs that arithmetic could not settle, instead of guessing."""
+@guarded
+def _expect_settled(unsettled: Bools, query: str, partial: Any) -> None:
+    """Raise an exception if arithmetic could not settle some pairs, instead of guessing."""
     indices = np.flatnonzero(unsettled)
-    raise ConvergenceError(
-        f"{query}: {len(indices)} of {unsettled.size} pairs could not be settled, the first at flat index "
-        f"{indices[0]}; treat them as colliding, or change their poses by a hair (the error's `indices` name them, its "
-        "`partial` has the answers to all others)",
-        indices,
-        partial,
-    )
+    if len(indices):
+        raise ConvergenceError(
+            f"{query}: {len(indices)} of {unsettled.size} pairs could not be settled, the first at flat index "
+            f"{indices[0]}; treat them as colliding, or change their poses slightly (the error's `indices` name them, "
+            "and its `partial` has the answers for all other pairs)",
+            indices,
+            partial,
+        )

@@ -20,7 +20,7 @@ from loewner._kernels import tolerances
 from loewner._native import entries
 from loewner.errors import InputError
 
-# Turns between two poses stay this far [rad] below half a turn, for which neither direction is shorter.
+# Turns between two poses must stay this far [rad] below half a turn, for which neither direction is shorter.
 NEARLY_HALF = 1e-3
 
 # A motion that is given by a twist is divided into turns of at most this angle [rad].
@@ -206,8 +206,8 @@ def path_of(times: ArrayLike, poses: ArrayLike, repeat: bool) -> PosePath:
         jump, turn = float(np.linalg.norm(positions[-1] - positions[0])), 2.0 * np.arccos(min(abs(cosine), 1.0))
         if jump > CLOSED * max(1.0, float(np.abs(positions).max())) or turn > CLOSED_TURN:
             raise InputError(
-                f"poses: expected a motion that ends where it begins, to repeat it, found a jump of {jump:g} m "
-                f"and {turn:g} rad"
+                f"poses: expected a motion that ends where it begins, since it repeats, found a jump of {jump:g} m and "
+                f"{turn:g} rad"
             )
         positions[-1], quaternions[-1] = positions[0], quaternions[0]
     signs = np.where((quaternions[1:] * quaternions[:-1]).sum(axis=1) < 0, -1.0, 1.0)
@@ -216,7 +216,7 @@ def path_of(times: ArrayLike, poses: ArrayLike, repeat: bool) -> PosePath:
     path = PosePath(at, positions, quaternions, repeat)
     for k in np.flatnonzero(path.arcs > (np.pi - NEARLY_HALF) / 2)[:1]:
         raise InputError(
-            f"poses: expected turns of less than half a turn, since the way round is open otherwise, found one of "
+            f"poses: expected turns of less than half a turn, whose direction is clear, found one of "
             f"{2 * path.arcs[k]:.4f} rad between the times {at[k]:.15g} and {at[k + 1]:.15g}; add poses in between"
         )
     with np.errstate(over="ignore"):
@@ -281,7 +281,7 @@ def _knots(path: PosePath, low: Floats, high: Floats, fine: bool) -> Floats:
     if total * len(at) > MOST_KNOTS:
         raise InputError(
             f"expected at most {MOST_KNOTS} knots of moving bodies, found {total * len(at)} between the times "
-            f"{low.min():.15g} and {high.max():.15g}; ask for less time at once"
+            f"{low.min():.15g} and {high.max():.15g}; divide the query into shorter times"
         )
     number = np.arange(total) - np.repeat(np.cumsum(counts) - counts, counts) + np.repeat(first, counts)
     return np.asarray(at[:-1] + path.period * number[:, None]).ravel()

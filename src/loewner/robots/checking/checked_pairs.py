@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from operator import is_
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -20,7 +19,8 @@ from loewner.robots.description.assembly import with_moving_bodies
 from loewner.robots.description.robot import Robot
 from loewner.scenes.scene import Attachment, Scene, in_world
 
-# Largest number of pairs: their arrays take about two gigabytes, and each configuration that is not free takes minutes.
+# Largest number of pairs: their arrays take about two gigabytes, and checking a configuration that is not free takes
+# minutes.
 MOST_PAIRS = 2**24
 
 
@@ -61,11 +61,8 @@ def prepared(robot: Robot, scene: Scene, skipped: Iterable[Pair], version: int, 
     _check_ruled(names, packs, pairs[leaving | reaching], bounds)
     errors = np.array([0.0 if name in growing or name not in bounds else bounds[name].off(0.0) for name in names])
     margins = scene_margins + errors[pairs].sum(axis=1) if errors.any() else scene_margins
-    count = len(link)
-    same = before is not None and count == len(before.link) and all(map(is_, packs[:count], before.packs))
     problem = Problem.of(
-        whole, (version, structure_version), names, packs, link, pairs, margins, leaving, reaching,
-        before.moving if same and before is not None else None,
+        whole, (version, structure_version), names, packs, link, pairs, margins, leaving, reaching, before
     ).with_poses(poses, version)  # fmt: skip
     if errors.any():
         problem = problem.with_errors(scene_margins, errors)
@@ -125,9 +122,9 @@ def _pairs(
     most = moving * (2 * total - moving - 1) // 2
     if most > MOST_PAIRS:
         raise InputError(
-            f"expected at most {MOST_PAIRS} pairs to check, found {most}: {moving} bodies that move, each "
-            f"against the others and against {total - moving} that stand; leave out bodies, or unite those that belong "
-            "together (Body.union)"
+            f"expected at most {MOST_PAIRS} pairs to check, found {most}: {moving} moving bodies, each against the "
+            f"others and against {total - moving} static bodies; remove bodies, or unite bodies that belong together "
+            "(Body.union)"
         )
     margins, lowered = scene.margins, scene.lowered
     place: dict[str | None, int] = {name: k for k, name in enumerate(names)}
@@ -164,9 +161,9 @@ def _of_rules(rules: Iterable[Pair], names: tuple[str, ...], pairs: Ints) -> Boo
 def _check_ruled(
     names: tuple[str, ...], packs: Sequence[Packed], pairs: Ints, bounds: Mapping[str, PoseBounds]
 ) -> None:
-    """Refuse rules about contacts of surfaces, and about contacts of bodies whose poses are not known.
+    """Refuse rules about contacts of surfaces, and about contacts of bodies whose poses are known by bounds only.
 
-    The depth of surfaces has another definition than the depth of convex pieces.
+    The depth of surfaces is defined differently from the depth of convex pieces.
     """
     for pair in pairs:
         a, b = (names[n] for n in pair)
@@ -174,7 +171,7 @@ def _check_ruled(
             if (packs[k].layout[:, columns.KIND] <= columns.SURFACE).any():
                 raise InputError(
                     f"leave or reach of {a} and {b}: expected bodies of convex pieces, found {names[k]!r}, which is a "
-                    "surface or a cloud; take a box, pieces or voxels for what is touched"
+                    "surface or a cloud; represent the touched body by a box, by pieces or by voxels"
                 )
             if names[k] in bounds:
                 raise InputError(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Generic
 
@@ -125,10 +124,9 @@ def expect_pairs(ready: Problem, query: str) -> None:
         raise InputError(f"{query}: expected a robot and a scene with pairs to check, found none")
 
 
-def _run(
-    kernel: Callable[..., Any], options: tuple[float, ...], ready: Problem, Q: Floats, memory: int, *out: Any
-) -> None:
-    """Run a kernel on all configurations, divided among threads that have their own scratch memory."""
+def _run(kernel: Any, needed: Any, options: tuple[float, ...], ready: Problem, Q: Floats, *out: Any) -> None:
+    """Run a kernel on all configurations, in several threads; `needed` computes the size of each thread's memory."""
+    memory = ready.memory(needed)
 
     def share(first: int, last: int) -> None:
         kernel(*options, first, last, Q, ready.packed.handle, ready.handle, workspace(memory), *out)
@@ -145,7 +143,7 @@ def nearest_columns(ready: Problem, Q: Floats, exact: bool, *, care: bool = True
     numbers, vectors = np.empty((2 + exact, n)), np.empty((3, m, 3))
     pieces, status = np.empty((m, 2), dtype=np.int64), np.empty(m, dtype=np.int8)
 
-    _run(entries.nearest_pairs, (exact,), ready, Q, ready.memory_of_nearest, numbers, vectors, pieces, status)
+    _run(entries.nearest_pairs, entries.memory_of_nearest, (exact,), ready, Q, numbers, vectors, pieces, status)
     if not exact:
         return list(numbers)
     lower, upper, distance = numbers
@@ -165,7 +163,7 @@ def nearest_columns(ready: Problem, Q: Floats, exact: bool, *, care: bool = True
 def near_pairs(ready: Problem, Q: Floats, within: float) -> Ints:
     """List (configuration, pair) for all pairs that balls and boxes do not prove to be farther apart than `within`."""
     listed = np.empty((max(64, 4 * len(Q)), 2), dtype=np.int64)
-    memory = workspace(ready.memory_of_nearest)
+    memory = workspace(ready.memory(entries.memory_of_nearest))
     while True:
         operands = within, 0, len(Q), Q, ready.packed.handle, ready.handle, memory
         count = entries.near_pairs(*operands, listed, 0)
@@ -179,7 +177,7 @@ def near_pairs(ready: Problem, Q: Floats, within: float) -> Ints:
 def gradients(ready: Problem, Q: Floats, bodies: Ints, witness: Floats, normal: Floats) -> Floats:
     """Differentiate the exact distances of pairs of bodies with respect to the configuration, one gradient per pair."""
     slopes = np.empty((len(Q), ready.robot.dof))
-    _run(entries.pair_gradients, (), ready, Q, ready.memory_of_clearances, bodies, normal, witness, slopes)
+    _run(entries.pair_gradients, entries.memory_of_clearances, (), ready, Q, bodies, normal, witness, slopes)
     return slopes
 
 
@@ -220,7 +218,7 @@ def clearances(ready: Problem, Q: Floats, softness: float, gradient: bool) -> tu
     n, dof = Q.shape
     _validate.fits_memory(8 * n * (1 + gradient * dof), f"clearances of {n} configurations")
     lower, slopes = np.empty(n), np.empty((n * gradient, dof))
-    _run(entries.clearances, (gradient, softness), ready, Q, ready.memory_of_clearances, lower, slopes)
+    _run(entries.clearances, entries.memory_of_clearances, (gradient, softness), ready, Q, lower, slopes)
     if not np.isfinite(lower).all():
         q = np.array2string(Q[np.argmin(np.isfinite(lower))], precision=17)
         raise ConvergenceError(f"clearance: positions overflow at configuration {q}")

@@ -20,7 +20,7 @@ from loewner.robots.description.robot import Robot
 # Smallest number of configurations of edges that is worth a kernel call.
 AT_LEAST = 64
 
-# Largest number of configurations that are made at a time, unless there are more edges. For ten joints, these
+# Largest number of configurations that are computed at a time, unless there are more edges. For ten joints, the
 # configurations take 80 MB.
 MOST_AT_ONCE = 2**20
 
@@ -86,26 +86,21 @@ def rounds(parts: Ints, valid: NDArray[np.bool_]) -> Iterator[tuple[Ints, Floats
 @lru_cache(maxsize=256)
 def coarse_first(parts: int) -> Floats:
     """Return 0, 1, and then the multiples of 1 / parts between them: the middle, the quarters, and so on."""
-    digits = max(1, (parts - 1).bit_length())
-    numbers = np.arange(1, 2**digits)
-    reversed_bits = np.zeros_like(numbers)
-    for k in range(digits):
-        reversed_bits |= (numbers >> k & 1) << (digits - 1 - k)
-    return np.concatenate([[0.0, 1.0], reversed_bits[reversed_bits < parts] / parts])
+    numbers = np.zeros(1, dtype=np.int64)  # in the order of their reversed binary digits
+    for _ in range(max(1, (parts - 1).bit_length())):
+        numbers = np.concatenate([2 * numbers, 2 * numbers + 1])
+    return np.concatenate([[0.0, 1.0], numbers[(numbers > 0) & (numbers < parts)] / parts])
 
 
 def ends(robot: Robot, Q0: ArrayLike, Q1: ArrayLike) -> tuple[Floats, Floats, tuple[int, ...]]:
     """Check and broadcast the starts and ends of motions; return them as rows, with the shape of the batch."""
     a, b = robot.checked(Q0, "Q0"), robot.checked(Q1, "Q1")
-    if a.ndim == b.ndim == 1:
+    if a.ndim == b.ndim == 1:  # a fast path for the usual case
         return a[None], b[None], ()
-    if a.shape != b.shape:
-        _validate.broadcast({"Q0": a.shape[:-1], "Q1": b.shape[:-1]})
-        a, b = np.broadcast_arrays(a, b)
-    shape = a.shape[:-1]
-    count = math.prod(shape)
-    _validate.fits_memory(count * (BYTES_OF_A_MOTION + 16 * robot.dof), f"{shape} motions")
-    return np.ascontiguousarray(flat(a)), np.ascontiguousarray(flat(b)), shape
+    shape = _validate.broadcast({"Q0": a.shape[:-1], "Q1": b.shape[:-1]})
+    _validate.fits_memory(math.prod(shape) * (BYTES_OF_A_MOTION + 16 * robot.dof), f"{shape} motions")
+    a, b = (flat(np.broadcast_to(Q, (*shape, robot.dof)).copy()) for Q in (a, b))
+    return a, b, shape
 
 
 def checked_path(robot: Robot, path: ArrayLike) -> Floats:

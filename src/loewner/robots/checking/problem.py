@@ -6,7 +6,7 @@ of static bodies in world coordinates, and additional data for proofs of motions
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from operator import is_
 from typing import Any, NamedTuple
@@ -127,17 +127,20 @@ class Problem:
         margins: Floats,
         leaving: Bools | None = None,
         reaching: Bools | None = None,
-        moving: Packed | None = None,
-        packed: Packed | None = None,
+        before: Problem | None = None,
     ) -> Problem:
         """Prepare pairs of bodies for a version and structure version of the scene; `with_poses` sets static poses.
 
-        Without `leaving` and `reaching`, no pair may be in contact. `moving` and `packed` are the joined bodies, if
-        these exist already.
+        Without `leaving` and `reaching`, no pair may be in contact. Bodies that an earlier problem has joined are not
+        joined again.
         """
         never = np.zeros(len(pairs), dtype=bool)
-        moving = join(packs[: len(link)]) if moving is None else moving
-        packed = join([moving, *packs[len(link) :]]) if packed is None else packed
+        if before is None or not _equal(packs[: len(link)], before.packs[: len(before.link)]):
+            moving = join(packs[: len(link)])
+            packed = join([moving, *packs[len(link) :]])
+        else:
+            moving = before.moving
+            packed = before.packed if _equal(packs, before.packs) else join([moving, *packs[len(link) :]])
         order, hits = np.arange(len(pairs)), np.zeros(len(pairs), dtype=np.int64)
         table = records.table_of((*robot.tree, link, _NONE, pairs, margins, order, _NONE, _NONE, _NONE))
         sizes = entries.lay_out(packed.handle, table.ctypes.data, _NONE, _NONE)
@@ -157,7 +160,7 @@ class Problem:
         """Set other pairs and, on request, other attributes."""
         problem = Problem.of(
             self.robot, (self.version, self.structure_version), self.names, self.packs, self.link, pairs, margins,
-            leaving, reaching, self.moving, self.packed,
+            leaving, reaching, self,
         )  # fmt: skip
         return problem._placed(self.standing.poses, version=self.version, paths=self.paths, **changes)
 
@@ -263,25 +266,17 @@ class Problem:
         """Names of all pairs, shape (pairs + 1, 2); the last row is empty."""
         return np.asarray(np.array([*self.names, ""])[np.append(self.pairs, [[-1, -1]], axis=0)])
 
-    @kept
-    def memory(self) -> int:
-        """Scratch memory for verdicts."""
-        return int(entries.memory_size(self.packed.handle, self.handle, self.robot.dof))
+    def memory(self, needed_by: Callable[[int, int, int], int]) -> int:
+        """Number of scratch bytes for a kernel, from the kernel that computes this number."""
+        size = self._memory.get(needed_by)
+        if size is None:
+            size = self._memory[needed_by] = int(needed_by(self.packed.handle, self.handle, self.robot.dof))
+        return size
 
     @kept
-    def memory_of_nearest(self) -> int:
-        """Scratch memory for distances."""
-        return int(entries.memory_of_nearest(self.packed.handle, self.handle, self.robot.dof))
-
-    @kept
-    def memory_of_clearances(self) -> int:
-        """Scratch memory for smooth clearances."""
-        return int(entries.memory_of_clearances(self.packed.handle, self.handle, self.robot.dof))
-
-    @kept
-    def memory_of_motions(self) -> int:
-        """Scratch memory for proofs of motions."""
-        return int(entries.motion_memory(self.packed.handle, self.handle, self.robot.dof))
+    def _memory(self) -> dict[Callable[[int, int, int], int], int]:
+        """The numbers that `memory` has computed."""
+        return {}
 
     @kept
     def piece_pairs(self) -> int:
@@ -293,7 +288,7 @@ class Problem:
         """Fast queries of a single configuration or motion; see `loewner._native.singles`."""
         plain = self.robot._watch.range if self.robot.runs_straight else None
         return singles.configurations(
-            self.packed.handle, self.handle, self.memory, self.piece_pairs, plain, self.hits,
+            self.packed.handle, self.handle, self.memory(entries.memory_size), self.piece_pairs, plain, self.hits,
             (self.robot, self.link, self.lasting, self.pairs, self.margins, self.order, self.block, self.packed),
         )  # fmt: skip
 
@@ -338,12 +333,11 @@ class Problem:
         return self._of_parts(in_small_parts(self.packs)) or self
 
     def _of_parts(self, packs: list[Packed]) -> Problem | None:
-        if all(map(is_, packs, self.packs)):
+        if _equal(packs, self.packs):
             return None
-        same = all(map(is_, packs[: len(self.link)], self.packs))
         return Problem.of(
             self.robot, (self.version, self.structure_version), self.names, packs, self.link, self.pairs, self.margins,
-            self.leaving, self.reaching, self.moving if same else None,
+            self.leaving, self.reaching, self,
         ).with_poses(self.standing.poses, self.version)  # fmt: skip
 
     @kept
@@ -439,8 +433,10 @@ class Problem:
             yield first, self.poses(Q[first : first + each])
 
 
+def _equal(packs: Sequence[Packed], others: Sequence[Packed]) -> bool:
+    """Return whether two lists hold the same objects."""
+    return len(packs) == len(others) and all(map(is_, packs, others))
+
+
 # The attributes that depend neither on poses nor on the order of pairs.
-_LASTING = (
-    *Problem.__dataclass_fields__, "bodies", "names_of_pairs", "memory", "memory_of_nearest", "memory_of_clearances",
-    "memory_of_motions", "piece_pairs", "by_margin", "ruled",
-)  # fmt: skip
+_LASTING = (*Problem.__dataclass_fields__, "bodies", "names_of_pairs", "_memory", "piece_pairs", "by_margin", "ruled")

@@ -19,8 +19,8 @@ from loewner.queries.pairs import collide
 # Boxes grow by the share ROUNDING of the lengths involved, far more than the rounding errors of their sides.
 ROUNDING = 1e-9
 
-# A camera's loop passes the same distance in each frame, and making a ball takes as long as testing thousands of
-# points.
+# Balls are kept: a camera's loop passes the same distance in each frame, and making a ball takes as long as testing
+# thousands of points.
 _ball = functools.lru_cache(maxsize=8)(Body.sphere)
 
 
@@ -104,8 +104,7 @@ def off_the_robot(
         for k in (1, 2):
             near = near[(columns[k, near] >= low[k]) & (columns[k, near] <= high[k])]
         if len(near):
-            balls = np.zeros((len(near), 4, 4))
-            balls[:, range(4), range(4)] = 1.0
+            balls = np.tile(np.eye(4), (len(near), 1, 1))
             balls[:, :3, 3] = flat[near]
             stays[near[collide(ball, balls, body, T)]] = False
     if _validate.flag(mask, "mask"):

@@ -108,9 +108,11 @@ def classified(ready: Problem, mode: int, Q: Floats) -> Verdicts:
         _validate.fits_memory(2 * total, f"{total} configurations")
     out, tiers = np.empty(total, dtype=np.int8), np.empty(total, dtype=np.int8)
 
+    memory = ready.memory(entries.memory_size)
+
     def run(first: int, last: int, hits: Ints) -> None:
         entries.check_configurations(
-            mode, first, last, Q, ready.packed.handle, ready.handle, out, tiers, hits, workspace(ready.memory)
+            mode, first, last, Q, ready.packed.handle, ready.handle, out, tiers, hits, workspace(memory)
         )
 
     def share(first: int, last: int) -> None:
@@ -125,7 +127,9 @@ def classified(ready: Problem, mode: int, Q: Floats) -> Verdicts:
         in_shares(share, total, LEAST_SHARE)
     if mode == codes.EXACT:
         for k in _ambiguous(out):
-            out[k], tiers[k] = _worst(verdicts_at(ready, Q[k])), codes.BY_SEARCH
+            of_pairs = verdicts_at(ready, Q[k])
+            worst = (verdict for verdict in (codes.COLLIDING, codes.AMBIGUOUS) if verdict in of_pairs)
+            out[k], tiers[k] = next(worst, codes.FREE), codes.BY_SEARCH
     return Verdicts(out, tiers)
 
 
@@ -273,17 +277,9 @@ def lengths(ready: Problem, a: Floats, b: Floats, step: float) -> Floats:
     return motion_lengths
 
 
-def _worst(verdicts: NDArray[np.int8]) -> int:
-    """Combine the verdicts of all pairs into the verdict of the configuration."""
-    for verdict in (codes.COLLIDING, codes.AMBIGUOUS):
-        if (verdicts == verdict).any():
-            return int(verdict)
-    return codes.FREE
-
-
 def _ambiguous(verdicts: NDArray[np.int8]) -> Ints:
-    """Find the indices of AMBIGUOUS verdicts, with a fast path if there are none."""
-    if not (verdicts[0] == codes.AMBIGUOUS if len(verdicts) == 1 else (verdicts == codes.AMBIGUOUS).any()):
+    """Find the indices of AMBIGUOUS verdicts, fast if there is a single verdict."""
+    if len(verdicts) == 1 and verdicts[0] != codes.AMBIGUOUS:
         return _NOWHERE
     return np.flatnonzero(verdicts == codes.AMBIGUOUS)
 

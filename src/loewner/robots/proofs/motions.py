@@ -193,7 +193,7 @@ def settle(
     def share(begin: int, end: int) -> None:
         entries.certify_motions(
             first[begin], first[end], courses, strays, clear, tolerance, ready.packed.handle, ready.handle,
-            ready.handle_of_motions, *answers, workspace(ready.memory_of_motions),
+            ready.handle_of_motions, *answers, workspace(ready.memory(entries.motion_memory)),
         )  # fmt: skip
 
     in_shares(share, len(first) - 1, LEAST_SHARE)
