@@ -465,6 +465,15 @@ def test_other_bad_files_are_refused(table, capsys):
         assert message in err
 
 
+@pytest.mark.parametrize("option", [["--scale", "0.001"], ["--meshes", "hull"]])
+def test_options_of_meshes_are_refused_for_saved_bodies(table, capsys, option):
+    """A saved body has its size and its pieces; an ignored factor would make right answers wrong."""
+    table("distance\n1\n")
+    status, out, err = judge(capsys, "said.csv", "a.npz", "b.npz", *option)
+    assert (status, out) == (2, "")
+    assert f"{option[0]}: expected meshes to make bodies of, found saved bodies only" in err
+
+
 # -- conventions --------------------------------------------------------------------------------
 
 

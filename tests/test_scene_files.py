@@ -174,6 +174,18 @@ def test_strange_names_are_written_and_shared_bodies_once(folder):
     assert len(set(files)) == len(files) == len(names) + 1
 
 
+def test_names_from_answers_are_written(folder):
+    """The names in answers are NumPy's strings, which YAML's writer does not know."""
+    hand, wall = np.array(["hand", "wall"])
+    scene = Scene()
+    scene.add(wall, Body.box([1, 1, 1]), margin=0.1)
+    scene.allow(hand, wall)
+    scene.set_margin(0.2, hand, wall)
+    scene.attach(wall, hand, touch_links=[np.str_("finger")])
+    save_scene(scene, folder / "answers.yaml")
+    same_scenes(load_scene(folder / "answers.yaml"), scene)
+
+
 def test_moved_primitives_are_saved_as_they_are(folder):
     """A body that is no primitive in its own frame is not written as one."""
     T = translation(0.1)

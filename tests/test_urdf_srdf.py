@@ -69,6 +69,7 @@ def at(x, y, z):
         ({"kind": "continuous", "limit": SOFT}, "<safety_controller soft_lower_limit>"),
         ({"limit": HARD + SOFT.replace("-0.5", "2")}, "<safety_controller soft_lower_limit>"),
         ({"top": '<loop_joint name="l"><link1 link="a"/></loop_joint>'}, r"<loop_joint> in <robot> \(line 2\)"),
+        ({"link": '<collision_checking><capsule name="c"/></collision_checking>'}, "<collision_checking> in <link>"),
         ({"top": '<jiont name="k" type="fixed"><parent link="a"/></jiont>'}, "<jiont> in <robot>"),
         ({"top": f'<gazebo><link name="x">{BOX}</link></gazebo>'}, "<link> in <gazebo>"),
         ({"top": '<gazebo><model><joint name="x"><parent>a</parent></joint></model></gazebo>'}, "<joint> in <gazebo>"),
@@ -107,6 +108,15 @@ def test_many_unread_parts_make_a_short_message():
 def test_harmless_parts_are_quiet(parts):
     """Colours, plugins, dynamics and the like: warnings are errors here."""
     read(**parts)
+
+
+def test_values_of_joints_have_names_of_their_own():
+    """A planar joint j has a value j/x, so that no other joint can have this name."""
+    top = """<link name="e"/><joint name="k" type="planar"><parent link="a"/><child link="e"/></joint>
+    <link name="f"/><joint name="k/x" type="prismatic"><parent link="a"/><child link="f"/>
+    <limit lower="0" upper="1" velocity="1"/></joint>"""
+    with pytest.raises(InputError, match="expected values with different names, found two of 'k/x'"):
+        read(top=top)
 
 
 @pytest.mark.parametrize(

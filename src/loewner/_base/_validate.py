@@ -267,10 +267,10 @@ def flag(x: Any, name: str) -> bool:
 
 
 def expect_name(x: Any, wanted: str = "name: expected a name") -> str:
-    """Refuse anything except a string that is not empty."""
+    """Refuse anything except a string that is not empty; return one of NumPy's strings as one of Python's."""
     if not isinstance(x, str) or not x:
         raise InputError(f"{wanted}, found {short(x)}")
-    return x
+    return str(x)
 
 
 def unused(name: str, taken: Container[str]) -> str:

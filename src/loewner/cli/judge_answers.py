@@ -121,6 +121,8 @@ def _bodies(options: argparse.Namespace) -> dict[str, loewner.Body]:
     for name in names:
         if names.count(name) > 1 and len(names) > 2:
             raise InputError(f"expected files with different names, found two of {name}")
+    if all(path.suffix.lower() == ".npz" for path in options.files):
+        inputs.refuse(options, ("scale", "meshes"), "{}: expected meshes to make bodies of, found saved bodies only")
     scale = 1.0 if options.scale is None else options.scale
     usual = dict.fromkeys((*inputs.OF_PIECES, *inputs.OF_SURFACES))
     taken = argparse.Namespace(model=options.meshes or "surface", hull=False, scale=scale, **usual)

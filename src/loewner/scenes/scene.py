@@ -398,7 +398,7 @@ class Scene:
             Once per scene, if a body is probably not given in metres: it is kilometres large or far away, or much
             smaller than a millimetre.
         """
-        expect_name(name)
+        name = expect_name(name)
         _validate.instance(body, f"body of {name!r}", Body)
         T = _validate.pose(T_world_body, f"T_world_body of {name!r}")
         keep = None if margin is None else _validate.positive_scalar(margin, f"margin of {name!r}", zero=True)
@@ -752,7 +752,7 @@ class Scene:
         (('table',), frozenset({('can', 'table')}))
         """
         self._known(name)
-        expect_name(link, "link: expected a name")
+        link = expect_name(link, "link: expected a name")
         touching = {link, *_names(touch_links, "touch_links")}
         leaving = {_pair(name, other) for other in _names(leave, "leave")}
         reaching = {_pair(name, other) for other in _names(reach, "reach")}
@@ -1331,8 +1331,7 @@ def _pair_as_given(pair: Any) -> Pair:
 
 def _pair(a: Any, b: Any) -> Pair:
     """Check two names, which must differ, and sort them."""
-    expect_name(a, "a: expected a name")
-    expect_name(b, "b: expected a name")
+    a, b = expect_name(a, "a: expected a name"), expect_name(b, "b: expected a name")
     if a == b:
         raise InputError(f"a, b: expected two names, found {a!r} twice")
     return (a, b) if a < b else (b, a)

@@ -347,6 +347,9 @@ class Robot(KeepsReadOnly):
         read_only(*limits.values())
         entries = [(name, value) for name in columns for value in VALUES[kinds[name]]]
         names = tuple(f"{name}/{value}" if value else name for name, value in entries)
+        for name in names:
+            if names.count(name) > 1:
+                raise InputError(f"joints: expected values with different names, found two of {name!r}")
         turns = [kinds[name] in ("revolute", "continuous") for name, _ in entries]
         free = [kinds[name] in ("planar", *WITH_QUATERNION) for name, _ in entries]
         tree = tree_of(robot, columns)

@@ -64,7 +64,7 @@ HARMLESS = {
     )),
     "link": frozenset((
         "@type",  # has no meaning in any reader
-        "collision_checking", "self_filter",  # shapes for other programs' purposes
+        "self_filter",  # shapes by which ROS removes a robot from point clouds
         "contact*", "gravity*", "inertial*", "kinematic*", "surface*",  # dynamics
         "visual*",  # appearance; read by `read_visuals`
     )),
