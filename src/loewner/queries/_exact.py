@@ -25,7 +25,7 @@ Operands: TypeAlias = tuple[Ints, Ints, int, Floats, int, Floats]
 Vector: TypeAlias = tuple[int, int, int]
 
 # Largest number of open pairs of triangles that are examined. If there are more, the pair of surfaces stays AMBIGUOUS
-# unless one of these pairs of triangles meets.
+# unless one of the examined pairs of triangles meets.
 ROOM = 20_000
 
 # Directions of rays, which are tried in turn, since a ray that meets an edge gives no answer.
@@ -98,7 +98,7 @@ class Part:
             is_inside = _windings(ray, (T, corners[crossed]), (S, point))
             if is_inside is not None:
                 return is_inside
-        raise AssertionError("a point of which no ray tells whether it is inside")
+        raise AssertionError("expected a ray that shows whether a point is inside, found none")
 
 
 def placed(points: list[tuple[Floats, Floats]]) -> tuple[list[Vector], Fraction]:
