@@ -8,7 +8,6 @@ import os
 import sys
 import time
 import warnings
-from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -36,11 +35,7 @@ def main() -> None:
     out.mkdir(parents=True, exist_ok=True)
 
     console.rule("1. Two meshes of the Panda arm become bodies")
-    with ProcessPoolExecutor(2) as pool:  # decomposing keeps one processor busy; the hand takes less time
-        parts = [pool.submit(fitted, name, out, not chosen.hull) for name in ("hand", "link5")]
-        for part in parts:
-            console.print("\n".join(part.result()), markup=False)
-    link, hand = (loewner.Body.load(out / f"{name}.npz") for name in ("link5", "hand"))
+    hand, link = (fitted(name, out, not chosen.hull) for name in ("hand", "link7"))
 
     console.rule(f"2. Are they in collision, at {chosen.poses:,} poses?")
     poses = random_poses(link, hand, chosen.poses)
@@ -78,8 +73,8 @@ def main() -> None:
     )
 
 
-def fitted(name: str, out: Path, decompose: bool) -> list[str]:
-    """Decompose a link into convex pieces, fit them and save the body; return the lines to print."""
+def fitted(name: str, out: Path, decompose: bool) -> loewner.Body:
+    """Decompose a link into convex pieces, fit them, save the body, and print how it was made."""
     mesh = panda(f"visual/{name}.dae")
     started = time.perf_counter()
     with warnings.catch_warnings(record=True) as told:
@@ -94,11 +89,14 @@ def fitted(name: str, out: Path, decompose: bool) -> list[str]:
     if decompose:
         holds += f" and stick out of it by at most {1e3 * covering.max_protrusion:.0f} mm"
     holes = "the mesh has holes (it was made to be looked at); what is checked are its convex pieces"
-    return [
+    console.print(
         f"{name}: {len(body.pieces)} convex pieces, {vertices:,} vertices, {holds}; "
         f"{seconds:.1f} s; saved as {out / name}.npz",
         *(f"{name}: {holes if 'has holes' in str(one.message) else one.message}" for one in told),
-    ]
+        sep="\n",
+        markup=False,
+    )
+    return body
 
 
 def random_poses(a: loewner.Body, b: loewner.Body, count: int) -> np.ndarray:

@@ -236,7 +236,7 @@ def test_demo(tmp_path):
     assert float(nearest) < 10
     made = {str(p.relative_to(tmp_path)) for p in tmp_path.rglob("*") if p.is_file()}
     wanted = {
-        "link5.npz",
+        "link7.npz",
         "hand.npz",
         "verdicts.png",
         "shelf.png",
