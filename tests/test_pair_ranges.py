@@ -776,9 +776,14 @@ def test_clash_says_what_collides(urdf, capsys, limits, status):
 
 
 def test_clash_draws_a_witness_and_writes_rules(urdf, capsys, tmp_path):
-    """The picture has the verdict; only proven pairs are written."""
-    assert clash(capsys, urdf, "--all", "-o", "clash.svg")[0] == 1
+    """The picture has the verdict; only proven pairs are written; the output names the files, and remains JSON."""
+    status, out, _ = clash(capsys, urdf, "--all", "-o", "clash.svg")
+    assert status == 1
+    assert out.endswith("written   clash.svg\n")
     assert "SOMETIMES" in (tmp_path / "clash.svg").read_text()
+    status, out, _ = clash(capsys, urdf, "--all", "--json", "--write-srdf", "json.srdf")
+    assert json.loads(out)["pairs"]
+    assert (tmp_path / "json.srdf").exists()
     status, out, _ = clash(capsys, urdf, "--all", "--margin", "0", "--write-srdf", "hinge.srdf")
     assert status == 1
     assert "0 pairs added" in out

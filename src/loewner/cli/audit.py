@@ -12,6 +12,7 @@ import numpy as np
 import loewner
 from loewner import Verdict, planners, plots
 from loewner._base import _validate
+from loewner._base._files import shown
 from loewner._base._nodes import some
 from loewner._base._validate import Floats
 from loewner.cli import configurations, inputs, output, trajectories
@@ -113,6 +114,8 @@ def _run(options: argparse.Namespace) -> int:
             if len(parts) > 1:
                 print(f"{chr(10) * bool(number)}part      {number + 1} of {len(parts)}, {answer['place']}")
             _print_answer(answers[-1])
+            if picture is not None:
+                print(f"written   {shown(picture)}")
             if proof is not None and answer["proof"] is None:
                 print(f"no proof  {proof} is not written: there is no proof of this motion")
     befores = [way for way in ways if way is not None]

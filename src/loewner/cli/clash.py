@@ -123,12 +123,20 @@ def _run(options: argparse.Namespace) -> int:
         "robot": proven_pairs.robot, "pairs": [_entry(row, robot) for row in proven_pairs],
         "never_checked": [list(pair) for pair in proven_pairs.rigid],
     }  # fmt: skip
-    output.print_answer(options, answer, lambda: print_pairs(proven_pairs, robot))
+    files = []
     if options.out is not None:
         _draw(proven_pairs, robot, scene, options.out)
+        files.append(shown(options.out))
     if options.write_srdf is not None:
-        written = proven_pairs.to_srdf(options.write_srdf, narrower=options.narrower)
-        print(f"{shown(options.write_srdf)}: {output.counted(len(written), 'pair')} added")
+        added = proven_pairs.to_srdf(options.write_srdf, narrower=options.narrower)
+        files.append(f"{shown(options.write_srdf)}, with {output.counted(len(added), 'pair')} added")
+
+    def print_text() -> None:
+        print_pairs(proven_pairs, robot)
+        for file in files:
+            print(f"written   {file}")
+
+    output.print_answer(options, answer, print_text)
     verdicts = {row.verdict for row in proven_pairs}
     if verdicts & {PairVerdict.ALWAYS, PairVerdict.SOMETIMES, PairVerdict.CAN}:
         return output.STATUS["COLLIDING"]
