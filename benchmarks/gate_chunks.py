@@ -236,8 +236,13 @@ class InC:
     def __init__(self, world: World, folder: Path, **options: Any) -> None:
         scene = world.scene.copy()
         scene.add("large", world.large, at(world.crate))
+        bounds = scene.bounds
+        for name in bounds:
+            scene.move(name, scene.pose(name))
         CollisionChecker(world.robot, scene).save(folder / "cell.lwn")
         self.checker = capi.Checker(folder / "cell.lwn")
+        for name, off in bounds.items():
+            self.checker.set_bounds(name, metres=off.metres, radians=off.radians, speed=0.0, turn=0.0, since=0.0)
         self.grow(False)
         given = {"velocity": world.robot.velocity, "acceleration": world.robot.acceleration, "steps": STEPS}
         self.gate = capi.Gate(self.checker, MOST, **given | options)

@@ -583,7 +583,7 @@ BAD = {
     "limits: {x: {}}": "joint_limits",
     "[]": "expected the key joint_limits",
     "": "found an empty file",
-    "joint_limits: {x: {max_velocity: 010}}": "octal, found 010",
+    "joint_limits: {x: {max_velocity: 010}}": "octal in YAML 1.1, found 010",
     "joint_limits: {x: {max_velocity: 1_0}}": "expected a finite number, found '1_0'",
     "joint_limits: {x: {max_velocity: '1'}}": "expected a finite number, found '1'",
     "{a: {joint_limits: {x: {max_jerk: 1}}}, b: {joint_limits: {x: {max_jerk: 2}}}}": "joint once",

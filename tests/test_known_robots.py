@@ -22,6 +22,7 @@ REASONS = {
     "centauro": "'lower' and 'upper' in its <limit>",
     "kinova": "<limit lower>",
     "pr2": "that leave 'r_gripper_l_finger_joint'",
+    "simple_humanoid": "<collision_checking> in <link>",
     "quadruped": "'lower' and 'upper' in its <limit>",
     "tiago_pro": "velocity of 'wheel_front_right_joint' in <ros2_control>",
 }

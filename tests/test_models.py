@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from loewner import Robot
-from loewner.robots.description.xacro_files import expanded
+from loewner.robots.description.xacro_files import Expansion
 from mjcf_oracle import compare
 from robot_oracle import compare_with_pinocchio, without_shapes
 
@@ -113,7 +113,7 @@ def test_roboplan_reads_alike(name):
     assert len(words) == len(ROBOPLAN[name]), words
     assert all(reason in word for reason, word in zip(ROBOPLAN[name], words, strict=True)), words
     assert robot.bodies
-    compare_with_pinocchio(without_shapes(expanded(path, {}, packages, set()) if xacro else text))
+    compare_with_pinocchio(without_shapes(Expansion({}, packages, set()).text(path) if xacro else text))
 
 
 def test_the_page_lists_the_models_that_warn():

@@ -550,7 +550,7 @@ def test_bad_motions_are_refused(slider):
         scene.follow("a", [0.0, 1.0], np.full((2, 4, 4), 2.0))
     with pytest.raises(UnknownNameError):
         scene.follow("b", [0.0, 1.0], still)
-    with pytest.raises(InputError, match="attached to link 'ball'"):
+    with pytest.raises(InputError, match="found one on link 'ball'"):
         scene.follow("held", [0.0, 1.0], still)
     scene.follow("a", [0.0, 1.0], still)
     for change in (

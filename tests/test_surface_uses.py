@@ -477,8 +477,8 @@ def test_surfaces_in_scene_files(tmp_path):
     [
         ("model: mesh", "expected one of hull, pieces, surface, found 'mesh'"),
         ("model: surface, decompose: true", "expected either model or decompose"),
-        ("radius: 0.1", "with model: surface only"),
-        ("model: hull, solid: true", "with model: surface only"),
+        ("radius: 0.1", "expected radius only with model: surface"),
+        ("model: hull, solid: true", "expected solid only with model: surface"),
         ("model: surface, radius: -1", "expected"),
         ("model: surface, radius: .nan", "expected"),
         ("model: surface, solid: maybe", "expected true or false"),
