@@ -26,7 +26,7 @@ formats: curobo (.yml: the keys of a configuration for spheres and pairs), vamp 
   and two spheres), mjcf (.xml), scene (with --for scene). cuRobo, VAMP, foam and pyroki have spheres only.
 
 pairs: shapes that stick out can meet where the links never do. Pairs of links that are proven never to collide are
-  written as ignored; all others stay checked.
+  written as ignored, like the pairs that the SRDF exempts; all others stay checked.
 
 exit status: 0 all links are proven to be covered, 1 one is not, 2 error, 3 one is undecided
 """

@@ -739,7 +739,8 @@ class CollisionChecker:
         normal, n·r (1 - 1/√F) / ‖n‖ with the contact function F of Perram and Wertheim. This gap is at most the
         ellipsoids' signed distance, and analytic except where centers coincide. The result is -softness log Σ exp(-g /
         softness) over the gaps g between the outer ellipsoids of all pairs of pieces, minus a bound on rounding. Each
-        static surface or cloud contributes up to 128 ellipsoids around its parts, unless it is a solid. Where the
+        static surface or cloud contributes up to 128 ellipsoids around its parts, unless it is a solid. Near a large
+        cube, such as a `Body.half_space`, the result is always negative, so use a thin box as a floor. Where the
         centers of two ellipsoids coincide, the pair contributes nothing to the gradient; where they nearly coincide,
         the gradient is finite but may be huge. The derivative with respect to a quaternion is as in `distance`.
 
