@@ -68,7 +68,8 @@ class PoseBounds:
     since : float
         Time from which the errors grow [s].
     reach : float
-        The largest ρ [m]: an upper bound on the distance of the body's points from its origin.
+        The largest ρ [m]: an upper bound on the distance of the body's points from its origin. Surfaces and clouds with
+        a radius count without it, since a turn moves a ball no farther than its center.
 
     Examples
     --------
