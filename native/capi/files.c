@@ -503,8 +503,7 @@ void leave_file(File *file)
 
 loewner_status loewner_bodies_open(const char *path, loewner_bodies **bodies)
 {
-    if (path == NULL || bodies == NULL)
-        return fail(LOEWNER_BAD_ARGUMENT, "path, bodies: expected pointers, found NULL");
+    REQUIRE(path != NULL && bodies != NULL, "path, bodies: expected pointers, found NULL");
     *bodies = NULL;
     if (kernels() == NULL)
         return LOEWNER_NO_KERNELS;

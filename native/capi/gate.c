@@ -63,9 +63,8 @@ static loewner_status take(const char *name, const double *given, int64_t dof, d
     int is_error = otherwise == 0;
     for (int64_t c = 0; c < dof; c++) {
         out[c] = given == NULL ? otherwise : given[c];
-        if (given != NULL && !((out[c] > 0 || (is_error && out[c] == 0)) && out[c] < INFINITY))
-            return fail(LOEWNER_BAD_ARGUMENT, "%s: expected finite numbers %s 0, found %g", name, is_error ? ">=" : ">",
-                        out[c]);
+        REQUIRE(given == NULL || ((out[c] > 0 || (is_error && out[c] == 0)) && out[c] < INFINITY),
+                "%s: expected finite numbers %s 0, found %g", name, is_error ? ">=" : ">", out[c]);
     }
     return LOEWNER_OK;
 }
@@ -76,14 +75,11 @@ static loewner_status take_options(loewner_gate *gate, const loewner_gate_option
     const double numbers[] = {options->latency, options->horizon, options->tolerance};
     static const char *const names[] = {"latency", "horizon", "tolerance"};
     for (int k = 0; k < 3; k++)
-        if (!(numbers[k] >= 0 && numbers[k] < INFINITY))
-            return fail(LOEWNER_BAD_ARGUMENT, "%s: expected a number >= 0, found %g", names[k], numbers[k]);
-    if (options->steps < 0)
-        return fail(LOEWNER_BAD_ARGUMENT, "steps: expected a number >= 0, found %lld", (long long)options->steps);
-    if (options->brake != LOEWNER_BRAKE_JOINTS && options->brake != LOEWNER_BRAKE_PATH)
-        return fail(LOEWNER_BAD_ARGUMENT, "brake: expected LOEWNER_BRAKE_JOINTS or _PATH, found %d", options->brake);
-    if (options->acceleration == NULL)
-        return fail(LOEWNER_BAD_ARGUMENT, "acceleration: expected limits, found NULL");
+        REQUIRE(numbers[k] >= 0 && numbers[k] < INFINITY, "%s: expected a number >= 0, found %g", names[k], numbers[k]);
+    REQUIRE(options->steps >= 0, "steps: expected a number >= 0, found %lld", (long long)options->steps);
+    REQUIRE(options->brake == LOEWNER_BRAKE_JOINTS || options->brake == LOEWNER_BRAKE_PATH,
+            "brake: expected LOEWNER_BRAKE_JOINTS or _PATH, found %d", options->brake);
+    REQUIRE(options->acceleration != NULL, "acceleration: expected limits, found NULL");
     TRY(take("acceleration", options->acceleration, dof, INFINITY, gate->strongest));
     TRY(take("jerk", options->jerk, dof, INFINITY, gate->jerk));
     TRY(take("velocity", options->velocity, dof, INFINITY, gate->fastest));
@@ -159,13 +155,13 @@ static loewner_status set_up(loewner_gate *gate, const loewner_gate_options *opt
 loewner_status loewner_gate_new(const loewner_checker *checker, const loewner_gate_options *options,
                                 size_t most_targets, loewner_gate **gate)
 {
-    if (checker == NULL || options == NULL || gate == NULL)
-        return fail(LOEWNER_BAD_ARGUMENT, "checker, options, gate: expected pointers, found NULL");
+    REQUIRE(checker != NULL && options != NULL && gate != NULL,
+            "checker, options, gate: expected pointers, found NULL");
     *gate = NULL;
-    if (most_targets < 1 || most_targets > 1000000)
-        return fail(LOEWNER_BAD_ARGUMENT, "most_targets: expected 1 to 1000000, found %zu", most_targets);
-    if (checker->file->quaternion_count > 0)
-        return fail(LOEWNER_BAD_ARGUMENT, "checker: expected a robot without floating and ball joints, found one");
+    REQUIRE(most_targets >= 1 && most_targets <= 1000000, "most_targets: expected 1 to 1000000, found %zu",
+            most_targets);
+    REQUIRE(checker->file->quaternion_count == 0,
+            "checker: expected a robot without floating and ball joints, found one");
     loewner_gate *made;
     TRY(allocate(&made, sizeof *made));
     made->checker = checker;
@@ -717,16 +713,12 @@ static loewner_status judge(loewner_gate *gate, const double *q, const double *d
 loewner_status loewner_gate_check(loewner_gate *gate, const double *q, const double *dq, const double *targets,
                                   size_t n, double dt, double time, loewner_gate_answer *answer)
 {
-    if (gate == NULL || answer == NULL)
-        return fail(LOEWNER_BAD_ARGUMENT, "gate, answer: expected pointers, found NULL");
+    REQUIRE(gate != NULL && answer != NULL, "gate, answer: expected pointers, found NULL");
     HOLD(gate->workspace);
-    if (n < 1 || n > (size_t)gate->most)
-        return fail(LOEWNER_BAD_ARGUMENT, "targets: expected 1 to %lld, found %zu", (long long)gate->most, n);
-    if (!(dt > 0 && dt < INFINITY))
-        return fail(LOEWNER_BAD_ARGUMENT, "dt: expected a number > 0, found %g", dt);
-    if (!(time >= gate->now && fabs(time) < INFINITY))
-        return fail(LOEWNER_BAD_ARGUMENT, "time: expected one that is no earlier than the last one, %.9g, found %.9g",
-                    gate->now, time);
+    REQUIRE(n >= 1 && n <= (size_t)gate->most, "targets: expected 1 to %lld, found %zu", (long long)gate->most, n);
+    REQUIRE(dt > 0 && dt < INFINITY, "dt: expected a number > 0, found %g", dt);
+    REQUIRE(time >= gate->now && fabs(time) < INFINITY,
+            "time: expected one that is no earlier than the last one, %.9g, found %.9g", gate->now, time);
     TRY(prepare(gate->checker, gate->workspace));
     TRY(check_configurations(gate->checker, q, 1, "q"));
     TRY(check_configurations(gate->checker, dq, 1, "dq"));

@@ -32,6 +32,13 @@ loewner_status enlarge(void *field, size_t size);
             return status_;                                                                                            \
     } while (0)
 
+/* Refuse an argument that does not meet a condition; a message with its values follows. */
+#define REQUIRE(condition, ...)                                                                                        \
+    do {                                                                                                               \
+        if (!(condition))                                                                                              \
+            return fail(LOEWNER_BAD_ARGUMENT, __VA_ARGS__);                                                            \
+    } while (0)
+
 /* -- kernels: see `loewner/_native/entries.py` --------------------------------------------------------------------- */
 
 typedef int32_t (*Kernel)(const int64_t *, int64_t *);

@@ -24,17 +24,14 @@ static Array2 some_rows(Array2 array, size_t item, int64_t first, int64_t count)
 /* View the bodies of the pairs first .. first + n - 1. */
 static loewner_status view(const loewner_side *side, size_t first, size_t n, const char *name, View *made)
 {
-    if (side == NULL || side->bodies == NULL)
-        return fail(LOEWNER_BAD_ARGUMENT, "%s: expected bodies, found NULL", name);
+    REQUIRE(side != NULL && side->bodies != NULL, "%s: expected bodies, found NULL", name);
     TRY(check_count(n, 1, name));
     int64_t bodies = side->bodies->bodies, all = side->body == -1, which = all ? (int64_t)first : side->body;
     size_t last = first + n;
-    if (side->body < -1 || side->body >= bodies || (all && (int64_t)last > bodies))
-        return fail(LOEWNER_BAD_ARGUMENT, "%s: expected bodies below number %lld, found others", name,
-                    (long long)bodies);
-    if (side->poses != NULL && side->pose_count != 1 && side->pose_count < last)
-        return fail(LOEWNER_BAD_ARGUMENT, "%s: expected one pose or as many as pairs, found %zu", name,
-                    side->pose_count);
+    REQUIRE(side->body >= -1 && side->body < bodies && (!all || (int64_t)last <= bodies),
+            "%s: expected bodies below number %lld, found others", name, (long long)bodies);
+    REQUIRE(side->poses == NULL || side->pose_count == 1 || side->pose_count >= last,
+            "%s: expected one pose or as many as pairs, found %zu", name, side->pose_count);
     struct pieces *pack = &made->pieces;
     *pack = side->bodies->packs[WHOLE];
     pack->piece_start = some_rows(pack->piece_start, 8, which, all ? (int64_t)n + 1 : 2);
@@ -94,8 +91,8 @@ static loewner_status settle(loewner_workspace *workspace, int mode, const loewn
         return LOEWNER_OK;
     TRY(view(a, 0, n, "a", &first));
     TRY(view(b, 0, n, "b", &second));
-    if (!(margin >= 0 && margin < INFINITY) || verdicts == NULL)
-        return fail(LOEWNER_BAD_ARGUMENT, "margin, verdicts: expected a number >= 0 and a pointer, found others");
+    REQUIRE(margin >= 0 && margin < INFINITY && verdicts != NULL,
+            "margin, verdicts: expected a number >= 0 and a pointer, found others");
     HOLD(workspace);
     TRY(reserve(workspace, (size_t)kernels()->settle_memory));
     const int64_t plan[5] = PLAN(count, first, second);

@@ -83,11 +83,9 @@ static loewner_status make_search(const Judge *judge, const double *start, const
     for (int64_t c = 0; c < dof; c++) {
         if (joints != NULL && !joints[c])
             continue;
-        if (!(file->joints[c] & JOINT_SINGLE))
-            return fail(LOEWNER_BAD_ARGUMENT,
-                        "joints: expected joints of one value each, found %s, which has no limits "
-                        "to search within; name the joints that are to move",
-                        loewner_checker_value_name(judge->checker, (int32_t)c));
+        REQUIRE(file->joints[c] & JOINT_SINGLE,
+                "joints: expected joints of one value each, found %s, which has no limits to search within; name the "
+                "joints that are to move", loewner_checker_value_name(judge->checker, (int32_t)c));
         double least = start[c], most = start[c], lower = file->limits[c], upper = file->limits[dof + c];
         for (size_t g = 0; g < goal_count; g++) {
             least = fmin(least, goals[g * (size_t)dof + (size_t)c]);
@@ -240,9 +238,8 @@ static loewner_status take_judge(const loewner_checker *checker, loewner_workspa
 {
     const loewner_plan_options plan = options == NULL ? (loewner_plan_options){0} : *options;
     const double *joint_error = plan.joint_error;
-    if (plan.max_iterations < 0 || !(plan.timeout >= 0) || plan.cuts < -1)
-        return fail(LOEWNER_BAD_ARGUMENT,
-                    "options: expected iterations, a time and cuts that are not negative, found others");
+    REQUIRE(plan.max_iterations >= 0 && plan.timeout >= 0 && plan.cuts >= -1,
+            "options: expected iterations, a time and cuts that are not negative, found others");
     TRY(take_errors(checker, &joint_error));
     const Half *half = half_of(checker, CUT);
     *judge = (Judge){
@@ -275,10 +272,9 @@ static loewner_status choose_goals(const Judge *judge, Search *search, const dou
         for (size_t c = 0; c < dof; c++) {
             while (moved < search->joints && search->columns[moved] < (int64_t)c)
                 moved++;
-            if (!(moved < search->joints && search->columns[moved] == (int64_t)c) && goal[c] != search->start[c])
-                return fail(LOEWNER_BAD_ARGUMENT,
-                            "goals: expected the start's value of %s, which does not move, found another",
-                            loewner_checker_value_name(judge->checker, (int32_t)c));
+            REQUIRE((moved < search->joints && search->columns[moved] == (int64_t)c) || goal[c] == search->start[c],
+                    "goals: expected the start's value of %s, which does not move, found another",
+                    loewner_checker_value_name(judge->checker, (int32_t)c));
         }
         TRY(is_free_at(judge, goal, &is));
         if (is)
@@ -297,9 +293,7 @@ loewner_status loewner_checker_plan(const loewner_checker *checker, loewner_work
                                     const double **path, size_t *count)
 {
     HOLD_PREPARED(checker, workspace, prepare_exact);
-    if (path == NULL || count == NULL || goal_count == 0)
-        return fail(
-            LOEWNER_BAD_ARGUMENT,
+    REQUIRE(path != NULL && count != NULL && goal_count > 0,
             "goals, path, count: expected one goal or more, and places for the path and its length, found none");
     *path = NULL;
     *count = 0;
@@ -323,8 +317,8 @@ loewner_status loewner_checker_shorten(const loewner_checker *checker, loewner_w
                                        size_t *count)
 {
     HOLD_PREPARED(checker, workspace, prepare_exact);
-    if (shorter == NULL || count == NULL || n < 2)
-        return fail(LOEWNER_BAD_ARGUMENT, "expected two or more configurations and places for the path, found fewer");
+    REQUIRE(shorter != NULL && count != NULL && n >= 2,
+            "expected two or more configurations and places for the path, found fewer");
     TRY(check_configurations(checker, path, n, "path"));
     size_t dof = (size_t)checker->file->dof;
     Judge judge;

@@ -27,8 +27,7 @@ loewner_status check_count(size_t n, size_t doubles, const char *name)
 {
     /* The limit `most` is more than any address space holds. */
     const size_t most = ((size_t)1 << 56) / sizeof(double) / doubles;
-    if (n > most)
-        return fail(LOEWNER_BAD_ARGUMENT, "%s: expected at most %zu, found %zu", name, most, n);
+    REQUIRE(n <= most, "%s: expected at most %zu, found %zu", name, most, n);
     return LOEWNER_OK;
 }
 
@@ -36,16 +35,14 @@ loewner_status check_poses(const double *poses, size_t n, const char *name)
 {
     struct first_fault_results fault = {0};
     TRY(check_count(n, 16, name));
-    if (poses == NULL && n > 0)
-        return fail(LOEWNER_BAD_ARGUMENT, "%s: expected poses, found NULL", name);
+    REQUIRE(poses != NULL || n == 0, "%s: expected poses, found NULL", name);
     TRY(CALL(first_fault, &fault, .Ts = {poses, (int64_t)n, 4, 4}));
     static const char *const faults[] = {
         "rigid",        "not finite", "with another last row than 0 0 0 1", "whose rotation is not orthonormal",
         "a reflection",
     };
-    if (fault.k < (int64_t)n)
-        return fail(LOEWNER_BAD_ARGUMENT, "%s[%lld]: expected a rigid motion, found one %s", name, (long long)fault.k,
-                    faults[fault.kind >= 0 && fault.kind <= 4 ? fault.kind : 0]);
+    REQUIRE(fault.k >= (int64_t)n, "%s[%lld]: expected a rigid motion, found one %s", name, (long long)fault.k,
+            faults[fault.kind >= 0 && fault.kind <= 4 ? fault.kind : 0]);
     return LOEWNER_OK;
 }
 
@@ -55,19 +52,18 @@ loewner_status check_configurations(const loewner_checker *checker, const double
     const File *file = checker->file;
     size_t dof = (size_t)file->dof;
     TRY(check_count(n, dof, name));
-    if (configurations == NULL && n > 0)
-        return fail(LOEWNER_BAD_ARGUMENT, "%s: expected configurations, found NULL", name);
+    REQUIRE(configurations != NULL || n == 0, "%s: expected configurations, found NULL", name);
     for (size_t k = 0; k < n * dof; k++)
-        if (!(fabs(configurations[k]) <= LARGEST_VALUE)) /* The comparison is false for NaN. */
-            return fail(LOEWNER_BAD_ARGUMENT, "%s[%zu]: expected finite numbers within %g, found %g for %.100s", name,
-                        k / dof, LARGEST_VALUE, configurations[k],
-                        loewner_checker_value_name(checker, (int32_t)(k % dof)));
+        /* The comparison is false for NaN. */
+        REQUIRE(fabs(configurations[k]) <= LARGEST_VALUE,
+                "%s[%zu]: expected finite numbers within %g, found %g for %.100s", name, k / dof, LARGEST_VALUE,
+                configurations[k], loewner_checker_value_name(checker, (int32_t)(k % dof)));
     for (int64_t c = 0; c < file->quaternion_count; c++)
         for (size_t k = 0; k < n; k++) {
             const double *q = configurations + k * dof + file->quaternions[c];
             double norm = sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]);
-            if (fabs(norm - 1) > QUATERNION_TOLERANCE)
-                return fail(LOEWNER_BAD_ARGUMENT, "%s: expected quaternions of norm 1, found norm %.9g", name, norm);
+            REQUIRE(fabs(norm - 1) <= QUATERNION_TOLERANCE, "%s: expected quaternions of norm 1, found norm %.9g",
+                    name, norm);
         }
     return LOEWNER_OK;
 }
@@ -243,8 +239,7 @@ loewner_status loewner_checker_collide_placed(const loewner_checker *checker, lo
 loewner_status loewner_checker_link_poses(const loewner_checker *checker, const double *configurations, size_t n,
                                           double *poses)
 {
-    if (checker == NULL || (n > 0 && poses == NULL))
-        return fail(LOEWNER_BAD_ARGUMENT, "checker, poses: expected pointers, found NULL");
+    REQUIRE(checker != NULL && (n == 0 || poses != NULL), "checker, poses: expected pointers, found NULL");
     TRY(check_configurations(checker, configurations, n, "configurations"));
     return place_links(&checker->file->tree, configurations, (int64_t)n, checker->file->dof, poses);
 }
@@ -269,8 +264,8 @@ loewner_status loewner_checker_distance(const loewner_checker *checker, loewner_
     TRY(check_configurations(checker, configurations, n, "configurations"));
     const State *state = &checker->state;
     int64_t dof = checker->file->dof;
-    if (state->pairs == 0 || (distances == NULL && n > 0))
-        return fail(LOEWNER_BAD_ARGUMENT, "expected pairs to check and a place for distances, found none");
+    REQUIRE(state->pairs != 0 && (distances != NULL || n == 0),
+            "expected pairs to check and a place for distances, found none");
     for (size_t first = 0; first < n; first += MOTIONS_AT_ONCE) {
         int64_t count = (int64_t)at_most(n - first, MOTIONS_AT_ONCE);
         const double *rows = configurations + first * (size_t)dof;
@@ -308,10 +303,9 @@ loewner_status loewner_checker_clearance(const loewner_checker *checker, loewner
     HOLD_PREPARED(checker, workspace, prepare_exact);
     TRY(check_configurations(checker, configurations, n, "configurations"));
     const State *state = &checker->state;
-    if (state->pairs == 0 || (clearances == NULL && n > 0))
-        return fail(LOEWNER_BAD_ARGUMENT, "expected pairs to check and a place for clearances, found none");
-    if (!(softness > 0 && softness < INFINITY))
-        return fail(LOEWNER_BAD_ARGUMENT, "softness: expected a positive number, found %g", softness);
+    REQUIRE(state->pairs != 0 && (clearances != NULL || n == 0),
+            "expected pairs to check and a place for clearances, found none");
+    REQUIRE(softness > 0 && softness < INFINITY, "softness: expected a positive number, found %g", softness);
     const Half *half = half_of(checker, OPEN_CUT);
     int64_t dof = checker->file->dof, count = (int64_t)n;
     TRY(CALL(clearances, NULL, .gradient = gradients != NULL, .softness = softness, .stop = count,
@@ -514,8 +508,8 @@ loewner_status take_errors(const loewner_checker *checker, const double **joint_
 {
     int64_t dof = checker->file->dof;
     for (int64_t c = 0; *joint_error != NULL && c < dof; c++)
-        if (!((*joint_error)[c] >= 0 && (*joint_error)[c] < INFINITY))
-            return fail(LOEWNER_BAD_ARGUMENT, "joint_error: expected numbers >= 0, found %g", (*joint_error)[c]);
+        REQUIRE((*joint_error)[c] >= 0 && (*joint_error)[c] < INFINITY, "joint_error: expected numbers >= 0, found %g",
+                (*joint_error)[c]);
     *joint_error = if_any(*joint_error, dof);
     return LOEWNER_OK;
 }
@@ -525,10 +519,9 @@ static loewner_status take_options(const loewner_checker *checker, const loewner
                                    loewner_proof_options *taken)
 {
     *taken = options == NULL ? (loewner_proof_options){0} : *options;
-    if (!(taken->tolerance >= 0 && taken->tolerance < INFINITY))
-        return fail(LOEWNER_BAD_ARGUMENT, "tolerance: expected a number >= 0, found %g", taken->tolerance);
-    if (taken->steps < 0)
-        return fail(LOEWNER_BAD_ARGUMENT, "steps: expected a number >= 0, found %lld", (long long)taken->steps);
+    REQUIRE(taken->tolerance >= 0 && taken->tolerance < INFINITY, "tolerance: expected a number >= 0, found %g",
+            taken->tolerance);
+    REQUIRE(taken->steps >= 0, "steps: expected a number >= 0, found %lld", (long long)taken->steps);
     TRY(take_errors(checker, &taken->joint_error));
     taken->tolerance = taken->tolerance > 0 ? taken->tolerance : TOLERANCE;
     taken->steps = steps_of(taken->steps);
@@ -543,13 +536,12 @@ static loewner_status check_times(const loewner_checker *checker, const loewner_
     const State *state = &checker->state;
     const double *t0 = options->t0, *t1 = options->t1;
     for (size_t k = 0; t0 != NULL && k < n; k++)
-        if (!(t0[k] <= t1[k] && fabs(t0[k]) < INFINITY && fabs(t1[k]) < INFINITY))
-            return fail(LOEWNER_BAD_ARGUMENT, "t0, t1: expected finite times, t0 <= t1, found %g and %g", t0[k], t1[k]);
+        REQUIRE(t0[k] <= t1[k] && fabs(t0[k]) < INFINITY && fabs(t1[k]) < INFINITY,
+                "t0, t1: expected finite times, t0 <= t1, found %g and %g", t0[k], t1[k]);
     for (int64_t place = state->moving; t0 == NULL && place < state->moving + state->standing; place++) {
         const Body *body = checker->bodies + state->body[place];
-        if (body->has_bounds && (body->bounds.speed > 0 || body->bounds.turn > 0))
-            return fail(LOEWNER_BAD_ARGUMENT, "t0, t1: expected times, since bounds on %.100s grow, found NULL",
-                        body->name);
+        REQUIRE(!body->has_bounds || !(body->bounds.speed > 0 || body->bounds.turn > 0),
+                "t0, t1: expected times, since bounds on %.100s grow, found NULL", body->name);
     }
     return LOEWNER_OK;
 }
@@ -607,10 +599,10 @@ loewner_status loewner_checker_certify_curves(const loewner_checker *checker, lo
                                               int32_t (*bodies)[2])
 {
     HOLD_PREPARED(checker, workspace, prepare);
-    if (degree < 1 || degree >= CODE_MOST_POINTS)
-        return fail(LOEWNER_BAD_ARGUMENT, "degree: expected 1 to %d, found %d", CODE_MOST_POINTS - 1, degree);
-    if (checker->file->quaternion_count > 0)
-        return fail(LOEWNER_BAD_ARGUMENT, "expected a robot without quaternions: curves of orientations are Python's");
+    REQUIRE(degree >= 1 && degree < CODE_MOST_POINTS, "degree: expected 1 to %d, found %d", CODE_MOST_POINTS - 1,
+            degree);
+    REQUIRE(checker->file->quaternion_count == 0,
+            "expected a robot without quaternions: curves of orientations are Python's");
     TRY(check_count(n, (size_t)checker->file->dof * (size_t)(degree + 1), "points"));
     TRY(check_configurations(checker, points, n * (size_t)(degree + 1), "points"));
     return prove_all(workspace, points, NULL, n, degree, options, verdicts, fractions, bodies);

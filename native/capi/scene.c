@@ -488,11 +488,9 @@ loewner_status prepare_exact(const loewner_checker *checker, loewner_workspace *
 {
     TRY(prepare(checker, workspace));
     for (int32_t b = 0; checker->state.growing > 0 && b < checker->body_count; b++)
-        if (checker->bodies[b].has_bounds && checker->bodies[b].is_present)
-            return fail(LOEWNER_BAD_ARGUMENT,
-                        "expected a proof of motions or curves, since the pose of %.100s is known by bounds only; end "
-                        "them for other queries",
-                        checker->bodies[b].name);
+        REQUIRE(!checker->bodies[b].has_bounds || !checker->bodies[b].is_present,
+                "expected a proof of motions or curves, since the pose of %.100s is known by bounds only; end them for "
+                "other queries", checker->bodies[b].name);
     return LOEWNER_OK;
 }
 
@@ -523,8 +521,7 @@ static loewner_status load(loewner_checker *checker, const char *path)
 
 loewner_status loewner_checker_open(const char *path, loewner_checker **checker)
 {
-    if (path == NULL || checker == NULL)
-        return fail(LOEWNER_BAD_ARGUMENT, "path, checker: expected pointers, found NULL");
+    REQUIRE(path != NULL && checker != NULL, "path, checker: expected pointers, found NULL");
     *checker = NULL;
     if (kernels() == NULL)
         return LOEWNER_NO_KERNELS;
@@ -589,8 +586,8 @@ void write_bodies(const State *state, int64_t pair, int32_t bodies[2])
 loewner_status loewner_checker_pair(const loewner_checker *checker, int64_t pair, int32_t bodies[2])
 {
     TRY(settle_scene(checker));
-    if (bodies == NULL || pair < 0 || pair >= checker->state.pairs)
-        return fail(LOEWNER_BAD_ARGUMENT, "pair: expected a number below %lld", (long long)checker->state.pairs);
+    REQUIRE(bodies != NULL && pair >= 0 && pair < checker->state.pairs, "pair: expected a number below %lld",
+            (long long)checker->state.pairs);
     write_bodies(&checker->state, pair, bodies);
     return LOEWNER_OK;
 }
@@ -630,8 +627,7 @@ int32_t loewner_checker_find_body(const loewner_checker *checker, const char *na
 
 loewner_status loewner_checker_limits(const loewner_checker *checker, double *lower, double *upper)
 {
-    if (checker == NULL || lower == NULL || upper == NULL)
-        return fail(LOEWNER_BAD_ARGUMENT, "checker, lower, upper: expected pointers, found NULL");
+    REQUIRE(checker != NULL && lower != NULL && upper != NULL, "checker, lower, upper: expected pointers, found NULL");
     size_t size = sizeof(double) * (size_t)checker->file->dof;
     memcpy(lower, checker->file->limits, size);
     memcpy(upper, checker->file->limits + checker->file->dof, size);
@@ -649,22 +645,21 @@ static void spoil(loewner_checker *checker, int how)
 static loewner_status expect_body(const loewner_checker *checker, int32_t body)
 {
     TRY(expect_pointer(checker, 1, "checker"));
-    if (body < 0 || body >= checker->body_count)
-        return fail(LOEWNER_BAD_ARGUMENT, "body: expected a number below %d, found %d", checker->body_count, body);
+    REQUIRE(body >= 0 && body < checker->body_count, "body: expected a number below %d, found %d", checker->body_count,
+            body);
     return LOEWNER_OK;
 }
 
 loewner_status loewner_checker_move(loewner_checker *checker, const int32_t *bodies, const double *poses, size_t n)
 {
-    if (checker == NULL || (n > 0 && (bodies == NULL || poses == NULL)))
-        return fail(LOEWNER_BAD_ARGUMENT, "checker, bodies, poses: expected pointers, found NULL");
+    REQUIRE(checker != NULL && (n == 0 || (bodies != NULL && poses != NULL)),
+            "checker, bodies, poses: expected pointers, found NULL");
     TRY(check_poses(poses, n, "poses"));
     for (size_t k = 0; k < n; k++) {
         TRY(expect_body(checker, bodies[k]));
-        if (checker->bodies[bodies[k]].link >= 0)
-            return fail(LOEWNER_BAD_ARGUMENT,
-                        "bodies: expected bodies that stand in the scene, found %s, which is on a link",
-                        checker->bodies[bodies[k]].name);
+        REQUIRE(checker->bodies[bodies[k]].link < 0,
+                "bodies: expected bodies that stand in the scene, found %s, which is on a link",
+                checker->bodies[bodies[k]].name);
     }
     for (size_t k = 0; k < n; k++)
         memcpy(checker->bodies[bodies[k]].pose, poses + 16 * k, 16 * sizeof(double));
@@ -676,14 +671,12 @@ loewner_status loewner_checker_move(loewner_checker *checker, const int32_t *bod
 loewner_status loewner_checker_add(loewner_checker *checker, const char *name, const loewner_bodies *bodies,
                                    int64_t which, const double *pose, int32_t *body)
 {
-    if (checker == NULL || name == NULL || *name == '\0' || bodies == NULL || pose == NULL)
-        return fail(LOEWNER_BAD_ARGUMENT,
-                    "checker, name, bodies, pose: expected a name and pointers, found none or NULL");
-    if (which < 0 || which >= bodies->bodies)
-        return fail(LOEWNER_BAD_ARGUMENT, "which: expected a number below %lld, found %lld",
-                    (long long)bodies->bodies, (long long)which);
-    if (loewner_checker_find_body(checker, name) >= 0 || loewner_checker_find_link(checker, name) >= 0)
-        return fail(LOEWNER_BAD_ARGUMENT, "name: expected a new one, found %.200s, which there is already", name);
+    REQUIRE(checker != NULL && name != NULL && *name != '\0' && bodies != NULL && pose != NULL,
+            "checker, name, bodies, pose: expected a name and pointers, found none or NULL");
+    REQUIRE(which >= 0 && which < bodies->bodies, "which: expected a number below %lld, found %lld",
+            (long long)bodies->bodies, (long long)which);
+    REQUIRE(loewner_checker_find_body(checker, name) < 0 && loewner_checker_find_link(checker, name) < 0,
+            "name: expected a new one, found %.200s, which there is already", name);
     TRY(check_poses(pose, 1, "pose"));
     TRY(enlarge(&checker->bodies, sizeof(Body) * ((size_t)checker->body_count + 1)));
     Body *made = checker->bodies + checker->body_count;
@@ -711,18 +704,16 @@ loewner_status loewner_checker_attach(loewner_checker *checker, int32_t body, in
                                       const int32_t *touch_links, size_t touch_count)
 {
     TRY(expect_body(checker, body));
-    if (pose_in_link == NULL || (touch_count > 0 && touch_links == NULL))
-        return fail(LOEWNER_BAD_ARGUMENT, "pose_in_link, touch_links: expected pointers, found NULL");
+    REQUIRE(pose_in_link != NULL && (touch_count == 0 || touch_links != NULL),
+            "pose_in_link, touch_links: expected pointers, found NULL");
     Body *its = checker->bodies + body;
-    if (its->link >= 0 && !its->is_attached)
-        return fail(LOEWNER_BAD_ARGUMENT, "body: expected a body of the scene, found %s, which belongs to the robot",
-                    its->name);
+    REQUIRE(its->link < 0 || its->is_attached,
+            "body: expected a body of the scene, found %s, which belongs to the robot", its->name);
     TRY(check_poses(pose_in_link, 1, "pose_in_link"));
     for (size_t k = 0; k <= touch_count; k++) {
         int32_t named = k < touch_count ? touch_links[k] : link;
-        if (named < 0 || named >= checker->file->links)
-            return fail(LOEWNER_BAD_ARGUMENT, "link, touch_links: expected numbers below %d, found %d",
-                        (int)checker->file->links, named);
+        REQUIRE(named >= 0 && named < checker->file->links, "link, touch_links: expected numbers below %d, found %d",
+                (int)checker->file->links, named);
     }
     int32_t *touch;
     TRY(allocate(&touch, sizeof *touch * (touch_count + 1)));
@@ -743,8 +734,7 @@ loewner_status loewner_checker_detach(loewner_checker *checker, int32_t body, co
 {
     TRY(expect_body(checker, body));
     Body *its = checker->bodies + body;
-    if (!its->is_attached)
-        return fail(LOEWNER_BAD_ARGUMENT, "body: expected an attached one, found %s", its->name);
+    REQUIRE(its->is_attached, "body: expected an attached one, found %s", its->name);
     TRY(check_poses(pose, 1, "pose"));
     its->link = -1;
     its->is_attached = 0;
@@ -759,8 +749,7 @@ static loewner_status its_rule(loewner_checker *checker, int32_t a, int32_t b, R
 {
     TRY(expect_body(checker, a));
     TRY(expect_body(checker, b));
-    if (a == b)
-        return fail(LOEWNER_BAD_ARGUMENT, "a, b: expected two bodies, found %d twice", a);
+    REQUIRE(a != b, "a, b: expected two bodies, found %d twice", a);
     int32_t low = a < b ? a : b, high = a < b ? b : a;
     int64_t known = row_of((const int64_t *)checker->rules, (int64_t)checker->rule_count, sizeof(Rule) / 8, low, high);
     if (known < 0) {
@@ -778,11 +767,10 @@ loewner_status loewner_checker_allow(loewner_checker *checker, int32_t a, int32_
     Rule *rule;
     TRY(its_rule(checker, a, b, &rule));
     const File *file = checker->file;
-    if (!allowed && rule->a < file->moving && rule->b < file->bodies &&
-        row_of(file->pair_list, file->pairs, 2, rule->a, rule->b) < 0)
-        return fail(LOEWNER_BAD_ARGUMENT,
-                    "expected a pair that was checked when the file was saved, found %.100s and %.100s",
-                    checker->bodies[rule->a].name, checker->bodies[rule->b].name);
+    REQUIRE(allowed || rule->a >= file->moving || rule->b >= file->bodies ||
+            row_of(file->pair_list, file->pairs, 2, rule->a, rule->b) >= 0,
+            "expected a pair that was checked when the file was saved, found %.100s and %.100s",
+            checker->bodies[rule->a].name, checker->bodies[rule->b].name);
     /* Pairs are checked unless the file excludes them; a rule of the file may exclude two static bodies. */
     int is_ruled = row_of(file->rules, file->rule_count, 3, rule->a, rule->b) >= 0;
     rule->touch = allowed ? 1 : is_ruled ? 0 : -1;
@@ -793,13 +781,11 @@ loewner_status loewner_checker_set_bounds(loewner_checker *checker, int32_t body
 {
     TRY(expect_body(checker, body));
     Body *its = checker->bodies + body;
-    if (its->link >= 0)
-        return fail(LOEWNER_BAD_ARGUMENT,
-                    "body: expected a body that stands in the scene, found %s, which is on a link", its->name);
+    REQUIRE(its->link < 0, "body: expected a body that stands in the scene, found %s, which is on a link", its->name);
     for (int k = 0; bounds != NULL && k < 4; k++) {
         double number = (const double[]){bounds->metres, bounds->radians, bounds->speed, bounds->turn}[k];
-        if (!(number >= 0 && number < INFINITY && fabs(bounds->since) < INFINITY))
-            return fail(LOEWNER_BAD_ARGUMENT, "bounds: expected numbers >= 0 and a finite time, found others");
+        REQUIRE(number >= 0 && number < INFINITY && fabs(bounds->since) < INFINITY,
+                "bounds: expected numbers >= 0 and a finite time, found others");
     }
     if (its->has_bounds != (bounds != NULL))
         spoil(checker, 2);
@@ -812,8 +798,7 @@ loewner_status loewner_checker_set_bounds(loewner_checker *checker, int32_t body
 loewner_status loewner_checker_set_margin(loewner_checker *checker, int32_t a, int32_t b, double margin)
 {
     Rule *rule;
-    if (!(margin >= 0 && margin <= 1e30))
-        return fail(LOEWNER_BAD_ARGUMENT, "margin: expected a number >= 0, found %g", margin);
+    REQUIRE(margin >= 0 && margin <= 1e30, "margin: expected a number >= 0, found %g", margin);
     TRY(its_rule(checker, a, b, &rule));
     rule->margin = margin;
     return LOEWNER_OK;
