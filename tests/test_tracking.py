@@ -57,12 +57,12 @@ def test_the_error_is_proven_for_all_motions_at_once(monkeypatch):
     checker = CollisionChecker(Robot.from_urdf(text=SLIDER), wall())
     path, asked = np.zeros((3, 1)), []
 
-    def proven_up_to(ready, a, b, tolerance, error=None):
-        e = 0.0 if error is None else float(error[0])
+    def proven_up_to(ready, a, b, options):
+        e = 0.0 if options.joint_error is None else float(options.joint_error[0])
         asked.append((len(a), e))
         # The first motion is proven up to 0.02, except within 1 % of the limit of the second one, which is 0.01.
         free = [e <= 0.02 and not 0.0099 < e <= 0.01, e <= 0.01]
-        found = prove_by_rules(ready, a, b, tolerance)
+        found = prove_by_rules(ready, a, b, options._replace(joint_error=None))
         found.verdicts[:] = np.where(free[-len(a) :], codes.FREE, codes.AMBIGUOUS)
         return found
 

@@ -28,7 +28,7 @@ from loewner.robots.checker import prepared_of
 from loewner.robots.checking import edges
 from loewner.robots.checking.problem import Problem
 from loewner.robots.checking.verdicts import classified, expect_settled
-from loewner.robots.proofs.proofs import prove_by_rules
+from loewner.robots.proofs.proofs import ProofOptions, prove_by_rules
 
 KINDS = columns.FIXED, columns.REVOLUTE, columns.PRISMATIC
 
@@ -292,6 +292,6 @@ def _settled(ready: Problem, Q: Floats) -> NDArray[np.int8]:
 
 def _proven(ready: Problem, tolerance: float, a: Floats, b: Floats) -> NDArray[np.int8]:
     """Let the CPU prove the given motions, for the state of the scene that the GPU used."""
-    answers = prove_by_rules(ready, a, b, tolerance)
+    answers = prove_by_rules(ready, a, b, ProofOptions(tolerance))
     answers.expect_short(a, b)
     return np.asarray(answers.verdicts, dtype=np.int8)

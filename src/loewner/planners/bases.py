@@ -37,7 +37,7 @@ from loewner.robots.checking import verdicts
 from loewner.robots.description.robot import unlimited
 from loewner.robots.proofs import curves, motions
 from loewner.robots.proofs.proof_models import model_of
-from loewner.robots.proofs.proofs import refuse_starts
+from loewner.robots.proofs.proofs import ProofOptions, refuse_starts
 
 Kind = Literal["differential", "car"]
 
@@ -261,12 +261,13 @@ def plan_drive(
     if search.simplify:
         better = _shortened(drives, path)
         ways = [_merged(better), better, path]
+    options = ProofOptions(TOLERANCE, judge.errors)
     for way in ways:  # motions that are proven one by one are nearly always proven as a whole
         drive = _drive(checker.robot, drives, way, there)
         drive = replace(drive, iterations=iterations, seconds=time.monotonic() - begin)
         curve = curves.curve_of(checker.robot, drive, "drive")
         try:
-            answer = curves.certified(checker.robot, judge.ready, [curve], TOLERANCE, judge.errors, model)[0]
+            answer = curves.certified(checker.robot, judge.ready, [curve], options, model)[0]
         except ConvergenceError as error:
             raise ConvergenceError(str(error), partial=drive) from None
         if answer.verdict == Verdict.FREE:

@@ -18,7 +18,7 @@ from loewner.errors import PlanningError
 from loewner.planners.judge import TOLERANCE, Judge
 from loewner.planners.space import Space
 from loewner.queries.pairs import Verdict
-from loewner.robots.proofs.proofs import prove_by_rules
+from loewner.robots.proofs.proofs import ProofOptions, prove_by_rules
 
 # The longest motion of a tree with an axis to keep, divided by the square root of the allowed angle. On longer motions,
 # the axis would leave the angle.
@@ -182,7 +182,7 @@ def _what_is_between(growth: Growth) -> str:
     with np.errstate(over="ignore"):  # if squares of differences overflow, any node will do
         nearest = lengths(first[:, None] - last).argmin(axis=1)
     a, b = growth.space.configurations(first), growth.space.configurations(last[nearest])
-    answers, parts = prove_by_rules(judge.ready, a, b, TOLERANCE, judge.joint_error), []
+    answers, parts = prove_by_rules(judge.ready, a, b, ProofOptions(TOLERANCE, judge.joint_error)), []
     close = f"come within {TOLERANCE:g} m of their margin"
     for verdict, how in ((codes.COLLIDING, "collide"), (codes.AMBIGUOUS, close)):
         pairs, often = np.unique(answers.pairs[answers.verdicts == verdict], return_counts=True)

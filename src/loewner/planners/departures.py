@@ -13,7 +13,7 @@ from loewner.planners.judge import TOLERANCE, Judge
 from loewner.planners.space import Space
 from loewner.robots.checking.problem import Problem
 from loewner.robots.checking.verdicts import contacts
-from loewner.robots.proofs.proofs import prove_by_rules
+from loewner.robots.proofs.proofs import ProofOptions, prove_by_rules
 from loewner.scenes.scene import Contact
 
 # Distances beyond the margin by which to move bodies apart [m]; the first one with a proven motion is used. The
@@ -94,7 +94,7 @@ def _apart(space: Space, ready: Problem, q: Floats, *, at_start: bool) -> tuple[
         if space.outside(near) or not space.free(near):
             continue
         first, last = (q, near) if at_start else (near, q)
-        if prove_by_rules(ready, first[None], last[None], TOLERANCE).verdicts[0] == codes.FREE:
+        if prove_by_rules(ready, first[None], last[None], ProofOptions(TOLERANCE)).verdicts[0] == codes.FREE:
             return near, ""
     a, b = touching[0].name_a, touching[0].name_b
     return q, (

@@ -35,7 +35,7 @@ from loewner.robots.checking.problem import Problem
 from loewner.robots.proofs import in_time, motions
 from loewner.robots.proofs.courses import straight
 from loewner.robots.proofs.curves import joint_errors
-from loewner.robots.proofs.proofs import refuse_starts
+from loewner.robots.proofs.proofs import ProofOptions, refuse_starts
 
 # Share of each velocity limit that is reserved for rounding errors of times.
 SLACK = 1e-9
@@ -145,7 +145,7 @@ class TimedJudge:
             return ""
         t, Q = self.begin + self.limit * np.linspace(0.0, 1.0, SLOTS + 1) ** 2, np.tile(q, (SLOTS, 1))
         answers = in_time.prove_edges(
-            self.robot, self.ready, self.ready.paths, (Q, Q), (t[:-1], t[1:]), TOLERANCE, self.joint_error
+            self.robot, self.ready, self.ready.paths, (Q, Q), (t[:-1], t[1:]), ProofOptions(TOLERANCE, self.joint_error)
         )
         for k in np.flatnonzero((answers.verdicts != codes.FREE) & (answers.pairs >= 0))[:1]:
             one, other = (self.ready.names[n] for n in self.ready.pairs[answers.pairs[k]])

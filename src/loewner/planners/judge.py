@@ -29,7 +29,7 @@ from loewner.robots.checking.problem import Problem
 from loewner.robots.proofs.contacts import deeper_than_ends
 from loewner.robots.proofs.courses import straight
 from loewner.robots.proofs.curves import joint_errors
-from loewner.robots.proofs.proofs import deviations, prove, prove_by_rules
+from loewner.robots.proofs.proofs import ProofOptions, deviations, prove, prove_by_rules
 
 # Motions that come nearer than TOLERANCE to colliding [m] may count as not free.
 TOLERANCE = 1e-5
@@ -136,7 +136,7 @@ class Judge:
         InputError
             If the proof would take too many intervals.
         """
-        answers = prove_by_rules(self.ready, a[None], b[None], TOLERANCE, self.joint_error)
+        answers = prove_by_rules(self.ready, a[None], b[None], ProofOptions(TOLERANCE, self.joint_error))
         answers.expect_short(a[None], b[None])
         return answers.of_shape((), self.ready)
 
@@ -170,7 +170,7 @@ def refuse_unfree(judge: Judge, path: Floats, name: str) -> None:
     free = judge.free(path[:-1], path[1:])
     if not free.all() and len(judge.ready.ruled) and judge.joint_error is None:
         touching = np.flatnonzero(~free)  # in the order of the path, on which the rules depend
-        receding = prove_by_rules(judge.ready, path[touching], path[touching + 1], TOLERANCE)
+        receding = prove_by_rules(judge.ready, path[touching], path[touching + 1], ProofOptions(TOLERANCE))
         free[touching] = receding.verdicts == codes.FREE
         if free.all() and (deeper := deeper_than_ends(judge.ready, path, touching, TOLERANCE)) is not None:
             row, a, b = deeper

@@ -22,7 +22,7 @@ from loewner.robots import CollisionChecker, Robot
 from loewner.robots.description.reaching import Chain, refuse_far, refuse_unsteady, targets_of
 from loewner.robots.description.robot import chain_to
 from loewner.robots.proofs.contacts import deeper_than_ends
-from loewner.robots.proofs.proofs import prove_by_rules
+from loewner.robots.proofs.proofs import ProofOptions, prove_by_rules
 
 # In messages, singular values of the Jacobian below SINGULAR [m, rad] indicate a singularity.
 SINGULAR = 0.02
@@ -209,7 +209,7 @@ def block_of(judge: Judge, u: Floats, Q: Floats) -> str:
         return ""
     if judge.kept is not None and not judge.kept.on(Q[:-1], Q[1:]).all():
         return "the axis does not keep its direction"
-    answers = prove_by_rules(judge.ready, Q[left], Q[left + 1], TOLERANCE, judge.joint_error)
+    answers = prove_by_rules(judge.ready, Q[left], Q[left + 1], ProofOptions(TOLERANCE, judge.joint_error))
     if (answers.verdicts == Verdict.FREE).all():
         if (deeper := deeper_than_ends(judge.ready, Q, left, TOLERANCE)) is not None:
             row, a, b = deeper

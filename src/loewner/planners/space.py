@@ -19,7 +19,7 @@ from loewner.robots.checker import prepared_of
 from loewner.robots.checking import distances, verdicts
 from loewner.robots.description.robot import named_joints, unlimited
 from loewner.robots.proofs import tracking
-from loewner.robots.proofs.proofs import prove_by_rules
+from loewner.robots.proofs.proofs import ProofOptions, prove_by_rules
 from loewner.scenes.scene import Contact
 
 # A deviation below A_HAIR, in the units of the joints, is probably due to rounding.
@@ -210,7 +210,7 @@ class Space:
         if largest >= MOST_ERROR:
             return f"one that is proven free within joint errors of {largest:g}, but not of {size:g}"
         unproven = max(tracking.NEAR * largest, tracking.FIRST)
-        pair = prove_by_rules(ready, at, at, TOLERANCE, unproven * weights).pairs
+        pair = prove_by_rules(ready, at, at, ProofOptions(TOLERANCE, unproven * weights)).pairs
         nearest = distances.nearest(ready.only(pair), q, True, False)
         a, b = nearest.names
         stated = 0.995 * largest  # not above the largest when rounded to three digits

@@ -463,6 +463,7 @@ class CollisionChecker:
         most = None if steps is None else _validate.whole_number(steps, "steps", 1, codes.NO_LIMIT)
         a, b, shape = edges.ends(self.robot, Q0, Q1)
         errors, times = curves.joint_errors(self.robot, joint_error), _begin_and_end(t0, t1)
+        options = proofs.ProofOptions(tolerance, errors, most)
         ready = self._ready(timed=times is not None)
         model = model_of(ready) if _validate.flag(proof, "proof") else None
         if times is not None:
@@ -470,9 +471,9 @@ class CollisionChecker:
             a, b = (edges.flat(np.broadcast_to(Q.reshape(*shape, Q.shape[1]), (*whole, Q.shape[1]))) for Q in (a, b))
             shape, times = whole, (np.broadcast_to(times[0], whole).ravel(), np.broadcast_to(times[1], whole).ravel())
         if times is None or ready.paths is None:
-            answers = proofs.prove_by_rules(ready, a, b, tolerance, errors, most)
+            answers = proofs.prove_by_rules(ready, a, b, options)
         else:
-            answers = in_time.prove_edges(self.robot, ready, ready.paths, (a, b), times, tolerance, errors, most)
+            answers = in_time.prove_edges(self.robot, ready, ready.paths, (a, b), times, options)
         answers.expect_short(a, b)
         motions = answers.of_shape(shape, ready)
         if model is None or not (answers.verdicts == codes.FREE).all():
@@ -579,7 +580,8 @@ class CollisionChecker:
         model = model_of(ready) if _validate.flag(proof, "proof") else None
         most = None if steps is None else _validate.whole_number(steps, "steps", 1, codes.NO_LIMIT)
         checked_curves = curves.curves_of(self.robot, self.scene, curve, t0)
-        trajectories = curves.certified(self.robot, ready, checked_curves, tolerance, errors, model, most)
+        options = proofs.ProofOptions(tolerance, errors, most)
+        trajectories = curves.certified(self.robot, ready, checked_curves, options, model)
         return tuple(trajectories) if isinstance(curve, (list, tuple)) else trajectories[0]
 
     joint_error = tracking.joint_error

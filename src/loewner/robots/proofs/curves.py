@@ -25,9 +25,9 @@ from loewner.robots.checking.verdicts import classified
 from loewner.robots.description.robot import Robot
 from loewner.robots.proofs import in_time
 from loewner.robots.proofs.courses import CURVE_ROUNDINGS, configurations, elevated, straight
-from loewner.robots.proofs.motions import CertifiedMotions, Found, Limit
+from loewner.robots.proofs.motions import CertifiedMotions, Found
 from loewner.robots.proofs.proof_models import Model
-from loewner.robots.proofs.proofs import apply_rules, prove
+from loewner.robots.proofs.proofs import ProofOptions, apply_rules, prove
 from loewner.robots.proofs.written_proofs import proof_of
 from loewner.scenes.scene import Scene
 
@@ -126,19 +126,11 @@ class CertifiedTrajectory(_validate.Brief):
 
 
 def certified(
-    robot: Robot,
-    ready: Problem,
-    curves: list[Curve],
-    tolerance: float,
-    joint_error: Floats,
-    model: Model | None = None,
-    steps: int | None = None,
+    robot: Robot, ready: Problem, curves: list[Curve], options: ProofOptions, model: Model | None
 ) -> list[CertifiedTrajectory]:
-    """Prove which curves are free, including all configurations that deviate by no more than `joint_error`.
-
-    If `model` is given, proofs of free curves are written. Each curve may take at most `steps` steps of work.
-    """
-    curves = [curve._replace(off=curve.off + joint_error) for curve in curves]
+    """Prove which curves are free; if `model` is given, also write proofs of the free curves."""
+    error = np.zeros(robot.dof) if options.joint_error is None else options.joint_error
+    curves = [curve._replace(off=curve.off + error) for curve in curves]
     curves = [cut_in_time(robot, ready, curve) for curve in curves]
     degrees = np.array([curve.courses.shape[1] for curve in curves])
     trajectories: list[CertifiedTrajectory | None] = [None] * len(curves)
@@ -147,15 +139,15 @@ def certified(
         courses = np.concatenate([curves[k].courses for k in at])
         off = np.concatenate([curves[k].off for k in at])
         firsts = np.cumsum([0, *(len(curves[k].courses) for k in at)])
-        proven = prove(ready, courses, tolerance, off, None if steps is None else Limit(steps, firsts))
-        if not joint_error.any():
-            apply_rules(ready, courses, off, firsts, tolerance, proven, steps)
+        proven = prove(ready, courses, options.tolerance, off, options.limit(firsts))
+        if not error.any():
+            apply_rules(ready, courses, off, firsts, proven, options)
         for k, first, last in zip(at, firsts[:-1].tolist(), firsts[1:].tolist(), strict=True):
             expect_short(proven.verdicts[first:last], curves[k].times, k)
             part: Any = (array[first:last] for array in proven)
             one = of_segments(curves[k].times, Found(*part).of_shape((last - first,), ready))
             if model is not None and one.verdict == Verdict.FREE:
-                deeper = None if joint_error.any() else tolerance
+                deeper = None if error.any() else options.tolerance
                 one = replace(one, proof=proof_of(model, ready, *_joined(curves[k]), deeper))
             trajectories[k] = one
     return [one for one in trajectories if one is not None]

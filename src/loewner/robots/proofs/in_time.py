@@ -22,8 +22,8 @@ from loewner.robots.checking.problem import Problem
 from loewner.robots.description.robot import Robot, interpolated
 from loewner.robots.proofs import motions
 from loewner.robots.proofs.courses import CURVE_ROUNDINGS, between, elevated, straight
-from loewner.robots.proofs.motions import Found, Limit
-from loewner.robots.proofs.proofs import apply_rules, deviations, refuse_starts
+from loewner.robots.proofs.motions import Found
+from loewner.robots.proofs.proofs import ProofOptions, apply_rules, deviations, refuse_starts
 
 # Number of values of a floating joint.
 WIDTH = 7
@@ -192,30 +192,23 @@ def _write_courses(a: Floats, b: Floats, out: Floats) -> Floats | float:
 
 
 def prove_edges(
-    robot: Robot,
-    ready: Problem,
-    paths: PackedPaths,
-    ends: tuple[Floats, Floats],
-    times: tuple[Floats, Floats],
-    tolerance: float,
-    joint_error: Floats,
-    steps: int | None = None,
-) -> Found:
+    robot: Robot, ready: Problem, paths: PackedPaths, ends: tuple[Floats, Floats],
+    times: tuple[Floats, Floats], options: ProofOptions,
+) -> Found:  # fmt: skip
     """Prove which straight motions between `ends`, shape (N, dof) each, at `times` are free.
 
-    COLLIDING is confirmed at the configuration and the time that a user computes from the fraction. Each motion may
-    take at most `steps` steps of work.
+    COLLIDING is confirmed at the configuration and the time that a user computes from the fraction.
     """
     (a, b), (t0, t1) = ends, times
     courses = straight(robot, a, b)
-    off = deviations(courses, joint_error)
+    off = deviations(courses, options.joint_error)
     cut = pieces(robot, paths, courses, np.zeros_like(a) if off is None else off, t0, t1)
     first = np.searchsorted(cut.owner, np.arange(len(a) + 1))
-    limit = None if steps is None else Limit(steps, first)
-    piece_answers = motions.settle(ready, cut.courses, tolerance, cut.off, limit=limit, as_given=True)
+    limit = options.limit(first)
+    piece_answers = motions.settle(ready, cut.courses, options.tolerance, cut.off, limit=limit, as_given=True)
     refuse_starts(ready.as_given, cut.courses[:, 0], piece_answers)
     if off is None:
-        apply_rules(ready, cut.courses, cut.off, first, tolerance, piece_answers, steps)
+        apply_rules(ready, cut.courses, cut.off, first, piece_answers, options)
     # All collisions are confirmed below.
     piece_answers.verdicts[piece_answers.verdicts == codes.BY_CARE] = codes.COLLIDING
     answers = piece_answers if len(cut.owner) == len(a) else _gathered(cut, piece_answers, len(a))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from loewner._base._validate import Floats, Ints
@@ -11,6 +13,28 @@ from loewner.robots.checking.problem import Problem
 from loewner.robots.proofs import contacts, motions
 from loewner.robots.proofs.courses import configurations, straight
 from loewner.robots.proofs.motions import STEPS, Found, Limit
+
+
+class ProofOptions(NamedTuple):
+    """What the proof of a motion or a curve must cover, and how much work it may take.
+
+    Attributes
+    ----------
+    tolerance : float
+        Distance in metres, as for `CollisionChecker.certify_edges`.
+    joint_error : ndarray, shape (dof,), optional
+        How far values may deviate; FREE covers all such deviations.
+    steps : int, optional
+        Largest number of steps for each motion or curve. Default: no limit.
+    """
+
+    tolerance: float
+    joint_error: Floats | None = None
+    steps: int | None = None
+
+    def limit(self, first: Ints) -> Limit | None:
+        """Return the limit on groups of motions; `first` is as in `Limit`."""
+        return None if self.steps is None else Limit(self.steps, first)
 
 
 def prove(
@@ -40,38 +64,21 @@ def prove(
     return answers
 
 
-def prove_by_rules(
-    ready: Problem,
-    a: Floats,
-    b: Floats,
-    tolerance: float,
-    joint_error: Floats | None = None,
-    steps: int | None = None,
-) -> Found:
+def prove_by_rules(ready: Problem, a: Floats, b: Floats, options: ProofOptions) -> Found:
     """Prove which straight motions between configurations a and b, shape (N, dof) each, are free.
 
-    Pairs named by `Scene.leave` and `Scene.reach` may be in contact at the ends, unless there is a joint error. Each
-    motion may take at most `steps` steps of work.
+    Pairs named by `Scene.leave` and `Scene.reach` may be in contact at the ends, unless there is a joint error.
     """
     courses = straight(ready.robot, a, b)
-    off = deviations(courses, joint_error)
+    off = deviations(courses, options.joint_error)
     first = np.arange(len(courses) + 1)
-    limit = None if steps is None else Limit(steps, first)
-    answers = prove(ready, courses, tolerance, off, limit)
+    answers = prove(ready, courses, options.tolerance, off, options.limit(first))
     if off is None:
-        apply_rules(ready, courses, np.zeros_like(courses[:, 0]), first, tolerance, answers, steps)
+        apply_rules(ready, courses, np.zeros_like(courses[:, 0]), first, answers, options)
     return answers
 
 
-def apply_rules(
-    ready: Problem,
-    courses: Floats,
-    off: Floats,
-    first: Ints,
-    tolerance: float,
-    found: Found,
-    steps: int | None = None,
-) -> None:
+def apply_rules(ready: Problem, courses: Floats, off: Floats, first: Ints, found: Found, options: ProofOptions) -> None:
     """Prove curves that are not proven free, with contact at their ends as `Scene.leave` and `Scene.reach` allow.
 
     Parameters
@@ -83,13 +90,12 @@ def apply_rules(
         How far values may deviate from the courses.
     first : ndarray of int, shape (curves + 1,)
         Index of the first segment of each curve, followed by N.
-    tolerance : float
-        In metres.
     found : Found
         The results of `prove`, which are modified.
-    steps : int, optional
-        The limit on the work for each curve, including the work that `found` took.
+    options : ProofOptions
+        Without a joint error. The limit on the work for each curve includes the work that `found` took.
     """
+    tolerance, _, steps = options
     at = np.flatnonzero(found.verdicts != codes.FREE) if len(ready.ruled) else ready.ruled[:0]
     if len(at) == 0:
         return

@@ -9,14 +9,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from loewner._base import _validate
-from loewner._base._validate import Floats
+from loewner._base._validate import Bools, Floats
 from loewner._kernels import codes
 from loewner.errors import InputError
 from loewner.queries.pairs import Verdict
 from loewner.robots.checking import edges
 from loewner.robots.checking.problem import Problem
 from loewner.robots.proofs.curves import joint_errors
-from loewner.robots.proofs.proofs import prove_by_rules
+from loewner.robots.proofs.proofs import ProofOptions, prove_by_rules
 
 # The search ends when an unproven error is at most NEAR times the result.
 NEAR = 1.02
@@ -31,19 +31,23 @@ def largest(ready: Problem, a: Floats, b: Floats, weights: Floats, most: float, 
     The motions are between configurations a and b, shape (N, dof) each. The result may be too small by a factor of up
     to `NEAR`; it is 0.0 if the motions are not proven free within the error `FIRST`.
     """
+
+    def unproven(a: Floats, b: Floats, e: float) -> Bools:
+        return np.asarray(prove_by_rules(ready, a, b, ProofOptions(tolerance, e * weights)).verdicts != codes.FREE)
+
     starts, ends = a, b
     low, high, e = 0.0, math.inf, min(FIRST, most)
     while low < most and high > NEAR * low:
-        unproven = prove_by_rules(ready, a, b, tolerance, e * weights).verdicts != codes.FREE
-        if unproven.any():
-            a, b, high = a[unproven], b[unproven], e
+        left = unproven(a, b, e)
+        if left.any():
+            a, b, high = a[left], b[left], e
             if low == 0.0:
                 return low
         else:
             low = e
         e = min(STEP * low, most) if high == math.inf else math.sqrt(low) * math.sqrt(high)
     # Motions that are proven for a larger error may be unproven for this error, since the intervals differ.
-    while low > 0.0 and (prove_by_rules(ready, starts, ends, tolerance, low * weights).verdicts != codes.FREE).any():
+    while low > 0.0 and unproven(starts, ends, low).any():
         low = low / NEAR if low > FIRST else 0.0
     return low
 
@@ -99,7 +103,7 @@ def joint_error(
         raise InputError("weights: expected one or more above 0, found none")
     ready: Problem = self._ready()
     a, b = rows[:-1].copy(), rows[1:].copy()
-    answers = prove_by_rules(ready, a, b, tolerance)
+    answers = prove_by_rules(ready, a, b, ProofOptions(tolerance))
     answers.expect_short(a, b)
     for k in np.flatnonzero(answers.verdicts != codes.FREE)[:1]:
         one, other = (ready.names[n] for n in ready.pairs[answers.pairs[k]])
