@@ -17,7 +17,7 @@ from loewner._kernels import codes, columns, records, tolerances
 from loewner._kernels._sources import source_hash
 from loewner._native.entries import ENTRIES, Entry
 from loewner.bodies import CURVED, native_files
-from loewner.planners import compiled, gates, joint_limits, judge
+from loewner.planners import compiled, gates, joint_limits, judge, searches
 from loewner.robots import checker
 from loewner.robots.checking.edges import NEARLY_WHOLE
 from loewner.robots.description import robot, watch
@@ -91,7 +91,7 @@ def constants() -> dict[str, str]:
         "QUATERNION_TOLERANCE": robot.QUATERNION_TOLERANCE, "ROTATION_TOLERANCE": tolerances.ROTATION_TOLERANCE,
         "ON_LIMIT": joint_limits.ON_LIMIT, "PLAN_TOLERANCE": judge.TOLERANCE,
         "TREE_CAPACITY": compiled.CAPACITY, "FIRST_ITERATIONS": compiled.FIRST, "MOST_ITERATIONS": compiled.AT_A_TIME,
-        "A_WHILE": compiled.A_WHILE, "USUAL_CUTS": compiled.CUTS, "USUAL_ITERATIONS": compiled.UNLIMITED,
+        "A_WHILE": compiled.A_WHILE, "USUAL_CUTS": compiled.CUTS, "USUAL_ITERATIONS": searches.UNLIMITED,
         "MOST_ROOM": compiled.MOST_ROOM, "LEAST_STEPS": gates.LEAST_STEPS, "SAME_TICK": gates.SAME_TICK,
         "ROUNDED": gates.ROUNDED, "WITHIN": gates.WITHIN,
     }  # fmt: skip

@@ -298,7 +298,7 @@ def test_a_plan_is_read_only_and_prints_itself(checker):
 )
 def test_bad_options(checker, monkeypatch, options, message):
     """Every bad option is refused by its name."""
-    monkeypatch.setattr("loewner.planners.ompl_planners.named", lambda name: name)
+    monkeypatch.setattr("loewner.planners.searches.named", lambda name: name)
     with pytest.raises(InputError, match=message):
         planners.plan(checker, LEFT, RIGHT, **options)
 

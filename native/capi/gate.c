@@ -19,6 +19,8 @@ typedef struct {
     int32_t reason;
 } Stop;
 
+static const Stop NONE = {-1, 0, -1, 0};
+
 /* A chunk, and how much of it is proven; see `_Chunk` in gates.py. */
 typedef struct {
     double *rows; /* The array has `count` + 1 rows; the row before the chunk precedes them in memory. */
@@ -164,11 +166,9 @@ loewner_status loewner_gate_new(const loewner_checker *checker, const loewner_ga
             "checker: expected a robot without floating and ball joints, found one");
     loewner_gate *made;
     TRY(allocate(&made, sizeof *made));
-    made->checker = checker;
-    made->dof = checker->file->dof;
-    made->most = (int64_t)most_targets;
-    made->pieces = 3 * made->dof + 1 > made->most + 6 ? 3 * made->dof + 1 : made->most + 6;
-    made->now = -INFINITY;
+    int64_t dof = checker->file->dof, most = (int64_t)most_targets, pieces = 3 * dof + 1;
+    pieces = pieces > most + 6 ? pieces : most + 6;
+    *made = (loewner_gate){.checker = checker, .dof = dof, .most = most, .pieces = pieces, .now = -INFINITY};
     loewner_status outcome = set_up(made, options);
     if (outcome == LOEWNER_OK)
         *gate = made;
@@ -319,10 +319,10 @@ static int goes_on(loewner_gate *gate, int64_t tick, const double *targets, int6
     /* A brake that was proven along a path with more targets does not count. */
     while (gate->on_path && made->braked >= first && made->ends[made->braked] > count)
         made->braked--;
-    const Stop none = {-1, 0, -1, 0}, stops[] = {later(last->motion_stop, tick), later(last->brake_stop, tick)};
+    const Stop stops[] = {later(last->motion_stop, tick), later(last->brake_stop, tick)};
     int is_same = is_same_world(gate); /* A failure stays known if all targets on which it depends are still there. */
-    made->motion_stop = is_same && stops[0].needed <= count ? stops[0] : none;
-    made->brake_stop = is_same && stops[1].needed <= count ? stops[1] : none;
+    made->motion_stop = is_same && stops[0].needed <= count ? stops[0] : NONE;
+    made->brake_stop = is_same && stops[1].needed <= count ? stops[1] : NONE;
     return 1;
 }
 
@@ -522,21 +522,15 @@ static loewner_status find_scale(loewner_gate *gate, Proof *proof, double *scale
     Chunk *slower = &gate->slower;
     Proof attempt = *proof;
     for (*scale = 0.5; *scale > 0.1; *scale /= 2) {
-        double *rates = slower->rates;
-        int64_t *ends = slower->ends;
-        *slower = *chunk;
-        slower->rates = rates;
-        slower->ends = ends;
-        slower->dt = chunk->dt / *scale;
-        slower->motions = 0;
-        slower->braked = periods(gate, slower->dt);
-        slower->first = slower->braked + 1;
-        slower->motion_stop.tick = slower->brake_stop.tick = -1;
+        double dt = chunk->dt / *scale;
+        int64_t late = periods(gate, dt);
+        *slower = (Chunk){chunk->rows, slower->rates, slower->ends, dt, chunk->t0, chunk->count,
+                          0, late + 1, late, NONE, NONE};
         for (int64_t c = 0; c < gate->dof; c++)
-            rates[c] = *scale * chunk->rates[c];
+            slower->rates[c] = *scale * chunk->rates[c];
         write_rates(gate, slower);
         attempt.reason = 0;
-        attempt.dt = slower->dt;
+        attempt.dt = dt;
         TRY(prove_chunk(gate, slower, &attempt));
         if (!attempt.reason)
             break;
@@ -582,19 +576,13 @@ static loewner_status answer_with(loewner_gate *gate, int32_t state, int64_t ste
     }
     if (!is_finite)
         return fail(LOEWNER_OVERFLOW, "expected a brake of finite length and time, found an overflow");
-    answer->state = state;
-    answer->reason = proof->reason;
-    answer->steps = steps > 0 ? (size_t)steps : 0;
+    *answer = (loewner_gate_answer){
+        .state = state, .reason = proof->reason, .steps = steps > 0 ? (size_t)steps : 0, .scale = answer->scale,
+        .joint = proof->reason == LOEWNER_REASON_LIMITS ? answer->joint : -1, .is_proven = is_proven,
+        .work = proof->work, .begins = begins, .brake_count = (size_t)gate->pieces_made, .times = gate->times,
+        .positions = gate->out[0], .velocities = gate->out[1], .accelerations = gate->out[2],
+    };
     write_bodies(&gate->checker->state, proof->reason ? proof->pair : -1, answer->bodies);
-    answer->joint = proof->reason == LOEWNER_REASON_LIMITS ? answer->joint : -1;
-    answer->is_proven = is_proven;
-    answer->work = proof->work;
-    answer->begins = begins;
-    answer->brake_count = (size_t)gate->pieces_made;
-    answer->times = gate->times;
-    answer->positions = gate->out[0];
-    answer->velocities = gate->out[1];
-    answer->accelerations = gate->out[2];
     return LOEWNER_OK;
 }
 
@@ -610,15 +598,9 @@ static loewner_status begin_chunk(loewner_gate *gate, int goes_on, const double 
         memcpy(made->rows, q, size);
         memcpy(made->rows + gate->dof, targets, (size_t)count * size);
         memcpy(made->rates, dq, size);
-        made->dt = proof->dt;
-        made->count = count;
-        write_rates(gate, made);
     }
-    made->t0 = gate->now;
-    made->motions = 0;
-    made->first = late + 1;
-    made->braked = late;
-    made->motion_stop.tick = made->brake_stop.tick = -1;
+    *made = (Chunk){made->rows, made->rates, made->ends, proof->dt, gate->now, count, 0, late + 1, late, NONE, NONE};
+    write_rates(gate, made);
     loewner_workspace *its = gate->workspace;
     double *still = gate->courses;
     int8_t verdict;

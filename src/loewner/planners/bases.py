@@ -544,11 +544,9 @@ def _shortened(base: Base, path: Path) -> Path:
     """Replace parts of a way by direct ways between poses on it, until a pass hardly shortens it."""
     for _ in range(PASSES):
         better, before, after = _pass(base, path)
-        if not after < before:
-            return path
-        path = better
+        path = better if after < before else path
         if after > (1.0 - GAIN) * before:
-            return path
+            break
     return path
 
 

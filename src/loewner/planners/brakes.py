@@ -319,26 +319,17 @@ def _slower(rest: Timed, k: int, last: int, rate: float, strongest: Floats, jerk
     """Return pieces of the trajectory at a lower rate, without the first state."""
     T, after = np.diff(rest.times[k : last + 1])[:, None], slice(k + 1, last + 1)
     if rest.bends is None or jerk is None:
-        pushes, bends = np.diff(rest.rates[k : last + 1], axis=0) / T, None
+        pushes, bends, steep = np.diff(rest.rates[k : last + 1], axis=0) / T, None, False
     else:
         pushes, bends = rest.bends[k : last + 1], rate**2 * rest.bends[after]
-        if (np.abs(np.diff(pushes, axis=0) / T) * rate**3 > jerk * (1 + EQUAL)).any():
-            raise PlanningError(_weaker(rest, k))
-    if (np.abs(pushes) * rate**2 > strongest * (1 + EQUAL)).any():
-        raise PlanningError(_weaker(rest, k))
+        steep = bool((np.abs(np.diff(pushes, axis=0) / T) * rate**3 > jerk * (1 + EQUAL)).any())
+    if steep or (np.abs(pushes) * rate**2 > strongest * (1 + EQUAL)).any():
+        raise PlanningError(
+            f"limits: expected limits with which the robot stays on the trajectory, found lower ones than it needs "
+            f"{rest.times[k] - rest.times[0]:.6g} s after the brake begins"
+        )
     times = (rest.times[after] - rest.times[k]) / rate
     return Timed(times, rest.knots[after], rate * rest.rates[after], rest.blended[k:last], bends)
-
-
-def _weaker(rest: Timed, k: int) -> str:
-    """Return the message about limits that are lower than the trajectory's own."""
-    return (
-        f"limits: expected limits with which the robot stays on the trajectory, found lower ones than it needs "
-        f"{rest.times[k] - rest.times[0]:.6g} s after the brake begins"
-    )
-
-
-# -- arguments ----------------------------------------------------------------------------------
 
 
 def brake_limits(

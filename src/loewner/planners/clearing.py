@@ -82,20 +82,17 @@ class Clearing:
         began = time.monotonic()
         until = began + 0.75 * (deadline - began)
         moved = self._divided(path)
-        rounds, lower, upper = 0, np.full(len(self.weights), -np.inf), np.full(len(self.weights), np.inf)
-        lower[space.columns] = np.where(space.turning, -np.inf, space.lower)
-        upper[space.columns] = np.where(space.turning, np.inf, space.upper)
-        steps = np.full(len(moved), FIRST_STEP)
+        rounds, steps = 0, np.full(len(moved), FIRST_STEP)
         while rounds < most and (steps[1:-1] > LEAST_STEP).any() and time.monotonic() < until:
             for first in (1, 2):
                 rows = np.arange(first, len(moved) - 1, 2)
-                self._move(moved, rows[steps[rows] > LEAST_STEP], steps, space, lower, upper)
+                self._move(moved, rows[steps[rows] > LEAST_STEP], steps, space)
             rounds += 1
         moved = self._thinned(moved, deadline)
         cheaper = self.cost_of(moved) < self.cost_of(path) and self.judge.free(moved[:-1], moved[1:]).all()
         return (moved if cheaper else path), rounds
 
-    def _move(self, path: Floats, rows: Ints, steps: Floats, space: Space, lower: Floats, upper: Floats) -> None:
+    def _move(self, path: Floats, rows: Ints, steps: Floats, space: Space) -> None:
         """Move points, no two of them neighbours, down the cost's gradient, if the move is free and lowers the cost."""
         if len(rows) == 0:
             return
@@ -116,8 +113,8 @@ class Clearing:
         down /= np.maximum(np.linalg.norm(down, axis=1, keepdims=True), np.finfo(float).tiny)
         there = here.copy()
         step = (steps[rows] * lengths.mean(axis=0))[:, None] * down / self.weights
-        there[:, space.columns] += step[:, space.columns]
-        np.clip(there, lower, upper, out=there)
+        moved = (there + step)[:, space.columns]
+        there[:, space.columns] = np.where(space.turning, moved, moved.clip(space.lower, space.upper))
         then = self._lengths(np.concatenate([before, there]), np.concatenate([there, after])).reshape(2, -1)
         cheaper = (then * 0.5 * (self._densities(there)[0] + beside)).sum(axis=0) < (lengths * means).sum(axis=0)
         cheaper &= self._free(before, there, after, cheaper)

@@ -15,6 +15,7 @@ from loewner._kernels.columns import GAP, GOALS, ITERATION, MOTIONS, RANDOM, ROW
 from loewner._kernels.records import Search, table_of
 from loewner._native import entries
 from loewner.errors import PlanningError
+from loewner.planners import ompl_planners, searches
 from loewner.planners.judge import TOLERANCE, Judge
 from loewner.planners.space import Space
 from loewner.queries.pairs import Verdict
@@ -31,9 +32,6 @@ CAPACITY = 2048
 # number of iterations is smaller if they would take longer than A_WHILE [s].
 FIRST, AT_A_TIME = 64, 512
 A_WHILE = 0.01
-
-# More iterations than any search makes.
-UNLIMITED = 2**40
 
 # Default number of cuts to try: more cuts gain little, and take longer than the search itself.
 CUTS = 60
@@ -122,24 +120,22 @@ def _trees(joints: int, capacity: int) -> Floats:
     return np.empty((rows, capacity))
 
 
-def connect(
-    space: Space,
-    judge: Judge,
-    start: Floats,
-    goals: Floats,
-    *,
-    max_iterations: int,
-    timeout: float,
-    seed: int,
-) -> Floats:
-    """Find a path, shape (k, dof), from a configuration to one of several goals by RRT-Connect.
+def find_path(space: Space, judge: Judge, start: Floats, goals: Floats, search: searches.Search, seed: int) -> Floats:
+    """Find a path, shape (k, dof), from a configuration to one of several goals, and simplify it if requested.
 
     Raises
     ------
     PlanningError
         If no path was found within the iterations or in time.
     """
-    growth = Growth.of(space, judge, start, goals, seed)
+    if search.planner is not None:
+        return ompl_planners.find_path(space, judge, start, goals, search, seed)
+    path = _connected(Growth.of(space, judge, start, goals, seed), search._most, search.timeout)
+    return shortened(judge, path, max_iterations=CUTS, seed=seed) if search.simplify else path
+
+
+def _connected(growth: Growth, max_iterations: int, timeout: float) -> Floats:
+    """Let the trees grow until they meet, and return the path through both (RRT-Connect)."""
     state = growth.state
     began: float | None = None  # after the first call, in which Numba may compile
     outcome, portion = codes.SPENT, min(FIRST, AT_A_TIME)

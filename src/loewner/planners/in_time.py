@@ -21,6 +21,7 @@ from loewner._base._read_only import protected
 from loewner._base._validate import Bools, Floats, Ints
 from loewner._kernels import codes
 from loewner.errors import InputError, PlanningError
+from loewner.planners import compiled
 from loewner.planners.joint_limits import limits_of
 from loewner.planners.judge import TOLERANCE, Judge
 from loewner.planners.pose_goals import PoseGoal
@@ -257,7 +258,7 @@ def plan_in_time(
     if len(direct):
         rows = np.stack([first, ends[direct[needs[direct].argmin()]]])
     else:
-        path = search._path(space, judge_of_still, q, goals, seed)
+        path = compiled.find_path(space, judge_of_still, q, goals, search, seed)
         rows = _started(judge, path)
         if rows is None:
             rows = _Trees(space, judge, first, ends, path, rng).connected(search._most, search.timeout)

@@ -16,7 +16,7 @@ from loewner.errors import InputError, PlanningError
 from loewner.planners.joint_limits import beyond, with_start
 from loewner.planners.judge import TOLERANCE, Judge, checked_checker
 from loewner.planners.kept_axes import KeptAxis, parts_of
-from loewner.planners.kept_lines import POSITION, ROTATION, checked_tolerance, chord_of
+from loewner.planners.kept_lines import POSITION, ROTATION, Line, chord_of
 from loewner.queries.pairs import Verdict
 from loewner.robots import CollisionChecker, Robot
 from loewner.robots.description.reaching import Chain, refuse_far, refuse_unsteady, targets_of
@@ -98,13 +98,12 @@ def straight(
            [0.5, 1. ]])
     """
     robot = checked_checker(checker).robot
-    position, rotation = checked_tolerance(position, "position"), checked_tolerance(rotation, "rotation")
     q = robot.checked_one(start, "start")
     kept = None if keep is None else KeptAxis.of(*parts_of(keep, "(axis, direction, angle)"))
     target = _validate.pose(T, "T")
     chain = chain_to(robot, link, joints)
-    judge = Judge.of(checker, 0.0)
-    u, Q, fault = followed(robot, chain, q, link, target, position, rotation, kept)
+    line, judge = Line(link, position=position, rotation=rotation), Judge.of(checker, 0.0)
+    u, Q, fault = followed(robot, chain, q, line, target, kept)
     if fault is not None:
         raise PlanningError(f"line: expected {link} {fault[0]}, found {fault[1]}")
     if block := block_of(judge, u, Q):
@@ -113,16 +112,9 @@ def straight(
 
 
 def followed(
-    robot: Robot,
-    chain: Chain,
-    q: Floats,
-    link: str,
-    target: Floats,
-    position: float = POSITION,
-    rotation: float = ROTATION,
-    kept: KeptAxis | None = None,
+    robot: Robot, chain: Chain, q: Floats, line: Line, target: Floats, kept: KeptAxis | None = None
 ) -> tuple[Floats, Floats, tuple[str, str] | None]:
-    """Follow the line from the pose of a link to a target; collisions are not considered.
+    """Follow a line from the pose of its link to a target; rows of a path and collisions are not considered.
 
     Returns
     -------
@@ -135,12 +127,12 @@ def followed(
     """
     target = targets_of(target[None])[0]
     refuse_far(chain, target, q)
-    chain = _from_start(robot, chain, q, link)
-    wanted = np.array([position, chord_of(rotation), -np.inf, *np.zeros(6)])
+    chain = _from_start(robot, chain, q, line.link)
+    wanted = np.array([line.position, chord_of(line.rotation), -np.inf, *np.zeros(6)])
     if kept is not None:
         wanted[2:] = _elementary.cos(kept.angle), *kept.axis, *kept.direction
     outcome, rows = entries.follow_line(*chain[:3], q[chain.columns], target, wanted)
-    fault = None if outcome == codes.FOLLOWED else _fault(robot, chain, outcome, rows, q, link, kept)
+    fault = None if outcome == codes.FOLLOWED else _fault(robot, chain, outcome, rows, q, line.link, kept)
     Q = np.repeat(q[None], len(rows), axis=0)
     Q[:, chain.columns] = rows[:, 2:]
     return rows[:, 0], Q, fault

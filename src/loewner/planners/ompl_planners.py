@@ -5,7 +5,7 @@ OMPL (``pip install "loewner[planners]"``) is imported only when a function of t
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from functools import cache
 from typing import Any
@@ -16,8 +16,9 @@ from numpy.typing import ArrayLike
 from loewner._base import _validate
 from loewner._base._guard import guarded
 from loewner._base._validate import Floats
-from loewner.errors import InputError, MissingExtraError, PlanningError, installing
+from loewner.errors import InputError, PlanningError
 from loewner.planners.judge import Judge, checked_checker, free_now, refuse_unfree
+from loewner.planners.searches import Search, named, ompl
 from loewner.planners.space import Space
 from loewner.robots import CollisionChecker
 
@@ -69,7 +70,7 @@ def space_information(
     >>> information.getStateDimension(), information.getStateSpace().getBounds().high[0]
     (1, 2.0)
     """
-    _ompl("base")
+    ompl("base")
     step = _validate.positive_scalar(resolution, "resolution")
     robot = checked_checker(checker).robot
     q = robot.configuration() if fixed is None else robot.checked_one(fixed, "fixed")
@@ -77,70 +78,42 @@ def space_information(
     return _information(Space.of(checker, joints, q, q[None]), step, judge)
 
 
-def named(planner: str | Callable[[Any], Any]) -> Callable[[Any], Any]:
-    """Return a function that makes the planner of this name."""
-    if callable(planner):
-        return planner
-    base, geometric = _ompl("base"), _ompl("geometric")
-    planners = {
-        name: each
-        for name, each in sorted(vars(geometric).items())
-        if isinstance(each, type) and issubclass(each, base.Planner)
-    }
-    factory: Callable[[Any], Any] = planners[_validate.known(planner, "planner", planners)]
-    return factory
-
-
-def search(
-    space: Space,
-    make: Callable[[Any], Any],
-    q: Floats,
-    goals: Floats,
-    timeout: float,
-    resolution: float,
-    judge: Judge,
-    simplify: bool,
-    seed: int,
-) -> Floats:
+def find_path(space: Space, judge: Judge, q: Floats, goals: Floats, search: Search, seed: int) -> Floats:
     """Find a path from a configuration to one of the goals with OMPL.
 
-    Parameters
-    ----------
-    resolution : float
-        Largest step for planners that divide motions themselves.
-    judge : Judge
-        Judges the motions that OMPL checks, each in the scene's state at that time.
+    The judge decides about the motions that OMPL checks, each in the scene's state at that time. Planners that divide
+    motions themselves use the resolution of the search.
 
     Raises
     ------
     PlanningError
         If no path was found in time, or the path does not pass a second check.
     """
-    base, geometric, count = _ompl("base"), _ompl("geometric"), len(space.columns)
+    base, geometric, count = ompl("base"), ompl("geometric"), len(space.columns)
     with _quietly():
-        _ompl("util").RNG.setSeed(int(seed) + 1)  # for OMPL, 0 means no seed
-        information = _information(space, resolution, judge)
+        ompl("util").RNG.setSeed(int(seed) + 1)  # for OMPL, 0 means no seed
+        information = _information(space, search.resolution, judge)
         problem, region = base.ProblemDefinition(information), base.GoalStates(information)
         state = information.allocState()
         for values, add in [(q, problem.addStartState), *((goal, region.addState) for goal in goals)]:
             state[0:count] = values[space.columns].tolist()
             add(state)  # takes a copy
         problem.setGoal(region)
-        planner = make(information)
+        planner = named(search.planner)(information)
         if not isinstance(planner, base.Planner):
             raise InputError(
                 f"planner: expected a function that returns an OMPL planner, found {_validate.short(planner)}"
             )
         planner.setProblemDefinition(problem)
         planner.setup()
-        planner.solve(timeout)
+        planner.solve(search.timeout)
         # OMPL also counts a path that only comes near the goal as a solution; such a path is refused here.
         if not problem.hasExactSolution():
             raise PlanningError(
-                f"expected a path from start to goal, found none by {planner.getName()} within {timeout:g} s"
+                f"expected a path from start to goal, found none by {planner.getName()} within {search.timeout:g} s"
             )
         solution = problem.getSolutionPath()
-        if simplify:
+        if search.simplify:
             geometric.PathSimplifier(information).simplifyMax(solution)
         path = space.configurations([state[0:count] for state in solution.getStates()])
     ends = (path[0] == q).all() and (path[-1] == goals).all(axis=1).any()
@@ -152,7 +125,7 @@ def search(
 
 def _information(space: Space, resolution: float, judge: Judge) -> Any:
     """Convert the space to the form that OMPL takes."""
-    base = _ompl("base")
+    base = ompl("base")
     dimensions = base.RealVectorStateSpace(0)
     for column, lower, upper in zip(space.columns, space.lower, space.upper, strict=True):
         dimensions.addDimension(space.name(column), float(lower), float(upper))
@@ -175,7 +148,7 @@ def _information(space: Space, resolution: float, judge: Judge) -> Any:
 @cache
 def _motion_validator() -> Any:
     """Make the class of the motion validator, when OMPL is first needed."""
-    parent: Any = _ompl("base").MotionValidator
+    parent: Any = ompl("base").MotionValidator
 
     class Motions(parent):  # type: ignore[misc]
         """Check whether motions are free in the scene's current state.
@@ -198,18 +171,10 @@ def _motion_validator() -> Any:
 @contextmanager
 def _quietly() -> Iterator[None]:
     """Keep OMPL from writing to standard output and standard error."""
-    util = _ompl("util")
+    util = ompl("util")
     level = util.getLogLevel()
     util.setLogLevel(util.LogLevel.LOG_NONE)
     try:
         yield
     finally:
         util.setLogLevel(level)
-
-
-def _ompl(part: str) -> Any:
-    try:
-        from ompl import base, geometric, util
-    except ImportError:
-        raise MissingExtraError(f"planners need OMPL: {installing('planners')}") from None
-    return {"base": base, "geometric": geometric, "util": util}[part]

@@ -21,7 +21,7 @@ from loewner.planners.improving import Improve, Improvement, Plan
 from loewner.planners.judge import TOLERANCE, Judge, checked_checker, refuse_unfree
 from loewner.planners.kept_axes import KeptAxis, parts_of
 from loewner.planners.pose_goals import PoseGoal
-from loewner.planners.searches import Search, checked_search, checked_seed
+from loewner.planners.searches import UNLIMITED, Search, checked_search, checked_seed
 from loewner.planners.space import Space, Task
 from loewner.planners.trajectories import Trajectory
 from loewner.robots import CollisionChecker, Robot
@@ -332,7 +332,7 @@ def _planned(
     q, goals = ends.free_start, space.checked_goals(ends.free_start, ends.free_goals, judge, names)
     if kept is not None:
         goals = kept.checked(robot, q, goals)
-    free_path, rounds, clearing = search._path(space, judge, q, goals, seed), 0, None
+    free_path, rounds, clearing = compiled.find_path(space, judge, q, goals, search, seed), 0, None
     if better is not None and search.planner is None:
         clearing = Clearing.of(judge, better.weights, better.clearance) if better.clearance else None
         free_path, rounds = improving.improved(space, judge, free_path, goals, better, clearing)
@@ -412,7 +412,7 @@ def shorten(
            [2., 0.]])
     """
     search, seed = Search(certified=certified, resolution=resolution), checked_seed(seed)
-    max_iterations = _validate.whole_number(max_iterations, "max_iterations", 0, compiled.UNLIMITED)
+    max_iterations = _validate.whole_number(max_iterations, "max_iterations", 0, UNLIMITED)
     rows = checked_path(checked_checker(checker).robot, path)
     judge = Judge.of(checker, search._step, joint_error)
     refuse_unfree(judge, rows, "path")

@@ -15,6 +15,7 @@ from loewner._base._matrices import image
 from loewner._base._validate import Bools, Floats
 from loewner.errors import InputError, PlanningError
 from loewner.planners.judge import Judge, checked_checker, refuse_unfree
+from loewner.planners.kept_lines import Line
 from loewner.planners.lines import block_of, followed
 from loewner.robots import CollisionChecker, Robot
 from loewner.robots.checking.verdicts import contacts, free
@@ -375,7 +376,7 @@ def _along(
     T = robot.forward_kinematics(q)[robot.link_names.index(link)].copy()
     way = vector if frame == "world" else image(T[:3, :3], vector)
     T[:3, 3] += -way if to_goal else way
-    u, Q, fault = followed(robot, chain_to(robot, link, joints), q, link, T)
+    u, Q, fault = followed(robot, chain_to(robot, link, joints), q, Line(link), T)
     if fault is not None:
         return Q, "unable to follow", fault[1].removeprefix("that ")
     if to_goal:

@@ -1,4 +1,4 @@
-"""Define `Search`, one record of search options for all functions that plan."""
+"""Define `Search`, one record of search options for all functions that plan; find OMPL's planners by name."""
 
 from __future__ import annotations
 
@@ -7,11 +7,10 @@ from dataclasses import dataclass
 from typing import Any
 
 from loewner._base import _validate
-from loewner._base._validate import Floats
-from loewner.errors import InputError
-from loewner.planners import compiled, ompl_planners
-from loewner.planners.judge import Judge
-from loewner.planners.space import Space
+from loewner.errors import InputError, MissingExtraError, installing
+
+# More iterations than any search makes.
+UNLIMITED = 2**40
 
 # Kinds of plans with searches of their own, by the option that chooses them.
 OF_ITS_OWN = {"start_time": "plans in time are proven and shortened", "base": "drives are proven"}
@@ -71,10 +70,10 @@ class Search:
         checked: dict[str, float] = {name: _validate.positive_scalar(getattr(self, name), name) for name in numbers}
         checked |= {name: _validate.flag(getattr(self, name), name) for name in flags}
         if self.max_iterations is not None:
-            most = _validate.whole_number(self.max_iterations, "max_iterations", 1, compiled.UNLIMITED)
+            most = _validate.whole_number(self.max_iterations, "max_iterations", 1, UNLIMITED)
             checked["max_iterations"] = most
         if self.planner is not None:
-            ompl_planners.named(self.planner)
+            named(self.planner)
         for name, value in checked.items():
             object.__setattr__(self, name, value)
 
@@ -86,17 +85,7 @@ class Search:
     @property
     def _most(self) -> int:
         """Number of iterations."""
-        return compiled.UNLIMITED if self.max_iterations is None else self.max_iterations
-
-    def _path(self, space: Space, judge: Judge, start: Floats, goals: Floats, seed: int) -> Floats:
-        """Find a path, shape (k, dof), from a configuration to one of several goals, and simplify it if requested."""
-        if self.planner is not None:
-            make = ompl_planners.named(self.planner)
-            return ompl_planners.search(
-                space, make, start, goals, self.timeout, self.resolution, judge, self.simplify, seed
-            )
-        path = compiled.connect(space, judge, start, goals, max_iterations=self._most, timeout=self.timeout, seed=seed)
-        return compiled.shortened(judge, path, max_iterations=compiled.CUTS, seed=seed) if self.simplify else path
+        return UNLIMITED if self.max_iterations is None else self.max_iterations
 
     def _refuse(self, name: str, others: Sequence[str] = ()) -> None:
         """If an option selects another kind of plan, refuse options that apply only to paths."""
@@ -115,3 +104,26 @@ def checked_search(search: Search | None) -> Search:
 def checked_seed(seed: int) -> int:
     """Check the argument `seed`."""
     return _validate.whole_number(seed, "seed", 0, 2**32 - 2)
+
+
+def named(planner: str | Callable[[Any], Any] | None) -> Callable[[Any], Any]:
+    """Return a function that makes the planner of this name."""
+    if callable(planner):
+        return planner
+    base, geometric = ompl("base"), ompl("geometric")
+    planners = {
+        name: each
+        for name, each in sorted(vars(geometric).items())
+        if isinstance(each, type) and issubclass(each, base.Planner)
+    }
+    factory: Callable[[Any], Any] = planners[_validate.known(planner, "planner", planners)]
+    return factory
+
+
+def ompl(part: str) -> Any:
+    """Import a part of OMPL."""
+    try:
+        from ompl import base, geometric, util
+    except ImportError:
+        raise MissingExtraError(f"planners need OMPL: {installing('planners')}") from None
+    return {"base": base, "geometric": geometric, "util": util}[part]

@@ -197,8 +197,10 @@ class RobotViewer(Viewer):
         self._speed = 1.0
         if q is None and self._way is not None:
             q = self._way.positions(0.0)
-        self._first_state, first = first_shown(robot) if q is None else (None, q)
-        self._q = np.array(robot.checked_one(first))
+        self._first_state: str | None = None
+        if q is None:
+            self._first_state, q = first_shown(robot)
+        self._q = np.array(robot.checked_one(q))
         if self._way is None and checker.scene.following:
             self._way = paths.Standing(checker.scene.following.values(), self._q)
         if not checker.checked_pairs:
