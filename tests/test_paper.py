@@ -26,9 +26,9 @@ from loewner import (
     near_points,
     paper,
 )
+from loewner._base._files import write_atomically
 from loewner._base._proportions import wilson
 from loewner.paper import Confusion, detectors, figures, fitting, report, sheets, tables
-from loewner.paper.results import write_atomically
 from oracles import hull, pack, signed_distances
 from sampling import quick
 

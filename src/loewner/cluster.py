@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike
 
 from loewner._base import _json, _validate
 from loewner._base._archives import LARGEST_CONTENT
-from loewner._base._files import made_folder, read_regular, replacing, shown
+from loewner._base._files import made_folder, read_regular, shown, write_atomically
 from loewner._base._guard import guarded
 from loewner._base._outcomes import TETRAHEDRON, Outcome, outcome_of
 from loewner._base._plausible import told_to
@@ -281,8 +281,7 @@ def _body_of(mesh: Path, target: Path, options: dict[str, Any], run: str) -> Out
     # body.
     body.save(target)
     entry = {**wanted, "mesh": str(mesh), "warnings": warnings, "run": run, "body_sha256": _checksum_of_body(target)}
-    with replacing(_record_path(target)) as temporary:
-        temporary.write_text(json.dumps(entry, indent=1), encoding="utf-8")
+    write_atomically(_record_path(target), json.dumps(entry, indent=1).encode())
     return Outcome("done", warnings=tuple(warnings))
 
 

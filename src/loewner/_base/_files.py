@@ -125,6 +125,12 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
             temporary.unlink()
 
 
+def write_atomically(target: Path, content: bytes | bytearray) -> None:
+    """Write a file completely or not at all; after a `FileError`, an existing file is unchanged."""
+    with replacing(target) as temporary:
+        temporary.write_bytes(content)
+
+
 def made_folder(folder: Path) -> Path:
     """Make a folder and its parents, unless the folder exists."""
     try:

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from loewner._base import _validate
-from loewner._base._files import replacing
+from loewner._base._files import write_atomically
 from loewner._kernels import columns
 from loewner._kernels._sources import source_hash
 from loewner.bodies.pack import Packed, join, take
@@ -135,8 +135,7 @@ def write(
     whole = bytearray(HEADER.pack(MAGIC, FORMAT, size, 0, source_hash().encode(), *head)) + rows
     whole += bytes(begin - len(whole)) + content
     struct.pack_into("<Q", whole, BEHIND_CHECKSUM - 8, checksum(bytes(whole[BEHIND_CHECKSUM:])))
-    with replacing(target) as temporary, open(temporary, "xb") as stream:
-        stream.write(whole)
+    write_atomically(target, whole)
 
 
 def _lines(size: int) -> int:

@@ -149,15 +149,10 @@ class Polytope(KeepsReadOnly):
         if code != 0:
             raise center_error(code, rows, shift)
         _memory.expect_place(_memory.KERNELS, _memory.SCIPY)
-        from scipy.spatial import ConvexHull, QhullError
-
         # About the polytope's analytic center, in coordinates that whiten the faces, the vertices are the facets of the
         # dual.
-        try:
-            dual = ConvexHull((rows @ frame) / (bounds - rows @ x)[:, None])
-        except QhullError as error:
-            raise GeometryError(f"A, b: no vertices found: {str(error).strip().splitlines()[0]}") from None
-        equations = np.unique(dual.equations, axis=0)
+        dual = _qhull((rows @ frame) / (bounds - rows @ x)[:, None], "A, b: no vertices found")
+        equations = np.unique(dual[2], axis=0)
         return cls(*_hull(x - (equations[:, :-1] / equations[:, -1:]) @ frame.T, "A, b"))
 
     def __repr__(self) -> str:
@@ -297,8 +292,6 @@ def center_error(code: int, A: Floats, direction: Floats) -> GeometryError:
 def _hull(points: Floats, name: str) -> tuple[Floats, Floats, Floats, Ints, Ints]:
     """Compute vertices, normals, offsets, simplices and the face of each simplex."""
     _memory.expect_place(_memory.KERNELS, _memory.SCIPY)
-    from scipy.spatial import QhullError
-
     check_enough(points, name, least_dim=2)
     _memory.expect_left(points.nbytes + len(points), f"{name}: hull of {len(points)} points")
     points = writeable(points)
@@ -308,10 +301,7 @@ def _hull(points: Floats, name: str) -> tuple[Floats, Floats, Floats, Ints, Ints
     if len(points) >= MANY_POINTS and points.shape[1] == 3:
         left = _not_inside(frame, coordinates)
         points, coordinates = points[left], coordinates[left]
-    try:
-        simplices, neighbors, equations = _qhull(coordinates)
-    except QhullError as error:
-        raise GeometryError(f"{name}: no hull found: {str(error).strip().splitlines()[0]}") from None
+    simplices, neighbors, equations = _qhull(coordinates, f"{name}: no hull found")
     code, worst, used, face_of, normals, offsets = entries.finish_hull(
         points, frame, coordinates, simplices, neighbors, equations
     )
@@ -321,16 +311,17 @@ def _hull(points: Floats, name: str) -> tuple[Floats, Floats, Floats, Ints, Ints
     return points[used], normals, offsets, rename[simplices], face_of
 
 
-def _qhull(coordinates: Floats) -> tuple[Ints, Ints, Floats]:
-    """Run Qhull for the simplices, their neighbours and their equations."""
+def _qhull(coordinates: Floats, fault: str) -> tuple[Ints, Ints, Floats]:
+    """Run Qhull for the simplices, their neighbours and their equations; messages begin with `fault`."""
     from scipy.spatial import ConvexHull, QhullError
 
     try:
         hull = ConvexHull(coordinates)
     except QhullError as error:
+        reason = str(error).strip().splitlines()[0]
         if "insufficient memory" in str(error):
-            raise MemoryError(str(error).strip().splitlines()[0]) from None
-        raise
+            raise MemoryError(reason) from None
+        raise GeometryError(f"{fault}: {reason}") from None
     return hull.simplices.astype(np.int64), hull.neighbors.astype(np.int64), hull.equations
 
 
@@ -373,16 +364,14 @@ def _hull_of_sample(coordinates: Floats) -> tuple[Floats, Floats, Floats] | None
     of that hull (Efron 1965, doi:10.1093/biomet/52.3-4.331). The sample therefore shows whether testing all points is
     worthwhile.
     """
-    from scipy.spatial import QhullError
-
     m = len(coordinates)
     some = np.random.default_rng(0).integers(0, m, min(max(m // 50, LEAST_SAMPLE), MOST_SAMPLE))
     ends = [at for axis in coordinates.T for at in (axis.argmin(), axis.argmax())]  # axis=0 takes ten times as long
     chosen = np.unique(np.concatenate([some, ends]))
     sample, unit = coordinates[chosen], np.eye(3)
     try:
-        simplices, neighbors, equations = _qhull(sample)
-    except QhullError:  # the sample is flat to rounding; the points may not be
+        simplices, neighbors, equations = _qhull(sample, "no hull of a sample")
+    except GeometryError:  # the sample is flat to rounding; the points may not be
         return None
     code, _, used, face_of, normals, _ = entries.finish_hull(sample, unit, sample, simplices, neighbors, equations)
     if code != 0 or used.sum() > WORTHWHILE * len(sample):

@@ -159,7 +159,4 @@ def _joints_between(ready: Problem, body: int, lower: int) -> Ints:
         paths.path_link[slice(*paths.path_start[link : link + 2])] if link >= 0 else paths.path_link[:0]
         for link in (int(ready.link[body]), lower)
     )
-    shared = 0
-    while shared < min(len(up), len(down)) and up[shared] == down[shared]:
-        shared += 1
-    return np.concatenate([up[shared:][::-1], down[shared:]])
+    return np.concatenate([up[~np.isin(up, down)][::-1], down[~np.isin(down, up)]])

@@ -10,7 +10,7 @@ from functools import partial
 import numpy as np
 
 from loewner._base import _validate
-from loewner._base._files import folder_exists
+from loewner._base._files import folder_exists, write_atomically
 from loewner._base._validate import Bools
 from loewner.bodies import Bodies
 from loewner.errors import FileError
@@ -18,7 +18,7 @@ from loewner.paper import detectors, report
 from loewner.paper.dataset import sample
 from loewner.paper.detectors import Answers, Confusion, Pairs
 from loewner.paper.fitting import fit_one_by_one
-from loewner.paper.results import Experiment, Result, write_atomically
+from loewner.paper.results import Experiment, Result
 from loewner.queries.pairs import collide
 
 Progress = Callable[[str, int, int], None]

@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import Any
 
 from loewner._base import _validate
-from loewner._base._files import made_folder
+from loewner._base._files import made_folder, write_atomically
 from loewner.paper import figures, sheets
 from loewner.paper.dataset import DATA_SETS
-from loewner.paper.results import Experiment, write_atomically
+from loewner.paper.results import Experiment
 from loewner.paper.tables import PAPER, SIGNIFICANCE, homogeneity, percent, tables
 
 CAPTIONS = {

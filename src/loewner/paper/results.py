@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
-from pathlib import Path
 from typing import Any
 
-from loewner._base._files import replacing
 from loewner._base._validate import Bools
 from loewner.bodies import Bodies
 from loewner.paper.dataset import DataSet
@@ -120,9 +118,3 @@ class Experiment:
             ],
             "estimate": {"all": asdict(self.estimate.all), "ambiguous": asdict(self.estimate.ambiguous)},
         }
-
-
-def write_atomically(target: Path, content: bytes) -> None:
-    """Write a file completely or not at all; after a `FileError`, an existing file is unchanged."""
-    with replacing(target) as temporary:
-        temporary.write_bytes(content)

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from loewner._base import _validate
-from loewner._base._files import read_regular, replacing
+from loewner._base._files import read_regular, write_atomically
 from loewner._base._nodes import Node, read_yaml, some
 from loewner._base._plausible import warn
 from loewner.errors import InputError
@@ -118,8 +118,7 @@ def write(
     files = {target: list(range(len(names)))} if listing is None else files_of(listing, target, names, moves)
     texts = {file: text(columns, [names[k] for k in columns]) for file, columns in files.items()}
     for file, contents in texts.items():
-        with replacing(file) as temporary:
-            temporary.write_text(contents, encoding="utf-8", newline="")
+        write_atomically(file, contents.encode())
 
 
 def files_of(listing: Any, target: Path, names: Sequence[str], moves: Sequence[bool]) -> dict[Path, list[int]]:

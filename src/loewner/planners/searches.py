@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from loewner._base import _validate
-from loewner.errors import InputError, MissingExtraError, installing
+from loewner.errors import InputError, imported
 
 # More iterations than any search makes.
 UNLIMITED = 2**40
@@ -122,8 +122,4 @@ def named(planner: str | Callable[[Any], Any] | None) -> Callable[[Any], Any]:
 
 def ompl(part: str) -> Any:
     """Import a part of OMPL."""
-    try:
-        from ompl import base, geometric, util
-    except ImportError:
-        raise MissingExtraError(f"planners need OMPL: {installing('planners')}") from None
-    return {"base": base, "geometric": geometric, "util": util}[part]
+    return imported(f"ompl.{part}", "planners need OMPL", "planners")

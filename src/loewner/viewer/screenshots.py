@@ -5,11 +5,10 @@ from __future__ import annotations
 import os
 import shutil
 from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
 from typing import Any
 
 from loewner._base import _validate
-from loewner._base._files import replacing
+from loewner._base._files import write_atomically
 from loewner.errors import FileError, InputError, MissingExtraError, imported
 from loewner.viewer.page import Viewer
 
@@ -66,8 +65,7 @@ def save_screenshot(page: Viewer, path: str | os.PathLike[str], *, width: int = 
     # notebook.
     with ThreadPoolExecutor(1) as thread, page._without_gizmos():
         picture = thread.submit(_picture, page.url, sizes, playwright.sync_playwright, playwright.Error).result()
-    with replacing(file) as temporary:
-        Path(temporary).write_bytes(picture)
+    write_atomically(file, picture)
 
 
 def _picture(url: str, sizes: dict[str, int], start: Any, error: type[Exception]) -> bytes:

@@ -14,7 +14,7 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 
 from loewner._base import _validate
-from loewner._base._files import read_regular, replacing
+from loewner._base._files import read_regular, write_atomically
 from loewner._base._validate import Floats, Pair
 from loewner.errors import FileError, InputError, UnknownNameError
 from loewner.robots.description.xml_elements import MOST_BYTES, read_xml
@@ -237,8 +237,7 @@ class ProvenPairs:
         after = before[:at] + lines.replace("\n", "\r\n" if "\r\n" in before else "\n") + before[at:]
         if not {frozenset(row.names) for row in new} <= _listed(target, after):
             raise FileError(f"{target}: expected an SRDF that ends in </robot>, found another end")
-        with replacing(target) as temporary:
-            temporary.write_bytes(after.encode())
+        write_atomically(target, after.encode())
         return tuple(row.names for row in new)
 
 

@@ -328,8 +328,7 @@ def _joints(tree: Tree, link: int) -> list[int]:
 def _between(tree: Tree, one: int, other: int) -> list[int]:
     """Return the joints between two links; -1 is the world."""
     a, b = _joints(tree, one), _joints(tree, other)
-    shared = sum(1 for _ in itertools.takewhile(lambda pair: pair[0] == pair[1], zip(a, b, strict=False)))
-    return a[shared:] + b[shared:]
+    return [k for k in a if k not in b] + [k for k in b if k not in a]
 
 
 def _chain(whole: Robot, links: list[int], joints: list[int], columns: Ints) -> tuple[Robot, Ints]:

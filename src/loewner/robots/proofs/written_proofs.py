@@ -173,8 +173,7 @@ class Proof:
         FileError
             If the file cannot be written.
         """
-        with _files.replacing(_validate.path(path, "path")) as temporary:
-            temporary.write_bytes(self.data)
+        _files.write_atomically(_validate.path(path, "path"), self.data)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Proof:
