@@ -558,7 +558,7 @@ def test_bad_input_is_refused(rng):
             call(A, random_ellipsoids(rng, 2))
     with pytest.raises(UnknownNameError, match="lin-han"):
         near_points(A, A, method="nearest")
-    with pytest.raises(InputError, match="outer_2: expected Ellipsoids"):
+    with pytest.raises(InputError, match="outer_2: expected loewner.Ellipsoids"):
         distance_estimate(A, A, A, np.eye(3))
     with pytest.raises(InputError, match="inner_1: expected ellipsoids in 3-D"):
         distance_estimate(disc, disc, disc, disc)

@@ -182,7 +182,7 @@ def test_arguments_are_checked(card):
         gpu.classify(Body.sphere(1e-5), None, ball, None)
     with pytest.raises(PoseError, match="broadcast"):
         gpu.classify(ball, np.tile(np.eye(4), (2, 1, 1)), ball, np.tile(np.eye(4), (3, 1, 1)))
-    with pytest.raises(InputError, match="checker: expected a loewner.CollisionChecker, found str"):
+    with pytest.raises(InputError, match="checker: expected loewner.CollisionChecker, found str"):
         gpu.Checker("checker")
 
 

@@ -33,7 +33,8 @@ from loewner._base._validate import Bools, Floats, Progress
 from loewner.bodies import Body
 from loewner.errors import FileError, GeometryError, InputError, LoewnerError, imported
 from loewner.meshes import files as mesh_files
-from loewner.robots import CollisionChecker
+from loewner.robots import CollisionChecker, Robot
+from loewner.robots.description.robot import expect_width
 
 __all__ = ["Fitted", "certify_edges", "collide", "distance", "fit"]
 
@@ -574,7 +575,7 @@ def _by_chunks(
     da, delayed = _dask("dask.array"), _dask("dask").delayed
     _validate.instance(checker, "checker", CollisionChecker)
     for name, Q in arrays.items():
-        _check_array(da, Q, name, checker.robot.dof)
+        _check_array(da, Q, name, checker.robot)
     (first, *others) = arrays.values()
     if any(Q.shape != first.shape for Q in others):
         shapes = " and ".join(str(Q.shape) for Q in arrays.values())
@@ -590,14 +591,13 @@ def _by_chunks(
     return da.map_blocks(task, *chunked, checker=there, **more, dtype=dtype, drop_axis=axes, meta=meta)
 
 
-def _check_array(da: Any, Q: Any, name: str, dof: int) -> None:
+def _check_array(da: Any, Q: Any, name: str, robot: Robot) -> None:
     if not isinstance(Q, da.Array):
         raise InputError(
             f"{name}: expected a dask.array.Array, found {_validate.short(Q)}; dask.array.from_array makes one, and "
             "CollisionChecker takes all others"
         )
-    if Q.ndim == 0 or Q.shape[-1] != dof:
-        raise InputError(f"{name}: expected shape (..., {dof}), found {Q.shape}")
+    expect_width(robot, Q.shape, name)
     if Q.dtype.kind not in "fiu":
         raise InputError(f"{name}: expected real numbers, found dtype {Q.dtype}")
 

@@ -198,8 +198,7 @@ class SeenSpace:
         if (checker is None) != (q is None):
             raise InputError("checker, q: expected both or none, found one")
         if checker is not None and q is not None:
-            if not isinstance(checker, CollisionChecker):
-                raise InputError(f"checker: expected a CollisionChecker, found {_validate.short(checker)}")
+            _validate.instance(checker, "checker", CollisionChecker)
             reach = _validate.positive_scalar(clear, "clear", zero=True) + np.sqrt(0.75) * self._size
             where = np.nonzero(cells)
             centers = self._middles(low, np.stack(where, axis=-1))

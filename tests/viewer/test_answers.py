@@ -609,7 +609,7 @@ def test_nothing_to_check(lonely):
             ["--robot", "arm.urdf", "--trajectory", "other.csv"],
             "trajectory: expected the joints shoulder, elbow, found the unknown a",
         ),
-        (["part.npz", "part.npz", "--port", "70000"], "port: expected a whole number"),
+        (["part.npz", "part.npz", "--port", "70000"], "port: expected an integer"),
         (["part.npz", "nothing.npz"], "nothing.npz: expected a saved file"),
         (["part.npz", "broken.stl"], "broken.stl: expected a whole text STL"),
         (["part.npz", "part.npz", "--decompose"], "expected --decompose with --robot only"),

@@ -4,6 +4,7 @@ On an array, these functions take as long as a C library's; on a single number, 
 results are accurate to three units in the last place (`_kernels.elementary`).
 """
 
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -13,41 +14,6 @@ from loewner._kernels import codes
 from loewner._native import entries
 
 
-def sin(angle: Any) -> Any:
-    """Compute the sines of angles [rad]."""
-    return _of_each(codes.SINE_OF, angle)
-
-
-def cos(angle: Any) -> Any:
-    """Compute the cosines of angles [rad]."""
-    return _of_each(codes.COSINE_OF, angle)
-
-
-def arctan2(y: Any, x: Any) -> Any:
-    """Compute the angles from the x-axis to the vectors (x, y) [rad]."""
-    return _of_each(codes.ARC_TANGENT, *np.broadcast_arrays(y, x))
-
-
-def arccos(x: Any) -> Any:
-    """Compute the angles whose cosines are x [rad]; NaN beyond ±1."""
-    return _of_each(codes.ARC_COSINE, x)
-
-
-def arcsin(x: Any) -> Any:
-    """Compute the angles whose sines are x [rad]; NaN beyond ±1."""
-    return _of_each(codes.ARC_SINE, x)
-
-
-def log(x: Any) -> Any:
-    """Compute natural logarithms; minus infinity for zero, NaN for negative numbers."""
-    return _of_each(codes.LOGARITHM, x)
-
-
-def cbrt(x: Any) -> Any:
-    """Compute cube roots."""
-    return _of_each(codes.CUBE_ROOT, x)
-
-
 def _of_each(function: int, x: Any, y: Any = None) -> Any:
     """Apply a function of `codes` to each number; for a single number, the result is a float."""
     first = np.array(x, dtype=float, order="C")
@@ -55,3 +21,18 @@ def _of_each(function: int, x: Any, y: Any = None) -> Any:
     values: Floats = np.empty(first.shape)
     entries.elementary(function, first.reshape(-1), second.reshape(-1), values.reshape(-1))
     return values if np.ndim(x) else float(values.item())
+
+
+def arctan2(y: Any, x: Any) -> Any:
+    """Compute the angles from the x-axis to the vectors (x, y) [rad]."""
+    return _of_each(codes.ARC_TANGENT, *np.broadcast_arrays(y, x))
+
+
+# Sines and cosines of angles [rad].
+sin, cos = partial(_of_each, codes.SINE_OF), partial(_of_each, codes.COSINE_OF)
+
+# Angles [rad] with given cosines and sines; NaN beyond ±1.
+arccos, arcsin = partial(_of_each, codes.ARC_COSINE), partial(_of_each, codes.ARC_SINE)
+
+# Natural logarithms (minus infinity for zero, NaN for negative numbers) and cube roots.
+log, cbrt = partial(_of_each, codes.LOGARITHM), partial(_of_each, codes.CUBE_ROOT)

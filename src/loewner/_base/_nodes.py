@@ -18,11 +18,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Self
 
-from loewner._base import _json
+from loewner._base import _json, _validate
 from loewner.errors import FileError, InputError, imported
-
-# Largest number of keys that a message lists.
-LISTED = 30
 
 # Limits on a file: the depth of nested entries and, for YAML, the number of entries, where an alias counts at each use.
 # A scene of a hundred thousand boxes has half of the allowed entries. Reading YAML takes a few seconds per megabyte.
@@ -177,9 +174,7 @@ class Node(ABC):
 
 def some(names: Iterable[str]) -> str:
     """Format names for messages, limited to a readable number."""
-    listed = list(names)
-    more = f", and {len(listed) - LISTED} more" if len(listed) > LISTED else ""
-    return ", ".join(map(cut, listed[:LISTED])) + more
+    return _validate.some(map(cut, names))
 
 
 def cut_middle(text: str) -> str:

@@ -43,7 +43,7 @@ Pair = tuple[str, str]
 # A callback progress(done, total).
 Progress = Callable[[int, int], None]
 
-# Largest number of names that a message about an unknown name lists.
+# Largest number of names that a message lists.
 LISTED = 30
 
 # Largest count; no array can have more entries.
@@ -336,6 +336,12 @@ def positive_array(x: ArrayLike, name: str, shape: tuple[int | None | str, ...])
     return array
 
 
+def increasing(times: Floats, name: str) -> None:
+    """Check that each time is after the one before it."""
+    for k in np.flatnonzero(~(np.diff(times) > 0))[:1]:
+        raise InputError(f"{name}: expected times that increase, found {times[k]:.15g} and then {times[k + 1]:.15g}")
+
+
 def positive_lengths(x: ArrayLike, name: str, shape: tuple[int, ...]) -> Floats:
     """Check numbers above zero whose shape broadcasts to `shape`, aligned at the last axes."""
     array = float_array(x, name)
@@ -445,6 +451,12 @@ def short(x: Any) -> str:
     return text if len(text) <= LONGEST else f"{text[: LONGEST - 20]} ... ({type(x).__name__})"
 
 
+def some(names: Iterable[str], most: int = LISTED, divider: str = ", ") -> str:
+    """Join names for a message: at most the first `most` of them, and how many more there are."""
+    listed = list(names)
+    return divider.join(listed[:most] + [f"and {len(listed) - most} more"] * (len(listed) > most))
+
+
 def unknown_name(what: str, name: Any, known: Iterable[str]) -> UnknownNameError:
     """Make the error about an unknown name; the message lists the `known` names, and suggests the most similar name."""
     import difflib  # only this message needs it
@@ -452,9 +464,8 @@ def unknown_name(what: str, name: Any, known: Iterable[str]) -> UnknownNameError
     listed = list(known)
     nearest = difflib.get_close_matches(name, listed, n=1) if isinstance(name, str) else []
     hint = f" (did you mean {nearest[0]!r}?)" if nearest else ""
-    more = f", and {len(listed) - LISTED} more" if len(listed) > LISTED else ""
-    names = ", ".join(listed[:LISTED]) or "(there are none)"
-    return UnknownNameError(f"{what}: expected one of {names}{more}; found {short(name)}{hint}")
+    names = some(listed) or "(there are none)"
+    return UnknownNameError(f"{what}: expected one of {names}; found {short(name)}{hint}")
 
 
 def known(x: Any, what: str, names: Collection[str]) -> str:

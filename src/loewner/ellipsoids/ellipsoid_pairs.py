@@ -210,8 +210,7 @@ class PairArrays:
 
     def __init__(self, E1: Ellipsoids, E2: Ellipsoids, caller: str, dim: int | None = 3) -> None:
         for name, E in (("E1", E1), ("E2", E2)):
-            if not isinstance(E, Ellipsoids):
-                raise InputError(f"{name}: expected Ellipsoids, found {type(E).__name__}")
+            _validate.instance(E, name, Ellipsoids)
             if not E.factor.any(axis=(-2, -1)).all():
                 raise GeometryError(
                     f"{name}: expected ellipsoids with an interior, found a point, such as the inner one of a surface"

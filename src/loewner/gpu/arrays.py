@@ -254,13 +254,9 @@ def _capsule_of(array: DeviceArray) -> Any:
     # Booleans are passed as bytes, because older versions of DLPack have no kind for booleans.
     code = {kind: code for code, kind in KINDS.items()}[array.dtype.kind]
     shape = (ctypes.c_int64 * len(array.shape))(*array.shape)
-    managed = _DLManaged(
-        _DLTensor(
-            array._memory.address, _DLDevice(CUDA, array._memory.device.number), len(array.shape),
-            _DLType(code, 8 * array.dtype.itemsize, 1), ctypes.cast(shape, ctypes.POINTER(ctypes.c_int64)), None, 0,
-        ),
-        None,
-        _give_back,
-    )  # fmt: skip
+    where, of_type = _DLDevice(CUDA, array._memory.device.number), _DLType(code, 8 * array.dtype.itemsize, 1)
+    lengths = ctypes.cast(shape, ctypes.POINTER(ctypes.c_int64))
+    tensor = _DLTensor(array._memory.address, where, len(array.shape), of_type, lengths, None, 0)
+    managed = _DLManaged(tensor, None, _give_back)
     _lent[ctypes.addressof(managed)] = managed, shape, array._memory
     return _api.PyCapsule_New(ctypes.addressof(managed), _CAPSULE, _unclaimed)

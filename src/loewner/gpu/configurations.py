@@ -28,6 +28,7 @@ from loewner.robots.checker import prepared_of
 from loewner.robots.checking import edges
 from loewner.robots.checking.problem import Problem
 from loewner.robots.checking.verdicts import classified, expect_settled
+from loewner.robots.description.robot import expect_width
 from loewner.robots.proofs.proofs import ProofOptions, prove_by_rules
 
 KINDS = columns.FIXED, columns.REVOLUTE, columns.PRISMATIC
@@ -71,8 +72,7 @@ class Checker:
     """
 
     def __init__(self, checker: CollisionChecker, *, fallback: str = "error", device: int = 0) -> None:
-        if not isinstance(checker, CollisionChecker):
-            raise InputError(f"checker: expected a loewner.CollisionChecker, found {type(checker).__name__}")
+        _validate.instance(checker, "checker", CollisionChecker)
         self._number = number_of(device)
         self._instead = _validate.choice(fallback, "fallback", FALLBACKS) == "cpu"
         if not np.isin(checker.robot.tree.kind, KINDS).all():
@@ -238,10 +238,7 @@ class Checker:
     def _taken(self, gpu: Device, Q: Any, name: str) -> View:
         """Take configurations in GPU memory."""
         view = taken(Q, name, gpu)
-        if len(view.shape) == 0 or view.shape[-1] != self._checker.robot.dof:
-            raise InputError(
-                f"{name}: expected shape (..., {self._checker.robot.dof}), found {_validate.shape_text(view.shape)}"
-            )
+        expect_width(self._checker.robot, view.shape, name)
         return view
 
     def _asked(self, ready: Problem, gpu: Device, total: int, Q: int) -> tuple[Memory, Ints]:

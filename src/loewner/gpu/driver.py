@@ -126,8 +126,7 @@ class Device:
     def memory(self, size: int) -> Memory:
         """Allocate at least one byte of memory."""
         address = ctypes.c_uint64()
-        with self._current():
-            self._ask("cuMemAlloc_v2", ctypes.byref(address), ctypes.c_size_t(max(1, size)), size=size)
+        self._run("cuMemAlloc_v2", ctypes.byref(address), ctypes.c_size_t(max(1, size)), size=size)
         return Memory(self, int(address.value), size)
 
     def upload(self, array: NDArray[Any]) -> Memory:
@@ -136,22 +135,19 @@ class Device:
         to = self.memory(array.nbytes)
         if array.nbytes:
             there, here, size = _places(to.address, array)
-            with self._current():
-                self._ask("cuMemcpyHtoDAsync_v2", there, here, size, self._stream)
+            self._run("cuMemcpyHtoDAsync_v2", there, here, size, self._stream)
         return to
 
     def download(self, address: int, array: NDArray[Any]) -> None:
         """Fill an array from the GPU's memory, once all earlier work is done."""
         there, here, size = _places(address, array)
-        with self._current():
-            if array.nbytes:
-                self._ask("cuMemcpyDtoHAsync_v2", here, there, size, self._stream)
-            self._ask("cuStreamSynchronize", self._stream)
+        if array.nbytes:
+            self._run("cuMemcpyDtoHAsync_v2", here, there, size, self._stream)
+        self.wait()
 
     def clear(self, address: int, size: int) -> None:
         """Set memory to zero."""
-        with self._current():
-            self._ask("cuMemsetD8Async", ctypes.c_uint64(address), 0, ctypes.c_size_t(size), self._stream)
+        self._run("cuMemsetD8Async", ctypes.c_uint64(address), 0, ctypes.c_size_t(size), self._stream)
 
     # -- work ---------------------------------------------------------------------------------
 
@@ -162,41 +158,36 @@ class Device:
         numbers = [ctypes.c_int64(x.address if isinstance(x, Memory) else x) for x in (threads, *arguments)]
         packed = (ctypes.c_void_p * len(numbers))(*map(ctypes.addressof, numbers))
         sizes = -(-threads // BLOCK), 1, 1, BLOCK, 1, 1, 0
-        with self._current():
-            self._ask("cuLaunchKernel", self._functions[kernel], *sizes, self._stream, packed, None)
+        self._run("cuLaunchKernel", self._functions[kernel], *sizes, self._stream, packed, None)
 
     def wait(self) -> None:
         """Return when all work is done."""
-        with self._current():
-            self._ask("cuStreamSynchronize", self._stream)
+        self._run("cuStreamSynchronize", self._stream)
 
     def after(self, stream: int) -> None:
         """Let all further work wait for the current work of another stream."""
         if stream == self.stream:
             return
         event, other = ctypes.c_void_p(), ctypes.c_void_p(stream)
-        with self._current():
-            self._ask("cuEventCreate", ctypes.byref(event), WITHOUT_TIMES)
-            self._ask("cuEventRecord", event, other)
-            self._ask("cuStreamWaitEvent", self._stream, event, 0)
-            self._ask("cuEventDestroy_v2", event)  # the driver frees the event once it has been reached
+        self._run("cuEventCreate", ctypes.byref(event), WITHOUT_TIMES)
+        self._run("cuEventRecord", event, other)
+        self._run("cuStreamWaitEvent", self._stream, event, 0)
+        self._run("cuEventDestroy_v2", event)  # the driver frees the event once it has been reached
 
     def time(self) -> Any:
         """Record a point in time on the stream, for `seconds`."""
         event = ctypes.c_void_p()
-        with self._current():
-            self._ask("cuEventCreate", ctypes.byref(event), 0)
-            self._ask("cuEventRecord", event, self._stream)
+        self._run("cuEventCreate", ctypes.byref(event), 0)
+        self._run("cuEventRecord", event, self._stream)
         return event
 
     def seconds(self, start: Any, stop: Any) -> float:
         """Wait until two recorded points in time are past; free them, and return the seconds between them."""
         milliseconds = ctypes.c_float()
-        with self._current():
-            self._ask("cuEventSynchronize", stop)
-            self._ask("cuEventElapsedTime", ctypes.byref(milliseconds), start, stop)
-            for event in (start, stop):
-                self._ask("cuEventDestroy_v2", event)
+        self._run("cuEventSynchronize", stop)
+        self._run("cuEventElapsedTime", ctypes.byref(milliseconds), start, stop)
+        for event in (start, stop):
+            self._run("cuEventDestroy_v2", event)
         return float(milliseconds.value) * 1e-3
 
     def holds(self, address: int) -> bool:
@@ -236,6 +227,11 @@ class Device:
         integer = ctypes.c_int()
         self._ask(function, ctypes.byref(integer), *arguments)
         return int(integer.value)
+
+    def _run(self, function: str, *arguments: Any, size: int | None = None) -> None:
+        """Call a function of the driver in the context, as `_ask` does."""
+        with self._current():
+            self._ask(function, *arguments, size=size)
 
     def _ask(self, function: str, *arguments: Any, size: int | None = None) -> None:
         """Call a function of the driver, and raise an exception if it fails."""

@@ -69,9 +69,7 @@ def distance_estimate(
     code = NEAR_POINT_METHODS[_validate.choice(method, "method", NEAR_POINT_METHODS)]
     ellipsoids = {"inner_1": inner_1, "outer_1": outer_1, "inner_2": inner_2, "outer_2": outer_2}
     for name, E in ellipsoids.items():
-        if not isinstance(E, Ellipsoids):
-            raise InputError(f"{name}: expected Ellipsoids, found {type(E).__name__}")
-        if E.dim != 3:
+        if _validate.instance(E, name, Ellipsoids).dim != 3:
             raise InputError(f"{name}: expected ellipsoids in 3-D, found dimension {E.dim}")
     batch = _validate.broadcast({name: E.batch_shape for name, E in ellipsoids.items()})
     n = math.prod(batch)

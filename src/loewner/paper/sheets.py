@@ -169,11 +169,11 @@ def in_order(experiment: Experiment) -> tuple[Sheet, ...]:
 # -- rows ------------------------------------------------------------------------------------------
 
 
-def _head(table: Table) -> tuple[str, str]:
-    """Return the subject of a table, as a title and as the head of a column."""
+def _head(table: Table) -> tuple[str, str, bool]:
+    """Return the subject of a table, as a title and as the head of a column, and whether the paper has the table."""
     if table.cells[0].paper_count is None:
-        return f"{table.detector} (not in the paper)", "estimate"
-    return f"detector {table.detector}", f"detector {table.detector.partition(':')[0]}"
+        return f"{table.detector} (not in the paper)", "estimate", False
+    return f"detector {table.detector}", f"detector {table.detector.partition(':')[0]}", True
 
 
 def _counted(count: int, total: int) -> tuple[str, str]:
@@ -181,8 +181,7 @@ def _counted(count: int, total: int) -> tuple[str, str]:
 
 
 def _matrices(whole: Table, part: Table) -> Sheet:
-    title, head = _head(whole)
-    printed = whole.cells[0].paper_count is not None
+    title, head, printed = _head(whole)
     rows = []
     for letter, table in (("(a)", whole), ("(b)", part)):
         own = [f"{cell.count} ({percent(cell.share)})" for cell in table.cells]
@@ -203,8 +202,7 @@ def _matrices(whole: Table, part: Table) -> Sheet:
 
 
 def _shares(whole: Table, part: Table) -> Sheet:
-    title, head = _head(whole)
-    printed = whole.cells[0].paper_count is not None
+    title, head, printed = _head(whole)
     rows = []
     for k, name in enumerate(tables.CELLS):
         cells = (whole.cells[k], part.cells[k])

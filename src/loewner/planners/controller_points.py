@@ -138,11 +138,7 @@ class ControllerPoints:
         self.times = _validate.finite_array(times, "times", ("n",))
         if len(self.times) < 2:
             raise InputError(f"times: expected two or more, found {len(self.times)}")
-        for k in np.flatnonzero(~(np.diff(self.times) > 0))[:1].tolist():
-            before, after = self.times[k : k + 2].tolist()
-            raise InputError(
-                f"times: expected times that increase, found {before:.15g} and then {after:.15g} at {k + 1}"
-            )
+        _validate.increasing(self.times, "times")
         if accelerations is not None and velocities is None:
             raise InputError("accelerations: expected velocities with them, found none")
         texts = isinstance(names, (list, tuple)) and all(isinstance(name, str) for name in names)

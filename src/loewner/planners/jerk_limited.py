@@ -16,7 +16,7 @@ from loewner._base import _elementary
 from loewner._base._validate import Bools, FloatOrFloats, Floats
 from loewner._kernels import tolerances
 from loewner.errors import InputError
-from loewner.planners.profiles import Limits, Phase, phases, ramp, reached, turned
+from loewner.planners.profiles import Limits, Phase, duration, phases, ramp, reached, turned
 from loewner.planners.straights import LARGEST_RATIO, Row, Straights, smallest
 
 # Share of each limit that is reserved for rounding. The shortest phase is chosen so that rounding stays within this
@@ -118,9 +118,7 @@ class JerkLimited(NamedTuple):
 
     def duration(self, halves: Floats) -> float:
         """Compute the total duration in seconds."""
-        speeds, profiles = self._profiles(halves)
-        blends = sum(2 * half / speed for half, speed in zip(halves.tolist(), speeds[1:-1], strict=True) if half)
-        return float(blends + sum(phase.seconds for profile in profiles for phase in profile))
+        return duration(halves, *self._profiles(halves))
 
     def timed(self, halves: Floats, last_speed: float = 0.0) -> tuple[Floats, Floats, Floats, Bools, Floats]:
         """Compute the arrays of a `Trajectory` that runs through all phases; the robot stops at the end."""

@@ -356,8 +356,7 @@ def _expect_joints(file: str, names: list[str], known: Mapping[str, Any]) -> Non
     """Raise an UnknownNameError that names all joints that the robot lacks."""
     unknown = [name for name in names if name not in known]
     if unknown:
-        more = ", ".join(map(_validate.short, unknown[1 : _validate.LISTED]))
-        more += f" and {len(unknown) - _validate.LISTED} more" if len(unknown) > _validate.LISTED else ""
+        more = _validate.some(map(_validate.short, unknown[1:]))
         error = _validate.unknown_name("joint", unknown[0], known)
         raise UnknownNameError(f"{file}: {error}" + (f"; also unknown: {more}" if more else ""))
 

@@ -24,7 +24,7 @@ from loewner.queries.pairs import Verdict
 from loewner.robots import CertifiedMotions, CollisionChecker
 from loewner.robots.checker import prepared_of
 from loewner.robots.checking import verdicts
-from loewner.robots.checking.edges import MOST_STEPS
+from loewner.robots.checking.edges import steps
 from loewner.robots.checking.problem import Problem
 from loewner.robots.proofs.contacts import deeper_than_ends
 from loewner.robots.proofs.courses import straight
@@ -94,13 +94,7 @@ class Judge:
         InputError
             If sampling would take too many steps.
         """
-        step = self.resolution
-        steps = longest / step + 2 if step else 0
-        if not steps <= MOST_STEPS:
-            raise InputError(
-                f"resolution: expected at most {MOST_STEPS} steps on the longest motion ({longest:g}), found {step:g}"
-            )
-        size = int(steps) + 1
+        size = int(steps(np.array(longest), self.resolution)) + 3 if self.resolution else 1
         fits_memory(9 * size, f"{size} steps of a motion")
         return replace(self, samples=size)
 

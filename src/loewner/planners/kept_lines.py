@@ -72,8 +72,7 @@ class Line:
     rotation: float = ROTATION
 
     def __post_init__(self) -> None:
-        if not isinstance(self.link, str):
-            raise InputError(f"link: expected the name of a link, found {_validate.short(self.link)}")
+        _validate.expect_name(self.link, "link: expected the name of a link")
         for name in ("first", "last"):
             _validate.whole_number(getattr(self, name), name, -_validate.LARGEST_INTEGER)
         for name in ("position", "rotation"):

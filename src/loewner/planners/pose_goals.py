@@ -88,8 +88,7 @@ class PoseGoal:
         if poses.size == 0:
             raise InputError("T: expected one pose or more, found none")
         object.__setattr__(self, "T", poses.copy())
-        if not isinstance(self.link, str):
-            raise InputError(f"link: expected the name of a link, found {_validate.short(self.link)}")
+        _validate.expect_name(self.link, "link: expected the name of a link")
         if self.tolerance is not None:
             checked_tolerance(self.tolerance)
         _validate.whole_number(self.seeds, "seeds", 1, MOST_SEEDS)

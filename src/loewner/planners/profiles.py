@@ -7,9 +7,11 @@ phase is shorter than a given duration: in shorter phases, rounding of positions
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from functools import lru_cache
 from typing import NamedTuple
+
+from loewner._base._validate import Floats
 
 # Accuracy of computed speeds. Speeds are never larger than allowed, and the phases still cover the exact distance.
 ACCURACY = 1e-13
@@ -43,6 +45,12 @@ class Phase(NamedTuple):
     way: float
     speed: float
     acceleration: float
+
+
+def duration(halves: Floats, speeds: Sequence[float], profiles: Iterable[Iterable[Phase]]) -> float:
+    """Add up the seconds of all phases and of all blends; a blend takes twice its half, at the speed of its corner."""
+    blends = sum(2 * half / speed for half, speed in zip(halves.tolist(), speeds[1:-1], strict=True) if half)
+    return float(blends + sum(phase.seconds for profile in profiles for phase in profile))
 
 
 def ramp(change: float, limits: Limits) -> tuple[float, float]:

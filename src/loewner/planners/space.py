@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from loewner._base import _validate
-from loewner._base._validate import Bools, Floats, Ints
+from loewner._base._validate import Bools, Floats, Ints, some
 from loewner.errors import InputError, PlanningError
 from loewner.planners.joint_limits import beyond, with_start
 from loewner.planners.judge import TOLERANCE, Judge, checked_checker
@@ -137,14 +137,12 @@ class Space:
         """Describe the moving joints that are outside their limits; "" if there are none."""
         values = q[self.columns]
         outside = np.flatnonzero(beyond(values, self.lower, self.upper))
-        if len(outside) == 0:
-            return ""
-        named = ", ".join(
+        texts = (
             f"{self.name(self.columns[k])} = {values[k]:g} outside {self.lower[k]:g} .. {self.upper[k]:g}"
             + _by_a_hair(max(self.lower[k] - values[k], values[k] - self.upper[k]))
-            for k in outside[:NAMED]
+            for k in outside
         )
-        return named + (f", and {len(outside) - NAMED} more" if len(outside) > NAMED else "")
+        return some(texts, NAMED)
 
     def free(self, q: Floats) -> bool:
         """Return whether a configuration is proven free; an unsettled configuration counts as not free."""
@@ -223,8 +221,7 @@ class Space:
 
 def touching(contacts: Sequence[Contact]) -> str:
     """Describe contacts for a message."""
-    named = ", ".join(f"{each.name_a} and {each.name_b} ({_depth(each.distance)})" for each in contacts[:NAMED])
-    return named + (f", and {len(contacts) - NAMED} more" if len(contacts) > NAMED else "")
+    return some((f"{each.name_a} and {each.name_b} ({_depth(each.distance)})" for each in contacts), NAMED)
 
 
 def _depth(distance: float) -> str:
@@ -299,9 +296,8 @@ def _no_goal(faults: list[str], names: list[str]) -> PlanningError:
     """Make the error for the case that every goal has a fault."""
     if names == ["goal[0]"]:
         return PlanningError(f"goal: expected a free configuration within the limits, found {faults[0]}")
-    listed = "; ".join(f"{name}: {fault}" for name, fault in zip(names[:NAMED], faults, strict=False))
-    more = f"; and {len(faults) - NAMED} more" if len(faults) > NAMED else ""
-    return PlanningError(f"goal: expected a free configuration within the limits, found none: {listed}{more}")
+    listed = some((f"{name}: {fault}" for name, fault in zip(names, faults, strict=True)), NAMED, "; ")
+    return PlanningError(f"goal: expected a free configuration within the limits, found none: {listed}")
 
 
 def _refuse_start(fault: str) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 from loewner._base._validate import Bools, Floats
 from loewner._kernels import tolerances
 from loewner.errors import InputError
-from loewner.planners.profiles import Phase
+from loewner.planners.profiles import Phase, duration
 
 # Bound on the error of computed blends, relative to the largest value and to the distance covered at full speed in the
 # whole time.
@@ -109,12 +109,7 @@ class Straights(NamedTuple):
 
     def duration(self, halves: Floats) -> float:
         """Compute the total duration in seconds."""
-        speeds, profiles = self._profiles(halves)
-        blends = zip(halves.tolist(), speeds[1:-1], strict=True)
-        total = sum(2 * half / speed if half else 0.0 for half, speed in blends)
-        for profile in profiles:
-            total += sum(phase.seconds for phase in profile)
-        return total
+        return duration(halves, *self._profiles(halves))
 
     def timed(self, halves: Floats, last_speed: float = 0.0) -> tuple[Floats, Floats, Floats, Bools, None]:
         """Compute the arrays of a `Trajectory` that runs through all phases.

@@ -34,8 +34,8 @@ from loewner.viewer.framing import add_ground, aim, diagonal, round_length
 # Seconds between two checks for changes made in Python.
 LOOK_EVERY = 0.1
 
-# Port numbers are below this number.
-PORTS = 65536
+# The largest port number.
+LAST = 65535
 
 # Length of a gizmo's arrows, as a multiple of the longest side of its body.
 GIZMO = 0.5
@@ -74,7 +74,7 @@ class Viewer(ABC):
     colliding: bool
 
     def __init__(self, title: str, host: str, port: int) -> None:
-        self.server, self._guard = _serve(title, guard.listening(host), _checked_port(port))
+        self.server, self._guard = _serve(title, guard.listening(host), _validate.whole_number(port, "port", 0, LAST))
         self.lock = threading.RLock()
         self.answered, self.seconds = 0, 0.0
         self._events: queue.SimpleQueue[tuple[str, Any] | None] = queue.SimpleQueue()
@@ -444,11 +444,3 @@ def _quiet() -> Iterator[None]:
 
 def _worth_logging(record: logging.LogRecord) -> bool:
     return record.getMessage() != "opening handshake failed"
-
-
-def _checked_port(port: Any) -> int:
-    if isinstance(port, bool) or not isinstance(port, (int, np.integer)) or not 0 <= port < PORTS:
-        raise InputError(
-            f"port: expected a whole number from 0 (any free port) to {PORTS - 1}, found {_validate.short(port)}"
-        )
-    return int(port)

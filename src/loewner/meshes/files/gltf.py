@@ -16,7 +16,7 @@ from loewner._base import _json
 from loewner._base._files import read_regular
 from loewner._base._matrices import lengths, product
 from loewner._base._rotations import pose_of, rotations_of
-from loewner._base._validate import Floats
+from loewner._base._validate import Floats, some
 from loewner.errors import FileError
 from loewner.meshes.files.parts import (
     MOST,
@@ -98,9 +98,8 @@ def read(data: bytes, folder: Path, binary: bool, limit: int, tell: Tell) -> tup
     reader = _Reader(_parsed(text), body, folder, limit)
     mesh = joined(reader.meshes())
     if reader.unknown:
-        names = ", ".join(f"{quoted(key)} in {where}" for key, where in list(reader.unknown.items())[:_LISTED])
-        more = f" and {len(reader.unknown) - _LISTED} more" if len(reader.unknown) > _LISTED else ""
-        tell(f"{_UNKNOWN}: {names}{more}", "")
+        names = some((f"{quoted(key)} in {where}" for key, where in reader.unknown.items()), _LISTED)
+        tell(f"{_UNKNOWN}: {names}", "")
     return mesh
 
 

@@ -11,10 +11,10 @@ from pathlib import Path
 from typing import Any
 
 from loewner._base._plausible import warn
-from loewner._base._validate import Pair
+from loewner._base._validate import LISTED, Pair
 from loewner.errors import UnknownNameError
 from loewner.robots.description.urdf import MOST_PAIRS, VALUES, Description
-from loewner.robots.description.xml_elements import LISTED, UNREAD, Element, by_name, cut, known, read_xml, settle, some
+from loewner.robots.description.xml_elements import UNREAD, Element, by_name, cut, known, read_xml, settle, some
 
 # pinocchio's name for the free base that it adds to a robot; SRDF files for pinocchio use this name without declaring a
 # joint of this name.

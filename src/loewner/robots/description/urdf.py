@@ -19,7 +19,7 @@ from loewner._base._matrices import lengths
 from loewner._base._memory import uncollected
 from loewner._base._plausible import FARTHEST_LIMIT, doubt_about_limits, doubt_about_rpy, warn
 from loewner._base._rotations import QUATERNION_TOLERANCE, from_quaternion, from_rpy
-from loewner._base._validate import Floats
+from loewner._base._validate import LISTED, Floats
 from loewner.errors import GeometryError, InputError, LoewnerError, UnknownNameError
 from loewner.robots.description import xml_elements
 from loewner.robots.description.xml_elements import UNREAD, Element, by_name, cut, known, read_xml, settle, some
@@ -450,8 +450,8 @@ def _with_known_mimics(joints: dict[str, Joint], path: Path) -> dict[str, Joint]
     """Give each joint that mimics a missing joint a value of its own, with a warning, as MoveIt and pinocchio do."""
     lost = {j.name: j for j in joints.values() if j.mimic is not None and j.mimic.joint not in joints}
     for count, joint in enumerate(lost.values()):
-        if count == xml_elements.LISTED:
-            warn(f"{path}: {len(lost) - xml_elements.LISTED} more joints mimic one that does not exist")
+        if count == LISTED:
+            warn(f"{path}: {len(lost) - LISTED} more joints mimic one that does not exist")
             break
         warn(
             f"{path}, line {joint.line}: expected a joint of this robot for {joint.name!r} to mimic, found "

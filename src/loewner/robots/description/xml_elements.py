@@ -12,6 +12,7 @@ from typing import NoReturn
 from loewner._base import _validate, _xml
 from loewner._base._files import read_regular
 from loewner._base._plausible import warn
+from loewner._base._validate import LISTED
 from loewner.errors import FileError, InputError
 
 # Limits on a description, a hundred times as large as the largest known robots need: bytes of a file, number of
@@ -24,8 +25,7 @@ DEEPEST = 100
 # of smaller numbers are finite.
 LARGEST = 1e12
 
-# Largest number of names, or of unread parts, that a message lists.
-LISTED = 30
+# Largest number of unread parts that a message lists.
 UNREAD = 8
 
 # Namespaces whose elements another program has to replace before a description is complete, and their usual prefixes,
@@ -181,9 +181,7 @@ def known(names: Iterable[str]) -> str:
 
 def some(names: Iterable[str], most: int = LISTED) -> str:
     """Format names for messages, without repeats and limited to a readable number."""
-    once = list(dict.fromkeys(names))
-    more = f", and {len(once) - most} more" if len(once) > most else ""
-    return ", ".join(once[:most]) + more
+    return _validate.some(dict.fromkeys(names), most)
 
 
 def cut(text: str) -> str:

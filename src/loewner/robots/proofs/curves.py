@@ -472,9 +472,7 @@ def _refuse_faults(robot: Robot, curve: Curve, name: str) -> None:
         raise InputError(f"{name}: expected one segment or more, found {len(courses)}")
     if not (np.isfinite(times).all() and np.isfinite(courses).all()):
         raise InputError(f"{name}: expected finite numbers, found others")
-    if not (np.diff(times) > 0).all():
-        k = int(np.argmin(np.diff(times) > 0))
-        raise InputError(f"{name}: expected times that increase, found {times[k]:.15g} and then {times[k + 1]:.15g}")
+    _validate.increasing(times, name)
     if courses.shape[1] > codes.MOST_POINTS:
         raise InputError(
             f"{name}: expected polynomials of degree {codes.MOST_POINTS - 1} at most, found degree "

@@ -528,12 +528,10 @@ def _claims(whole: Robot, every: Problem, rows: tuple[ProvenPair, ...]) -> list[
 def _checked(whole: Robot, terms: Terms) -> tuple[float, int, Scene, dict[int, tuple[float, float]]]:
     """Check a robot and terms; return the margin, the number of boxes, a copy of the scene, and ranges by column."""
     margin = _validate.positive_scalar(terms.margin, "margin", zero=True)
-    boxes, scene = _validate.whole_number(terms.boxes, "boxes", 1), terms.scene
+    boxes = _validate.whole_number(terms.boxes, "boxes", 1)
     if not whole.bodies:
         raise InputError(f"robot: expected a robot with collision geometry, found none in {whole.name!r}")
-    if scene is not None and not isinstance(scene, Scene):
-        raise InputError(f"scene: expected loewner.Scene or None, found {type(scene).__name__}")
-    scene = Scene() if scene is None else scene.snapshot()
+    scene = Scene() if terms.scene is None else _validate.instance(terms.scene, "scene", Scene).snapshot()
     if scene.following:
         raise InputError(
             f"scene: expected bodies at rest or attached, found {next(iter(scene.following))!r}, which follows a motion"
