@@ -797,7 +797,9 @@ def test_a_mimicking_joint_has_no_value_to_set(tmp_path):
 @pytest.mark.parametrize("values", [3, [0.0, 1.0], {"ab"}])
 def test_what_names_no_configuration(values, tmp_path):
     """Values are named by joints or by a state; anything else is refused."""
-    with pytest.raises(InputError, match="values: expected a dict by names of joints or the name of a state, found"):
+    with pytest.raises(
+        InputError, match="values: expected a mapping by names of joints, or the name of a state, found"
+    ):
         read(tmp_path, TREE).configuration(values)
 
 

@@ -299,6 +299,14 @@ def listed(x: Any, name: str, *, wanted: str = "a list") -> list[Any]:
         raise InputError(f"{name}: expected {wanted}, found {short(x)}") from None
 
 
+def mapping(x: Any, name: str, contents: str, least: int = 0) -> Mapping[Any, Any]:
+    """Check a mapping with at least `least` entries; None stands for an empty mapping."""
+    entries = {} if x is None else x
+    if not isinstance(entries, Mapping) or len(entries) < least:
+        raise InputError(f"{name}: expected a mapping {contents}, found {short(x)}")
+    return entries
+
+
 def group_or_names(x: Any, name: str) -> Any:
     """Return a group's name or None unchanged, and several names as a list, since an iterator is read only once."""
     return x if x is None or isinstance(x, str) else listed(x, name)

@@ -126,8 +126,7 @@ def coordinate(
 
 def _ways(checker: CollisionChecker, paths: Mapping[str, ArrayLike], steps: int) -> list[_Way]:
     """Check the paths and divide them into steps that take about the same time."""
-    if not isinstance(paths, Mapping) or not paths:
-        raise InputError(f"paths: expected a mapping from names of parts to paths, found {_validate.short(paths)}")
+    _validate.mapping(paths, "paths", "from names of parts to paths", 1)
     covered, checked_paths = np.zeros(checker.robot.dof, dtype=bool), []
     for name, path in paths.items():
         part = checker.robot.part(name)

@@ -621,7 +621,7 @@ class Gate:
             return 0, None
         if self._left <= 0:
             return 0, _Block("budget", -1, courses[0, 0], float(begin[0]))
-        owner, low, high, cut, times, off = self._divided(ready, courses, error, begin, end)
+        owner, low, high, times, cut, off = self._divided(ready, courses, error, begin, end)
         answers = self._settled(ready, cut, off, Limit(self._left, np.array([0, len(cut)])))
         for k in np.flatnonzero(answers.verdicts != codes.FREE)[:1]:
             share = 0.0 if np.isnan(answers.fractions[k]) else float(answers.fractions[k])
@@ -649,7 +649,7 @@ class Gate:
         wholes = brakes.only(chosen)
         courses, off = wholes.whole(self._jerk is not None, until)
         end = begin[chosen] + np.maximum(until, wholes.durations)
-        owner, _, _, cut, _, allowed = self._divided(ready, courses, error[chosen] + off, begin[chosen], end)
+        owner, _, _, _, cut, allowed = self._divided(ready, courses, error[chosen] + off, begin[chosen], end)
         first = np.searchsorted(owner, np.arange(len(chosen) + 1))
         answers = self._settled(ready, cut, allowed, Limit(steps, first))
         free[chosen] = np.bincount(owner[answers.verdicts != codes.FREE], minlength=len(chosen)) == 0
@@ -665,14 +665,13 @@ class Gate:
     def _divided(
         self, ready: Problem, courses: Floats, error: Floats, begin: Floats, end: Floats
     ) -> tuple[Ints, Floats, Floats, Floats, Floats, Floats | None]:
-        """Divide courses where bodies' motions change; return the fields of `in_time.Pieces`, courses before times."""
+        """Divide courses where bodies' motions change; return the fields of `in_time.Pieces`."""
         off: Floats | None = error + OFF * np.abs(courses).max(axis=1) if error.any() else None
         n = len(courses)
         if ready.paths is None:
-            return np.arange(n), np.zeros(n), np.ones(n), courses, np.stack([begin, end], axis=1), off
+            return np.arange(n), np.zeros(n), np.ones(n), np.stack([begin, end], axis=1), courses, off
         off = np.zeros((n, courses.shape[2])) if off is None else off
-        owner, low, high, times, cut, off = in_time.pieces(self._checker.robot, ready.paths, courses, off, begin, end)
-        return owner, low, high, cut, times, off
+        return in_time.pieces(self._checker.robot, ready.paths, courses, off, begin, end)
 
     def _scale(self, ready: Problem, chunk: _Chunk, block: _Block) -> float:
         """Find the largest time scale at which a chunk is proven; 0 if there is none."""

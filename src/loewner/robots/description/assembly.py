@@ -97,8 +97,7 @@ class Part(Generic[R]):
 
 def joined(kind: type[R], parts: Mapping[str, R], poses: Mapping[str, ArrayLike | None] | None) -> R:
     """Make one robot from several; see `Robot.join`."""
-    if not isinstance(parts, Mapping) or not parts:
-        raise InputError(f"parts: expected a mapping from names to robots, found {_validate.short(parts)}")
+    _validate.mapping(parts, "parts", "from names to robots", 1)
     for name, robot in parts.items():
         _validate.expect_name(name, "parts: expected names")
         if not isinstance(robot, kind):
@@ -108,12 +107,11 @@ def joined(kind: type[R], parts: Mapping[str, R], poses: Mapping[str, ArrayLike 
                 raise InputError(
                     f"parts: expected names that do not begin with another one and a slash, found {name!r}, {other!r}"
                 )
-    if poses is not None and not isinstance(poses, Mapping):
-        raise InputError(f"poses: expected a mapping from names to poses, found {_validate.short(poses)}")
-    for name in poses or ():
+    poses = _validate.mapping(poses, "poses", "from names to poses")
+    for name in poses:
         _validate.known(name, "part in poses", parts)
     placed: dict[str, Any] = dict(parts)
-    placed |= {name: placed[name].placed(T) for name, T in (poses or {}).items()}
+    placed |= {name: placed[name].placed(T) for name, T in poses.items()}
     assembly = _combined([_Piece(f"{name}/", robot) for name, robot in placed.items()], " and ".join(parts))
     if any(robot._lists_pairs for robot in placed.values()):
         left = [(f"{name}/", robot) for name, robot in placed.items() if not robot._lists_pairs]

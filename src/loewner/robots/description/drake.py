@@ -39,8 +39,7 @@ def drake_model(
     expect(scene_graph, "SceneGraph", "scene_graph")
     if not plant.is_finalized():
         raise InputError("plant: expected one that is finalized, found one that is not")
-    if not isinstance(mimic, Mapping):
-        raise InputError(f"mimic: expected a mapping from names of joints, found {type(mimic).__name__}")
+    mimic = _validate.mapping(mimic, "mimic", "from names of joints")
     inspector, state = scene_graph.model_inspector(), plant.CreateDefaultContext()
     if not plant.geometry_source_is_registered() or not inspector.SourceIsRegistered(plant.get_source_id()):
         raise InputError("scene_graph: expected the one with which the plant is registered, found another one")

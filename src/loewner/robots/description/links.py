@@ -102,8 +102,7 @@ def described(
         Maps link names to bodies.
     """
     _validate.expect_name(name)
-    if not isinstance(links, Mapping) or not links:
-        raise InputError(f"links: expected a mapping from names to bodies, found {_validate.short(links)}")
+    _validate.mapping(links, "links", "from names to bodies", 1)
     bodies = {link: body for link, shapes in links.items() if (body := _body(link, shapes)) is not None}
     listed = _validate.listed(joints, "joints", wanted="a list of loewner.Joint")
     names = dict.fromkeys(links)  # in order; links for frames of joints follow

@@ -77,8 +77,7 @@ def _text_of(
         raise InputError("text: expected a path to a URDF or its text, found both")
     if text is not None and not isinstance(text, str):
         raise InputError(f"text: expected the text of a URDF, found {_validate.short(text)}")
-    if xacro_args is not None and not isinstance(xacro_args, Mapping):
-        raise InputError(f"xacro_args: expected a mapping from names to values, found {_validate.short(xacro_args)}")
+    _validate.mapping(xacro_args, "xacro_args", "from names to values")
     if path is None:
         if xacro_args is not None:
             raise InputError("xacro_args: expected a path to a xacro file with them, found text=")
@@ -1686,15 +1685,12 @@ class Robot(KeepsReadOnly):
         """
         if isinstance(values, str):
             values = self.states[_validate.known(values, "state", self.states)][1]
-        if values is not None and not isinstance(values, Mapping):
-            raise InputError(
-                f"values: expected a dict by names of joints or the name of a state, found {_validate.short(values)}"
-            )
+        given = _validate.mapping(values, "values", "by names of joints, or the name of a state")
         q = np.zeros(self.dof)
         for quaternion in self._quaternions.values():
             q[quaternion.start] = 1.0
         places = {name: slice(i, i + 1) for i, name in enumerate(self.configuration_names)} | self._columns
-        for name, value in (values or {}).items():
+        for name, value in given.items():
             if name in self.mimics:
                 followed, _ = self.mimics[name]
                 raise UnknownNameError(

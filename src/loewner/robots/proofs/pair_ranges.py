@@ -588,10 +588,8 @@ def _largest_share(proven: Callable[[float], bool]) -> float:
 
 def _checked_limits(whole: Robot, limits: Mapping[str, tuple[float, float]] | None) -> dict[int, tuple[float, float]]:
     """Return the given ranges, keyed by column."""
-    if limits is not None and not isinstance(limits, Mapping):
-        raise InputError(f"limits: expected a mapping from joints to (lower, upper), found {_validate.short(limits)}")
     ranges = {}
-    for name, ends in (limits or {}).items():
+    for name, ends in _validate.mapping(limits, "limits", "from joints to (lower, upper)").items():
         _expect_value(whole, name, "limits")
         low, high = _validate.finite_array(ends, f"limits of {name}", (2,)).tolist()
         if low > high:
