@@ -544,7 +544,7 @@ def test_bad_arrays(checker):
     for bad, told in (
         (np.zeros((4, 3)), r"expected a dask\.array\.Array.*from_array makes one"),
         (None, "found None"),
-        (da.zeros((4, 2)), r"expected shape \(\.\.\., 3\), found \(4, 2\)"),
+        (da.zeros((4, 2)), r"expected shape \(\.\.\., 3\), .*found \(4, 2\)"),
         (da.zeros(()), "found "),
         (da.zeros((4, 3), dtype=complex), "expected real numbers, found dtype complex128"),
         (da.zeros((4, 3), dtype=bool), "expected real numbers"),

@@ -301,7 +301,7 @@ def test_principal_points_of_other_images_cause_a_warning(shape, cx, doubt):
         (
             lambda: Body.from_depth(np.ones((24, 32)), K, radius=0.1, checker=arm(), q=[0, 0]),
             InputError,
-            "checker: expected loewner.CollisionChecker, found",
+            "checker: expected a CollisionChecker, found",
         ),
         (lambda: SeenSpace([0, 0, 0], (1, 1, 1), 0.1).see(np.ones((24, 32)), K, time="now"), InputError, "time"),
         (

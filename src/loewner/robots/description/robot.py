@@ -1685,12 +1685,12 @@ class Robot(KeepsReadOnly):
         """
         if isinstance(values, str):
             values = self.states[_validate.known(values, "state", self.states)][1]
-        given = _validate.mapping(values, "values", "by names of joints, or the name of a state")
+        entries_by_name = _validate.mapping(values, "values", "by names of joints, or the name of a state")
         q = np.zeros(self.dof)
         for quaternion in self._quaternions.values():
             q[quaternion.start] = 1.0
         places = {name: slice(i, i + 1) for i, name in enumerate(self.configuration_names)} | self._columns
-        for name, value in given.items():
+        for name, value in entries_by_name.items():
             if name in self.mimics:
                 followed, _ = self.mimics[name]
                 raise UnknownNameError(

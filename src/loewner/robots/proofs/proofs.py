@@ -16,7 +16,7 @@ from loewner.robots.proofs.motions import STEPS, Found, Limit
 
 
 class ProofOptions(NamedTuple):
-    """What the proof of a motion or a curve must cover, and how much work it may take.
+    """Options of the proof of a motion or a curve.
 
     Attributes
     ----------
