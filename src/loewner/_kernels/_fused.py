@@ -94,7 +94,7 @@ def _of_function(text: str, used: set[str]) -> str:
 
 
 def _operands(text: str) -> tuple[str, str]:
-    """Divide two operands; a constant vector contains commas."""
+    """Split the text of two operands at the comma between them; a constant vector contains commas, too."""
     depth = 0
     for at, letter in enumerate(text):
         depth += (letter in "<([{") - (letter in ">)]}")

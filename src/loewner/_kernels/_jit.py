@@ -189,7 +189,7 @@ class _Cache(NullCache):
                 _parts.keep(key, data.library)
 
     def _expect_imported(self, library: Any, behind: frozenset[str]) -> None:
-        """Refuse a call of a kernel whose sources are not in the key, because its edits would go unnoticed."""
+        """Refuse a call of a kernel whose sources are not in the key, because edits of them would go unnoticed."""
         for part in library.called:
             home = getattr(part, "home", "").removeprefix("loewner._kernels.").replace(".", "/")
             if home in _store.modules_behind("") and home not in behind:
@@ -228,8 +228,8 @@ class _Stored(CPUDispatcher):
 class _Kernel(_Stored):
     """A compiled function in up to two forms: a part of the kernels that call it, and a function that Python calls.
 
-    Numba compiles every function in both forms, although only other kernels call most functions. The unused wrappers,
-    full optimisation and machine code took two fifths of the time.
+    Numba compiles every function in both forms, although most functions are called only by other kernels. The unused
+    wrappers, full optimisation and machine code took two fifths of the time of a compilation.
     """
 
     def __init__(self, function: Callable[..., Any], options: dict[str, Any], apart: bool) -> None:

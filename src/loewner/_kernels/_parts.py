@@ -91,7 +91,7 @@ class PartLibrary(_FusedLibrary):
         self.home = ""  # The kernel module from which the part comes.
 
     def _optimize_functions(self, ll_module: Any) -> None:
-        """Run Numba's passes over the functions of a module; Numba also prepares them for each declaration."""
+        """Run Numba's passes over the functions of a module; Numba itself also prepares passes for each declaration."""
         ll_module.data_layout = self._codegen._data_layout
         for function in ll_module.functions:
             if not function.is_declaration:
@@ -152,7 +152,7 @@ _read: dict[str, PartLibrary] = {}  # Parts by key: two libraries that define th
 
 
 def library_of(codegen: Any, key: str) -> PartLibrary:
-    """Return the part with a key; it is always the same object.
+    """Return the part with a key; the same key always gives the same object.
 
     Raises
     ------
@@ -177,7 +177,7 @@ def keep(key: str, part: PartLibrary) -> None:
 def everything_called(
     libraries: Iterable[JITCodeLibrary], without: Collection[JITCodeLibrary] = ()
 ) -> list[JITCodeLibrary]:
-    """Return libraries and everything that they call, each once; omit some, and parts that only these call."""
+    """Return libraries and everything that they call, each once, except `without` and parts that only these call."""
     reached = dict.fromkeys(library for library in libraries if library not in without)
     waiting = list(reached)
     while waiting:

@@ -1,7 +1,7 @@
 """Compiled code on disk: one sealed file for each function, under a key of everything that determines the code.
 
-Numba's own cache notices a change only in the file of the function itself, not in functions called from other files,
-and it trusts any file. Stale or damaged collision code is dangerous. Here, a key contains the sources of the function's
+Numba's own cache notices changes only in a function's own file, not in other files whose functions it calls, and the
+cache trusts any file. Stale or damaged collision code is dangerous. Here, a key contains the sources of the function's
 module and of all modules that it imports. Code survives edits of other files, and an edit of any file on which it may
 depend gives it another key. A damaged file is replaced.
 

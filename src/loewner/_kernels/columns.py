@@ -71,7 +71,7 @@ CORE_KIND, CORE_START, CORE_STOP, CORE_INTEGERS = 0, 1, 2, 4
 CORE_CENTER, CORE_FACTOR, CORE_RADIUS, CORE_REACH, CORE_NUMBERS = 0, 3, 12, 13, 16
 
 # In a motion, the row of a pair of bodies holds the moving body, the body in whose frame planes are fixed, and the row
-# of its chain. The row of a joint holds its column, whether it turns, its multiplier, its offset and its lever.
+# of the pair's chain. The row of a joint holds its column, whether it turns, its multiplier, its offset and its lever.
 UPPER, LOWER, CHAIN, ROLES = 0, 1, 2, 4
 TURNING_JOINT, CHAIN_INTEGERS = 1, 2
 LEVER, CHAIN_NUMBERS = 2, 4

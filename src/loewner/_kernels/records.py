@@ -98,7 +98,7 @@ class Problem(NamedTuple):
 
 
 class KeptAxis(NamedTuple):
-    """An axis of a link that stays within an angle of a direction of the world, for `robots.lines`.
+    """An axis of a link that must stay within an angle of a direction in the world, for `robots.lines`.
 
     Attributes
     ----------
@@ -107,9 +107,9 @@ class KeptAxis(NamedTuple):
     columns : ndarray of int64, shape (K,)
         Columns of the values in a configuration of the robot.
     numbers : ndarray, shape (3, 9)
-        The first row holds the least cosine, the axis and the direction, then the tolerance of `bring_back`. The second
-        row is a rotation whose third column is the axis, and the third row a rotation whose third row is the direction;
-        both by rows.
+        The first row holds the least cosine, the axis and the direction, then the tolerance of `bring_back`. The other
+        rows hold two rotations, each by rows: first a rotation whose third column is the axis, then a rotation whose
+        third row is the direction.
     """
 
     chain: Any
@@ -131,14 +131,14 @@ class Search(NamedTuple):
     turning : ndarray of int64, shape (joints,)
         1 for a value without limits that whole turns do not change, otherwise 0.
     lower, upper : ndarray, shape (joints,)
-        Range from which values are drawn. For turning values, the kernels write half a turn to both sides of the start.
+        Range from which values are drawn. For turning values, the kernels write half a turn to either side of `start`.
     stride, shift : ndarray, shape (joints,)
         The k-th draw is the fractional parts of shift + k stride. The kernels write both arrays.
     weights : ndarray, shape (joints,)
         Factors by which differences count in distances.
     reach : ndarray, shape (3,)
-        The longest motion of a tree; an upper bound on the cost of a path, infinite for any path; and how near to each
-        other the trees came. The kernels write these entries, and a caller may change the first two.
+        The longest motion of a tree; an upper bound on the cost of a path, infinite if any cost is allowed; and how
+        near to each other the trees came. The kernels write these entries, and a caller may change the first two.
     state : ndarray of int64, shape (columns.STATE,)
         Counts and results of the search, see `columns`.
     start : ndarray, shape (dof,)
@@ -188,7 +188,7 @@ class MotionTables(NamedTuple):
         for each group: the centers and half widths of boxes, margins and sizes.
     chain : ndarray, shape (3,)
         For the longest chain of joints: the number of joints plus one, and the sum of its lengths with sliding joints
-        at 0. The last entry bounds the deviation of all links' rotations together from orthonormality.
+        at 0. The last entry bounds the sum of the deviations of all links' rotations from orthonormality.
     """
 
     path_start: Any
