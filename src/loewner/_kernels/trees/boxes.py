@@ -331,7 +331,7 @@ def _later_leaves(leaf, margin, boxes, level_start, stack, depth, near, numbers)
         return count
     lx, ly, lz, ux, uy, uz = _query(boxes, level_start[1] + leaf // WIDE, leaf % WIDE, margin)
     node = leaf
-    # On every level up to the root, later leaves are below later nodes of the same group.
+    # Each later leaf is below a later node of the same group, on some level up to the root.
     for level in range(1, level_start.shape[0]):
         group = node // WIDE
         mask = meeting(boxes, level_start[level] + group, lx, ly, lz, ux, uy, uz) & (-2 << node % WIDE)
@@ -379,7 +379,7 @@ def _note(body, leaf, mask, order, rows_a, rows_b, count):
 
 @njit()
 def meeting_boxes(first, last, margin, boxes, level_start, order, rows_a, rows_b):
-    """Find pairs of boxes within `margin` of each other: one box from a leaf group first .. last, and a later one.
+    """Find pairs of boxes within `margin` of each other: one box from leaf groups first .. last, and a later box.
 
     The tree is searched once for all eight boxes of a leaf group, and each box is then compared with the results.
 

@@ -1,9 +1,9 @@
 """Surfaces cut into parts, with a box and an ellipsoid around each part: proofs of motions use the parts.
 
-The part whose box has the most empty space is cut next, across an axis of the box, where the boxes of both halves are
-smallest. At most about five hundred items of the part suggest the place. These items are sorted into bins along each
-axis, and only the items next to the best boundary are sorted one by one. Between two walls, the cut is halfway between
-the items on either side.
+The part whose box has the most empty space is cut next, across an axis of the box, at the place that makes the boxes of
+both halves smallest. At most about five hundred items of the part determine the place. These items are sorted into bins
+along each axis, and only the items next to the best boundary are sorted one by one. The cut is halfway between the two
+items on either side of the place, for example between two walls.
 
 Corners are stored by coordinate, and all corners of a part are consecutive, so that eight are processed at a time.
 
@@ -407,7 +407,7 @@ def _divided(corners, n, order, begin, items, along, key, rest, lists):
     ahead, behind = lists[0], lists[1]
     kept, count, one, start, n = np.uint64(0), np.uint64(0), np.uint64(1), np.uint64(first), np.uint64(n)
     if len(corners) == 3 * n:
-        for k in range(start, np.uint64(last)):  # Write to both lists, because no processor can predict the right one.
+        for k in range(start, np.uint64(last)):  # Write to both lists, because a branch could not be predicted.
             ahead[kept] = behind[count] = np.int64(k)
             is_first = np.uint64(dot(along, (corners[k], corners[k + n], corners[k + n + n])) < 0.5 * key)
             kept, count = kept + is_first, count + one - is_first
@@ -443,7 +443,7 @@ def _divided(corners, n, order, begin, items, along, key, rest, lists):
 
 @njit()
 def _boundary(rows, items, least, grown, bins, held):
-    """Find the axis and bin before which a cut leaves the smallest boxes (-1 if none does), and the bins there."""
+    """Find the cut with the smallest boxes: its axis (-1 if there is none), the bin after it, and the axis's bins."""
     low, scale = np.empty(3), np.empty(3)
     for axis in range(3):
         least_middle = most_middle = _middle(rows, 0, axis)
@@ -506,7 +506,7 @@ def _sort(rows, axis, listed, count):
 
 @njit()
 def _sweep(rows, listed, count, before, items, least, grown, bins, ahead, behind):
-    """Volume and number of items before the cut that leaves the smallest boxes, among the sorted listed items; or 0.
+    """Find the cut with the smallest boxes among sorted, listed items: their volume, and the items before it, or 0.
 
     `before` items come before the listed items; the box around them is in row `ahead` of `bins`. The box around the
     remaining items is in row `behind`.

@@ -54,7 +54,7 @@ MOST_BELOW = 80  # If a node has at most MOST_BELOW triangles below it, all or n
 FLATTEST = 1e-6
 WIDER = 1.0 + 1e-5
 
-# The ball around the same corners is used if a semi-axis is longer than MOST_WIDE times the radius of this ball.
+# An ellipsoid with a semi-axis longer than MOST_WIDE times the radius of the ball around its corners becomes that ball.
 MOST_WIDE = 2.0
 
 # Jacobi's method, which converges quadratically, takes SWEEPS sweeps, and ignores entries up to SMALL, because axes
@@ -242,7 +242,7 @@ def _write_diagonal(diagonals, at, row, opposite, sums):
 
 @njit()
 def _enough(count):
-    """Number of triangles for each box of a node with which all levels below are filled evenly."""
+    """Number of triangles to put in each box of a node, so that all levels below are filled evenly."""
     levels = 0
     held = float(MOST_BELOW)
     while held < count:
