@@ -59,7 +59,7 @@ integers_at, floats_at = _arrays_of(types.int64), _arrays_of(types.float64)
 
 @inline
 def held(array):
-    """Keep an array alive until here for a callee that received its address: Numba frees it after its last use."""
+    """Keep an array alive up to this call for a callee that received its address: Numba frees it after its last use."""
     return array.size
 
 

@@ -629,7 +629,7 @@ def _prefetching_rows(count):
     def prefetch_rows(typingctx, table, width, rows, at):
         """Prefetch the first two cache lines of as many rows as a vector has lanes, a thousand instructions ahead.
 
-        The first-level cache has too few pending lines for a pair's rows and poses at the pace of the certificate.
+        Too few lines can be pending in the first-level cache for all rows and poses at the pace of the certificate.
         """
 
         def generate(context, builder, sig, args):
