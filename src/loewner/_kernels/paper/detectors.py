@@ -1,7 +1,7 @@
 """The paper's four detectors, each over n pairs on one thread.
 
 Centers and factors are documented in `estimates.by_name`. Answers are uint8: `collides`, and `ambiguous` in the
-detector's own sense, which is True where the detector's estimate decided, and not an overlap check.
+detector's own sense: 1 where the detector's estimate decided, because neither overlap check did.
 """
 
 import math
@@ -48,8 +48,8 @@ def detector_1(centers, factors, faces_1, start_1, faces_2, start_2, collides, a
         origin = (c1i[k, 0], c1i[k, 1], c1i[k, 2])
         face_1 = _face_distance(faces_1, start_1[k], start_1[k + 1], origin, v1, e)
         face_2 = L - _face_distance(faces_2, start_2[k], start_2[k + 1], origin, v2, back)
-        # The condition is the printed test for "the enclosing ellipsoids overlap". The test is also false if the
-        # polyhedra overlap along the line, which is a certain collision; the paper corrects this flaw.
+        # This is the negation of the printed test for "the enclosing ellipsoids overlap". That test also fails if the
+        # polyhedra overlap along the line, although they then certainly collide; the paper corrects this flaw.
         if (outer_1 - outer_2) * (face_1 - face_2) > 0.0:
             collides[k], ambiguous[k] = 0, 0
             continue
