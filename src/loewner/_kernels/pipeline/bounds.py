@@ -308,7 +308,7 @@ def _put_widths(search, at, P, Q, n, squared):
 
 @njit()
 def _first_lower_bounds(count, work):
-    """Bound each distance along the contact normal; write F and the centers' offset; return whether any is > 0."""
+    """Bound each distance along the contact normal; write F and the centers' offset; return whether a bound is > 0."""
     queue, a, b, search, positive = queue_of(work), _a_of(work), _b_of(work), _search_of(work), 0
     for at in range(0, count, LANES):
         P, Q, r = _load_six(a.shape, at), _load_six(b.shape, at), load_three(search.r, at)
@@ -354,7 +354,7 @@ def _polish_lower_bounds(count, work):
 
 @njit()
 def _first_upper_bounds(count, work):
-    """Bound each distance by the common point or the two near points, and estimate it; return whether any is > 0."""
+    """Bound each distance by a common point or two near points, and estimate it; return whether a bound is > 0."""
     queue, a, b, search, positive = queue_of(work), _a_of(work), _b_of(work), _search_of(work), 0
     for at in range(0, count, LANES):
         P, Q, r = _load_six(a.shape, at), _load_six(b.shape, at), load_three(search.r, at)

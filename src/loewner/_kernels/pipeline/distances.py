@@ -430,8 +430,8 @@ def _record(lane, queue, Ta, measured, result, exact):
     pairs = queue.pairs
     k, ka = pairs.pair[lane], pairs.pose_a[lane]
     value, gap, tolerance, ra, rb = measured
-    # The lower bound from the ellipsoids may be nearer to the value than the bound from the search. A value far below
-    # it is not valid, even if the bounds from the search agree.
+    # The ellipsoids' lower bound may be nearer to the value than the search's. A value far below the ellipsoids' bound
+    # is wrong, even if the search's own bounds agree.
     gap = min(gap, abs(value - queue.below[lane]))
     if not gap <= tolerance * queue.size[lane]:
         exact.status[k] = NOT_SETTLED

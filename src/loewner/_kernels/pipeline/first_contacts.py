@@ -41,8 +41,8 @@ from loewner._kernels.simd.trig import sine_cosine
 from loewner._kernels.tolerances import UNIT_ROUNDOFF
 from loewner._kernels.trees import piece_tree
 
-# A placed point has two errors. The error of its body's rotation is multiplied by the point's distance from the body's
-# origin, and the error of the origin by the coordinates of its start and its end.
+# A placed point has two errors. The error due to its body's rotation is proportional to the point's distance from the
+# body's origin, and the error of the origin itself to the coordinates of its start and end.
 TURN_ROUNDINGS = 256.0 * UNIT_ROUNDOFF  # certified.md B58
 PLACE_ROUNDINGS = 16.0 * UNIT_ROUNDOFF  # certified.md B59
 
@@ -65,7 +65,7 @@ REACHED = 0.5  # Fraction of the widest step by which the search goes back from 
 # tolerance apart.
 BEFORE, LAST = 0.25, 0.9
 
-SURFACE_SHARE = 0.95  # Fraction of the longest step that the speed of surfaces allows.
+SURFACE_SHARE = 0.95  # Steps of surfaces take this fraction of the longest step that their speed allows.
 NEAR = 1e-9  # The fraction NEAR of a surface's distance is reserved for rounding until the distance is proven.
 
 # Columns of a motion, with one row for each body. The rotation at time 0 is split into a constant part, a sine part and
@@ -189,10 +189,10 @@ def rates_between(way_a, arm_a, way_b, arm_b):
 
 @inline
 def _nearing_speed(A, way_a, B, way_b):
-    """Bound on the rate at which the distance of two pieces changes, followed by the bound on the speed of two points.
+    """Bound on the rate at which the distance of two pieces changes.
 
-    A body's turn moves both nearest points alike along the line between them, so that the point nearer to the body's
-    axis counts. For example, points of a turning floor that are far from the other body do not count.
+    If both nearest points turned with one body, they would move alike along the line between them, so that the point
+    nearer to the axis counts. For example, points of a turning floor that are far from the other body do not count.
     """
     table_a, table_b = A.table, B.table
     reach_a, reach_b = table_a[A.piece, REACH], table_b[B.piece, REACH]
@@ -245,7 +245,7 @@ def _look_at_surface(A, B, n, margin, far, memory):
         return verdict == COLLIDING, n, -np.inf, np.inf, n, n
     size, error = lengths(A, B, shift), rounding_error(A, B, shift)
     value, _ = surface_distance(A, B, n, 2.0 * size, faces_of(memory), edges_of(memory), work, result)
-    # The verdict for a slightly smaller distance proves it; if faces are parallel, `keep` must be smaller still.
+    # A verdict proves a slightly smaller distance, `keep`; if faces are parallel, `keep` must be smaller still.
     share, keep, verdict = NEAR, 0.0, AMBIGUOUS
     while verdict != FREE and share < 1.0:
         keep = min(value, 2.0 * size) * (1.0 - share) - 4.0 * error
@@ -268,7 +268,7 @@ def _look(A, B, n, margin, far, memory):
     n : tuple of 3 float
         First direction, from A to B.
     margin, far : float
-        The margin, and a distance: cores that are further apart than `far` are certainly not within the margin.
+        The margin, and a distance: if cores are farther apart than `far`, the pieces are not within the margin.
 
     Returns
     -------
@@ -323,10 +323,10 @@ def _turned(n, m):
 
 @inline
 def _reduced(w, gap, nearing, low, curve):
-    """Shorten a step that lost curve w² and is not proven, so that both parts of the step are likely to be proven.
+    """Shorten a step w that lost curve w² and is not proven, so that both parts of the step are likely to be proven.
 
-    `low` is the gap at the end of the step. The plane there is likely to prove the part of the step in which the loss,
-    again a multiple of the square, is less than `low`.
+    `low` is the gap at the end of the step. The plane there is likely to prove the last part of the step if the loss in
+    that part, also curve times the square of its length, is less than `low`.
     """
     most = min(REDUCED * w, 0.9 * _root(gap, nearing, curve))
     return min(max(w - REACHED * np.sqrt(max(low, 0.0) / curve), LEAST * w), most)
@@ -419,8 +419,8 @@ def _between_pieces(A, B, horizon, margin, tolerance, memory):
             if nearing > 0.0:
                 due, before = gap / nearing, BEFORE * tolerance / speed
                 last = (LAST * tolerance + gap) / speed
-                # Step past the expected contact, by at most the time until it. A search that cannot settle such a
-                # shallow contact can settle one that is nearer to touching.
+                # Step past the expected contact, by at most the time until it. If a search cannot settle so shallow a
+                # contact, it can settle one that is nearer to touching.
                 w = min(0.5 * (due + last), 2.0 * due) if due + before <= last else min(w, due - before)
         else:
             w = _reduced(w, gap, nearing, low, curve) if curve > 0.0 else 0.5 * w

@@ -436,8 +436,8 @@ def rows_of(k, shape, rows, body_a, body_b, pose_a, pose_b):
 def settle_range(mode, margin, start, stop, plan, rows, pack_a, Ta, pack_b, Tb, out, tally, memory):
     """Settle pairs start .. stop.
 
-    One function handles all cases, including single pairs: each additional caller would be compiled with all of it
-    again.
+    One function handles all cases, including single pairs, because the code below would be compiled again for each
+    additional function that calls it.
 
     Parameters
     ----------
