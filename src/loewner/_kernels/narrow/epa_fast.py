@@ -312,7 +312,7 @@ def _expand(W, K, live, seen, w):
         f = _first_bit(rest)
         rest &= rest - 1
         for e in range(3):
-            # To avoid a branch, write every side; the next side overwrites it unless the face beyond it stays.
+            # To avoid a branch, write every side; the next side overwrites this entry unless the face beyond stays.
             twin = K[_TWIN + 4 * f + e]
             K[_RIM + count] = twin
             K[_RIM_FROM + count] = K[_ORIGIN + 4 * f + e]
@@ -401,7 +401,7 @@ def overlap_depth(A, B, n, W, K, result):
 
 @apart
 def _placed_depth(vectors_a, vectors_b, error, n, W, K, result):
-    """Do the work of `overlap_depth` for placed corners, given by their numbers of vectors (0 for too many)."""
+    """Do the work of `overlap_depth` for placed corners, given by their numbers of vectors (0 if too many)."""
     if vectors_a == 0:
         return UNSETTLED, -np.inf, np.inf
     tolerance = error * (DEPTH_ACCURACY / POSITION_ROUNDINGS)
@@ -420,7 +420,7 @@ def _placed_depth(vectors_a, vectors_b, error, n, W, K, result):
         height = _add_point(W, K, used, vectors_a, vectors_b, _normal(W, f))
         if height <= error:
             break
-        # Use the plane of this face, because another face may be equally near but has another normal.
+        # Use the plane of this face, because another face may be just as near but have a different normal.
         if height - lower <= tolerance:
             if not _witness(W, K, live, f, lower + WITNESS_WINDOW * error, result):
                 break

@@ -100,8 +100,8 @@ def _first_tetrahedron(A, B, shift, n, S):
     rows = np.arange(5)
     _support(A, B, shift, n, S, rows[0])
     _support(A, B, shift, negated(n), S, rows[1])
-    # The third point lies off the line of the first two, and the fourth point off the plane of the first three. Both
-    # are the farther of the support points in two opposite directions.
+    # The third point lies off the line of the first two, and the fourth point off the plane of the first three. Each
+    # is the farther of the support points in two opposite directions.
     ex = S[1, 0] - S[0, 0]
     ey = S[1, 1] - S[0, 1]
     ez = S[1, 2] - S[0, 2]

@@ -260,7 +260,7 @@ def faces(A, B, C, E):
 
 @inline
 def advance(A, B, C, E, two, three, f, g, h):
-    """Select the part of a simplex with the newest point A that the walk keeps, and the direction to it.
+    """For a simplex with the newest point A, select the part that the walk keeps, and the direction to this part.
 
     Parameters
     ----------

@@ -36,7 +36,7 @@ def separated(A, first, last, n, least, keep, stretch, memory):
         First direction, from A to the hull; any direction is valid.
     least, keep : float
         Distances, with 0 <= least <= keep. The search ends once the distance is certainly more than `keep`, or not more
-        than `least`. In between, it looks for the plane with the largest gap.
+        than `least`. For distances in between, it continues to the plane with the largest gap.
     stretch : float
         Amount by which poses between the two poses may stretch radii more than these two do.
     memory : int
@@ -48,7 +48,7 @@ def separated(A, first, last, n, least, keep, stretch, memory):
     n : tuple of 3 float
         The last direction of the search, a unit vector.
     open : bool
-        Whether the distance may be more than `least`, if it is not proven to be more than `keep`.
+        If the distance is not proven to be more than `keep`, whether it may be more than `least`.
     """
     shift = shift_between(A, first), shift_between(A, last)
     error = max(rounding_error(A, first, shift[0]), rounding_error(A, last, shift[1]))

@@ -69,7 +69,7 @@ def triangle_weights(a, b, c):
     if d6 >= 0.0 and d5 <= d6:
         return 0.0, 0.0, 1.0
     # The normal and one edge determine each edge region and the face region. On curved pieces, triangles become tiny
-    # but stay away from the origin, so that each product here is chosen to have a small factor.
+    # but stay away from the origin. Each product here is therefore chosen to have a small factor.
     bc, n = minus(c, b), cross(ab, ac)
     weight_c = dot(n, cross(a, ab))
     if weight_c <= 0.0 and d1 >= 0.0 and d3 <= 0.0:

@@ -389,7 +389,7 @@ def oval_in_frame(A, B, shift, far, size):
 
 @inline
 def _slack(R, far, size):
-    """Widening of a box along the axes of R: the distance `far`, the bend of poses not quite rigid, and rounding."""
+    """Widening of a box along the axes of R: the distance `far`, the bend of not quite rigid poses, and rounding."""
     bend = off_orthonormal(R) + 1e-15
     return far * (1.0 + bend) + (4.0 * bend + ROUNDINGS) * size
 

@@ -1,8 +1,8 @@
 """A lower bound on how deep a surface and another piece penetrate each other.
 
-The bound is the depth of the deepest pair of convex parts: bodies whose parts must be moved by that depth are at least
-as deep. For solids, a ball or a point of one body that lies within the other body may prove more, because it has to
-come out.
+The bound is the depth of the deepest pair of convex parts, because two bodies are apart only if all pairs of their
+parts are apart. For solids, a ball or a point of one body that lies within the other body may prove more, because it
+has to come out.
 """
 
 import numpy as np

@@ -198,7 +198,7 @@ def _search(A, B, leaf_a, lane_a, leaf_b, bits, shift, asked, open_pairs):
 def _with_piece(A, B, shift, size, asked):
     """Settle the triangles of a surface A and a convex piece B; return MEETING or the number of open pairs.
 
-    The walk starts with the box around B's outer ellipsoid. The box around B itself takes six searches, and is found
+    The walk starts with the box around B's outer ellipsoid. The box around B itself takes six searches, and is computed
     only when triangles come near. If GJK separates a triangle from B, its plane usually separates nearby triangles,
     too. The last few planes are therefore kept, and triangles beyond one of them are skipped.
     """

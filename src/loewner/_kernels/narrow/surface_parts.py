@@ -1,4 +1,4 @@
-"""Proofs by ellipsoids of parts of surfaces: outer ones around the parts below the root, inner ones in a solid."""
+"""Proofs by ellipsoids of surfaces: outer ellipsoids around parts below the root, and inner ellipsoids in a solid."""
 
 import numpy as np
 
@@ -29,7 +29,7 @@ def has_parts(pieces):
 
 @apart
 def parts_tier(a, i, Ta, ka, b, j, Tb, kb, margin):
-    """Return what settles a piece pair that ellipsoids of whole pieces left open: BY_OUTER, BY_INNER, or OPEN if none.
+    """Return the tier of a piece pair that ellipsoids of whole pieces left open: BY_OUTER, BY_INNER, or still OPEN.
 
     Parameters
     ----------

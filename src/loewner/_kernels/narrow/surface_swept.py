@@ -37,7 +37,7 @@ def triangles_apart(A, first, last, keep, stretch, travel, times, steps, gjk, me
     """Return whether a surface and another piece are proven farther apart than `keep` between two poses of the latter.
 
     At both poses, a plane must part each triangle of the surface from the other piece, or from each of its triangles,
-    in the way of `gjk_swept.separated`. The result is False if this takes too many searches.
+    as in `gjk_swept.separated`. The result is False if this takes too many searches.
 
     Parameters
     ----------
