@@ -83,7 +83,7 @@ from loewner._kernels.tolerances import LEAST, OFF, SINGLE_ROUNDOFF, UP
 # Extra column of a placed body, next to its bounds: the largest error of any of its points [m].
 ASTRAY = 7
 
-# Error of a pose in the frame of another link, in roundings times the lengths.
+# Error of the pose of a link in the frame of another link, in roundings times the lengths.
 COMPOSED = 24.0  # certified.md B63
 
 # Errors, in roundings, that a joint and its value add to a rotation (spectral norm); and the error that a joint adds to

@@ -31,7 +31,7 @@ MOST_PIECE_PAIRS = 1024
 
 @inline
 def _with(verdict, of_piece_pair):
-    """Combine the verdicts of several piece pairs: COLLIDING if any pair has it, otherwise LEFT, AMBIGUOUS, FREE."""
+    """Combine the verdicts of piece pairs: the first of COLLIDING, LEFT, AMBIGUOUS and FREE that any pair has."""
     if verdict == COLLIDING or of_piece_pair == COLLIDING:
         return COLLIDING
     return max(verdict, of_piece_pair)

@@ -1,7 +1,7 @@
 """The GJK search of one thread: a piece at one or two poses, and a static piece.
 
-`narrow.gjk_batch` has the formulas of the walk. This module handles more kinds of pieces: besides vertices, curved
-cores, and balls about cores, which are added to the points of the difference. Pairs that the walk does not settle stay
+`narrow.gjk_batch` has the formulas of the walk. Besides polytopes, this module handles curved cores, and balls about
+cores, which are added to the points of the difference. Pairs that the walk does not settle stay
 UNSETTLED, which claims nothing.
 """
 
@@ -153,7 +153,7 @@ def _farthest(core, n):
 
 @inline
 def _slack(normal, off, rounding):
-    """How far the volume below a face with this normal must be from zero if points may be `off`."""
+    """How far the volume below a face with this normal must be from zero if points are off by up to `off`."""
     return off * sqrt(dot(normal, normal)) + rounding
 
 
