@@ -214,7 +214,7 @@ def _exchange(count, steps, by_point, by_candidate, missed, chosen, found):
 
 @njit()
 def _add(by_candidate, k, held, holder, weight, loss, missed):
-    """Choose a candidate, and update what depends on the points that it holds."""
+    """Choose a candidate, and update all values that depend on the points that it holds."""
     loss[k] = 0.0
     for w in range(len(missed)):
         bits = by_candidate[k, w]

@@ -100,7 +100,7 @@ def finish_hull(points, frame, coordinates, simplices, neighbors, equations):
 
 @njit()
 def face_limits(points, frame, coordinates, used, normals, reference, offsets, bottoms):
-    """Fill `offsets` with the largest n·v of each face, `bottoms` with the least n·(v - reference) of its own vertices.
+    """For each face, write the largest n·v to `offsets`, and the least n·(v - reference) of its vertices to `bottoms`.
 
     For a face's own vertices, the tolerance is half of FACE_WIDTH plus a quarter of FACE_ROUNDING, because users of the
     faces measure from the center, which halves the noise.
