@@ -10,8 +10,8 @@ import numpy as np
 from loewner._kernels._jit import inline, njit
 from loewner._kernels.tolerances import UNIT_ROUNDOFF
 
-# Times closer together than NEAR times a brake's duration are merged, because rounding would affect a piece of this
-# length.
+# Times closer together than NEAR times a brake's duration are merged, because rounding would distort a piece that is so
+# short.
 NEAR = 1e-9
 
 # Largest number of Newton or bisection steps in the search for the time at which a distance is covered.
@@ -90,7 +90,7 @@ def _distinct(times, count):
         times[m] = t
     kept, near = 1, NEAR * times[count - 1]
     for k in range(1, count):
-        # A joint that comes to rest at once gets its own piece, however short, because it would move on a longer piece.
+        # A joint that comes to rest at once has its own piece, however short: on a longer piece, it would move farther.
         if times[k] - times[kept - 1] > near or (kept == 1 and times[k] > 0.0):
             kept += 1
         if kept > 1:

@@ -4,8 +4,8 @@ A robot is a tree of links, each attached to its parent by one joint. Kernels re
 `records.Tree`, with one entry or row per link, parents first:
 
 parent : ndarray of int64, shape (L,)
-    The link from which this link's pose is computed; -1 for the world. Rigidly joined links form one moving group, so
-    that this is the first link of the group to which the joint is attached.
+    The link from which this link's pose is computed; -1 for the world. Rigidly joined links form one moving group: the
+    parent is the first link of the group to which the joint is attached.
 kind : ndarray of int64, shape (L,)
     FIXED, REVOLUTE, PRISMATIC, PLANAR, FLOATING or BALL.
 column : ndarray of int64, shape (L,)

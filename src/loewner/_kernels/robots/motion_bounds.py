@@ -45,8 +45,8 @@ SMALLEST_TURN = 1e-15  # SMALLEST_TURN [rad] exceeds the error of the angle betw
 
 
 # All control points of a quaternion must extend along the first one by at least LEAST_NORM times their largest norm.
-# Otherwise, the orientation might turn arbitrarily fast. Any two points of such a course form an acute angle, which is
-# all that is required of the parts of the course.
+# Otherwise, the orientation might turn arbitrarily fast. Any two quaternions on such a course are less than 90° apart,
+# and no more than this is required of the parts of the course.
 LEAST_NORM = 0.75
 
 
@@ -187,7 +187,7 @@ def _orientation(course, at, width):
 def _angle_off(off, at):
     """Largest angle error [rad] of a rotation whose quaternion has the errors in columns at .. at + 4."""
     w, x, y, z = off[at], off[at + 1], off[at + 2], off[at + 3]
-    # Normalisation doubles the error, and a chord c between unit quaternions is an angle of at most π c.
+    # Normalisation doubles the error, and a chord c between unit quaternions means a rotation by at most π c.
     return 2.0 * np.pi * np.sqrt(w * w + x * x + y * y + z * z)
 
 
@@ -200,8 +200,8 @@ def rates_of(tree, course, width, rates):
     tree : Tree
     course : ndarray, shape (degree + 1, dof)
     width : float
-        Share of the whole course, to whose fractions derivatives refer. The share is 1 for the whole course, whose
-        control points are exact.
+        The part's share of the whole course: 1 for the whole course, whose control points are exact. Derivatives are
+        with respect to the fraction of the whole course.
     rates : Rates
 
     Returns

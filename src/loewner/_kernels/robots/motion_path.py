@@ -37,7 +37,7 @@ def _value(course, c, t):
 
 @inline
 def _quaternion(course, at, t):
-    """Unit quaternion at one or eight fractions: a polynomial, or on the arc between two (at most a right angle)."""
+    """Unit quaternion at one or eight fractions: by a polynomial, or on the arc (at most 90°) between two ends."""
     if course.shape[0] == 2:
         cosine = 0.0
         for k in range(at, at + 4):

@@ -15,9 +15,9 @@ search
 test
     The exact answer is computed at both ends of an interval that is not proven.
 halve
-    Intervals that are still undecided are halved, until a plane or a collision is found, or no difference exceeds the
-    tolerance. The plane that is best at both ends is tested at eight configurations in between. There, the bound is a
-    49th of the bound above, and where joints may stray, only their motion along the normal counts (`strays`).
+    Intervals that are still undecided are halved, until a plane or a collision is found, or no point moves by more than
+    the tolerance. The plane that is best at both ends is tested at eight configurations in between. There, the bound is
+    a 49th of the bound above, and where joints may stray, only their motion along the normal counts (`strays`).
 
 All stages count their steps in a *tally*: placements, comparisons and searches. Every loop that is not bounded by a
 constant, or by the numbers of bodies, ends when no steps are left.
@@ -144,9 +144,9 @@ STACK = 4 * DEPTH  # Each cut is three halvings, and each halving leaves one par
 _POSES = 2 * (PARTS + 1)
 
 # Entries of a tally: placed configurations, searches, and remaining steps. Each placed configuration and each search is
-# a step. In a block, the steps also include moving bodies, groups of static bodies, pairs of bodies that come near,
-# placed pieces, pairs of pieces, groups of boxes over pieces, and the boxes, triangles and points that walks through
-# surfaces meet.
+# one step. In a block, so is each moving body, group of static bodies, pair of bodies that may be near, placed piece,
+# pair of pieces, and group of boxes over pieces. A walk through surfaces takes one step for each box, triangle or point
+# that it visits.
 POSES, SEARCHES, STEPS_LEFT = 0, 1, 2
 
 
@@ -447,7 +447,7 @@ def _count(tally, entry, number):
 
 @inline
 def _allowed(tally):
-    """Number of steps that a walk may take: one more than are left, so that a walk with too few steps uses up all."""
+    """Number of steps that a walk may take: one more than are left, so that a walk with too few leaves less than 0."""
     return max(tally[STEPS_LEFT] + 1, 0)
 
 
@@ -513,13 +513,13 @@ def _off(near, width):
 
 @inline
 def _needed(near, margin, width):
-    """Gap [m] along a normal, less strays along it, that proves an interval in which the pair keeps this margin."""
+    """Gap [m] along a normal, after strays are subtracted, that proves an interval in which this margin is required."""
     return margin + (near.slack - near.stray) + _off(near, width) + (near.wave * width * width + near.rest)
 
 
 @inline
 def _kept(near, low, high):
-    """Gap that proves an interval for strays in all directions, and the least gap that is of use in seven parts [m]."""
+    """Gap [m] that proves an interval for strays in any direction; and the least gap that may prove a seventh of it."""
     keep = _margin_within(near, low, high) + near.slack + _off(near, high - low)
     least = near.margin + min(near.rise * low, near.rise * high)
     return keep, min(_needed(near, least, (high - low) / INTERVALS), keep)
@@ -527,7 +527,7 @@ def _kept(near, low, high):
 
 @inline
 def _moved(near, width):
-    """Largest distance of the hull of both ends from the piece in the middle, plus the growth of its margin."""
+    """Largest distance of the hull of both ends from the piece in the middle, plus the change of the margin."""
     return near.speed * width / 2.0 + _off(near, width) + abs(near.rise) * width
 
 
@@ -823,7 +823,7 @@ def _worse(found, verdict, t, pair):
 
 @inline
 def _hit(found):
-    """Return whether the search ends: no result is worse, no steps are left, or the block is begun again."""
+    """Return whether the search ends, because no result is worse, no steps are left, or the block is begun again."""
     return not (found.verdict == FREE or found.verdict == AMBIGUOUS)
 
 

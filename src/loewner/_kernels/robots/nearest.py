@@ -118,8 +118,8 @@ def _pose_row(body, s, moving):
 def _bound(count, operands, place):
     """Bound the queued piece pairs, and merge the bounds into the results of their configurations.
 
-    Where balls and boxes give better bounds than ellipsoids, their bounds are used. A pair that would be skipped in
-    another order of pairs, because it is farther than `upper`, then does not lower the result here either.
+    Where balls and boxes give better bounds than ellipsoids, their bounds are used. Therefore, a pair that would be
+    skipped in another order of pairs, because it is farther than `upper`, does not lower the result here either.
     """
     write_bounds(count, operands, queued_at(_distances_of(place)))
     queue, bodies = queue_of(queued_at(_distances_of(place))), _bodies_of(place)

@@ -105,7 +105,7 @@ class _Limits(NamedTuple):
     """Lengths that depend on the size of the model: room for rounding, for boxes and for rounded normals, and errors.
 
     A search cannot find planes between pieces that are nearer to each other than a few errors. For bodies that do not
-    move, `pair_proofs` has another way; for other bodies, the room for rounding is larger.
+    move, `pair_proofs` uses another method; for other bodies, the room for rounding is larger anyway.
     """
 
     room: Any

@@ -190,7 +190,7 @@ def _way(search, nodes, goal, q, axis):
 
 @njit()
 def _draw_within(search, nodes, roots, drawn, axis):
-    """Draw from an ellipsoid about the start and a goal that holds all paths that cost less than a bound.
+    """Draw from an ellipsoid about the start and a goal that contains all paths whose cost is below a bound.
 
     A configuration that already lies in one of the ellipsoids is kept. The coordinates of a direction are sums of four
     uniform numbers, which are nearly normal. The radius is the largest of several uniform numbers, one for each joint,

@@ -5,8 +5,8 @@ The cost of a path is its length, with a weight for each joint. A step does one 
 cut
     Cut from one point of the path to another, see `shortening`.
 move
-    Move a corner towards the straight path between its neighbours, and at random; the distance adapts to the share of
-    moves that succeed [1].
+    Move a corner towards the straight path between its neighbours, and also by a random amount; the size of moves
+    adapts to the share of moves that succeed [1].
 straighten
     Let one joint run evenly from one row to another, while all other joints keep their values [2].
 

@@ -333,7 +333,7 @@ def near_piece(rows, at, radius, table, q, keep, nearer, live, out, to):
         The static piece is row q of a table like `Pieces.hot`.
     keep : float
     nearer : vector
-        By how much nearer to each other the pieces may be than given, at each configuration.
+        By how much the pieces may be nearer to each other than computed, at each configuration.
     live : int
         Bits of the intervals to test.
     out, to :
