@@ -67,7 +67,7 @@ BLOCK = 128  # A block holds up to BLOCK piece pairs, which are settled together
 NEWTON_STEPS = 12
 
 # Errors that a shape matrix Q causes in squared widths nᵀQn and in products Qn, in units of the roundoff times trace(Q)
-# |n|² and trace(Q) |n|. The constant covers both precisions; single precision has the larger errors.
+# |n|² and trace(Q) |n|, respectively. The constant covers both precisions; single precision has the larger errors.
 SHAPE_ERROR = SHAPE_ROUNDINGS / UNIT_ROUNDOFF  # certified.md B4, B5
 
 # The search for s is given up only if F differs from 1 by at least SURE (SINGLE_SURE in single precision). The band
@@ -236,8 +236,8 @@ def _miss(r, s, Pn, Qn):
 def _apart(a, b, r, n, s, size, unit, sure):
     """Masks of pairs that n certainly separates, and of pairs that certainly no s separates, because F < 1 everywhere.
 
-    F is concave, so that its slope at s, (1-s)² nᵀPn - s² nᵀQn, bounds it everywhere. Rounding changes the slope by at
-    most the change of F divided by s(1-s).
+    F is concave, so that its value and its slope at s, (1-s)² nᵀPn - s² nᵀQn, bound F everywhere. Rounding changes the
+    slope by at most the change of F divided by s(1-s).
     """
     Pn, Qn = apply_symmetric(a.Q, n), apply_symmetric(b.Q, n)
     nPn, nQn = dot(Pn, n), dot(Qn, n)

@@ -1312,7 +1312,7 @@ def _certify(motion, tally):
     rounding = 8.0 * off + 4.0 * tables.chain[2] * length
     rounding += CLEAR_ROUNDINGS * position_error(4.0 * length, UNIT_ROUNDOFF)
     skew = 2.0 * turned + 2.0 * tables.chain[2]
-    # The bound holds for all joints together and any two bodies.
+    # This bound covers the strays of all joints together, and holds for any two bodies.
     astray = 2.0 * (1.0 + skew) * (turns * length + slides)
     if astray < ROUNDED_STRAY * motion.tolerance:
         rounding, strays = rounding + astray, False

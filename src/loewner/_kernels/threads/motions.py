@@ -125,8 +125,8 @@ def bound_motion(thread, most, total, dof, Q0, Q1, table, bends):
     cell = cell_at(table)
     first, last = integer_at(cell.chain_start, chain), integer_at(cell.chain_start, chain + 1)
     every, bend, travel, speed = lane_of(0.0), lane_of(0.0), lane_of(0.0), lane_of(0.0)
-    # Take the joints from the upper body to the lower one, like `motion_bounds.ways_between`. The turns between a joint
-    # and the lower body come after the joint, so that the sum runs backward first.
+    # Take the joints from the upper body to the lower one, like `motion_bounds.ways_between`. The term of a joint needs
+    # the sum of the turns after the joint. Therefore, a first loop runs backward.
     k = last - 1
     while k >= first:
         turn, slide, _ = _rates(cell, k, motion, dof, Q0, Q1)
