@@ -570,7 +570,7 @@ class _Court:
         way = np.where(overlapping, np.maximum(-lower, 0.0), -np.maximum(lower, 0.0))
         is_known = np.isfinite(way) & (self.pairs.kinds()[0] | ~overlapping)
         moved = self.pairs.moved(np.where(is_known, way, 0.0)[..., None] * unit)
-        _, left_lower, left_upper, _ = moved.measured()
+        left_lower, left_upper = moved.measured()[1:3]
         width = np.where(overlapping, 0.0, np.maximum(upper, 0.0) - np.maximum(lower, 0.0)) + moved.rounding()
         # For bodies that still overlap, `left_lower` is unknown and not needed: only depths beyond a bound prove an
         # error.

@@ -95,11 +95,11 @@ def _run(options: argparse.Namespace) -> int:
 
     def arrive(number: int) -> None:
         # While the robot moves to the first point, the bodies that the part carries are still in their places.
-        part = parts[number][0]
-        start = trajectories.end(robot, parts[number - 1][0], -1) if number else present
-        if number and np.abs(trajectories.end(robot, part, 0) - start).max() <= START_TOLERANCE:
-            start = None
-        whence = f"the end of part {number}" if number else "--from"
+        part, start, whence = parts[number][0], present, "--from"
+        if number:
+            start, whence = trajectories.end(robot, parts[number - 1][0], -1), f"the end of part {number}"
+            if np.abs(trajectories.end(robot, part, 0) - start).max() <= START_TOLERANCE:
+                start = None
         ways.append(None if start is None else _way_to(checker, part, start, whence, options.joint_error, overlap))
 
     for number, part in enumerate(trajectories.carried(parts, scene, robot, arrive)):

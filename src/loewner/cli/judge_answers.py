@@ -96,8 +96,10 @@ def _judged(named: Pairs, bodies: Any, poses: Any, answers: Any, tolerance: floa
         parts.append(judging.judge_answers(bodies[a], Ta, bodies[b], Tb, **own, tolerance=tolerance))
     order = np.argsort(np.concatenate(list(places.values())))
     fields = ("kinds", "excess", "lower", "upper")
-    kinds, *rest = (np.concatenate([getattr(part, name) for part in parts])[order] for name in fields)
-    return Judgement(kinds, *rest, conventions=tuple(tried for part in parts for tried in part.conventions))
+    kinds, excess, lower, upper = (np.concatenate([getattr(part, name) for part in parts])[order] for name in fields)
+    return Judgement(
+        kinds, excess, lower, upper, conventions=tuple(tried for part in parts for tried in part.conventions)
+    )
 
 
 def _reordered(said: Judgement, rows: Sequence[dict[str, Any]], poses: Sequence[Floats]) -> list[Floats] | None:

@@ -141,7 +141,9 @@ class Distance(_validate.Brief, Generic[Number, Exact, Vector]):
         array([1., 0., 0., 0., 1., 0.])
         """
         normal: Any = self.normal
-        return NOTHING if normal is None else np.concatenate([normal, np.cross(self.witness_b, normal)], axis=-1)
+        witness: Any = self.witness_b
+        wrench: Any = NOTHING if normal is None else np.concatenate([normal, np.cross(witness, normal)], axis=-1)
+        return wrench  # type: ignore[no-any-return]
 
 
 # The results without and with ``exact=True``.
@@ -205,7 +207,7 @@ class Plan(NamedTuple):
 
     def verdicts(self, codes_of_pairs: Verdicts) -> VerdictOrVerdicts:
         """Give verdicts the shape of the batch."""
-        return VERDICTS[codes_of_pairs[0]] if self.shape == () else self.shaped(codes_of_pairs)
+        return VERDICTS[codes_of_pairs[0]] if self.shape == () else np.asarray(self.shaped(codes_of_pairs))
 
 
 class _Pairs(NamedTuple):
