@@ -107,10 +107,7 @@ class Target:
 
     def below(self, points: Floats) -> Floats:
         """Compute lower bounds on the distances of points from the body, negative in a solid."""
-        bounds = self.depths(points)
-        for surface in self.open:
-            bounds = np.minimum(bounds, surface.signed_distances(points)[0] - surface.rounding)
-        return np.asarray(bounds - self.radius.max())
+        return np.asarray(_least(points, [*self.solids, *self.open]) - self.radius.max())
 
     def holds(self, points: Floats) -> Bools:
         """Return whether points are certainly in a solid of the body."""
@@ -121,10 +118,7 @@ class Target:
 
     def depths(self, points: Floats) -> Floats:
         """Compute lower bounds on the distances of points from the triangles of all solids, negative within a solid."""
-        bounds = np.full(len(points), np.inf)
-        for solid in self.solids:
-            bounds = np.minimum(bounds, solid.signed_distances(points)[0] - solid.rounding)
-        return bounds
+        return _least(points, self.solids)
 
     def far(self, points: Floats) -> Floats:
         """Compute upper bounds on the distances of points from the body, negative well inside the body."""
@@ -166,6 +160,14 @@ class Target:
                 break
         kept = np.concatenate(rest)
         return Solid(kept, False) if len(kept) < len(self.triangles) or len(rest) > 1 else self.whole
+
+
+def _least(points: Floats, surfaces: list[Solid]) -> Floats:
+    """Compute lower bounds on the distances of points from the nearest of some surfaces, infinite without any."""
+    bounds = np.full(len(points), np.inf)
+    for surface in surfaces:
+        bounds = np.minimum(bounds, surface.signed_distances(points)[0] - surface.rounding)
+    return bounds
 
 
 def _part(packed: Packed, i: int) -> _Part:

@@ -114,9 +114,7 @@ def with_cover(self: Robot, path: str | os.PathLike[str], format: str | None = N
     if model.notes:
         warn(f"{shown(file)}: found{_told(model.notes)}")
     ordered = {link: model.bodies[link] for link in self.link_names if link in model.bodies}
-    if model.ignored is None:
-        return with_bodies(self, ordered)
-    ignored = frozenset(pair for pair in model.ignored if not {*pair} & {*unknown})
+    ignored = None if model.ignored is None else frozenset(p for p in model.ignored if not {*p} & {*unknown})
     return with_bodies(self, ordered, ignored)
 
 

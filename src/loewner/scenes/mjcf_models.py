@@ -61,14 +61,6 @@ class MjcfJoint:
 
 
 @dataclass(frozen=True, eq=False)
-class MjcfPart:
-    """The geoms of one body that collide with the same geoms of other bodies."""
-
-    name: str
-    body: Body
-
-
-@dataclass(frozen=True, eq=False)
 class MjcfBody:
     """A body, with its pose in the frame of its parent; the world is the first body and its own parent.
 
@@ -79,9 +71,9 @@ class MjcfBody:
     T_parent_body : ndarray, shape (4, 4)
         Pose with the body's joints at their references.
     joints : tuple of MjcfJoint
-    parts : tuple of MjcfPart
-        Parts, in the frame of the body. The first part has the name of the body; in the world, each part has the name
-        of its only geom.
+    parts : dict
+        Maps names to bodies in the frame of this body. A part is made of the geoms that collide with the same geoms of
+        other bodies. The first part has the name of the body; in the world, each part has the name of its only geom.
     T_world_body : ndarray, shape (4, 4)
         Pose with all joints at their references.
     """
@@ -90,7 +82,7 @@ class MjcfBody:
     parent: int
     T_parent_body: Floats
     joints: tuple[MjcfJoint, ...]
-    parts: tuple[MjcfPart, ...]
+    parts: dict[str, Body]
     T_world_body: Floats
 
 
@@ -188,10 +180,10 @@ def compiled_model(model: Any, data: Any, file: Path, tol: float, *, couplings: 
                 _joint(model, names, int(model.body_jntadr[body]) + k, mimics)  # in the order in which joints act
                 for k in range(int(model.body_jntnum[body]))
             ),
-            parts=tuple(
-                MjcfPart(part_names[geoms], _union([_geom_body(mujoco, model, names, g, file, tol) for g in geoms]))
+            parts={
+                part_names[geoms]: _union([_geom_body(mujoco, model, names, geom, file, tol) for geom in geoms])
                 for geoms in members[body]
-            ),
+            },
             T_world_body=placed[body],
         )
         for body in range(model.nbody)

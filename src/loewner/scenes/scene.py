@@ -10,6 +10,7 @@ from __future__ import annotations
 import os
 import threading
 from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import Any, Literal, overload
 
@@ -403,7 +404,7 @@ class Scene:
         T = _validate.pose(T_world_body, f"T_world_body of {name!r}")
         keep = None if margin is None else _validate.positive_scalar(margin, f"margin of {name!r}", zero=True)
         bounds = _bounds_of(body, _error(error, f"error of {name!r}"))
-        with _CHANGING:
+        with self._change():
             if name in self._bodies:
                 raise InputError(f"name: expected a new name, found {name!r}, which is taken; replace or remove it")
             self._bodies[name] = body
@@ -411,7 +412,6 @@ class Scene:
             self._set_bounds(name, bounds)
             if keep is not None:
                 self._margins[(name,)] = keep
-            self._changed()
         if not self._doubted:
             self._doubt(name, body, T)
 
@@ -435,14 +435,13 @@ class Scene:
         UnknownNameError
             If there is no such body.
         """
-        with _CHANGING:
+        with self._change():
             del self._bodies[self._known(name)]
             self._let_go(name)
             # A body that is later added under the same name must not inherit permission to touch.
             self._allowed -= {pair for pair in self._allowed if name in pair}
             self._margins = {key: margin for key, margin in self._margins.items() if name not in key}
             self._lowered.intersection_update(self._margins)
-            self._changed()
 
     def replace(self, name: str, body: Body) -> None:
         """Replace a body with a new one, for instance from the next image of a camera; everything else stays the same.
@@ -470,12 +469,11 @@ class Scene:
         {('camera',): 0.02}
         """
         _validate.instance(body, f"body of {_validate.short(name)}", Body)
-        with _CHANGING:
+        with self._change():
             self._bodies[self._known(name)] = body
             if name in self._bounds:
                 self._bounds[name] = replace(self._bounds[name], reach=reach_of(body))
             T = self._poses.get(name)  # None for a body on a link
-            self._changed()
         if not self._doubted and T is not None:
             self._doubt(name, body, T)
 
@@ -758,7 +756,7 @@ class Scene:
         reaching = {_pair(name, other) for other in _names(reach, "reach")}
         T = _validate.pose(T_link_body, f"T_link_body of {name!r}")
         T.setflags(write=False)
-        with _CHANGING:
+        with self._change():
             self._let_go(self._known(name))
             self._attachments[name] = Attachment(link, T, tuple(sorted(touching)))
             self._leaving |= leaving
@@ -766,7 +764,6 @@ class Scene:
             unseen = sorted(
                 pair for pair in self._allowed - leaving - reaching if name in pair and not touching.intersection(pair)
             )
-            self._changed()
         if unseen:
             warn(
                 f"attach of {name!r}: {', '.join(map(_text, unseen))} stay allowed to touch by Scene.allow, so that "
@@ -789,12 +786,11 @@ class Scene:
             If the body neither is attached nor follows a motion.
         """
         T = _validate.pose(T_world_body, f"T_world_body of {self._known(name)!r}")
-        with _CHANGING:
+        with self._change():
             if self._known(name) in self._poses:
                 raise InputError(f"{name!r}: expected an attached body, found one that stands in the world")
             self._let_go(name)
             self._poses[name] = T
-            self._changed()
 
     # -- rules --------------------------------------------------------------------------------
 
@@ -828,11 +824,10 @@ class Scene:
             If the pair was not allowed; without this error, a misspelt name would silently leave a pair allowed.
         """
         pair = _pair(a, b)
-        with _CHANGING:
+        with self._change():
             if pair not in self._allowed:
                 raise _validate.unknown_name("allowed pair", _text(pair), map(_text, sorted(self._allowed)))
             self._allowed.remove(pair)
-            self._changed()
 
     @property
     def leaving(self) -> frozenset[Pair]:
@@ -910,9 +905,8 @@ class Scene:
         self._add_rule(self._reaching, _pair(a, b))
 
     def _add_rule(self, rules: set[Pair], pair: Pair) -> None:
-        with _CHANGING:
+        with self._change():
             rules.add(pair)
-            self._changed()
 
     def _let_go(self, name: str) -> None:
         """Drop the pose or motion of a body, and its rules of `leave` and `reach`, since its contacts change."""
@@ -991,7 +985,7 @@ class Scene:
         key = _margin_key(a, b, against)
         if not key and keep is None:
             raise InputError("margin: expected a number of metres for the whole scene, found None")
-        with _CHANGING:
+        with self._change():
             self._lowered.discard(key)
             if keep is None:
                 self._margins.pop(key, None)
@@ -1001,7 +995,6 @@ class Scene:
                 self._margins[key] = keep
                 if lower:
                     self._lowered.add(key)
-            self._changed()
 
     def widen(self, least: float) -> None:
         """Raise the margins of all pairs with a body of this scene to at least `least`, but no margin between links.
@@ -1026,7 +1019,7 @@ class Scene:
         (0.05, 0.02)
         """
         least = _validate.positive_scalar(least, "least", zero=True)
-        with _CHANGING:
+        with self._change():
             self._margin = max(least, self._margin)
             # All pairs with bodies now keep this margin, except pairs with lowered margins.
             for key in [key for key in self._lowered if self._margins[key] < least]:
@@ -1036,7 +1029,6 @@ class Scene:
                     for body in self._bodies:
                         pair = _pair(body, key[0])
                         self._margins[pair] = max(least, self._margins.get(pair, 0.0))
-            self._changed()
 
     def margin_of(self, a: str, b: str) -> float:
         """Return the margin between two bodies or links, in metres: the largest margin that applies to them.
@@ -1217,11 +1209,15 @@ class Scene:
 
     # -- names --------------------------------------------------------------------------------
 
-    def _changed(self) -> None:
-        # The structure's version changes first, so that a thread that reads the new version also finds the new
-        # structure.
-        self._structure_version += 1
-        self._version += 1
+    @contextmanager
+    def _change(self) -> Iterator[None]:
+        """Keep other threads out of a block that changes the structure, and count the change unless the block fails."""
+        with _CHANGING:
+            yield
+            # The structure's version changes first, so that a thread that reads the new version also finds the new
+            # structure.
+            self._structure_version += 1
+            self._version += 1
 
     def _known(self, name: Any) -> str:
         if not isinstance(name, str) or name not in self._bodies:

@@ -30,9 +30,7 @@ def read(data: bytes, tell: Tell) -> tuple[Floats, Triangles]:
     """Read vertices as stored, and polygons as triangles."""
     tell_unit(remarks(data), tell)
     points: list[Floats] = []
-    corners: list[Ints] = []
-    sizes: list[Ints] = []
-    lines: list[Ints] = []
+    faces: list[tuple[Ints, Ints, Ints]] = []  # corners, and for each face their number and its line
     total = 0
     for first, block in _blocks(_plain(data)):
         vertex_lines: list[bytes] = []
@@ -65,19 +63,18 @@ def read(data: bytes, tell: Tell) -> tuple[Floats, Triangles]:
             points.append(_coordinates(vertex_lines, vertex_numbers, len(points[0][0]) if points else 0))
             total += len(vertex_lines)
         if face_lines:
-            flat, size = _words(face_lines, face_numbers)
-            sizes.append(size)
-            lines.append(np.array(face_numbers, dtype=np.int64))
-            corners.append(_corners(flat, np.repeat(face_numbers, size), np.repeat(seen, size)))
+            flat, sizes = _words(face_lines, face_numbers)
+            corners = _corners(flat, np.repeat(face_numbers, sizes), np.repeat(seen, sizes))
+            faces.append((corners, sizes, np.array(face_numbers, dtype=np.int64)))
     vertices = np.concatenate(points)[:, :3].copy() if points else np.empty((0, 3))
-    if not corners:
+    if not faces:
         return vertices, np.empty((0, 3), dtype=np.int64)
-    all_corners, all_sizes, places = map(np.concatenate, (corners, sizes, lines))
-    if all_corners.max() >= total:
-        k = int((all_corners >= total).argmax())
-        where = int(np.repeat(places, all_sizes)[k])
-        raise Refusal(f"expected a face of vertices 1..{total}, found {all_corners[k] + 1}", where)
-    return vertices, cut(vertices, all_corners, all_sizes, tell, lambda k: f"line {places[k]}")
+    corners, sizes, places = map(np.concatenate, zip(*faces, strict=True))
+    if corners.max() >= total:
+        k = int((corners >= total).argmax())
+        where = int(np.repeat(places, sizes)[k])
+        raise Refusal(f"expected a face of vertices 1..{total}, found {corners[k] + 1}", where)
+    return vertices, cut(vertices, corners, sizes, tell, lambda k: f"line {places[k]}")
 
 
 def _plain(data: bytes) -> bytes:

@@ -19,7 +19,8 @@ from loewner._kernels.records import Tree
 from loewner.bodies import Body
 from loewner.errors import GeometryError, InputError, UnknownNameError
 from loewner.meshes.files import parts
-from loewner.robots.description.links import checked_mimic, unit_axis
+from loewner.robots.description.links import Joint as LinkJoint
+from loewner.robots.description.links import checked_joint
 from loewner.robots.description.srdf import Semantics
 from loewner.robots.description.tree import constant_pose, placed_tree
 from loewner.robots.description.urdf import RATES, VALUES, Description, Joint
@@ -354,26 +355,20 @@ def with_body(
     if parent is not None:
         _validate.known(parent, "parent", robot.link_names)
     T = _validate.pose(T_parent_joint, "T_parent_joint")
-    direction, low, high = unit_axis(axis, "axis"), -np.inf, np.inf
     if (limits is None) == (joint in LIMITED):
         expected = "two numbers for prismatic and revolute joints, and none for others"
         raise InputError(f"limits: expected {expected}, found {limits} for a {joint} joint")
-    if limits is not None:
-        low, high = _validate.finite_array(limits, "limits", (2,)).tolist()
-        if low > high:
-            raise InputError(f"limits: expected a lower and an upper one, found {limits}")
-    fastest = np.nan if velocity is None else _validate.positive_scalar(velocity, "velocity")
-    if mimic is not None:
-        mimic = checked_mimic(mimic, "mimic")
-    for what, argument in (("velocity", velocity), ("mimic", mimic)):
-        if argument is not None and len(VALUES[joint]) != 1:
-            raise InputError(f"{what}: expected None for a {joint} joint, found {argument}")
-    moving = Joint(name, joint, "", "", np.eye(4), direction, low, high, fastest)
-    branch = replace(_chain(self, f"{name}/world", [moving]), bodies={name: body}).placed(T)
+    low, high = (-np.inf, np.inf) if limits is None else _validate.finite_array(limits, "limits", (2,)).tolist()
+    if low > high:
+        raise InputError(f"limits: expected a lower and an upper one, found {limits}")
+    stated = LinkJoint(name, joint, "", "", axis=axis, lower=low, upper=high, velocity=velocity, mimic=mimic)
+    moving, _ = checked_joint(stated, "")
+    branch = _chain(self, f"{name}/world", [replace(moving, mimic=None)])
+    branch = replace(branch, bodies={name: body}).placed(T)
     adjacent = {(min(name, parent), max(name, parent))} if parent in robot.bodies and parent is not None else set()
     robot = _combined([_Piece("", robot), _Piece("", branch, parent, without_root=True)], robot.name)
-    if mimic is not None:
-        robot = replace(_coupled(robot, *mimic), _layout=cast(Any, self)._layout)
+    if moving.mimic is not None:
+        robot = replace(_coupled(robot, *moving.mimic), _layout=cast(Any, self)._layout)
     in_world = (*robot._in_world, name) if parent is None else robot._in_world
     return cast(R, replace(robot, adjacent_pairs=robot.adjacent_pairs | adjacent, _in_world=in_world))
 

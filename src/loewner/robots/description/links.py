@@ -119,7 +119,7 @@ def described(
                 f"joints: expected a tree, found link {joint.child!r} below two joints, {above[joint.child].name!r} "
                 f"and {joint.name!r}"
             )
-        checked, behind = _joint(joint)
+        checked, behind = checked_joint(joint, f" of joint {joint.name!r}")
         if behind is not None:
             frame = _validate.unused(f"{joint.child}/{joint.name}", names)
             names[frame] = None
@@ -155,24 +155,27 @@ def _body(link: Any, shapes: Any) -> Body | None:
     return None if not parts else parts[0] if len(parts) == 1 else Body.union(parts)
 
 
-def _joint(joint: Joint) -> tuple[urdf.Joint, Floats | None]:
-    """Check one joint; return it with the pose of its child in the joint's frame, None for the identity."""
-    what = f"joint {joint.name!r}"
-    kind = _validate.choice(joint.kind, f"kind of {what}", VALUES)
-    origin = _pose(joint.T_parent_joint, f"T_parent_joint of {what}")
-    behind = _pose(joint.T_joint_child, f"T_joint_child of {what}")
+def checked_joint(joint: Joint, of: str) -> tuple[urdf.Joint, Floats | None]:
+    """Check one joint; return it with the pose of its child in the joint's frame, None for the identity.
+
+    Messages name an attribute followed by `of`.
+    """
+    kind = _validate.choice(joint.kind, f"kind{of}", VALUES)
+    origin = _pose(joint.T_parent_joint, f"T_parent_joint{of}")
+    behind = _pose(joint.T_joint_child, f"T_joint_child{of}")
     if kind == "fixed":
         origin, behind = product(origin, behind), np.eye(4)
     single = len(VALUES[kind]) == 1
-    lower, upper = _limits(joint, kind, what)
-    rates: dict[str, Any] = {rate: _rate(getattr(joint, rate), kind, f"{rate} of {what}") for rate in RATES}
-    reference = _validate.real(joint.reference, f"reference of {what}")
+    lower, upper = _limits(joint, kind, of)
+    stated = {key: getattr(joint, key) for key in (*RATES, "mimic") if getattr(joint, key) is not None}
+    for key, value in () if single else stated.items():
+        raise InputError(f"{key}{of}: expected None for a {kind} joint, found {_validate.short(value)}")
+    mimic = checked_mimic(stated.pop("mimic"), f"mimic{of}") if "mimic" in stated else None
+    rates: dict[str, Any] = {rate: _validate.positive_scalar(most, f"{rate}{of}") for rate, most in stated.items()}
+    reference = _validate.real(joint.reference, f"reference{of}")
     if reference and not single:
-        raise InputError(f"reference of {what}: expected 0 for a {kind} joint, found {reference:g}")
-    axis = unit_axis(joint.axis, f"axis of {what}")
-    mimic = None if joint.mimic is None else checked_mimic(joint.mimic, f"mimic of {what}")
-    if mimic is not None and not single:
-        raise InputError(f"mimic of {what}: expected None for a {kind} joint, found {_validate.short(joint.mimic)}")
+        raise InputError(f"reference{of}: expected 0 for a {kind} joint, found {reference:g}")
+    axis = unit_axis(joint.axis, f"axis{of}")
     ends = (float(lower[0]), float(upper[0])) if single else (-math.inf, math.inf)
     if kind == "revolute" and ends == (-math.inf, math.inf):
         kind = "continuous"
@@ -191,30 +194,21 @@ def _pose(T: ArrayLike | None, name: str) -> Floats:
     return pose
 
 
-def _rate(given: float | None, kind: str, name: str) -> float:
-    """Check the largest rate of a joint with one value; return NaN if there is none."""
-    if given is None:
-        return math.nan
-    if len(VALUES[kind]) != 1:
-        raise InputError(f"{name}: expected None for a {kind} joint, found {given}")
-    return _validate.positive_scalar(given, name)
-
-
-def _limits(joint: Joint, kind: str, what: str) -> tuple[Floats, Floats]:
+def _limits(joint: Joint, kind: str, of: str) -> tuple[Floats, Floats]:
     """Check the limits of a joint; return one number for each value that may have limits."""
     count = 1 if len(VALUES[kind]) == 1 else LIMITED_VALUES.get(kind, 0)
     ends = []
     for name in ("lower", "upper"):
-        bounds = _validate.float_array(getattr(joint, name), f"{name} of {what}")
+        bounds = _validate.float_array(getattr(joint, name), f"{name}{of}")
         if bounds.ndim and bounds.shape != (count,):
             expected = f"shape {_validate.shape_text((count,))}" if count else "a number"
-            raise InputError(f"{name} of {what}: expected {expected}, found {_validate.shape_text(bounds.shape)}")
+            raise InputError(f"{name}{of}: expected {expected}, found {_validate.shape_text(bounds.shape)}")
         ends.append(np.broadcast_to(bounds, (max(count, 1),)))
     lower, upper = ends
     if not (lower <= upper).all() or (lower == math.inf).any() or (upper == -math.inf).any():
-        raise InputError(f"limits of {what}: expected lower ones up to upper ones, found {lower} and {upper}")
+        raise InputError(f"limits{of}: expected lower ones up to upper ones, found {lower} and {upper}")
     if (kind == "continuous" or not count) and np.isfinite([lower, upper]).any():
-        raise InputError(f"limits of {what}: expected none for a {kind} joint, found {lower[0]:g} .. {upper[0]:g}")
+        raise InputError(f"limits{of}: expected none for a {kind} joint, found {lower[0]:g} .. {upper[0]:g}")
     return lower, upper
 
 

@@ -30,17 +30,17 @@ def description_of(model: MjcfModel) -> tuple[Description, dict[str, Body]]:
     a link that is fixed to the body's own link.
     """
     above: dict[str, Joint] = {}
-    links = {body.name for body in model.bodies} | {part.name for body in model.bodies for part in body.parts}
+    links = {name for body in model.bodies for name in (body.name, *body.parts)}
     for number, body in enumerate(model.bodies):
         if number:  # body 0 is the world
             above |= {joint.child: joint for joint in _joints_of(body, model.bodies[body.parent].name, links)}
-        others = [part.name for part in body.parts if part.name != body.name]
+        others = (name for name in body.parts if name != body.name)
         above |= {name: Joint(name, "fixed", body.name, name, np.eye(4)) for name in others}
     joints = {joint.name: joint for joint in above.values() if joint.kind != "fixed"}
     joints = narrowed(without_chains(joints, model.path), model.path)
     above |= {joint.child: joint for joint in joints.values()}
     order = [model.bodies[0].name, *above]
-    bodies = {part.name: part.body for body in model.bodies for part in body.parts}
+    bodies = {name: part for body in model.bodies for name, part in body.parts.items()}
     return Description(model.name, model.path, dict.fromkeys(order, ()), joints, above, ()), bodies
 
 

@@ -14,8 +14,8 @@ def mjcf_scene(file: Path) -> Scene:
     """Make a scene of all colliding geoms, with joints at their references; pairs that MuJoCo skips are allowed."""
     model, scene = read_mjcf(file, DEFAULT_TOLERANCE), Scene()
     for body in model.bodies:
-        for part in body.parts:
-            scene.add(part.name, part.body, body.T_world_body)
+        for name, part in body.parts.items():
+            scene.add(name, part, body.T_world_body)
     for pair in sorted(model.related_pairs | model.excluded_pairs):
         scene.allow(*pair)
     return scene
