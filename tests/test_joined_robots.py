@@ -222,7 +222,7 @@ def test_bodies_on_every_kind_of_joint_are_checked(joint, arm):
         (lambda arm: Robot.join({}), InputError, "parts"),
         (lambda arm: Robot.join([arm]), InputError, "parts"),
         (lambda arm: Robot.join({"": arm}), InputError, "names"),
-        (lambda arm: Robot.join({"a": 1}), InputError, "loewner.Robot for 'a'"),
+        (lambda arm: Robot.join({"a": 1}), InputError, "'a': expected loewner.Robot"),
         (lambda arm: Robot.join({"a": arm}, {"b": np.eye(4)}), UnknownNameError, "part in poses"),
         (lambda arm: Robot.join({"a": arm}, {"a": np.ones((4, 4))}), PoseError, "T_world_base"),
         (lambda arm: arm.part("left"), UnknownNameError, "part"),

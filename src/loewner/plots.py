@@ -690,11 +690,10 @@ def _expect_text(x: Any, name: str) -> None:
 
 def _named(x: Any, name: str) -> Mapping[Any, Any]:
     """Check a mapping, which must not be empty."""
-    if not isinstance(x, Mapping):
-        raise InputError(f"{name}: expected a mapping by name, found {type(x).__name__}")
-    if not x:
+    named = _validate.mapping(x, name, "by name")
+    if not named:
         raise InputError(f"{name}: expected one entry or more, found none")
-    return x
+    return named
 
 
 def _tiers_of(group: Any, name: Any) -> dict[str, int]:

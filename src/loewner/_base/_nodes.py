@@ -167,6 +167,13 @@ class Node(ABC):
         """Read finite numbers, exactly `length` of them if it is given; messages show their `names`."""
         return [item.number() for item in self.items(*([] if length is None else [length]), names=names)]
 
+    def choice(self, words: Collection[str], wanted: str = "") -> str:
+        """Read one of several words; the error lists them, unless `wanted` says what is expected."""
+        text = self.text()
+        if text not in words:
+            raise self.error(f"expected {wanted or f'one of {some(words)}'}, found {self.described()}")
+        return text
+
     def rows(self, length: int) -> list[list[float]]:
         """Read rows, each with a given number of finite values."""
         return [row.numbers(length) for row in self.items()]

@@ -159,10 +159,7 @@ def joined(parts: Sequence[Prepared]) -> Prepared:
     arrays = {name: np.concatenate([getattr(p, name) for p in parts]) for name in ARRAYS}
     sizes = np.array([[len(p.points), len(p.planes), len(p.layout), len(p.triangles)] for p in parts])
     shift = np.concatenate([np.zeros((1, 4), dtype=np.int64), np.cumsum(sizes, axis=0)[:-1]])
-    layouts = []
-    for part, (points, planes, _, _) in zip(parts, shift, strict=True):
-        layouts.append(part.layout + np.array([0, points, points, planes, planes]))
-    arrays["layout"] = np.concatenate(layouts)
+    arrays["layout"][:, columns.POINTS_FROM :] += np.repeat(np.repeat(shift[:, :2], 2, axis=1), sizes[:, 2], axis=0)
     for name, column in (("piece_start", 2), ("triangle_start", 3)):
         tails = [getattr(p, name)[1:] + s[column] for p, s in zip(parts, shift, strict=True)]
         arrays[name] = np.concatenate([[0], *tails]).astype(np.int64)

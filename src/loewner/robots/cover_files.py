@@ -13,7 +13,7 @@ import re
 from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, get_args
 
 import numpy as np
 
@@ -28,10 +28,10 @@ from loewner.bodies.kinds import KIND_NAMES
 from loewner.errors import FileError, InputError
 from loewner.robots import Robot
 from loewner.robots.covers import with_bodies
-from loewner.robots.description.robot import answers, scene_of, skipped_with_bodies
+from loewner.robots.description.robot import CoverFormat, answers, scene_of, skipped_with_bodies
 from loewner.scenes.files import load_scene, save_scene
 
-FORMATS = ("curobo", "vamp", "foam", "pyroki", "urdf", "mjcf", "scene")
+FORMATS: tuple[CoverFormat, ...] = get_args(CoverFormat)
 
 # Formats with spheres only. Programs that use these formats compute in float32, so numbers are rounded to float32,
 # outwards when written.
@@ -361,9 +361,7 @@ def _of_xrdf(keys: dict[str, Any], model: Model) -> dict[str, Any]:
     if world is None:
         return keys
     chosen = world.mapping(("geometry", "buffer_distance"), required=("geometry",))
-    name = chosen["geometry"].text()
-    if name not in geometry:
-        raise chosen["geometry"].error(f"expected one of {some(geometry)}, found {name!r}")
+    name = chosen["geometry"].choice(geometry)
     model.note("geometries that are not used", (key for key in geometry if key != name))
     shapes = geometry[name].mapping(("spheres", "clone"), required=("spheres",))
     if "clone" in shapes:

@@ -75,9 +75,7 @@ def read_map(path: str | os.PathLike[str]) -> Map:
     occupied, free = (_share(values[key]) for key in ("occupied_thresh", "free_thresh"))
     if not free < occupied:
         raise values["free_thresh"].error(f"expected less than occupied_thresh, {occupied:g}, found {free:g}")
-    mode = values["mode"].text() if "mode" in values else "trinary"
-    if mode not in ("trinary", "scale"):
-        raise values["mode"].error(f"expected trinary or scale, found {mode!r}")
+    mode = values["mode"].choice(("trinary", "scale"), "trinary or scale") if "mode" in values else "trinary"
     with values["image"].blamed():
         grey, most = _grey(file.parent / values["image"].text())
     share = (grey if negate else most - grey) / most

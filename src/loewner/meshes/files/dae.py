@@ -33,43 +33,43 @@ MOST_DEPTH, MOST_ELEMENTS, MOST_PLACED, MOST_INPUTS = 200, 2_000_000, 200_000, 1
 
 _NO_SURFACE = frozenset(["source", "vertices", "extra", "lines", "linestrips", "points", "asset"])
 
+
+def _listed(**names_by_tag: str) -> dict[str, frozenset[str]]:
+    """Split the names that are listed for each tag."""
+    return {tag: frozenset(names.split()) for tag, names in names_by_tag.items()}
+
+
 # Children and attributes ("@") that the standard defines; any other name may be a misspelt unit, transform or count.
-_PARTS = {
-    tag: frozenset(names.split())
-    for tag, names in {
-        "COLLADA": "asset scene extra @base @version",  # and libraries of any name
-        # The last five children belong inside a <contributor>, an element that old exporters leave out.
-        "asset": "contributor coverage created extra keywords modified revision subject title unit up_axis "
-        "author authoring_tool comments copyright source_data",
-        "unit": "extra @meter @name",
-        "scene": "instance_visual_scene instance_physics_scene instance_kinematics_scene extra @sid @name",
-        "visual_scene": "asset evaluate_scene extra node @id @name",
-        "node": "asset extra instance_camera instance_controller instance_geometry instance_light instance_node lookat "
-        "matrix node rotate scale skew translate @id @name @sid @type @layer",
-        "instance_visual_scene": "extra @sid @name @url",
-        "instance_geometry": "bind_material extra @sid @name @url",
-        "instance_node": "extra @sid @name @url @proxy",
-        **dict.fromkeys(("matrix", "translate", "rotate", "scale"), "@sid"),
-        "geometry": "asset convex_mesh mesh spline brep extra @id @name",
-        "vertices": "input extra @id @name",
-        **dict.fromkeys(("triangles", "trifans", "tristrips"), "input p extra @name @count @material"),
-        "polylist": "input vcount p extra @name @count @material",
-        "polygons": "input p ph extra @name @count @material",
-        "input": "@offset @semantic @source @set",
-        **dict.fromkeys(("p", "vcount"), ""),
-    }.items()
-}
+_PARTS = _listed(
+    COLLADA="asset scene extra @base @version",  # and libraries of any name
+    # The last five children belong inside a <contributor>, an element that old exporters leave out.
+    asset="contributor coverage created extra keywords modified revision subject title unit up_axis "
+    "author authoring_tool comments copyright source_data",
+    unit="extra @meter @name",
+    scene="instance_visual_scene instance_physics_scene instance_kinematics_scene extra @sid @name",
+    visual_scene="asset evaluate_scene extra node @id @name",
+    node="asset extra instance_camera instance_controller instance_geometry instance_light instance_node lookat "
+    "matrix node rotate scale skew translate @id @name @sid @type @layer",
+    instance_visual_scene="extra @sid @name @url",
+    instance_geometry="bind_material extra @sid @name @url",
+    instance_node="extra @sid @name @url @proxy",
+    **dict.fromkeys(("matrix", "translate", "rotate", "scale"), "@sid"),
+    geometry="asset convex_mesh mesh spline brep extra @id @name",
+    vertices="input extra @id @name",
+    **dict.fromkeys(("triangles", "trifans", "tristrips"), "input p extra @name @count @material"),
+    polylist="input vcount p extra @name @count @material",
+    polygons="input p ph extra @name @count @material",
+    input="@offset @semantic @source @set",
+    **dict.fromkeys(("p", "vcount"), ""),
+)
 # Children and attributes of a source of points; other sources, such as normals, are not read.
-_PARTS_OF_POINTS = {
-    tag: frozenset(names.split())
-    for tag, names in {
-        "source": "asset float_array technique_common technique extra @id @name",
-        "float_array": "@count @digits @id @magnitude @name",
-        "technique_common": "accessor",
-        "accessor": "param @count @offset @source @stride",
-        "param": "@name @semantic @sid @type",
-    }.items()
-}
+_PARTS_OF_POINTS = _listed(
+    source="asset float_array technique_common technique extra @id @name",
+    float_array="@count @digits @id @magnitude @name",
+    technique_common="accessor",
+    accessor="param @count @offset @source @stride",
+    param="@name @semantic @sid @type",
+)
 
 _NAMES = frozenset(["@id", "@name"])
 _OF_NUMBERS = ("matrix", "translate", "rotate", "scale", "p", "vcount", "float_array")

@@ -101,8 +101,7 @@ def joined(kind: type[R], parts: Mapping[str, R], poses: Mapping[str, ArrayLike 
     _validate.mapping(parts, "parts", "from names to robots", 1)
     for name, robot in parts.items():
         _validate.expect_name(name, "parts: expected names")
-        if not isinstance(robot, kind):
-            raise InputError(f"parts: expected loewner.Robot for {name!r}, found {type(robot).__name__}")
+        _validate.instance(robot, f"parts, {name!r}", kind)
         for other in parts:
             if isinstance(other, str) and other.startswith(f"{name}/"):
                 raise InputError(

@@ -240,17 +240,10 @@ def mesh_file(shape: Shape, link: str, urdf: Path, folders: Sequence[str | os.Pa
         if os.path.isfile(path):  # Path.is_file raises if a name is too long or invalid
             _expect_one(shape, link, urdf, [_candidates(shape.file_name, [home], folders) for home in homes])
             return path
-    irregular = next((path for path in looked if os.path.exists(path)), None)
-    if irregular is not None:
-        raise FileError(
-            f"{urdf}, line {shape.line}: expected the mesh {shape.file_name!r} of link {link!r}, found {irregular}, "
-            "which is no regular file"
-        )
-    raise FileError(
-        f"{urdf}, line {shape.line}: expected the mesh {shape.file_name!r} of link {link!r}, but there is no such "
-        f"file; looked at {', '.join(map(str, looked)) or 'no place'}. Other folders of packages can be given "
-        "(package_dirs, --package-dir)"
-    )
+    expected = f"{urdf}, line {shape.line}: expected the mesh {shape.file_name!r} of link {link!r}"
+    for path in filter(os.path.exists, looked):
+        raise FileError(f"{expected}, found {path}, which is no regular file")
+    raise FileError(f"{expected}, but there is no such file; {_told(looked)}")
 
 
 def package_folder(package: str, urdf: Path, folders: Sequence[str | os.PathLike[str]]) -> Path:
@@ -259,10 +252,12 @@ def package_folder(package: str, urdf: Path, folders: Sequence[str | os.PathLike
     for path in looked:
         if os.path.isdir(path):
             return path
-    raise FileError(
-        f"{urdf}: expected the package {package!r}, but there is no such folder; looked at "
-        f"{', '.join(map(str, looked))}. Other folders of packages can be given (package_dirs, --package-dir)"
-    )
+    raise FileError(f"{urdf}: expected the package {package!r}, but there is no such folder; {_told(looked)}")
+
+
+def _told(looked: Sequence[Path]) -> str:
+    places = ", ".join(map(str, looked)) or "no place"
+    return f"looked at {places}. Other folders of packages can be given (package_dirs, --package-dir)"
 
 
 def _homes(urdf: Path) -> list[Path]:

@@ -42,7 +42,7 @@ from loewner.robots.description.pinocchio import pinocchio_model
 from loewner.robots.description.srdf import Semantics, State, read_srdf
 from loewner.robots.description.tree import adjacent_pairs, columns_of, placed_tree, tree_of
 from loewner.robots.description.urdf import RATES, VALUES, Description, Joint, doubt_limits, read_urdf
-from loewner.robots.description.watch import LARGEST_VALUE, Watch
+from loewner.robots.description.watch import Watch
 from loewner.robots.description.xacro_files import SUFFIX, Expansion
 from loewner.scenes.mjcf_models import MjcfModel, compiled_model, name_of, read_mjcf
 from loewner.scenes.scene import Scene
@@ -61,6 +61,9 @@ MANY_LINKS = 30
 
 # Smallest number of configurations that a thread takes at a time: about 0.1 ms of work.
 LEAST_SHARE = 1024
+
+# Formats of files that describe the shapes of links: `Robot.with_cover` and `save_cover`.
+CoverFormat = Literal["curobo", "vamp", "foam", "pyroki", "urdf", "mjcf", "scene"]
 
 # Implementations of `Robot.prove_pairs`, `free_range` and the methods on covers. The modules `pair_ranges`, `covers`
 # and `cover_files` import this module, so they put their functions here.
@@ -1278,11 +1281,7 @@ class Robot(KeepsReadOnly):
         """
         return cast("dict[str, CoverReport]", answers["covered_by"](self, model, tolerance, progress))
 
-    def with_cover(
-        self,
-        path: str | os.PathLike[str],
-        format: Literal["curobo", "vamp", "foam", "pyroki", "urdf", "mjcf", "scene"] | None = None,
-    ) -> Robot:
+    def with_cover(self, path: str | os.PathLike[str], format: CoverFormat | None = None) -> Robot:
         """Return the same robot with link bodies that are read from a file, for instance a planner's spheres.
 
         The pairs that the file ignores replace the robot's `disabled_pairs`; a file without rules on pairs leaves
@@ -1331,11 +1330,7 @@ class Robot(KeepsReadOnly):
         """
         return cast("Robot", answers["with_cover"](self, path, format))
 
-    def save_cover(
-        self,
-        path: str | os.PathLike[str],
-        format: Literal["curobo", "vamp", "foam", "pyroki", "urdf", "mjcf", "scene"] | None = None,
-    ) -> None:
+    def save_cover(self, path: str | os.PathLike[str], format: CoverFormat | None = None) -> None:
         """Write the bodies of links, and the pairs that need no check, for a planner.
 
         The shapes in the file contain the bodies of this robot. For programs that use float32, numbers are rounded
@@ -1618,13 +1613,7 @@ class Robot(KeepsReadOnly):
         array = _validate.float_array(Q, name)
         expect_width(self, array.shape, name)
         if not self._watch.passes(array):
-            refused = self._watch.refused(array)
-            if refused is not None:
-                *row, column = refused
-                where = f"{name}[{', '.join(map(str, row))}]" if row else name
-                value = array[refused]
-                wanted = f"numbers within ±{LARGEST_VALUE:g}" if np.isfinite(value) else "finite numbers"
-                raise InputError(f"{where}: expected {wanted}, found {value} for {self.configuration_names[column]}")
+            self._watch.expect_usable(array, name)
             self._watch.tell(array, name)
         for joint, quaternion in self._quaternions.items():
             norm = np.linalg.norm(array[..., quaternion], axis=-1)

@@ -75,10 +75,8 @@ HARMLESS = {
         "material", "verbose",  # appearance, and output of a simulator
         "surface",  # friction, as in SDF
     )),
-    "geometry": frozenset(("@name",)),
+    **dict.fromkeys(("geometry", "box", "sphere", "cylinder", "capsule"), frozenset(("@name",))),
     "mesh": frozenset(("@name", "drake:declare_convex")),  # every mesh may be made convex
-    "box": frozenset(("@name",)), "sphere": frozenset(("@name",)),
-    "cylinder": frozenset(("@name",)), "capsule": frozenset(("@name",)),
     "joint": frozenset((
         "@dont_collapse",  # whether a simulator merges links
         "calibration*", "dynamics*",  # where encoders switch; friction

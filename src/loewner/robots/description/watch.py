@@ -11,6 +11,7 @@ import numpy as np
 from loewner._base._plausible import FARTHEST_LIMIT, warn
 from loewner._base._read_only import KeepsReadOnly
 from loewner._base._validate import Floats
+from loewner.errors import InputError
 
 # How far a joint's value may be outside its limits without a warning: an angle by a turn [rad], since it may have been
 # wrapped; a length by a metre plus a multiple of the distance between the limits.
@@ -89,10 +90,12 @@ class Watch(KeepsReadOnly):
         least, most = self.range
         return bool((least <= Q).all() and (most >= Q).all())
 
-    def refused(self, Q: Floats) -> tuple[int, ...] | None:
-        """Return the index of the first entry that cannot be used in computations; None if there is none."""
-        wrong = ~(np.abs(Q) <= LARGEST_VALUE)
-        return tuple(int(i) for i in np.argwhere(wrong)[0]) if wrong.any() else None
+    def expect_usable(self, Q: Floats, name: str) -> None:
+        """Refuse a batch with an entry that cannot be used in computations; the error names the first such entry."""
+        for *row, k in np.argwhere(~(np.abs(Q) <= LARGEST_VALUE))[:1].tolist():
+            value = Q[(*row, k)]
+            wanted = f"numbers within ±{LARGEST_VALUE:g}" if np.isfinite(value) else "finite numbers"
+            raise InputError(f"{_where(name, row)}: expected {wanted}, found {value} for {self._names[k]}")
 
     def tell(self, Q: Floats, name: str) -> None:
         """Warn about the first configuration that did not pass, and never warn again."""
@@ -100,14 +103,17 @@ class Watch(KeepsReadOnly):
         far = np.argwhere((least > Q) | (most < Q))
         if not len(far):
             return  # another thread wrote to the array meanwhile
-        *row, k = (int(i) for i in far[0])
+        *row, k = far[0].tolist()
         value, (lower, upper) = Q[(*row, k)], self._limits
         self._look_for(np.full(len(least), -np.inf), np.full(len(least), np.inf))
-        where = f"{name}[{', '.join(map(str, row))}]" if row else name
-        none = np.isinf(lower[k]) and np.isinf(upper[k])
+        where, none = _where(name, row), np.isinf(lower[k]) and np.isinf(upper[k])
         limits = "no limits" if none else f"the limits {lower[k]:.4g} .. {upper[k]:.4g}"
         unit, slip = ("rad", "degrees") if self.turns[k] else ("m", "millimetres")
         warn(
             f"{where}: expected a value near the limits, found {self._names[k]} = {value:.6g} {unit} with {limits}; "
             f"is it in {slip}? (this warning is given once for robot {self._robot!r})"
         )
+
+
+def _where(name: str, row: list[int]) -> str:
+    return f"{name}[{', '.join(map(str, row))}]" if row else name

@@ -21,6 +21,7 @@ from loewner._base._validate import Floats
 from loewner._kernels import columns
 from loewner.bodies import ARRAYS, CURVED, Body, body_of_file, checksum_of, packed_of
 from loewner.errors import FileError
+from loewner.queries.pose_paths import PoseBounds
 from loewner.scenes.files.mjcf_scenes import MJCF_SUFFIXES, mjcf_scene
 from loewner.scenes.files.schema import BODY, SCHEMA, keys_in, keys_of
 from loewner.scenes.files.sensor_shapes import SENSOR_SHAPES, file_of
@@ -120,9 +121,7 @@ def _set_margin(scene: Scene, entry: YamlNode) -> None:
         keys = entry.mapping(*keys_in(SCHEMA["definitions"]["margin"]["oneOf"][-1]))
         items, last = keys["of"].items(1, 2) if "of" in keys else [], keys["margin"]
         if "against" in keys:
-            options["against"] = keys["against"].text()
-            if options["against"] != "links":
-                raise keys["against"].error(f"expected links, found {keys['against'].described()}")
+            options["against"] = keys["against"].choice(("links",), "links")
         elif not items:
             raise entry.error("expected the key of, or against: links, found neither")
         if "lower" in keys:
@@ -335,9 +334,7 @@ def _model(keys: dict[str, YamlNode]) -> str:
         raise keys["model"].error("expected either model or decompose, found both")
     model = "pieces" if "decompose" not in keys or keys["decompose"].flag() else "hull"
     if "model" in keys:
-        model = keys["model"].text()
-        if model not in MODELS:
-            raise keys["model"].error(f"expected one of {', '.join(MODELS)}, found {keys['model'].described()}")
+        model = keys["model"].choice(MODELS)
     for key in SURFACE_KEYS:
         if key in keys and model != "surface":
             raise keys[key].error(f"expected {key} only with model: surface, found model: {model}")
@@ -412,10 +409,8 @@ def _place_of(scene: Scene, name: str) -> dict[str, Any]:
 
     Quaternions of a motion are written to the last digit; they are normalised when they are read.
     """
-    bounds = scene.bounds.get(name)
-    error = {}
-    if bounds is not None and (bounds.metres or bounds.radians):
-        error = {"error": [bounds.metres, bounds.radians]}
+    bounds = scene.bounds.get(name) or PoseBounds(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    error = {"error": [bounds.metres, bounds.radians]} if bounds.metres or bounds.radians else {}
     if name in scene.following:
         path = scene.following[name]
         rows = zip(path.times.tolist(), path.positions.tolist(), path.quaternions.tolist(), strict=True)
@@ -424,7 +419,7 @@ def _place_of(scene: Scene, name: str) -> dict[str, Any]:
             for t, position, wxyz in rows
         ]
         follow: dict[str, Any] = {"poses": poses, "repeat": True} if path.repeat else {"poses": poses}
-        if bounds is not None and (bounds.speed or bounds.turn):
+        if bounds.speed or bounds.turn:
             follow |= {"speed": bounds.speed, "turn": bounds.turn, "since": bounds.since}
         return {"follow": follow | error}
     held = scene.attachments.get(name)
@@ -435,8 +430,6 @@ def _place_of(scene: Scene, name: str) -> dict[str, Any]:
     elif T[:3, 3].any():
         place["position"] = T[:3, 3].tolist()
     if held is not None:
-        place["attach"] = {"link": held.link}
         touch = [link for link in held.touch_links if link != held.link]
-        if touch:
-            place["attach"]["touch"] = touch
+        place["attach"] = {"link": held.link} | ({"touch": touch} if touch else {})
     return place
