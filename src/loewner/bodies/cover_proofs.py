@@ -6,7 +6,7 @@ docs/containment.md states the three outcomes and derives the margins.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -52,8 +52,7 @@ FACES = 100_000
 OCTANTS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=float)
 
 
-@dataclass
-class _Part:
+class _Part(NamedTuple):
     """A piece of the body: triangles of its boundary, or of a polytope around it if the piece is curved."""
 
     triangles: Floats
@@ -209,8 +208,7 @@ def _around(packed: Packed, i: int) -> tuple[Polytope, Floats, float]:
     return Polytope.from_points(center + unit @ factor.T), center, float(kind.share(unit).min())
 
 
-@dataclass
-class _Cells:
+class _Cells(NamedTuple):
     """Triangles or cubes, and the pairs of a cell and an element that it may meet, in the order of the cells."""
 
     shape: Floats  # (k, 3, 3) corners of triangles, or (k, 4) centers and half edges of cubes
@@ -254,13 +252,8 @@ class _Cells:
     @classmethod
     def joined(cls, some_cells: list[_Cells]) -> _Cells:
         first = np.cumsum([0, *(len(cells.shape) for cells in some_cells)])
-        return cls(
-            np.concatenate([c.shape for c in some_cells]),
-            np.concatenate([c.owner for c in some_cells]),
-            np.concatenate([c.area for c in some_cells]),
-            np.concatenate([c.cell + k for c, k in zip(some_cells, first, strict=False)]),
-            np.concatenate([c.element for c in some_cells]),
-        )
+        shifted = [cells._replace(cell=cells.cell + k) for cells, k in zip(some_cells, first, strict=False)]
+        return cls(*map(np.concatenate, zip(*shifted, strict=True)))
 
 
 def _left(cells: list[_Cells]) -> _Cells | None:

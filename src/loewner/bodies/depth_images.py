@@ -84,10 +84,7 @@ def camera_of(image: ArrayLike, K: ArrayLike, T_world_camera: ArrayLike | None) 
         )
     elif doubt := _doubt_about_middle(matrix[0, 2], matrix[1, 2], width, height):
         warn(f"K: a principal point of {matrix[0, 2]:.6g}, {matrix[1, 2]:.6g} {doubt}")
-    T = _validate.poses(T_world_camera, "T_world_camera")
-    if T.shape != (4, 4):
-        raise InputError(f"T_world_camera: expected one pose, found shape {_validate.shape_text(T.shape)}")
-    return depths, matrix, T
+    return depths, matrix, _validate.pose(T_world_camera, "T_world_camera")
 
 
 def _doubt_about_middle(cx: float, cy: float, width: int, height: int) -> str:

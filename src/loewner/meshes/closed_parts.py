@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,8 +19,7 @@ SAME_ANGLE = 1e-5
 WITNESSES = 64
 
 
-@dataclass(frozen=True, eq=False)
-class ClosedPart:
+class ClosedPart(NamedTuple):
     """A closed surface with its cavities.
 
     Attributes

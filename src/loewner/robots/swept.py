@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from loewner._base import _validate
-from loewner._base._matrices import dot, image, lengths, principal_axes, product
+from loewner._base._matrices import dot, image, least_of, lengths, principal_axes, product
 from loewner._base._threads import in_shares
 from loewner._base._validate import Floats, Ints, Progress
 from loewner._kernels import columns
@@ -450,8 +450,7 @@ def _hull(part: _Part, knots: _Knots, one: _Element) -> Polytope:
     # Check containment with the lemma of docs/containment.md, which holds for any normals.
     center = np.add.reduce(hull.vertices, axis=0) / len(hull.vertices)
     normals, vertices = hull.normals[hull.face_of_simplex], hull.vertices[hull.simplices] - center
-    heights = np.full(len(hull.normals), np.inf)
-    np.minimum.at(heights, hull.face_of_simplex, dot(normals[:, None], vertices).min(axis=1))
+    heights = least_of(dot(normals[:, None], vertices).min(axis=1), hull.face_of_simplex, len(hull.normals))
     reached = product(hull.normals, (ends - center).T).max(axis=1) + one.growth * (1 + ROUNDINGS)
     if not (reached < heights).all():
         raise GeometryError(

@@ -7,10 +7,9 @@ module reads MuJoCo's model. Robots and scenes are made from the result.
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -30,8 +29,7 @@ PLANE_EDGE = 1000.0
 MOST_PAIRS = 2**22
 
 
-@dataclass(frozen=True, eq=False)
-class MjcfJoint:
+class MjcfJoint(NamedTuple):
     """A joint of a body; a body may have several joints, which move it one after another.
 
     Attributes
@@ -60,8 +58,7 @@ class MjcfJoint:
     mimic: tuple[str, float, float] | None
 
 
-@dataclass(frozen=True, eq=False)
-class MjcfBody:
+class MjcfBody(NamedTuple):
     """A body, with its pose in the frame of its parent; the world is the first body and its own parent.
 
     Attributes
@@ -86,8 +83,7 @@ class MjcfBody:
     T_world_body: Floats
 
 
-@dataclass(frozen=True, eq=False)
-class MjcfModel:
+class MjcfModel(NamedTuple):
     """The contents of a whole file.
 
     Attributes

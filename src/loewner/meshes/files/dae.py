@@ -12,19 +12,8 @@ from loewner._base._matrices import product
 from loewner._base._rotations import pose_of
 from loewner._base._validate import Floats, Ints
 from loewner._base._xml import Element, XmlError, parse
-from loewner.meshes.files.parts import (
-    Refusal,
-    Tell,
-    Triangles,
-    check_range,
-    cut,
-    expect,
-    fans,
-    joined,
-    placed,
-    quoted,
-    strip,
-)
+from loewner.meshes.files import parts
+from loewner.meshes.files.parts import Refusal, Tell, Triangles, expect, quoted
 from loewner.meshes.files.text import T, floats, integers
 
 # Limits on the nesting of elements, on their number, on the nodes of a scene and their contents (counted at each
@@ -77,7 +66,7 @@ _OF_NUMBERS = ("matrix", "translate", "rotate", "scale", "p", "vcount", "float_a
 # Metres per unit, for the names of units that exporters write.
 _USUAL = {"meter": 1.0, "decimeter": 0.1, "centimeter": 0.01, "millimeter": 0.001, "inch": 0.0254, "foot": 0.3048}
 
-# A function that cuts polygons, with the arguments of `fans`.
+# A function that cuts polygons, with the arguments of `parts.fans`.
 _Cut = Callable[[Ints, Ints], Triangles]
 
 
@@ -147,7 +136,7 @@ def read(data: bytes, tell: Tell) -> tuple[Floats, Triangles]:
         usual = _USUAL.get(name.replace("metre", "meter"), metres)
         if abs(usual - metres) > 0.01 * usual:
             tell(f"expected {usual:g} m as a {name}, found meter={metres:g}, which counts", f"line {unit.line}")
-    vertices, triangles = joined(_Scene(root, metres, tell).meshes())
+    vertices, triangles = parts.joined(_Scene(root, metres, tell).meshes())
     return vertices * metres, triangles
 
 
@@ -229,7 +218,7 @@ class _Scene:
                     raise Refusal("expected a rigid mesh, found one with a controller", child.line)
             for child in node.all("instance_geometry"):
                 node.expect(np.isfinite(T).all(), "expected finite transforms, without lookat and skew")
-                yield placed(T, *self.geometry(child.reference("url"), child.line))
+                yield parts.placed(T, *self.geometry(child.reference("url"), child.line))
             waiting += [(child, T, depth + 1) for child in inside[::-1]]
 
     def geometry(self, name: str, line: int) -> tuple[Floats, Triangles]:
@@ -238,13 +227,13 @@ class _Scene:
             mesh = geometry.the("mesh")
             other = [child for child in geometry.children if child.tag in ("brep", "convex_mesh", "spline")]
             geometry.expect(not other, "expected a mesh alone, found another shape")
-            parts = []
+            meshes = []
             for child in mesh.children:
                 if child.tag in _PRIMITIVES:
-                    parts.append(self.primitive(child, _PRIMITIVES[child.tag]))
+                    meshes.append(self.primitive(child, _PRIMITIVES[child.tag]))
                 elif child.tag not in _NO_SURFACE:
                     raise Refusal(f"<mesh>: expected triangles or polygons, found <{quoted(child.tag)}>", child.line)
-            self.made[name] = joined(parts)
+            self.made[name] = parts.joined(meshes)
         return self.made[name]
 
     def primitive(
@@ -268,10 +257,10 @@ class _Scene:
             numbers = p.integers()
             p.expect(len(numbers) % step == 0, f"expected {step} numbers a corner, found {len(numbers)} in all")
             runs.append(numbers[offset::step])
-            check_range(runs[-1], len(points), "<p>", p.line)
+            parts.check_range(runs[-1], len(points), "<p>", p.line)
         element.expect(not element.all("ph"), "expected polygons without holes, found <ph>")
         place = f"line {element.line}"
-        return points, assemble(element, runs, lambda c, sizes: cut(points, c, sizes, self.tell, lambda _: place))
+        return points, assemble(element, runs, lambda c, sizes: parts.cut(points, c, sizes, self.tell, lambda _: place))
 
     def source(self, name: str, line: int) -> Floats:
         """Return the points of a source, shape (n, 3); each call returns the same array."""
@@ -370,14 +359,14 @@ def _polygons(element: _Element, runs: list[Ints], cut_all: _Cut) -> Triangles:
 
 
 def _strips(element: _Element, runs: list[Ints], _: _Cut) -> Triangles:
-    return np.concatenate([np.empty((0, 3), dtype=np.int64), *(strip(run) for run in _runs(element, runs))])
+    return np.concatenate([np.empty((0, 3), dtype=np.int64), *(parts.strip(run) for run in _runs(element, runs))])
 
 
 _PRIMITIVES: dict[str, Callable[[_Element, list[Ints], _Cut], Triangles]] = {
     "triangles": _triangles,
     "polylist": _polylist,
     "polygons": _polygons,
-    "trifans": lambda element, runs, _: _polygons(element, runs, fans),
+    "trifans": lambda element, runs, _: _polygons(element, runs, parts.fans),
     "tristrips": _strips,
 }
 

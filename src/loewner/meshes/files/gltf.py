@@ -18,19 +18,8 @@ from loewner._base._matrices import lengths, product
 from loewner._base._rotations import pose_of, rotations_of
 from loewner._base._validate import Floats, some
 from loewner.errors import FileError
-from loewner.meshes.files.parts import (
-    MOST,
-    Refusal,
-    Tell,
-    Triangles,
-    check_range,
-    expect,
-    fans,
-    joined,
-    placed,
-    quoted,
-    strip,
-)
+from loewner.meshes.files import parts
+from loewner.meshes.files.parts import Refusal, Tell, Triangles, expect, quoted
 
 _TYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _INDICES = (5121, 5123, 5125)
@@ -96,7 +85,7 @@ def read(data: bytes, folder: Path, binary: bool, limit: int, tell: Tell) -> tup
     """Read the vertices, in metres, and the triangles of the file's scene."""
     text, body = _chunks(data) if binary else (data, None)
     reader = _Reader(_parsed(text), body, folder, limit)
-    mesh = joined(reader.meshes())
+    mesh = parts.joined(reader.meshes())
     if reader.unknown:
         names = some((f"{quoted(key)} in {where}" for key, where in reader.unknown.items()), _LISTED)
         tell(f"{_UNKNOWN}: {names}", "")
@@ -254,7 +243,7 @@ class _Reader:
             waiting += [(child, T) for child in node.items("children", int)[::-1]]
             if "mesh" in node.fields:
                 node.expect_rigid()
-                yield placed(T, *self.mesh(node.integer("mesh")))
+                yield parts.placed(T, *self.mesh(node.integer("mesh")))
 
     def mesh(self, index: int) -> tuple[Floats, Triangles]:
         """Return the primitives of a mesh, joined."""
@@ -263,8 +252,8 @@ class _Reader:
         if index not in self.made:
             primitives = mesh.items("primitives", dict)
             mesh.expect(primitives, "expected primitives, found none")
-            parts = (self.primitive(fields, f"{mesh.where}.primitives[{k}]") for k, fields in enumerate(primitives))
-            self.made[index] = joined(part for part in parts if part is not None)
+            meshes = (self.primitive(fields, f"{mesh.where}.primitives[{k}]") for k, fields in enumerate(primitives))
+            self.made[index] = parts.joined(each for each in meshes if each is not None)
         return self.made[index]
 
     def primitive(self, fields: dict[str, Any], where: str) -> tuple[Floats, Triangles] | None:
@@ -286,13 +275,13 @@ class _Reader:
             corners = indices.reshape(-1).astype(np.int64)
         else:
             corners = np.arange(len(vertices), dtype=np.int64)
-        check_range(corners, len(vertices), f"{where}: indices")
+        parts.check_range(corners, len(vertices), f"{where}: indices")
         count = len(corners)
         if mode == _TRIANGLES:
             primitive.expect(count % 3 == 0, f"expected three corners a triangle, found {count} corners")
             return vertices, corners.reshape(-1, 3)
         primitive.expect(count >= 3, f"expected at least 3 corners, found {count}")
-        return vertices, strip(corners) if mode == _STRIP else fans(corners, np.array([count]))
+        return vertices, parts.strip(corners) if mode == _STRIP else parts.fans(corners, np.array([count]))
 
     # -- bytes
 
@@ -300,7 +289,7 @@ class _Reader:
         """Return the numbers of an accessor, shape (count, n), and the type in which they are stored."""
         accessor = self.item("accessors", index)
         count = accessor.integer("count", least=1)
-        accessor.expect(count <= 3 * MOST, f"expected a count of at most {3 * MOST}, found {count}")
+        accessor.expect(count <= 3 * parts.MOST, f"expected a count of at most {3 * parts.MOST}, found {count}")
         kind = accessor.integer("componentType")
         accessor.expect(kind in _TYPES, f"expected a componentType, found {kind}")
         element_type, sparse = accessor.fields.get("type"), accessor.fields.get("sparse")
@@ -380,8 +369,8 @@ class _Reader:
                 name = unquote_to_bytes(uri).decode("utf-8")
             except UnicodeError:
                 raise Refusal(f"{where}: expected a uri in UTF-8, found {quoted(uri)}") from None
-            parts = name.replace("\\", "/").split("/")
-            inside = ":" not in name and ".." not in parts and parts[0] != ""
+            steps = name.replace("\\", "/").split("/")
+            inside = ":" not in name and ".." not in steps and steps[0] != ""
             expect(inside, f"{where}: expected a file in the folder of this one or below, found {quoted(uri)}")
             room = self.limit - sum(map(len, self.files.values()))
             try:
