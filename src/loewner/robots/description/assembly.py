@@ -462,12 +462,9 @@ def _prefixed(prefix: str, names: Sequence[str]) -> tuple[str, ...]:
 
 def _chain(robot: Any, root: str, joints: Sequence[Joint]) -> Any:
     """Make a robot of links without bodies from joints, each below the one before; each link has its joint's name."""
-    by_name, above = dict[str, Joint](), root
-    for joint in joints:
-        by_name[joint.name] = replace(joint, parent=above, child=joint.name)
-        above = joint.name
-    shapes: dict[str, tuple[Any, ...]] = {root: (), **dict.fromkeys(by_name, ())}
-    description = Description(root, Path(root), shapes, by_name, {joint.child: joint for joint in by_name.values()}, ())
+    links = [root, *(joint.name for joint in joints)]
+    by_name = {one.name: replace(one, parent=above, child=one.name) for one, above in zip(joints, links, strict=False)}
+    description = Description(root, Path(root), dict.fromkeys(links, ()), by_name, by_name, ())
     made_robot = type(robot)._of(description, {}, Semantics(), frozenset(), (), "none", None)
     return replace(made_robot, _sources=())
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from itertools import accumulate, pairwise
 
 import numpy as np
 
@@ -65,12 +66,8 @@ def semantics_of(model: MjcfModel, robot: Description) -> Semantics:
 
 def qpos_columns(robot: Description) -> dict[str, tuple[int, ...]]:
     """Return the columns of each joint in MuJoCo's qpos."""
-    columns, at = {}, 0
-    for name, joint in robot.joints.items():
-        width = len(VALUES[joint.kind])
-        columns[name] = tuple(range(at, at + width))
-        at += width
-    return columns
+    ends = [0, *accumulate(len(VALUES[joint.kind]) for joint in robot.joints.values())]
+    return {name: tuple(range(*span)) for name, span in zip(robot.joints, pairwise(ends), strict=True)}
 
 
 def _joints_of(body: MjcfBody, parent: str, links: set[str]) -> Iterator[Joint]:

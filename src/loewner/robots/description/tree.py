@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import defaultdict
 from collections.abc import Collection
-from itertools import combinations
+from itertools import accumulate, combinations
 
 import numpy as np
 
@@ -30,11 +30,9 @@ KINDS = {
 
 def columns_of(robot: Description) -> tuple[dict[str, slice], int]:
     """Return the columns of each driven joint, and the number of columns."""
-    slices, at = {}, 0
-    for name in robot.driven:
-        slices[name] = slice(at, at + len(VALUES[robot.joints[name].kind]))
-        at = slices[name].stop
-    return slices, at
+    names = robot.driven
+    ends = [0, *accumulate(len(VALUES[robot.joints[name].kind]) for name in names)]
+    return dict(zip(names, map(slice, ends[:-1], ends[1:]), strict=True)), ends[-1]
 
 
 def adjacent_pairs(robot: Description, bodies: Collection[str] | None = None) -> frozenset[Pair]:
