@@ -168,7 +168,7 @@ class Node(ABC):
         return [item.number() for item in self.items(*([] if length is None else [length]), names=names)]
 
     def choice(self, words: Collection[str], wanted: str = "") -> str:
-        """Read one of several words; the error lists them, unless `wanted` says what is expected."""
+        """Read one of several words. The error lists the words, unless `wanted` is a shorter description of them."""
         text = self.text()
         if text not in words:
             raise self.error(f"expected {wanted or f'one of {some(words)}'}, found {self.described()}")
@@ -180,7 +180,7 @@ class Node(ABC):
 
 
 def some(names: Iterable[str]) -> str:
-    """Format names for messages, limited to a readable number."""
+    """Format names for messages: a limited number of names, each shortened to a limited length."""
     return _validate.some(map(cut, names))
 
 
