@@ -959,10 +959,10 @@ class Body(_Bodies):
         ----------
         kind : {"spheres", "capsules", "boxes", "ellipsoids"}
         n : int, optional
-            Upper limit on the number of elements; the search makes the elements stick out as little as it can.
+            Upper limit on the number of elements; the search makes the elements stick out as little as possible.
         protrusion : float, optional
             The largest distance by which an element may stick out of the body, in metres; the search uses as few
-            elements as it can. Give either `n` or ``protrusion``.
+            elements as possible. Give either `n` or ``protrusion``.
         progress : callable, optional
             Called as ``progress(done, total)`` after each step.
 
@@ -979,7 +979,7 @@ class Body(_Bodies):
             If both or neither of `n` and ``protrusion`` are given, if `n` is less than 1, or if ``protrusion`` is less
             than 1e-4 of the body's diagonal.
         GeometryError
-            If no elements that satisfy the given limit are found.
+            If the search finds no elements within the given limit.
 
         Examples
         --------

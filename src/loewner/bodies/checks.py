@@ -36,7 +36,7 @@ MOST_ASPECT = 1e15
 # Vectors below this length, in units of an inner ellipsoid, have no reliable direction: their squares may underflow.
 SHORTEST = 1e-100
 
-# Share by which poses may stretch the ellipsoids of capsules and spheres, whereas the stored radius stays the same.
+# Share by which poses may stretch the ellipsoids of capsules and spheres; the stored radius stays the same.
 BEND = 4 * tolerances.ROTATION_TOLERANCE
 
 # BLOCK is the approximate number of points and planes in a block of polytopes, and AT_ONCE the approximate number of
@@ -243,7 +243,7 @@ def _cross(a: Floats, b: Floats) -> Floats:
 
 
 def _check_surface(p: PieceArrays, rows: Ints, start: Ints, local: Floats, size: Floats, doubt: Floats) -> None:
-    """Check that the triangles form a surface of all points around the inner ellipsoid, here the unit ball.
+    """Check that the triangles use all points and enclose the inner ellipsoid, here the unit ball.
 
     A closed surface that winds once around the origin encloses every point that can be reached from the origin without
     crossing the surface. If no triangle is nearer than the radius of the ball, the surface therefore encloses the ball,
@@ -286,8 +286,8 @@ def _check_surface(p: PieceArrays, rows: Ints, start: Ints, local: Floats, size:
 def _least_height(normal: Floats, a: Floats, b: Floats, c: Floats) -> Floats:
     """Find the least height of the corners of triangles along vectors of any length; -inf for a vector of zero length.
 
-    No point of a triangle is nearer to the origin than this height, for any vector. An inaccurate normal of a
-    sliver therefore makes the bound smaller, and never too large.
+    For any vector, no point of a triangle is nearer to the origin than this height. The inaccurate normal of a sliver
+    therefore makes the bound smaller, but never too large.
     """
     length = np.sqrt(_dot(normal, normal))
     least = np.minimum(np.minimum(_dot(normal, a), _dot(normal, b)), _dot(normal, c))
@@ -379,7 +379,7 @@ def _check_one_surface(p: PieceArrays, i: int) -> None:
     farthest = np.sqrt((away * away).sum(axis=1).max())
     _refuse(np.array([not farthest <= 1 + doubt]), "outer ellipsoid: expected the surface inside", rows=np.array([i]))
     if p.layout[i, columns.KIND] == columns.SOLID:
-        return  # the inner ellipsoid is computed anew, regardless of the file
+        return  # the inner ellipsoid in the file is not used, but recomputed
     # The inner ellipsoid is a ball about a point of the surface, or lies within such a ball.
     center, inner = p.inner_center[i], p.inner_factor[i]
     to_vertex = np.sqrt(((points - center) ** 2).sum(axis=1).min())

@@ -25,20 +25,20 @@ from loewner.meshes.triangles import halved, longest_edges, unit_normals
 # Initial numbers of surface points, corners and interior points that the balls must contain.
 SURFACE, CORNERS, INSIDE = 6000, 1500, 500
 
-# DENSITY is the number of surface points per square whose edge is the protrusion. A small surface uses a share of the
-# usual points and candidates, at least LEAST_SHARE.
+# DENSITY is the number of surface points per square whose edge is the protrusion. For a small surface, the numbers of
+# points and candidates are reduced, to no less than the share LEAST_SHARE.
 DENSITY, LEAST_SHARE = 8.0, 0.2
 
 # Number of candidates for the centers of balls.
 CANDIDATES = 2500
 
-# The local search for the fewest balls takes STEPS steps in each of ROUNDS rounds. A round adds the points that the
-# proof misses, and adds balls for these points at most REPAIRS times. At most MORE_ROUNDS rounds follow if there is no
-# proof yet.
+# The local search for the fewest balls takes STEPS steps in each of ROUNDS rounds. A round adds points at which the
+# proof fails, and balls for these points, at most REPAIRS times. At most MORE_ROUNDS rounds follow if there is no proof
+# yet.
 STEPS, ROUNDS, MORE_ROUNDS, REPAIRS = 1000, 5, 8, 5
 
-# PAIRS of centers are tried as axes of capsules. FALL is the least depth of an axis, relative to the depth of its ends,
-# measured at AXIS_POINTS points.
+# PAIRS is the number of pairs of centers that are tried as the ends of a capsule's axis. FALL is the least depth of an
+# axis, relative to the depth of its ends, measured at AXIS_POINTS points.
 PAIRS, FALL, AXIS_POINTS = 16_384, 0.7, 24
 
 # Number of bits in a word; each point, and each candidate, is one bit.
@@ -405,7 +405,7 @@ def _others(target: Target, kind: str, n: int | None, protrusion: float | None, 
 
 
 def _no_proof(kind: str, n: int | None, protrusion: float | None) -> GeometryError:
-    """Make the error for a limit, either the number of elements or the protrusion, for which no proof was found."""
+    """Make the error for a limit on the number of elements or on the protrusion, within which no proof was found."""
     if protrusion is None:
         return GeometryError(f"n: expected a number of {kind} that suffices, found {n}, and no proof")
     return GeometryError(f"protrusion: expected one that {kind} reach, found {protrusion:g} m, and no proof")

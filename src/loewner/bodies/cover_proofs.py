@@ -184,7 +184,7 @@ def _part(packed: Packed, i: int) -> _Part:
 
 
 def _stray(hull_points: Floats, planes: Floats) -> float:
-    """Bound how far the hull of points is outside of its own triangles, which are flat only up to rounding.
+    """Bound how far the hull of points extends beyond its own triangles, which are flat only up to rounding.
 
     Let w be the width within which `polytopes` accepts the corners of a face, and h the height of a triangle's plane
     over the middle c. A point y of the hull is beyond the plane, seen from c, by at most w |y - c| / h.
@@ -592,7 +592,7 @@ def excess_of(target: Target, packed: Packed, model: Elements, tolerance: float)
 
 
 def _round_excess(target: Target, model: Elements, these: Ints, tolerance: float) -> Floats:
-    """Bound by how much balls and capsules stick out: the distances of their axes from the body, plus the radius."""
+    """Bound how far balls and capsules stick out: the distances of their axes from the body, plus the radius."""
     bound = np.full(len(these), -np.inf)
     owner = np.arange(len(these))
     axis = model.axis[these] * (model.kind[these] == columns.SEGMENT)[:, None]
@@ -658,7 +658,7 @@ def prove(packed: Packed, model: Packed, tolerance: float | None, progress: Prog
 
 
 def first_failures(target: Target, model: Packed, protrusion: float) -> tuple[Floats, Floats]:
-    """Return points at which a model fails to cover a body or no proof was found; none if the body is proven covered.
+    """Return points that a model misses or is not proven to cover; none if the body is proven to be covered.
 
     Each point comes with the radius of a ball around it that is part of the body.
     """

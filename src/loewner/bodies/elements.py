@@ -80,7 +80,7 @@ class Elements:
         return len(self.kind)
 
     def _take_gauges(self) -> None:
-        """Prepare curved pieces without a ball."""
+        """Prepare curved pieces that have no added ball."""
         these = np.flatnonzero((self.kind > columns.POLYTOPE) & ~np.isin(self.kind, ROUND))
         self.inverse, self.sigma = np.zeros_like(self.factor), np.zeros(len(self.kind))
         if len(these) == 0:
@@ -131,7 +131,7 @@ class Elements:
         return self._by_kind(element, lambda kind, these: self._heights(kind, points[these], element[these]))
 
     def _by_kind(self, element: Ints, function: Callable[[int, Ints], Floats]) -> Floats:
-        """Compute a number for each of some elements by a function of a kind and the indices that have this kind."""
+        """Compute a number for each element; the function receives a kind and the positions of its elements."""
         kinds, values = self.kind[element], np.empty(len(element))
         for kind in self.kinds:
             these = np.flatnonzero(kinds == kind)

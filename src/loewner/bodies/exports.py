@@ -40,7 +40,8 @@ MJCF = ("sphere", "cylinder", "capsule", "ellipsoid")
 # has 320 triangles, and deviates by at most 4 % of the semi-axes.
 DIVISIONS = 2
 
-# A polytope is written as a box if their corners differ by at most this relative distance, one or two roundings.
+# A polytope is written as a box if its corners deviate from a box's by at most this relative distance, one or two
+# roundings.
 BOX_ROUNDING = 1e-13
 
 # Area [m²] and volume [m³] below which MuJoCo may reject a mesh as too small; MuJoCo's limit is 1e-15.
@@ -81,7 +82,7 @@ class Shape:
     mesh: Mesh | None = None
 
     def wider(self, by: float) -> Shape:
-        """Return the shape enlarged on each side, except a solid or a sphere, which stays as it is.
+        """Return the shape enlarged on each side; a solid or a sphere is returned unchanged.
 
         The corners of a convex mesh move farther outward, to cover MuJoCo's rounding to single precision.
         """
@@ -94,7 +95,7 @@ class Shape:
 
 
 def _wider_mesh(vertices: Floats, triangles: Any, by: float) -> Mesh:
-    """Scale a convex mesh so that each face moves outwards; other meshes stay as they are."""
+    """Scale a convex mesh so that each face moves outwards; other meshes are returned unchanged."""
     middle = vertices.mean(axis=0)
     corners = vertices[triangles]
     normals = normals_of(corners)
@@ -135,7 +136,7 @@ def add_geoms(
             vertices = numbers(shape.mesh[0].ravel())
             mesh = ElementTree.SubElement(asset, "mesh", name=f"{name}_{number}", vertex=vertices)
             if _is_small(*shape.mesh, number):
-                mesh.set("inertia", "shell")  # MuJoCo refuses another inertia of such a volume
+                mesh.set("inertia", "shell")  # MuJoCo refuses any other inertia for such a small volume
             geom.set("mesh", f"{name}_{number}")
             continue
         half = {"box": [0.5] * 3, "cylinder": [1.0, 0.5], "capsule": [1.0, 0.5]}.get(shape.kind, 1.0)
@@ -209,8 +210,8 @@ def add_collisions(
 ) -> dict[Path, str]:
     """Add the shapes of a body to a link of the URDF at `path`, and return the contents of its mesh files.
 
-    Shapes other than spheres and meshes are enlarged by `wider` [m] on each side. The triangles of a solid become a
-    mesh if they are `accepted`; otherwise they are refused, like all other surfaces.
+    Shapes other than spheres and meshes are enlarged by `wider` [m] on each side. A solid becomes a mesh of its
+    triangles if `accepted` returns true for them; any other solid is refused, like all open surfaces.
     """
     meshes: dict[Path, str] = {}
     listed = (shape.wider(wider) for shape in _listed(packed, which, accepted))

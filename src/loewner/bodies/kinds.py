@@ -43,7 +43,7 @@ def _missing(_: Floats) -> Floats:
 class Kind(NamedTuple):
     """A kind of curved piece: the image of a unit shape, with a ball added (see `_kernels.pieces.shapes`).
 
-    The `Body` constructor called `name` takes `sizes`, which are computed from the ball's radius and the image's
+    `name` is the name of a `Body` constructor; `sizes` computes its arguments from the ball's radius and the image's
     semi-axes. Scene files give the sizes as separate fields, named by `size_names`, or as one vector if there are no
     names. `is_ball` marks kinds that are their own ellipsoids.
 
@@ -53,8 +53,8 @@ class Kind(NamedTuple):
     than 1 at the origin, and greater than 1 outside the unit shape. `support` is the support function. Covers refuse
     kinds that lack `gauge` or `support`.
 
-    If a ball is added, neither function is needed, `core` is half the length of the unit segment to which the ball is
-    added (0 for a point), and `mesh` triangulates the unit ball.
+    If a ball is added, `gauge` and `support` are not needed, `core` is half the length of the unit segment to which the
+    ball is added (0 for a point), and `mesh` triangulates the unit ball.
     """
 
     name: str

@@ -231,8 +231,8 @@ def moved(p: Packed, T: Floats) -> Packed:
     inside = p.inner_factor.any(axis=(1, 2))  # a surface without an inner ellipsoid has one of its points instead
     shrink = np.where(inside, 1 - shift / table[:, columns.INNER_SIGMA], 1.0)
     grow = 1 + shift / table[:, columns.OUTER_SIGMA]
-    # R stretches ellipsoids, but a radius is kept. The ellipsoids fit the stretched core with a stretched ball; scaled
-    # by the stretch about their centers, they are inside (or around) the core with the kept ball.
+    # R stretches ellipsoids, but radii stay the same. The ellipsoids fit the stretched core with a stretched ball;
+    # scaled by the stretch about their centers, they are inside (or around) the core with the kept ball.
     stretched = singular_values(R[None])[0]
     stretch = max(stretched[0], 1 / stretched[-1]) * (1 + 2 * SINGULAR_ROUNDINGS)
     rounded = p.frames[:, 0] > 0

@@ -58,7 +58,8 @@ def in_parts(packs: Sequence[Packed], most: int = PARTS) -> list[Packed]:
 def in_small_parts(packs: Sequence[Packed]) -> list[Packed]:
     """Cut the surfaces of bodies into small parts, whose total number is limited."""
     surfaces, most = sum(len(pack.trees) for pack in packs), MOST_PARTS
-    # The limit is halved, not divided exactly, so that adding a surface does not always cut all other surfaces anew.
+    # The limit is halved, not divided exactly, so that an added surface does not always require cutting all other
+    # surfaces again.
     while most * surfaces > ALL_PARTS:
         most //= 2
     return in_parts(packs, max(most, PARTS))

@@ -141,7 +141,7 @@ def _numbered(cells: Ints, order: tuple[int, ...]) -> Ints:
 
 
 def _cells(numbers: Ints, order: tuple[int, ...]) -> Ints:
-    """Read cells from numbers that `_numbered` wrote."""
+    """Recover cells from the numbers that `_numbered` computed."""
     cells = np.empty((len(numbers), 3), dtype=np.int64)
     rest = numbers
     for axis in reversed(order):
