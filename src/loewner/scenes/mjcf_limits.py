@@ -42,7 +42,7 @@ class _Model:
     folders : set of str
         Folders of files, as given by <compiler>.
     files : list of tuple of Path and str
-        Files that name other files, with the names.
+        Files that name other files, each with a name in it.
     included : int
     """
 

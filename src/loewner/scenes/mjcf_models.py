@@ -21,8 +21,8 @@ from loewner.bodies import Body
 from loewner.errors import ConvergenceError, FileError, InputError, imported
 from loewner.scenes.mjcf_limits import check_limits
 
-# In MuJoCo, a plane is a half-space. A cube below the plane replaces it, around the plane's center, with the longest
-# edge [m] that causes no warning about units.
+# In MuJoCo, a plane is a half-space. A cube below the plane, centered at the plane's center, replaces the half-space;
+# its edge [m] is the longest that causes no warning about units.
 PLANE_EDGE = 1000.0
 
 # Limit on the pairs of parts of a model: far more than any model has.
@@ -44,8 +44,8 @@ class MjcfJoint(NamedTuple):
     reference : float
         Value of the joint at which the body has the pose given in the file: `ref` in the file.
     mimic : tuple, optional
-        If an equality couples this joint to another one and equalities are read: the name of the joint that this joint
-        follows, a multiplier and an offset.
+        The name of the joint that this joint follows, a multiplier and an offset; given only if an equality in the file
+        couples the two joints and equalities are read.
     """
 
     name: str
@@ -133,7 +133,7 @@ def read_mjcf(path: str | os.PathLike[str], tol: float) -> MjcfModel:
     -----
     UserWarning
         Once, if the file contains parts that change MuJoCo's motions or contacts but are not read: flexible bodies,
-        constraints, margins of geoms, and all limits other than limits of joints with one value.
+        constraints, margins of geoms, and all limits except the limits of joints with one value.
     """
     file = _validate.path(path, "path", wanted="a path to an MJCF file")
     return compiled_model(_compiled(file), None, file, tol, couplings=False)
@@ -410,7 +410,7 @@ def _terrain(model: Any, field: int) -> Body:
 
 
 def _hull_points(model: Any, mesh: int) -> Floats:
-    """Return the vertices of a mesh's convex hull that MuJoCo uses, whose number `maxhullvert` may limit."""
+    """Return the vertices of the convex hull that MuJoCo uses for a mesh; `maxhullvert` may limit their number."""
     first, count, graph = (int(a[mesh]) for a in (model.mesh_vertadr, model.mesh_vertnum, model.mesh_graphadr))
     vertices = np.array(model.mesh_vert[first : first + count], dtype=np.float64)
     if graph < 0:
@@ -427,7 +427,7 @@ def _hull_points(model: Any, mesh: int) -> Floats:
 def _left_out(
     mujoco: Any, model: Any, part_names: dict[tuple[int, ...], str], file: Path
 ) -> tuple[frozenset[Pair], frozenset[Pair]]:
-    """Find the pairs of parts that MuJoCo skips, by kinship or because of the file.
+    """Find the pairs of parts that MuJoCo skips because their bodies are related, or because the file excludes them.
 
     The section "Collision" of MuJoCo's documentation gives the rules.
     """

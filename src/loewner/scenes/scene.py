@@ -267,7 +267,7 @@ class Scene:
 
     @property
     def structure_version(self) -> int:
-        """A number that grows with every change, except of a pose or a motion, which leaves other data valid."""
+        """A number that grows with every change except a change of a pose or motion, which leaves other data valid."""
         return self._structure_version
 
     def pose(self, name: str) -> Floats:
@@ -291,7 +291,7 @@ class Scene:
             return self._poses[self._placed(name)].copy()
 
     def copy(self) -> Scene:
-        """Return a copy of the scene; later changes to the scene do not affect the copy, or the reverse.
+        """Return a copy of the scene; later changes to the scene or to the copy do not affect the other.
 
         Returns
         -------
@@ -396,8 +396,8 @@ class Scene:
         Warns
         -----
         UserWarning
-            Once per scene, if a body is probably not given in metres: it is kilometres large or far away, or much
-            smaller than a millimetre.
+            Once per scene, if a body is probably not given in metres, because it is kilometres across, kilometres away,
+            or much smaller than a millimetre.
         """
         name = expect_name(name)
         _validate.instance(body, f"body of {name!r}", Body)
@@ -503,7 +503,7 @@ class Scene:
         Raises
         ------
         InputError
-            If a body is attached to a link, and must be detached first, or an error is negative or not finite.
+            If a body is attached to a link (detach it first), or an error is negative or not finite.
 
         Notes
         -----
@@ -560,8 +560,8 @@ class Scene:
         Raises
         ------
         InputError
-            If the numbers of names and poses differ, a name occurs twice, or a body is attached to a link and must be
-            detached first.
+            If the numbers of names and poses differ, a name occurs twice, or a body is attached to a link (detach it
+            first).
         PoseError
             If a pose is not a rigid motion.
         UnknownNameError

@@ -159,7 +159,7 @@ def _obstacle(kind: str, *sizes: float) -> Body:
 
 
 def _pose(keys: dict[str, JsonNode]) -> Floats:
-    """Read the pose of an obstacle; if both a quaternion and angles are given, the quaternion counts."""
+    """Read the pose of an obstacle; if both a quaternion and angles are given, the quaternion is used."""
     T = np.eye(4)
     T[:3, 3] = keys["position"].numbers(3)
     angles = keys.get("orientation_euler_xyz")

@@ -18,10 +18,10 @@ Keys = tuple[tuple[str, ...], tuple[str, ...]]
 
 
 def keys_of(place: str) -> Keys:
-    """Return the possible keys and the required keys of a mapping in the entry of a body."""
+    """Return the allowed keys and the required keys of a mapping in a body's entry."""
     return keys_in(BODY["properties"][place])
 
 
 def keys_in(rule: dict[str, Any]) -> Keys:
-    """Return the possible keys and the required keys of a rule for a mapping."""
+    """Return the allowed keys and the required keys that a rule of the schema gives for a mapping."""
     return tuple(rule["properties"]), tuple(rule.get("required", ()))

@@ -111,7 +111,7 @@ def read_array(path: Path) -> Any:
 
 
 def _doubts(comments: str) -> Iterator[str]:
-    """Yield reasons why numbers may be in another unit or order, judged by comments that are not read otherwise."""
+    """Yield reasons why numbers may be in another unit or order, judging by comments, which are otherwise ignored."""
     if doubt := doubt_about_unit(comments):
         yield doubt
     for line in comments.splitlines():
