@@ -29,15 +29,15 @@ from loewner.errors import ConvergenceError, GeometryError, InputError
 
 # The paper's tolerance: volumes within a factor of e^0.0001.
 DEFAULT_TOLERANCE = 1e-4
-# If `_large_fits` did not converge, the kernel for half-spaces is tried, provided it takes a few seconds at most.
+# If `large_fits` did not converge, the kernel for half-spaces is tried, provided it takes a few seconds at most.
 MANY_FOR_KERNEL = 1e10
 # Below this tolerance, the certificate itself is rounding noise.
 SMALLEST_TOLERANCE = 1e-12
 
-# For the outer ellipsoid, `_large_fits` is faster in HIGH_DIMENSION and above, and in MIDDLE_DIMENSION and above if the
-# number of points times the fourth power of the dimension reaches MANY_POINTS. For the inner ellipsoid, it is faster if
-# the number of half-spaces times the third power of the dimension reaches MANY_HALFSPACES. See the measurements in
-# docs/design/fits.md.
+# For the outer ellipsoid, `large_fits` is faster if the dimension is at least HIGH_DIMENSION, or if it is at least
+# MIDDLE_DIMENSION and the number of points times the fourth power of the dimension reaches MANY_POINTS. For the inner
+# ellipsoid, it is faster if the number of half-spaces times the third power of the dimension reaches MANY_HALFSPACES.
+# See the measurements in docs/design/fits.md.
 HIGH_DIMENSION, MIDDLE_DIMENSION, MANY_POINTS, MANY_HALFSPACES = 15, 5, 1.5e8, 4e5
 
 

@@ -32,14 +32,14 @@ LEAST_SHARE, BLOCK = 16, 512
 FLATNESS = 1e-12
 EPS = float(np.finfo(float).eps)
 # With MANY_POINTS or more in 3-D, points inside the hull of a sample are left out. The sample has a fiftieth of the
-# points, from LEAST_SAMPLE to MOST_SAMPLE. The step is skipped if more than the share WORTHWHILE of the sample are
-# vertices of its hull, or if the hull has a face nearer to its middle than SHALLOW, relative to the size of all points.
-# The hull is shrunk by the share SHRINK.
+# points, but at least LEAST_SAMPLE and at most MOST_SAMPLE. The step is skipped if more than the share WORTHWHILE of
+# the sample are vertices of its hull, or if the hull has a face nearer to its middle than SHALLOW, relative to the size
+# of all points. The hull is shrunk by the share SHRINK.
 MANY_POINTS, LEAST_SAMPLE, MOST_SAMPLE = 20_000, 1_000, 20_000
 WORTHWHILE, SHALLOW, SHRINK = 0.5, 1e-3, 1e-6
 # Number of points that a kernel examines between two checks for an interrupt, about 10 ms.
 POINTS_AT_ONCE = 2**18
-# Limits on lengths, which are squared; flatness is judged twelve orders of magnitude below them.
+# Limits on lengths, since lengths are squared and flatness is judged twelve orders of magnitude below them.
 SMALLEST, LARGEST = 1e-140, 1e140
 
 

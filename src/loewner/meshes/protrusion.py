@@ -194,16 +194,16 @@ def protrusions(
     of a piece's boundary is therefore the distance of the triangle's center, negative inside, plus the triangle's
     radius about the center. The distance to a single triangle of the mesh is a convex function, so its largest value at
     a corner is a second bound. The smaller bound counts. A triangle whose bound is above the required bound is halved,
-    or cut along the edges of the mesh triangle in which it nearly lies. The part in the mesh triangle is settled by the
-    cut.
+    or cut along the edges of the mesh triangle in which it nearly lies. The cut settles the part in the mesh triangle.
 
     If a piece fills a cavity or a groove of the mesh, the distance may have a greater local maximum inside the piece.
     At such a maximum, the directions from the nearest points of the surface surround the point, and each direction is a
     combination of outward normals of triangles at its nearest point.
 
     The inside is searched in cubes. A cube has no such maximum if all triangles within reach face one half-space. For
-    any other cube, the bound from the distance of its center is used, or the cube is divided. No cube is exempt if the
-    solid is on the outer side of some triangles of the mesh, for instance where a cavity extends beyond its part.
+    any other cube, the bound from the distance of its center is used, or the cube is divided. If the solid is on the
+    outer side of some triangle of the mesh, for instance where a cavity extends beyond its part, no cube can be ruled
+    out by the half-space that triangles face.
     """
     cells = np.concatenate([hull.vertices[hull.simplices] for hull in hulls])
     owner = np.repeat(np.arange(len(hulls)), [len(hull.simplices) for hull in hulls])
@@ -217,8 +217,8 @@ def protrusions(
         accuracy = 2 * rounding if nothing else ABSOLUTE * solid.size
         if floor > 0:
             accuracy = max(2 * rounding, min(accuracy, RELATIVE * floor))
-        # The search must decide whether a piece is below the floor, however close the piece is to the floor. By how
-        # much a piece is above the floor does not matter.
+        # The search must decide whether a piece is below the floor, however close the piece is to the floor. How far a
+        # piece is above the floor does not matter.
         near = np.where(best > floor, best * (1 + relative), best)
         return np.maximum(floor, np.maximum(near, best + accuracy))
 

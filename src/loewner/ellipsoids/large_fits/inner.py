@@ -186,7 +186,7 @@ def _ratios(R: Floats, found: _Inside) -> Floats:
 def _solve(A: Floats, x: Floats, active: _WorkingSet, target: float, reporter: Reporter) -> _Inside:
     """Find the largest ellipsoid in {x : A x <= 1}, A from `active`, given a point inside and its multipliers.
 
-    Half-spaces are dropped from `active`, whose multipliers in the end belong to the result.
+    Half-spaces are dropped from `active`; the multipliers that it has at the end belong to the result.
     """
     n = A.shape[1]
     index, y = active.index, active.y.copy()

@@ -128,7 +128,7 @@ def smallest_around(
         if gap <= 0.5 * tol:
             if names is None:
                 break
-            pool, names = points, None  # omitted points are tested once more; if they matter, guesses end
+            pool, names = points, None  # omitted points are tested once more; if any matters, there are no more guesses
             active.bold = False
             continue
         bound = _least_of_support(radii.max() * n + lifted, n + lifted, active.bold)
@@ -265,7 +265,7 @@ def _solve(active: _WorkingSet, target: float, reporter: Reporter) -> tuple[int,
 
 
 def _least_of_support(largest: float, N: int, bold: bool) -> float:
-    """Bound the w below which u is zero at the optimum (Harman and Pronzato 2007), with an allowance, or guess this w.
+    """Bound, with an allowance, the w below which u is zero at the optimum (Harman and Pronzato 2007), or guess it.
 
     The theorem assumes the worst case, that the excess of the largest w over N is due to one direction; the bold guess
     assumes an Nth of that excess. In high dimension, the guess keeps far fewer points, and is nearly always right.

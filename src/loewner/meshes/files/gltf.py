@@ -36,7 +36,7 @@ _HARMLESS = (
     "KHR_lights_",
     "EXT_lights_",
     "KHR_audio",
-    "KHR_animation_",  # a file is read as it is without animations
+    "KHR_animation_",  # a file is read as if it had no animations
     "KHR_mesh_quantization",  # integers as coordinates, which are read
     "KHR_xmp",  # authors and licences
     "EXT_mesh_features",  # properties of parts

@@ -47,7 +47,7 @@ def integers(tokens: Sequence[bytes]) -> Ints:
 
 
 def _converted(tokens: Sequence[bytes], read: Callable[[bytes], Any], kind: type[T]) -> NDArray[T] | None:
-    """Convert tokens by one of Python's readers, which would accept underscores; None if a token is no such number."""
+    """Convert tokens with `int` or `float`, but refuse underscores; None if a token is not such a number."""
     try:
         numbers = np.fromiter(map(read, tokens), dtype=kind, count=len(tokens))
     except (ValueError, OverflowError):
