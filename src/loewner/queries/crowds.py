@@ -22,7 +22,7 @@ from loewner.queries._settle import Operands, settle
 # The smallest number of bodies that is worth a thread of its own.
 CHUNK = 4096
 
-# Number of candidate pairs at which they are settled. The last group of boxes may add WIDE pairs for each body.
+# Candidate pairs are settled once there are this many. The last group of boxes may add WIDE pairs for each body.
 CANDIDATES = 65536
 
 # Bytes for a body: two corners of its box, its sorted keys, its place in the order, and its share of the groups' boxes.

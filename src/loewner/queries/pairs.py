@@ -161,7 +161,7 @@ def _prepare(
     each: int = 1,
     chosen: ArrayLike | None = None,
 ) -> _Pairs:
-    """Check the operands and work out how they broadcast; unless `check` is true, the kernel checks the poses.
+    """Check the operands and work out how they broadcast; the kernel checks the poses unless `check` is true.
 
     `each` is the number of bytes of results per pair; a call whose results do not fit into memory is refused. `chosen`
     lists rows of pairs, which replace broadcasting.

@@ -55,9 +55,9 @@ MOST_OFF = 1e100
 class PoseBounds:
     """How far a body may be from its given pose; see `Scene.follow` and `Scene.move`.
 
-    At the time t, the body's origin deviates by at most metres + speed |t - since|, and its orientation by at most
-    radians + turn |t - since|. A point at the distance ρ from the origin deviates by no more than the first bound plus
-    ρ times the second. The bounds therefore depend on the position of the origin of the body's frame.
+    At time t, the body's origin deviates by at most metres + speed |t - since|, and its orientation by at most radians
+    + turn |t - since|. A point at distance ρ from the origin deviates by no more than the first bound plus ρ times the
+    second. The bounds therefore depend on the position of the origin of the body's frame.
 
     Attributes
     ----------
