@@ -399,7 +399,7 @@ class CollisionChecker:
             allowed.
         t0, t1 : float or array_like, shape (...), optional
             Times in seconds at which the motions begin and end, broadcast with the motions; required if bodies of the
-            scene follow motions (`Scene.follow`). A motion reaches its fraction f at the time t0 + f (t1 - t0).
+            scene follow motions (`Scene.follow`). A motion reaches its fraction f at time t0 + f (t1 - t0).
         steps : int, optional
             Largest number of steps of work for each motion. A step places a configuration, compares two bodies or
             pieces, runs a search, or opens a box of a tree. A motion that needs more steps is AMBIGUOUS, with the
@@ -526,8 +526,8 @@ class CollisionChecker:
         tolerance : float
             Distance in metres, as for `certify_edges`.
         joint_error : float or array_like, shape (dof,)
-            Radians or metres by which each value may deviate from the curve; FREE covers all such deviations. With an
-            error, contact at the ends is not allowed.
+            Radians or metres by which each value may deviate from the curve; FREE covers all such deviations. With a
+            joint error, contact at the ends is not allowed.
         t0 : float, optional
             Offset in seconds that is added to the curve's times, for example the time at which a trajectory that begins
             at 0 is started. The offset matters only for bodies that follow motions; the times in the result include it.
@@ -858,7 +858,7 @@ class CollisionChecker:
             self._keep(ready.with_order(np.argsort(-ready.hits, kind="stable")))
 
     def _doubt_pairs(self, ready: Problem) -> None:
-        """Warn if all configurations so far have collided, and one pair collides in all random configurations, too."""
+        """Warn if all configurations so far have collided, and one pair also collides in all random configurations."""
         if ready.paths is not None:
             return
         tried = self._robot.random_configurations(SUSPECTED)

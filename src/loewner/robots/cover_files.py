@@ -243,7 +243,7 @@ def _body(centers: Floats, radii: Floats, link: str) -> Body:
 
 
 def _rounded(balls: _Balls) -> _Balls:
-    """Round spheres to float32 so that each contains the given sphere; spheres in float32 stay as they are."""
+    """Round spheres to float32 so that each contains the given sphere; spheres in float32 do not change."""
     with np.errstate(over="ignore"):
         centers = np.float32(balls.centers).astype(float)
         moved = np.linalg.norm(centers - balls.centers, axis=1)

@@ -134,7 +134,7 @@ def _bytes_of(body: Body) -> tuple[bytes, ...]:
 
 
 def _of_number(robot: Robot, kind: Kind, n: int, progress: Progress) -> dict[str, Body]:
-    """Cover all links with at most n shapes, but nearly n, that stick out of all links by the same length."""
+    """Cover all links with nearly n shapes, and never more, under one bound on how far they stick out of any link."""
     low, high, best, protrusion = LEAST, LARGEST, None, FIRST
     for step in range(STEPS):
         if n < len(robot.bodies):

@@ -161,7 +161,7 @@ def _of_rules(rules: Iterable[Pair], names: tuple[str, ...], pairs: Ints) -> Boo
 def _check_ruled(
     names: tuple[str, ...], packs: Sequence[Packed], pairs: Ints, bounds: Mapping[str, PoseBounds]
 ) -> None:
-    """Refuse rules about contacts of surfaces, and about contacts of bodies whose poses are known by bounds only.
+    """Refuse rules about contacts of surfaces, and about contacts of bodies whose poses are known only by bounds.
 
     The depth of surfaces is defined differently from the depth of convex pieces.
     """

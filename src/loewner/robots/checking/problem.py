@@ -241,7 +241,7 @@ class Problem:
         return np.ndarray(shape, np.int64, self.block, self.handle - self.block.ctypes.data)
 
     def _view(self, row: int, word: str) -> Any:
-        """The array that a row of the table describes."""
+        """Return the array that a row of the table describes."""
         entry = self._table[row].tolist()
         is_placed = 0 <= entry[0] - self.block.ctypes.data < self.block.nbytes
         return array_in(self.block if is_placed else self.lasting, entry, word)
@@ -351,7 +351,7 @@ class Problem:
         return self.grouped(self.margins)
 
     def grouped(self, margins: Floats) -> list[OfMargin]:
-        """All pairs, grouped by the given margins."""
+        """Group all pairs by the given margins."""
         groups = []
         for margin in np.unique(margins).tolist():
             at = np.flatnonzero(margins == margin)
@@ -411,7 +411,7 @@ class Problem:
     # -- poses --------------------------------------------------------------------------------
 
     def fingerprint(self) -> str:
-        """A checksum of everything on which a verdict depends: the joint tree, bodies, pairs, margins and poses."""
+        """Compute a checksum of everything on which a verdict depends: joint tree, bodies, pairs, margins and poses."""
         arrays = {
             **self.robot.tree._asdict(), **arrays_of(self.packed), "link": self.link, "pairs": self.pairs,
             "margins": self.margins, "standing_poses": self.standing.poses,

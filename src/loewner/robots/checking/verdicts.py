@@ -31,9 +31,9 @@ class Settled:
     Attributes
     ----------
     free_by_bounds, free_by_ellipsoids, free_by_planes, free_by_search : int
-        Numbers of free configurations, by the costliest test that any pair needed. The tests are, in this order:
-        bounding spheres and boxes; outer ellipsoids; planes between the pieces themselves, perpendicular to the contact
-        normal of the ellipsoids; and the exact search.
+        Numbers of free configurations, by the costliest test that any pair needed. The tests are, in order: bounding
+        spheres and boxes; outer ellipsoids; planes between the pieces themselves, perpendicular to the contact normal
+        of the ellipsoids; and the exact search.
     colliding_by_ellipsoids, colliding_by_search : int
         Numbers of colliding configurations, found by inner ellipsoids or by the exact search.
 

@@ -23,8 +23,8 @@ from loewner.meshes.protrusion import Solid, protrusions
 # diameter.
 NEAR, NEAR_SHARE = 1e-3, 0.01
 
-# Relative accuracy of bounds, coarse enough that a hull is examined no further once it is found to stick out too far.
-# No bound is larger than a distance by this factor, and no distance times this factor overflows.
+# Relative accuracy of bounds, so coarse that a hull is examined no further once it is found to stick out too far. No
+# bound exceeds a distance by this factor, and no distance times this factor overflows.
 AT_ONCE = 1e12
 
 # A part that encloses less than the share NO_INSIDE of the cube of the mesh's diameter has no inside. This volume is

@@ -1703,7 +1703,7 @@ class Robot(KeepsReadOnly):
         ----------
         n : int
         seed : int
-            `n` and `seed` are not negative.
+            `n` and `seed` must not be negative.
 
         Returns
         -------
@@ -1739,7 +1739,8 @@ class Robot(KeepsReadOnly):
         ----------
         reach : float
             Replaces a missing limit, or a limit outside ±1e6, which some programs write for "no limit". The new limit
-            is at the distance `reach` from 0 or, if farther out, at twice that distance from the value's other limit.
+            is at distance `reach` from 0 or, if that is farther out, at twice this distance from the value's other
+            limit.
 
         Returns
         -------
@@ -1901,7 +1902,7 @@ def joints_above(robot: Robot) -> tuple[str, ...]:
 
 
 def scene_of(robot: Robot, poses: Mapping[str, Floats]) -> Scene:
-    """Make a scene of a robot's bodies, at poses by link or at the origin; pairs that need no check may touch."""
+    """Make a scene of a robot's bodies, at the given poses or at the origin; pairs that need no check may touch."""
     scene = Scene()
     for link, body in robot.bodies.items():
         scene.add(link, body, poses.get(link))

@@ -20,7 +20,7 @@ from loewner.robots.description.xml_elements import UNREAD, Element, by_name, cu
 # joint of this name.
 UNDECLARED_BASE = "root_joint"
 
-# Parts of SRDF files that do not change groups, states or pairs, by the element that contains them.
+# Parts of SRDF files that do not affect groups, states or pairs, keyed by the element that contains them.
 HARMLESS = {
     "robot": frozenset((
         "@version",
@@ -317,7 +317,7 @@ def _states(
 
 
 def _lost(element: Element, names: _Names, values: Mapping[str, Any]) -> Iterator[tuple[str, int]]:
-    """Find the joints of a state that follow others, but to other values than the state's; also return their lines."""
+    """Find joints of a state whose values contradict the joints that they follow; also return their lines."""
     for e in element.all("joint"):
         joint = names.joint(e)
         follows = None if joint is None else names.robot.joints[joint].mimic

@@ -51,8 +51,8 @@ SIZES: dict[str, tuple[tuple[str, int], ...]] = {
 # lengths below 1e-154 vanish, so readers do not agree on the direction.
 SHORTEST_AXIS = 1e-9
 
-# Parts of URDF files that change neither shapes nor motions nor checks, by the element that contains them. A part whose
-# tag ends in "*" causes a warning if it contains links, joints or collision shapes, as a model of SDF does.
+# Parts of URDF files that affect neither shapes nor motions nor checks, keyed by the element that contains them. A part
+# whose tag ends in "*" causes a warning if it contains links, joints or collision shapes, as a model of SDF does.
 HARMLESS = {
     "robot": frozenset((
         "gazebo*",  # plugins, friction and sensors of a simulator

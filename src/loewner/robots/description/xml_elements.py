@@ -54,7 +54,7 @@ class Element(_xml.Element):
         return any(child.tag == tag for child in self.children)
 
     def drop(self, *tags: str) -> None:
-        """Remove children that have no meaning in this place."""
+        """Remove the children with the given tags, which have no meaning here."""
         self.children = [child for child in self.children if child.tag not in tags]
 
     def text(self, attribute: str) -> str:

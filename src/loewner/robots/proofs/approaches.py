@@ -253,7 +253,7 @@ def contacts(ready: Problem, curve: Curve, pieces: Ints, approach: ClosestApproa
     -------
     ndarray, shape (m, 2)
         Times in seconds. The robot collides at both times, which are as near to the ends of the collision as
-        floating-point numbers get. A collision ends at the latest where the pieces end.
+        floating-point numbers allow. A collision ends at the latest where the pieces end.
     """
     intervals: list[tuple[float, float]] = []
     for group in np.split(pieces, np.flatnonzero(np.diff(pieces) > 1) + 1) if len(pieces) else []:

@@ -225,7 +225,7 @@ def _cut(ready: Problem, curve: Curve, k: int) -> Curve:
 
 
 def _earlier(hits: Callable[[Floats], Ints], free: float, touching: float) -> float:
-    """Return a hit from `free` to `touching`, just after a time that is no hit; `free` itself if it is a hit."""
+    """Return a hit from `free` to `touching`, just after a time that is not a hit; `free` itself if it is a hit."""
     if len(hits(np.array([free]))):
         return free
     while True:

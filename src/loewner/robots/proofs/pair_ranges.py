@@ -550,7 +550,7 @@ def _column(whole: Robot, name: Any, q: Floats, given: Mapping[int, tuple[float,
         low, high, reason = _range(whole, moved, at, all(tree.kind[k] == kernel_columns.REVOLUTE for k in moved))
         if reason or not moved:
             raise InputError(f"joints: expected a joint with a range, found {name!r}: {reason or 'part of a position'}")
-        if whole.hard_lower[at] <= -FARTHEST_LIMIT:  # a full turn begins anywhere
+        if whole.hard_lower[at] <= -FARTHEST_LIMIT:  # a full turn may begin anywhere
             low, high = q[at] + low, q[at] + high
     else:
         low, high = given[at]

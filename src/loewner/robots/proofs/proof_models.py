@@ -198,7 +198,7 @@ def model_of_pair(packs: Sequence[Packed], cut: Sequence[Packed], poses: Floats,
 
 
 def _hollow(packs: Sequence[Packed], cut: Sequence[Packed]) -> Bools:
-    """Whether bodies have an interior that their parts do not cover."""
+    """Return which bodies have an interior that their parts do not cover."""
     solid = [(pack.layout[:, columns.KIND] == columns.SOLID).any() for pack in packs]
     return np.logical_and(solid, [one is not other for one, other in zip(packs, cut, strict=True)])
 
