@@ -84,7 +84,7 @@ class Brakes(NamedTuple):
         return np.asarray(self.times[np.arange(len(self.times)), np.maximum(self.counts - 1, 0)])
 
     def only(self, chosen: Ints) -> Brakes:
-        """The chosen brakes."""
+        """Return the chosen brakes."""
         return Brakes(self.times[chosen], self.states[chosen], self.counts[chosen], self.needed[chosen])
 
     def courses(self, cubic: bool) -> tuple[Floats, Floats, Ints]:

@@ -155,11 +155,11 @@ class Clearing:
         return path
 
     def _lengths(self, a: Floats, b: Floats) -> Floats:
-        """Weighted lengths of motions."""
+        """Compute weighted lengths of motions."""
         return np.asarray(np.linalg.norm((b - a) * self.weights, axis=1))
 
     def _costs(self, a: Floats, b: Floats, part: float) -> Floats:
-        """Costs of motions, in parts of at most this length."""
+        """Compute the costs of motions, each divided into parts of at most the given length."""
         motion, Q, counts, at_end = self._points(a, b, part)
         means = np.bincount(motion, np.where(at_end, 0.5, 1.0) * self._densities(Q)[0], len(a)) / counts
         return np.asarray(self._lengths(a, b) * means)
@@ -173,7 +173,7 @@ class Clearing:
         return motion, Q, counts, (k == 0) | (k == counts[motion])
 
     def _densities(self, Q: Floats, gradient: bool = False) -> tuple[Floats, Floats]:
-        """Costs per length at configurations, and their gradients if requested."""
+        """Compute costs per length at configurations, and their gradients if requested."""
         slopes = np.zeros_like(Q)
         if len(self.ready.pairs) == 0 or len(Q) == 0:
             return np.ones(len(Q)), slopes

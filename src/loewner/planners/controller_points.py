@@ -181,7 +181,8 @@ class ControllerPoints:
         FileError
             If the file does not exist, or contains no such points or several trajectories (see `load_all`). If the file
             has a duplicate key, a key that is unknown in its message, or a value of the wrong kind. If a message
-            contains motions or values of joints that cannot be used with the given robot, or without a robot.
+            contains motions or joint values that do not fit the given robot, or that can be read only with `robot` and
+            none is given.
         InputError
             If the file has another extension, or `others` is given without `robot` or is not a configuration of the
             robot.
@@ -209,7 +210,7 @@ class ControllerPoints:
     def load_all(
         cls, path: str | os.PathLike[str], *, robot: Robot | None = None, others: ArrayLike | None = None
     ) -> list[ControllerPoints]:
-        """Read all trajectories of a file, in their order, with the same errors and warnings as `load`.
+        """Read all trajectories of a file, in order, with the same errors and warnings as `load`.
 
         Joints that a trajectory does not name keep their values from the previous trajectory, or from the message's
         states. The attribute `carried` of each trajectory lists the bodies that the robot carries during this
@@ -575,7 +576,7 @@ def _stated(
 ) -> tuple[dict[str, float], dict[str, str]]:
     """Return the values that a message states for columns that the points do not name, and the values' keys.
 
-    Values that belong to no column are refused, unless they are 0 and no robot is given.
+    Values that belong to no column are refused; without a robot, values of 0 are accepted.
     """
     named, start = set(points.names or ()), part.start
     mimics = {} if robot is None else {joint: followed for joint, (followed, _) in robot.mimics.items()}
@@ -616,7 +617,7 @@ def _stated(
 
 
 def _doubt_mimics(state: dict[str, float], robot: Robot, name: str) -> None:
-    """Warn if a state has contradictory values of a joint and of a joint that mimics it."""
+    """Warn if a state has contradictory values for a joint and a joint that mimics it."""
     tree, rows = robot.tree, {joint: k for k, joint in enumerate(joints_above(robot))}
     for joint, (followed, factor) in robot.mimics.items():
         if joint in state and followed in state:

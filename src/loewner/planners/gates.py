@@ -482,8 +482,8 @@ class Gate:
             self._last = chunk
             reached = GateState.GO if block is None else GateState.PREFIX
             return self._answer(ready, reached, steps, scale, block, self._brake_from(chunk, chunk.braked), True)
-        # The last chunk that may run continues until the robot brakes. With a latency, the place of the brake depends
-        # on the tick, which must be certain.
+        # This chunk may not run, so the last accepted chunk continues until the robot brakes. With a latency, the place
+        # of the brake depends on the tick, which must be certain.
         for old in before if late == 0 else before[: int(is_sure)]:
             if holds and old.first <= late <= old.braked:
                 return self._answer(ready, GateState.BRAKE, 0, scale, block, self._brake_from(old, late), True)
@@ -775,7 +775,7 @@ class Gate:
 
 
 def _rates(rows: Floats, dq: Floats, dt: float) -> Floats:
-    """Velocities at the ticks of a chunk."""
+    """Compute the velocities at the ticks of a chunk."""
     return np.vstack([dq, np.diff(rows, axis=0) / dt])
 
 
@@ -785,12 +785,12 @@ def _stop(tick: int, needed: int, block: _Block | None) -> _Stop | None:
 
 
 def _is_same(new: _World, old: _World) -> bool:
-    """Whether a world that lies within an older world allows exactly the same places of bodies."""
+    """Return whether a world that lies within an older world allows exactly the same places of bodies."""
     return new.bounds == old.bounds and np.array_equal(new.poses, old.poses)
 
 
 def _is_within(new: _World, old: _World, now: float) -> bool:
-    """Whether an older world allows all places that bodies may have from now on."""
+    """Return whether an older world allows all places that bodies may have from now on."""
     if new.structure != old.structure or new.following.keys() != old.following.keys():
         return False
     resting = {name for name, path in new.following.items() if path.rests and name in new.bounds}

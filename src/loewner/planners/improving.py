@@ -300,7 +300,7 @@ class Polish:
 
 
 class _LateError(Exception):
-    """The time is over."""
+    """The time limit has passed."""
 
 
 @dataclass(eq=False)

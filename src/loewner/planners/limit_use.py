@@ -200,7 +200,7 @@ def _worst(quantity: str, joint: str, ends: Ends, low: float, high: float) -> Us
 
 
 def _share(way: float, half: float) -> float:
-    """Return a way from the middle of a range as a share of half the range, which may be 0."""
+    """Return a distance from the middle of a range as a share of half the range, which may be 0."""
     if not way < np.inf:  # an overflow is beyond every limit
         return np.inf
     return way / half if half > 0 else (np.inf if way > ROUNDED else 1.0)

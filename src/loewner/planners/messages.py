@@ -167,7 +167,7 @@ class Part:
 
 @dataclass(eq=False)
 class Message:
-    """All trajectories of a message in their order, and its other contents.
+    """All trajectories of a message in order, and its other contents.
 
     Attributes
     ----------

@@ -144,7 +144,7 @@ class Straights(NamedTuple):
         return np.cumsum(seconds), knots, rates, blended[1:], bends
 
     def _room(self) -> Floats:
-        """For each corner, the share of full speed by which the direction can change per second."""
+        """Compute, for each corner, the share of full speed by which the direction can change per second."""
         with np.errstate(divide="ignore", invalid="ignore"):
             return smallest(self.strongest / np.abs(np.diff(self.full, axis=0)))
 

@@ -33,7 +33,7 @@ from loewner.robots.checker import prepared_of, without_motions
 from loewner.robots.checking import verdicts
 
 # Number of stations along a trajectory, and the shares of its speed there. The squares of the shares are in equal
-# steps, since the square of a speed changes linearly along a way of constant acceleration.
+# steps, since the square of a speed changes linearly along a stretch of constant acceleration.
 STATIONS = 48
 SHARES = np.sqrt(np.arange(13) / 12)
 
