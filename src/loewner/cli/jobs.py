@@ -37,7 +37,7 @@ def answers(entry: str, tasks: Sequence[dict[str, Any]], jobs: int) -> Generator
     entry : str
         Module with a function ``serve_task`` that takes a task and a progress callback and returns the answer.
     tasks : sequence of dict
-        The tasks, whose values are any that JSON can represent.
+        The tasks, with values that JSON can represent.
     jobs : int
         Largest number of processes at a time; together, the processes use as many threads as this process may use.
     """

@@ -190,7 +190,7 @@ class Pairs:
         return cls(a.inner, a.outer, b.inner, b.outer, heuristic_1, heuristic_2, faces_1, faces_2)
 
     def take(self, index: Any) -> Pairs:
-        """Select pairs by an index array, in its order.
+        """Select pairs by an index array, in the order of this array.
 
         Parameters
         ----------
