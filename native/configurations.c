@@ -30,7 +30,7 @@ static const double *take_configuration(const Configurations *self, PyObject *gi
     return entries;
 }
 
-/* Return the verdict for a configuration; -1 if Python has to take the long way. */
+/* Return the verdict for a configuration; -1 if Python's general code has to answer. */
 static int verdict_of(const Configurations *self, int mode, PyObject *given)
 {
     const double *entries = take_configuration(self, given);
@@ -62,7 +62,7 @@ static PyObject *configurations_classify(Configurations *self, PyObject *q)
 
 /* -- motions ------------------------------------------------------------------------------------------------------- */
 
-/* Largest number of steps of a motion, because memory for more results is not worth keeping for a thread. */
+/* Largest number of steps of a motion: memory for more results is not worth keeping for each thread. */
 #define MOST_STEPS 4096
 
 static PyObject *dist; /* The function math.dist. */
@@ -76,7 +76,7 @@ static double exact_length(PyObject *a, PyObject *b)
     return length;
 }
 
-/* Return the number of steps of a motion, as `edges.steps` does; 0 if Python has to take the long way. A quotient
+/* Return the number of steps of a motion, as `edges.steps` does; 0 if Python's general code has to answer. A quotient
    within NEARLY_WHOLE of an integer may have been rounded to the wrong side of this integer. */
 static int64_t steps_of(PyObject *start, PyObject *end, double step)
 {
@@ -101,8 +101,8 @@ static PyObject *fractions_of(PyObject *order, int64_t steps)
     return fractions;
 }
 
-/* Return the number of configurations of a motion that were checked, negative if the last ones collide; 0 if Python has
-   to take the long way. */
+/* Return the number of configurations of a motion that were checked, negative if the last ones collide; 0 if Python's
+   general code has to answer. */
 static int64_t looked_at(const Configurations *self, const double *start, const double *end, PyArrayObject *fractions)
 {
     int64_t count = PyArray_DIM(fractions, 0);

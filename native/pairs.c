@@ -91,7 +91,7 @@ typedef struct {
     long long settle_memory, distance_memory; /* Numbers of bytes for `settle_range` and `distance_range`. */
 } Pairs;
 
-/* Return the verdict for two bodies; -1 if Python has to take the long way. */
+/* Return the verdict for two bodies; -1 if Python's general code has to answer. */
 static int settled(const Pairs *self, int mode, double margin, const Side *a, const Side *b)
 {
     int8_t verdict = CODE_AMBIGUOUS;
@@ -108,7 +108,7 @@ static int settled(const Pairs *self, int mode, double margin, const Side *a, co
     return mode == CODE_EXACT && (tally[CODE_OPEN] != 0 || verdict == CODE_AMBIGUOUS) ? -1 : verdict;
 }
 
-/* Answer a query about two bodies at poses, which are the arguments from the second one on. */
+/* Answer a query about two bodies at poses; the bodies and poses are the arguments from the second one on. */
 static PyObject *answer(const Pairs *self, int mode, PyObject *const *given, PyObject *margin, PyObject *pairs)
 {
     Side a, b;
@@ -171,7 +171,7 @@ static int finished(const Pairs *self, const struct distance_range *asked, const
     return left->pieces.array.rows == 0 || call_kernel(self->measure_left, &arguments, &nothing, 1) == 0;
 }
 
-/* Measure two bodies at poses that are rigid motions; return false if Python has to take the long way. */
+/* Measure two bodies at poses that are rigid motions; return false if Python's general code has to answer. */
 static int measured(const Pairs *self, int wanted, const Side *a, const Side *b, Found *found)
 {
     int8_t status = 0;
@@ -244,7 +244,7 @@ static PyObject *pairs_distance(Pairs *self, PyObject *const *given, Py_ssize_t 
     PyObject *made = is_found ? distance_of(given[1], &found, wanted) : NULL;
     if (made != NULL)
         return made;
-    PyErr_Clear(); /* Memory has run out: the long way tries again. */
+    PyErr_Clear(); /* Memory has run out; Python's general code tries again. */
     Py_RETURN_NONE;
 }
 

@@ -127,7 +127,7 @@ static loewner_status take(const File *file, int64_t number, int64_t type, int64
     return LOEWNER_OK;
 }
 
-/* Which numbers an array may hold. */
+/* The numbers that an array may hold. */
 typedef enum { ANY, NOT_NAN, FINITE } Allowed;
 
 /* Return whether an array of singles or doubles holds only allowed numbers. */

@@ -6,7 +6,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-/* The properties of a body of the scene that may change while the scene remains the same. */
+/* The properties of a body that may change while the scene still counts as the same. */
 typedef struct {
     double pose[16];
     loewner_bounds bounds;
@@ -294,7 +294,7 @@ static void write_rates(const loewner_gate *gate, Chunk *chunk)
         chunk->rates[k] = (chunk->rows[k] - chunk->rows[k - gate->dof]) / chunk->dt;
 }
 
-/* Append new targets to the last chunk, as seen from one of its ticks, if the targets continue the chunk unchanged. */
+/* Append new targets to the last chunk, counted from one of its ticks, if the targets continue the chunk unchanged. */
 static int goes_on(loewner_gate *gate, int64_t tick, const double *targets, int64_t count, double dt)
 {
     const Chunk *last = &gate->last;
@@ -372,8 +372,8 @@ static loewner_status stop(loewner_gate *gate, const double *q, const double *dq
                 .strongest = {gate->strongest, dof}, .jerk = {gate->jerk, dof}, BRAKE(gate));
 }
 
-/* Brake from a tick of a chunk. In the mode on the path, brake along the part that was known when this brake was
-   proven. */
+/* Brake from a tick of a chunk. If the robot brakes on the path, follow the part of the path that was known when this
+   brake was proven. */
 static loewner_status brake_from(loewner_gate *gate, const Chunk *chunk, int64_t tick)
 {
     int64_t dof = gate->dof, rows = chunk->ends[tick] + 2;
@@ -412,9 +412,9 @@ static loewner_status prove_whole(loewner_gate *gate, double begin, int64_t poin
     return LOEWNER_OK;
 }
 
-/* Prove the most recent brake, which begins at a given time; `rate` is its velocity, or NULL in the mode on the path. A
-   robot that is faster by the velocity error travels farther and comes to rest later. The proof of a joint-by-joint
-   brake as a whole may take `steps` steps. */
+/* Prove the most recent brake, which begins at a given time; `rate` is its velocity, or NULL if the robot brakes on the
+   path. A robot that is faster by the velocity error travels farther and comes to rest later. The proof of a
+   joint-by-joint brake as a whole may take `steps` steps. */
 static loewner_status prove_brake(loewner_gate *gate, double begin, const double *rate, int64_t steps, Proof *proof)
 {
     int64_t dof = gate->dof, points = gate->has_jerk || rate == NULL ? 4 : 3, pieces = gate->pieces_made - 1, made;
@@ -479,7 +479,7 @@ static loewner_status prove_chunk(loewner_gate *gate, Chunk *chunk, Proof *proof
     proof->reason = 0;
     proof->pair = -1;
     tick = tick > 0 ? tick : 0;
-    /* A brake as a whole may take about the steps that one interval takes. */
+    /* The proof of a whole brake may take about as many steps as one interval does. */
     int64_t pairs = gate->checker->state.pairs, steps = pairs > LEAST_STEPS ? pairs : LEAST_STEPS;
     if (proof->most - proof->work < steps * (chunk->motions - tick + 1))
         steps = 0;
@@ -515,7 +515,7 @@ static loewner_status prove_chunk(loewner_gate *gate, Chunk *chunk, Proof *proof
     return LOEWNER_OK;
 }
 
-/* Find the largest time scale (half, quarter or eighth) for which the chunk is proven; 0 if no scale is. */
+/* Find the largest time scale (half, quarter or eighth) for which the chunk is proven; 0 if there is none. */
 static loewner_status find_scale(loewner_gate *gate, Proof *proof, double *scale)
 {
     const Chunk *chunk = &gate->made;
@@ -611,7 +611,7 @@ static loewner_status begin_chunk(loewner_gate *gate, int goes_on, const double 
         TRY(collide(its, CODE_EXACT, still, 1, &verdict));
     if (verdict == LOEWNER_FREE)
         return LOEWNER_OK;
-    /* This motion stays in place: its proof shows which pair collides. */
+    /* In this motion the robot stays in place; its proof shows which pair collides. */
     TRY(certify(its, still, 1, 2, 0, gate->tolerance, 0, gate->steps, &verdict));
     proof->pair = *its->found_pairs;
     proof->reason = LOEWNER_REASON_CONTACT;
@@ -672,8 +672,8 @@ static loewner_status judge(loewner_gate *gate, const double *q, const double *d
         return answer_with(gate, proof.reason ? LOEWNER_GATE_PREFIX : LOEWNER_GATE_GO, steps, 1,
                            dt * (double)gate->last.braked, &proof, answer);
     }
-    /* The last chunk that may run goes on until the robot brakes. With a latency, the robot brakes at a different place
-       for each tick. */
+    /* This chunk may not run, so the last accepted chunk continues until the robot brakes. With a latency, the robot
+       brakes at a different place for each tick. */
     off = -1;
     int64_t here = next_tick(gate, q, dq, from, to, &off, -1), other = next_tick(gate, q, dq, from, to, &off, here);
     int is_sure = other < 0 || (here > 0 && (double)here == rint((now - gate->last.t0) / gate->last.dt));

@@ -257,7 +257,7 @@ static loewner_status take_judge(const loewner_checker *checker, loewner_workspa
 static loewner_status choose_goals(const Judge *judge, Search *search, const double *goals, size_t goal_count)
 {
     size_t dof = (size_t)search->dof;
-    size_t named = goal_count; /* Messages name this goal: the first goal within the limits, if any is. */
+    size_t named = goal_count; /* The goal that messages name: the first one within the limits, if there is one. */
     int is = outside(search, search->start) < 0;
     if (is)
         TRY(is_free_at(judge, search->start, &is));

@@ -428,7 +428,7 @@ static double off_at(const loewner_checker *checker, int64_t place, double t, do
     off = bounds->metres + reach * bounds->radians;
     if (bounds->speed > 0 || bounds->turn > 0)
         off += (bounds->speed + reach * bounds->turn) * (fabs(t - bounds->since) + late);
-    return fmin(off * (1 + 0x1p-44), 1e100); /* The result is 1e100 for NaN, too. */
+    return fmin(off * (1 + 0x1p-44), 1e100); /* The result is also 1e100 for NaN. */
 }
 
 void write_off(const loewner_checker *checker, const double *course, int64_t points, const double *joint_error,
@@ -514,7 +514,7 @@ loewner_status take_errors(const loewner_checker *checker, const double **joint_
     return LOEWNER_OK;
 }
 
-/* Check options, and replace omitted options by their defaults. Times count only if both are there. */
+/* Check options, and replace omitted options by their defaults. Times are used only if both are given. */
 static loewner_status take_options(const loewner_checker *checker, const loewner_proof_options *options,
                                    loewner_proof_options *taken)
 {

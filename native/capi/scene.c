@@ -14,7 +14,7 @@ static _Atomic uint64_t serials = 1;
 /* Allocate memory that lives as long as the state, and write its address to `field`. */
 static loewner_status room(State *state, void *field, int64_t count, size_t size)
 {
-    void *made = aligned_alloc(CACHE_LINE, in_lines((size_t)count * size + 1)); /* Allocate at least one line. */
+    void *made = aligned_alloc(CACHE_LINE, in_lines((size_t)count * size + 1)); /* Allocate at least one cache line. */
     if (made == NULL || state->memory_count == (int)(sizeof state->memory / sizeof *state->memory)) {
         free(made);
         return no_memory();

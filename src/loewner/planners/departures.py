@@ -75,7 +75,7 @@ class Departures:
 
 
 def _apart(space: Space, ready: Problem, q: Floats, *, at_start: bool) -> tuple[Floats, str]:
-    """Find a free configuration that a proven motion connects with q, a contact; or return q and the fault."""
+    """Find a free configuration that a proven motion connects with the contact q; or return q and the fault."""
     checker = space.checker
     if space.free(q):  # the usual case; a list of contacts takes longer
         return q, ""
