@@ -40,7 +40,7 @@ SHORTEST = 1e-100
 BEND = 4 * tolerances.ROTATION_TOLERANCE
 
 # BLOCK is the approximate number of points and planes in a block of polytopes, and AT_ONCE the approximate number of
-# products formed at a time.
+# products computed at a time.
 BLOCK, AT_ONCE = 1 << 14, 1 << 16
 
 # Axes of curved pieces are orthogonal to this accuracy even after a hundred poses that are barely accepted as rigid.

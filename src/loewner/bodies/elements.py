@@ -18,7 +18,7 @@ from loewner.meshes.coverage import distances_from
 # Bound on the rounding error of a height, relative to the size of the element (docs/containment.md).
 HEIGHT_ROUNDINGS = 64 * 2.0**-53
 
-# Number of products of points and planes formed at a time.
+# Number of products of points and planes computed at a time.
 AT_ONCE = 1_000_000
 
 # Number of steps in the search for a direction that leads away from all elements, and the cosine that it must exceed.

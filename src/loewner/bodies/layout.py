@@ -20,8 +20,8 @@ from loewner.errors import GeometryError, InputError
 
 Maps = dict[int, tuple[Ints, Floats]]
 
-# Outside this range, the sixth powers of lengths in the contact function under- or overflow. Real bodies are far from
-# either end.
+# Outside this range, the sixth powers of lengths in the contact function overflow or underflow. Real bodies are far
+# from either end.
 SMALLEST, LARGEST = 1e-30, 1e30
 
 # A pose accepted as rigid may still stretch or shrink lengths.
@@ -36,7 +36,7 @@ SINGULAR_ROUNDINGS = 32 * 2.0**-53
 # Bound on the rounding errors of LAPACK and of two products with a nearly orthonormal matrix, with 3 terms per entry.
 TURN_ROUNDINGS = 128 * 2.0**-53
 
-# Number of products of directions and vertices formed at a time.
+# Number of products of directions and vertices computed at a time.
 AT_ONCE = 1_000_000
 
 # Types of the arrays of `records.Pieces`, as words that `entries` defines.

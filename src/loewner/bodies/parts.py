@@ -32,7 +32,7 @@ WAYS = _SHORT[np.isin((_SHORT**2).sum(axis=1), (1, 2, 3, 5, 6))].astype(float)
 # Step by which the vertices of a hull are moved outward, relative to its size; it exceeds their rounding.
 ROUNDED = 1e-12
 
-# Number of products formed at a time.
+# Number of products computed at a time.
 AT_ONCE = 1_000_000
 
 # Parts of surfaces, keyed by tree and limit on the number of parts; None for a surface that cannot be cut.

@@ -32,7 +32,7 @@ SHOWN = 5
 BEYOND = 4
 MARKS = {Verdict.FREE: ".", Verdict.AMBIGUOUS: "?", Verdict.COLLIDING: "#"}
 
-# A value that exceeds its limits is reported if the excess is more than this, which is above rounding in files.
+# A value that exceeds its limits is reported if the excess is larger than this; rounding in files is smaller.
 ROUNDED = 1e-9
 
 EXAMPLES = """examples:

@@ -21,7 +21,7 @@ from loewner.errors import InputError
 from loewner.queries.pose_paths import path_of
 from loewner.robots.description.pair_verdicts import PairVerdict, ProvenPair, ProvenPairs
 
-# Options that apply only to robots, and options that apply only to two bodies, by their names in the parser.
+# Names, in the parser, of the options that apply only to robots, and of the options that apply only to two bodies.
 OF_ROBOTS = (
     "srdf", "package_dir", "decompose", "scene", "between", "exempt", "all", "limits", "boxes", "largest", "at",
     "write_srdf", "narrower", "proof",

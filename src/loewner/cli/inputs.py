@@ -69,7 +69,7 @@ def adders(parser: Any) -> Adders:
 # Models of a mesh: its triangles, convex pieces, or its convex hull.
 MODELS = ("surface", "pieces", "hull")
 
-# Options for pieces and for surfaces, by their names in the library.
+# Names, in the library, of the options for pieces and of the options for surfaces.
 OF_PIECES = ("tolerance", "threshold", "max_pieces", "seed")
 OF_SURFACES = ("radius", "solid")
 

@@ -14,7 +14,7 @@ from loewner._base import _tables
 from loewner.cli import inputs, trajectories
 from loewner.errors import InputError
 
-# Options that apply only to trajectories, by their names in the code.
+# Names, in the code, of the options that apply only to trajectories.
 OF_TRAJECTORIES = ("controller", "others", "attach", "start_time", "part", "at")
 
 EXAMPLES = """examples:

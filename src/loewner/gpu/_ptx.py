@@ -27,7 +27,7 @@ NAME = "threads.ptx.z"  # zlib compresses it to a sixth
 OLDEST, VERSION = "sm_75", "ptx70"
 TRIPLE = "nvptx64-nvidia-cuda"
 
-# Kernels by the modules of `loewner._kernels.threads` that define their functions.
+# Kernels, keyed by the modules of `loewner._kernels.threads` that define their functions.
 KERNELS = {
     "pairs": ("classify_pieces", "classify_bodies", "gather_rows", "scatter_bytes"),
     "configurations": ("place_links", "place_body", "cull_pair", "certify_survivor", "search_survivor", "conclude"),

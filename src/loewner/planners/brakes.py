@@ -17,8 +17,8 @@ from loewner._native import entries
 from loewner.errors import InputError, PlanningError
 from loewner.planners.joint_limits import JointLimits, limits_by_name
 
-# A piece is straight if its velocities point along the way between its ends, up to the share STRAIGHT of the way and of
-# the distance covered at these velocities.
+# A piece is straight if its velocities point along the segment between its ends, up to the share STRAIGHT of the
+# segment and of the distance covered at these velocities.
 STRAIGHT = 1e-9
 
 # A line that is too short for a stop by at most the share ROUNDED counts as long enough: the trajectory itself may stop

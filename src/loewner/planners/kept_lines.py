@@ -30,8 +30,8 @@ LARGEST_ANGLE = np.pi - 1e-6
 # Rounding error per joint of a deviation from a line on a curve, relative to the lengths and the largest value.
 ROUNDINGS = 128.0 * tolerances.UNIT_ROUNDOFF  # certified.md B68
 
-# Numbers of equal parts into which a course is divided, one number after another, until the bound is within the
-# tolerance; and the largest number of configurations that are computed at a time.
+# Numbers of equal parts into which a course is divided, tried in order until the bound is within the tolerance; and the
+# largest number of configurations that are computed at a time.
 PARTS, MOST_CONFIGURATIONS = (4, 16, 64, 256, 1024), 2**14
 
 

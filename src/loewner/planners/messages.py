@@ -30,8 +30,8 @@ def _harmless(*keys: str) -> dict[str, str]:
     return dict.fromkeys(keys, HARMLESS)
 
 
-# Fields by type; except for harmless fields, they are in the order in which they take effect. For a field that is a
-# list, the type is the type of its entries.
+# Fields, keyed by type; except for harmless fields, they are in the order in which they take effect. For a field that
+# is a list, the type is the type of its entries.
 TYPES: dict[str, dict[str, str]] = {
     "JointTrajectory": {"header": HARMLESS, "joint_names": USED, "points": USED},
     "MultiDOFJointTrajectory": {"header": HARMLESS, "joint_names": USED, "points": USED},
@@ -73,7 +73,7 @@ TYPES: dict[str, dict[str, str]] = {
     "FollowJointTrajectoryGoal": {
         "trajectory": "JointTrajectory", "multi_dof_trajectory": "MultiDOFJointTrajectory",
         "path_tolerance": USED, "component_path_tolerance": USED,
-        **_harmless("goal_tolerance", "component_goal_tolerance", "goal_time_tolerance"),  # these apply only at the end
+        **_harmless("goal_tolerance", "component_goal_tolerance", "goal_time_tolerance"),  # tolerances apply only at the end
     },
     "SubTrajectory": {
         "trajectory": "RobotTrajectory", "scene_diff": "PlanningScene", **_harmless("info", "execution_info"),

@@ -469,7 +469,7 @@ class Roadmap(KeepsReadOnly):
         most = min(len(self), max(self._neighbours, MOST_TRIED // len(ends)))
         links = self._straight(judge, q, goals)
         if links.to_lengths.min(initial=np.inf) == self._lengths_of(q, goals).min():
-            return links  # nothing is shorter than a straight motion to the nearest goal
+            return links  # no path is shorter than a straight motion to the nearest goal
         tried, last = 0, min(self._neighbours, most)
         labels = np.append(graph.labels, -1)  # -1 is the start, where straight motions to goals begin
         while True:

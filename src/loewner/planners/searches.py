@@ -12,7 +12,7 @@ from loewner.errors import InputError, imported
 # More iterations than any search makes.
 UNLIMITED = 2**40
 
-# Kinds of plans with searches of their own, by the option that chooses them.
+# Kinds of plans that have their own searches, keyed by the option that selects them.
 OF_ITS_OWN = {"start_time": "plans in time are proven and shortened", "base": "drives are proven"}
 
 

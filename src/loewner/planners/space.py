@@ -150,7 +150,7 @@ class Space:
 
     def free_among(self, Q: Floats) -> Bools:
         """Return which configurations of a batch are proven free; unsettled configurations count as not free."""
-        return verdicts.free(prepared_of(self.checker), np.array(Q, order="C"))  # kernels take no views
+        return verdicts.free(prepared_of(self.checker), np.array(Q, order="C"))  # kernels do not accept views
 
     def name(self, column: int) -> str:
         """Return the name of a column of configurations."""

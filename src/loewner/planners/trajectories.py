@@ -41,8 +41,8 @@ from loewner.robots.proofs.curves import Curve, form_of
 # How many times an unproven blend is halved before the robot stops at the corner instead.
 HALVINGS = 5
 
-# Shortest duration of half a blend [s], unless an adjacent motion is shorter. Without it, blends at nearly straight
-# corners would take almost no time.
+# Shortest duration of half a blend [s], unless an adjacent motion is shorter. Without this limit, blends at nearly
+# straight corners would take almost no time.
 LEAST_BLEND = 1e-3
 
 # A row that deviates from the straight line between its neighbours by at most the share ROUNDED of its values counts as

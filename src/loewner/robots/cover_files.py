@@ -37,7 +37,7 @@ FORMATS: tuple[CoverFormat, ...] = get_args(CoverFormat)
 # outwards when written.
 OF_SPHERES = ("curobo", "vamp", "foam", "pyroki")
 
-# Formats by suffix of the file; the keys of a file decide between formats with the same suffix.
+# Formats, keyed by the suffix of the file; the keys of a file decide between formats with the same suffix.
 BY_SUFFIX = {".yml": "curobo", ".yaml": "curobo", ".xrdf": "curobo", ".json": "pyroki", ".urdf": "urdf"}
 BY_SUFFIX |= {".xml": "mjcf", ".mjcf": "mjcf"}
 

@@ -41,8 +41,8 @@ from loewner.robots.proofs.courses import configurations
 from loewner.robots.proofs.curves import Curve, expect_carried, joint_errors, of_path, started
 from loewner.scenes.scene import Scene
 
-# Shares of the tolerance: for convex pieces in place of solids and curved shapes, for vertices that are left out, for
-# the distance of points from the chords between knots, and for the turn between two knots.
+# Shares of the tolerance: for replacing solids and curved shapes with convex pieces, for leaving out vertices, for the
+# distance of points from the chords between knots, and for the turn between two knots.
 PIECES, VERTICES, CHORDS, TURNS = 0.4, 0.05, 1 / 32, 0.25
 
 # Edge of a cloud's cells, as a share of the excess allowed for a hull (`room`): the hull of the points in a cell then

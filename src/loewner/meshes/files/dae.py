@@ -181,7 +181,7 @@ class _Scene:
                 element.expect(unit == metres, f"expected the file's unit, {metres:g} m, found {unit:g} m")
             if element.tag.startswith("library_") or element.tag == "mesh":
                 _check_attributes(element, _NAMES)
-            if element.tag not in ("extra", "technique"):  # by the standard, these contain data of other programs
+            if element.tag not in ("extra", "technique"):  # in the standard, these hold other programs' data
                 waiting += element.children
         self.made: dict[str, tuple[Floats, Triangles]] = {}
         self.points: dict[str, Floats] = {}

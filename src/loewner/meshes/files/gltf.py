@@ -37,7 +37,7 @@ _HARMLESS = (
     "EXT_lights_",
     "KHR_audio",
     "KHR_animation_",  # a file is read as if it had no animations
-    "KHR_mesh_quantization",  # integers as coordinates, which are read
+    "KHR_mesh_quantization",  # coordinates as integers, which are read
     "KHR_xmp",  # authors and licences
     "EXT_mesh_features",  # properties of parts
     "EXT_structural_metadata",

@@ -29,7 +29,7 @@ def known_pairs(robot: Any) -> dict[Pair, tuple[ProvenPair, int]]:
     """Return the cached answers for a robot, each with the number of boxes that its search was allowed."""
     answers, start = {}, _start(robot)
     with suppress(OSError, _sealed.DamagedFileError, ValueError, KeyError, TypeError):
-        if any(path.name.startswith(start) for path in FOLDER.iterdir()):  # `_path` takes milliseconds
+        if any(path.name.startswith(start) for path in FOLDER.iterdir()):  # computing `_path` takes milliseconds
             for row in _json.loads(_sealed.read(_path(robot))):
                 answers[tuple(row["names"])] = _row(row), int(row["allowed"])
     return answers

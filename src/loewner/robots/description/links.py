@@ -22,8 +22,8 @@ from loewner.robots.description.xml_elements import LARGEST
 
 JointKind = Literal["fixed", "revolute", "continuous", "prismatic", "planar", "floating", "ball"]
 
-# Number of values with limits for joints with several values: two positions and an angle, or a position without its
-# quaternion.
+# For joints with several values, the number of values that have limits: two positions and an angle, or a position
+# without its quaternion.
 LIMITED_VALUES = {"planar": 3, "floating": 3}
 
 

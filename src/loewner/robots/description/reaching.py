@@ -334,7 +334,7 @@ def reach(
     refuse_far(chain, T, starts)
     shape = _validate.broadcast({"T": T.shape[:-2], "start": starts.shape[:-1]})
     count, values = math.prod(shape), len(chain.columns)
-    # Copies: kernels take no read-only arrays.
+    # Copy the arrays, because kernels do not accept read-only arrays.
     targets = np.array(np.broadcast_to(targets_of(T), (*shape, 4, 4)), order="C").reshape(count, 4, 4)
     starts = np.array(np.broadcast_to(starts, (*shape, starts.shape[-1]))).reshape(count, starts.shape[-1])
     table, begins = seeded(chain, seeds), np.array(starts[:, chain.columns], order="C")

@@ -59,7 +59,7 @@ HARMLESS = {
         "material*",  # colours
         "ros2_control",  # hardware; `_warn_of_extensions` reports its limits and mimics
         "self_collision_checking", "drake:collision_filter_group",  # exempt pairs; without them, more pairs are checked
-        "sensor*",  # where cameras look
+        "sensor*",  # cameras and other sensors
         "transmission",  # gears, which name joints
     )),
     "link": frozenset((

@@ -42,7 +42,7 @@ WIDE, NARROWER, STEPS = 0.125, 0.4, 12
 # Fractions of pieces at which collisions are sought.
 TICKS = np.arange(32) / 32
 
-# How often a proof may name a time at which the distance is smaller.
+# Largest number of rounds of proofs; a proof that fails names a time at which the distance is smaller.
 MOST_ROUNDS = 30
 
 # Number of parts into which a part is divided, and the largest number of parts of one piece.

@@ -39,7 +39,7 @@ MOST_NODES, MOST_NORMALS = 2**20, 2**18
 # Columns of the kernel's memory with the last plane named for a pair; the next columns hold normals to try.
 NAMED = slice(4, 8)
 
-# How often a motion, or half of a motion, is halved for the shortest contacts.
+# Largest number of times that a motion, or half of a motion, is halved to shorten a contact.
 MOST_HALVED = 15
 
 # For the search, least distances below 0 are raised by the share DEPTH_ROOM, since the search adds room for rounding in
