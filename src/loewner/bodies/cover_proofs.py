@@ -348,7 +348,7 @@ class _Proof:
             left, most = left[near], most[near]
         settled, flush = np.zeros(len(middle), dtype=bool), np.zeros(len(middle), dtype=bool)
         settled[c[left[most <= -needed[left]]]] = True
-        # If a cell lies in the boundary of an element, so does its center.
+        # If a cell lies in the boundary of an element, the cell's center lies there as well.
         flush[c[left[height[left] >= -radius[c[left]] - 4 * blur[left]]]] = True
         rest = ~settled
         # In a hole, the element with the least height at a point of a cell may not meet the cell.

@@ -232,7 +232,7 @@ def plan_in_time(
     robot, still = checker.robot, without_motions(checker)
     expect_straight(robot, "start_time")
     if isinstance(goal, PoseGoal) and not (goal.approach is None and goal.retreat is None):
-        raise InputError("goal: expected no approach or retreat in a plan in time, found one; plan them by themselves")
+        raise InputError("goal: expected no approach or retreat in a plan in time, found one; plan them separately")
     judge_of_still = Judge.of(still, 0.0, joint_error)
     goals, names, _ = task.goals(judge_of_still)
     space = Space.of_start(still, task.joints, q, goals)

@@ -73,7 +73,7 @@ TYPES: dict[str, dict[str, str]] = {
     "FollowJointTrajectoryGoal": {
         "trajectory": "JointTrajectory", "multi_dof_trajectory": "MultiDOFJointTrajectory",
         "path_tolerance": USED, "component_path_tolerance": USED,
-        **_harmless("goal_tolerance", "component_goal_tolerance", "goal_time_tolerance"),  # tolerances apply only at the end
+        **_harmless("goal_tolerance", "component_goal_tolerance", "goal_time_tolerance"),  # tolerances at the end only
     },
     "SubTrajectory": {
         "trajectory": "RobotTrajectory", "scene_diff": "PlanningScene", **_harmless("info", "execution_info"),

@@ -827,7 +827,7 @@ class CollisionChecker:
         return np.array(full_rows.reshape(*shape, full_rows.shape[1]), order="C"), ready, times
 
     def _doubted(self, ready: Problem, Q: Floats, t: Floats | None, out: NDArray[np.int8]) -> NDArray[np.int8]:
-        """Return FREE if free at all poses within errors, COLLIDING if colliding at the given poses, else AMBIGUOUS."""
+        """Return FREE if all poses within the errors are free, COLLIDING if the given poses collide, else AMBIGUOUS."""
         timed = t is not None and ready.paths is not None and ready.paths.bounds
         if ready.given is None and not timed:
             return out

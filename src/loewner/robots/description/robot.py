@@ -1936,7 +1936,7 @@ def interpolated(robot: Robot, a: Floats, b: Floats, at: Floats) -> Floats:
         p = a[..., quaternion]
         q, cosine = _nearer(p, b[..., quaternion])
         angle = _elementary.arccos(np.minimum(cosine, 1.0))
-        # For a small angle the chord is the arc.
+        # For a small angle, the chord is as long as the arc.
         sine = np.maximum(_elementary.sin(angle), 1e-12)
         straight = angle < 1e-6
         of_p = np.where(straight, 1 - at, _elementary.sin((1 - at) * angle) / sine)

@@ -36,7 +36,7 @@ TIME_ROUNDINGS = 16.0 * tolerances.UNIT_ROUNDOFF  # certified.md B57
 ARC_ERROR = 1.0 / 384.0
 
 
-# Tolerance for proofs about a robot at rest [m], which halve no intervals.
+# Tolerance [m] for proofs about a robot at rest; these proofs halve no intervals.
 STILL = 1e-9
 
 

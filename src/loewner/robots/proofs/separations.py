@@ -117,14 +117,14 @@ def _expect_tree(ready: Problem, model: Model, motion: int, tree: bytes | Failed
         why = "the planes of their contact, which may get deeper by the tolerance once, do not suffice"
     elif any((ready.packs[n].layout[:, KIND] <= SURFACE).any() for n in model.pairs[tree.pair]):
         why = (
-            "a proof holds hulls of parts of surfaces and solids, which reach beyond them; links that are read with "
+            "a proof contains hulls of parts of surfaces and solids, which reach beyond the parts; links read with "
             'meshes="hull" have none'
         )
     elif off:
         why = "its bound on joint errors is coarser than that of certify_edges; lower joint_error"
     raise ConvergenceError(
-        f"proof: expected planes between {a} and {b} all along motion {motion}, found none that a proof can hold from "
-        f"the fraction {tree.low:.6g} to {tree.high:.6g}, although the motion is free: {why}"
+        f"proof: expected planes between {a} and {b} all along motion {motion}, found none that a proof can express "
+        f"from fraction {tree.low:.6g} to {tree.high:.6g}, although the motion is free: {why}"
     )
 
 
