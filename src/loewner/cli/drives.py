@@ -45,7 +45,7 @@ def refuse_unused(options: argparse.Namespace) -> None:
     if options.base is None:
         inputs.refuse(options, OF_DRIVES, "{}: expected --base with it")
     else:
-        inputs.refuse(options, OF_OTHERS, "{}: expected no --base with it; drives are proven, and have their own search")
+        inputs.refuse(options, OF_OTHERS, "{}: expected no --base with it; drives are proven, by their own search")
 
 
 def run(options: argparse.Namespace) -> int:

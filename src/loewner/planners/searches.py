@@ -92,7 +92,7 @@ class Search:
         refused = ["planner"] * (self.planner is not None) + ["certified=False"] * (not self.certified) + [*others]
         if refused:
             raise InputError(
-                f"{name}: expected no {' or '.join(refused)} with it; {OF_ITS_OWN[name]}, and have their own search"
+                f"{name}: expected no {' or '.join(refused)} with it; {OF_ITS_OWN[name]}, by their own search"
             )
 
 
