@@ -171,7 +171,7 @@ class _Parser(argparse.ArgumentParser):
         """Report unknown options here, with the usage of the command to which they were given."""
         options, unknown = super().parse_known_args(args, namespace)
         if unknown and self.get_default("run"):
-            near = get_close_matches(unknown[0], re.findall(r"--[\w-]+", self.format_usage()), 1)
+            near = get_close_matches(unknown[0], re.findall(r"--[\w-]+", self.format_usage()), 1, 0.75)
             self.error(f"unrecognized arguments: {' '.join(unknown)}{f'; did you mean {near[0]}?' if near else ''}")
         return options, unknown
 

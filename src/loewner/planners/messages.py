@@ -10,7 +10,6 @@ from __future__ import annotations
 import itertools
 import json
 from collections.abc import Collection, Iterator
-from copy import deepcopy
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -269,7 +268,9 @@ def _add_part(node: Node, given: dict[str, Node], found: Message, state: State) 
     joints, placed = (_motion(given.get(name), name) for name in ("JointTrajectory", "MultiDOFJointTrajectory"))
     if joints is None and placed is None:
         return
-    found.parts.append(Part(node.key or "the message itself", joints, placed, deepcopy(state)))
+    found.parts.append(
+        Part(node.key or "the message itself", joints, placed, State(*(dict(held) for held in vars(state).values())))
+    )
     if joints is not None:
         state.joints.update(zip(joints.names, joints.rows["positions"][-1].tolist(), strict=True))
         state.sources.update(dict.fromkeys(joints.names, f"the end of {found.parts[-1].place}"))

@@ -97,10 +97,12 @@ def ends(robot: Robot, Q0: ArrayLike, Q1: ArrayLike) -> tuple[Floats, Floats, tu
     a, b = robot.checked(Q0, "Q0"), robot.checked(Q1, "Q1")
     if a.ndim == b.ndim == 1:  # a fast path for the usual case
         return a[None], b[None], ()
-    shape = _validate.broadcast({"Q0": a.shape[:-1], "Q1": b.shape[:-1]})
+    if a.shape != b.shape:
+        _validate.broadcast({"Q0": a.shape[:-1], "Q1": b.shape[:-1]})
+        a, b = np.broadcast_arrays(a, b)
+    shape = a.shape[:-1]
     _validate.fits_memory(math.prod(shape) * (BYTES_OF_A_MOTION + 16 * robot.dof), f"{shape} motions")
-    a, b = (flat(np.broadcast_to(Q, (*shape, robot.dof)).copy()) for Q in (a, b))
-    return a, b, shape
+    return np.ascontiguousarray(flat(a)), np.ascontiguousarray(flat(b)), shape
 
 
 def checked_path(robot: Robot, path: ArrayLike) -> Floats:

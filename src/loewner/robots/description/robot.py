@@ -80,7 +80,6 @@ def _text_of(
         raise InputError("text: expected a path to a URDF or its text, found both")
     if text is not None and not isinstance(text, str):
         raise InputError(f"text: expected the text of a URDF, found {_validate.short(text)}")
-    _validate.mapping(xacro_args, "xacro_args", "from names to values")
     if path is None:
         if xacro_args is not None:
             raise InputError("xacro_args: expected a path to a xacro file with them, found text=")
@@ -310,7 +309,7 @@ class Robot(KeepsReadOnly):
         folders = [package_dirs] if isinstance(package_dirs, (str, os.PathLike)) else package_dirs
         listed = _validate.listed(folders, "package_dirs", wanted="a path or several")
         places = [_validate.path(folder, "package_dirs") for folder in listed]
-        expansion = Expansion(xacro_args or {}, places, set())
+        expansion = Expansion(_validate.mapping(xacro_args, "xacro_args", "from names to values"), places, set())
         text = _text_of(path, text, xacro_args, expansion)
         rules = None
         if srdf is not None and str(_validate.path(srdf, "srdf", wanted="a path to an SRDF")).lower().endswith(SUFFIX):
