@@ -122,4 +122,4 @@ def named(planner: str | Callable[[Any], Any] | None) -> Callable[[Any], Any]:
 
 def ompl(part: str) -> Any:
     """Import a part of OMPL."""
-    return imported(f"ompl.{part}", "planners need OMPL", "planners")
+    return [imported(name, "planners need OMPL", "planners") for name in ("ompl", f"ompl.{part}")][-1]
