@@ -392,6 +392,18 @@ def test_a_way_between_parts_is_proven(written, capsys):
     assert not Path("o.stl").exists()
 
 
+def test_a_small_gap_between_parts_is_proven_too(written, capsys):
+    """A controller accepts a start that is slightly off, but the way to it is in neither part."""
+    written(CAN, "s.yaml")
+    parts = [of_joints((0, x, z), (1, x, z + 0.1), names=["slide", "lift"]) for x, z in ((0.0, 0.0), (0.008, 0.1))]
+    status, out, _ = audit(capsys, written({"trajectory": parts}), "--scene", "s.yaml")
+    assert status == 0
+    way = "the straight way from the end of part 1 to the first point is FREE; the robot is within 0.008 of the point"
+    assert f"before    {way}" in out
+    parts[1] = of_joints((0, 0.0, 0.1), (1, 0.0, 0.2), names=["slide", "lift"])
+    assert "before" not in audit(capsys, written({"trajectory": parts}), "--scene", "s.yaml")[1]
+
+
 def test_contact_on_the_way_from_the_present_state_may_not_be_deep(written, capsys):
     """The same state as the file's first row has the same status: `leave` allows contact, not a wrong pose."""
     written("bodies:\n  post: {box: [0.1, 0.1, 0.1], position: [0.33, 0, 0]}\nleave: [[post, cart]]", "s.yaml")

@@ -98,7 +98,7 @@ def _run(options: argparse.Namespace) -> int:
         part, start, whence = parts[number][0], present, "--from"
         if number:
             start, whence = trajectories.end(robot, parts[number - 1][0], -1), f"the end of part {number}"
-            if np.abs(trajectories.end(robot, part, 0) - start).max() <= START_TOLERANCE:
+            if np.abs(trajectories.end(robot, part, 0) - start).max() <= ROUNDED:
                 start = None
         ways.append(None if start is None else _way_to(checker, part, start, whence, options.joint_error, overlap))
 
