@@ -400,6 +400,16 @@ def pose(T: ArrayLike | None, name: str) -> Floats:
     return checked.copy()
 
 
+def pose_error(x: ArrayLike | None, name: str) -> tuple[float, float]:
+    """Check the error of a pose, in metres and radians; None stands for (0, 0)."""
+    if x is None:
+        return 0.0, 0.0
+    metres, radians = finite_array(x, name, (2,)).tolist()
+    if not (metres >= 0.0 and radians >= 0.0):
+        raise InputError(f"{name}: expected metres and radians >= 0, found {metres:g} and {radians:g}")
+    return metres, radians
+
+
 def rigid_motions(T: Floats, name: str) -> None:
     """Check poses of shape (..., 4, 4) one by one."""
     batch = T.reshape(-1, 4, 4)

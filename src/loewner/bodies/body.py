@@ -1364,12 +1364,12 @@ def packed_of(bodies: Body | Bodies) -> Packed:
     return bodies._packed
 
 
-def reach_of(body: Body) -> float:
-    """Bound the distance from a body's origin to its points [m], at any pose that is accepted as rigid.
+def reach_of(bodies: Body | Bodies) -> float:
+    """Bound the distance from the origin of each body to its points [m], at any pose that is accepted as rigid.
 
     Surfaces and clouds with a radius count without it, since a turn moves a ball no farther than its center.
     """
-    packed = packed_of(body)
+    packed = packed_of(bodies)
     if (packed.layout[:, columns.KIND] <= columns.POLYTOPE).all():
         far = float(lengths(packed.points).max(initial=0.0)) * (1.0 + 1e-12)
     else:

@@ -403,7 +403,7 @@ class Scene:
         _validate.instance(body, f"body of {name!r}", Body)
         T = _validate.pose(T_world_body, f"T_world_body of {name!r}")
         keep = None if margin is None else _validate.positive_scalar(margin, f"margin of {name!r}", zero=True)
-        bounds = _bounds_of(body, _error(error, f"error of {name!r}"))
+        bounds = _bounds_of(body, _validate.pose_error(error, f"error of {name!r}"))
         with self._change():
             if name in self._bodies:
                 raise InputError(f"name: expected a new name, found {name!r}, which is taken; replace or remove it")
@@ -527,7 +527,7 @@ class Scene:
         else:
             moves = {self._known(name): T_world_body}
         checked = {key: _validate.pose(T, f"T_world_body of {key!r}") for key, T in moves.items()}
-        self._move(checked, _error(error, "error"))
+        self._move(checked, _validate.pose_error(error, "error"))
 
     def _move(self, moves: Mapping[Any, Floats], error: tuple[float, float]) -> None:
         with _CHANGING:
@@ -583,7 +583,7 @@ class Scene:
         if poses.shape != (len(moving), 4, 4):
             shape = _validate.shape_text(poses.shape)
             raise InputError(f"Ts: expected a pose for each of {len(moving)} names, shape (n, 4, 4), found {shape}")
-        off = _error(error, "error")
+        off = _validate.pose_error(error, "error")
         with _CHANGING:
             moves = dict(zip(map(self._placed, moving), poses.copy(), strict=True))
             if len(moves) < len(moving):
@@ -679,7 +679,7 @@ class Scene:
         rates = (
             _validate.positive_scalar(speed, "speed", zero=True), _validate.positive_scalar(turn, "turn", zero=True),
         )  # fmt: skip
-        off = _error(error, "error")
+        off = _validate.pose_error(error, "error")
         begin = None if since is None else _validate.real(since, "since")
         if begin is not None and not any(rates):
             raise InputError(f"since: expected speed or turn with it, found since = {begin:.15g} alone")
@@ -1283,16 +1283,6 @@ def drawn(scene: Scene, held: Mapping[str, Floats]) -> tuple[list[Shape], list[t
     left = len(scene) - len(names)
     entries = list(zip(names, colours, strict=True)) if len(names) <= MOST_NAMES else []
     return shapes, entries, f"; {left} of {len(scene)} bodies are not drawn" if left else ""
-
-
-def _error(given: Any, name: str) -> tuple[float, float]:
-    """Check the error of a pose, in metres and radians; None stands for (0, 0)."""
-    if given is None:
-        return 0.0, 0.0
-    metres, radians = _validate.finite_array(given, name, (2,)).tolist()
-    if not (metres >= 0.0 and radians >= 0.0):
-        raise InputError(f"{name}: expected metres and radians >= 0, found {metres:g} and {radians:g}")
-    return metres, radians
 
 
 def _bounds_of(
