@@ -10,6 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import loewner
+from families import translation
 from loewner import Body, CollisionChecker, FileError, InputError, Robot, Scene, Verdict, planners
 from loewner.cli.main import main
 
@@ -402,6 +404,15 @@ def test_a_small_gap_between_parts_is_proven_too(written, capsys):
     assert f"before    {way}" in out
     parts[1] = of_joints((0, 0.0, 0.1), (1, 0.0, 0.2), names=["slide", "lift"])
     assert "before" not in audit(capsys, written({"trajectory": parts}), "--scene", "s.yaml")[1]
+
+
+def test_a_body_contains_the_way_across_a_small_gap_between_parts(written):
+    """Between the parts, a corner of the cart is where it is in neither of them."""
+    starts = (0.0, 0.0), (0.009, 0.109)
+    parts = [of_joints((0, x, z), (1, x, z + 0.1), names=["slide", "lift"]) for x, z in starts]
+    assert main(["swept", "r.urdf", written({"trajectory": parts}), "--tolerance", "0.001", "-o", "o.npz"]) == 0
+    corner = translation(0.3 + 0.0045 - 0.0499, 0.0, 0.1045 + 0.0499)
+    assert loewner.collide(Body.load("o.npz"), np.eye(4), Body.sphere(1e-6), corner)
 
 
 def test_contact_on_the_way_from_the_present_state_may_not_be_deep(written, capsys):

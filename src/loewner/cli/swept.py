@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from functools import partial
 from itertools import pairwise
 from typing import Any
 
@@ -49,16 +50,23 @@ def _run(options: argparse.Namespace) -> int:
     inputs.expect_suffix(options.out, "--out", (".stl", ".npz"))
     scene, robot, bodies = inputs.scene(options), inputs.robot(options), []
     parts = trajectories.read(options, scene, robot)
-    for (part, _), (after, _) in pairwise(parts):
-        if np.abs(trajectories.end(robot, part, -1) - trajectories.end(robot, after, 0)).max() > START_TOLERANCE:
-            raise InputError(
-                f"{options.trajectory}: expected parts that begin where the part before them ends, found a gap, whose "
-                "way the body would not contain; split the file there"
-            )
-    kept: Any = {"tolerance": options.tolerance, "joint_error": options.joint_error, "scene": scene}
-    for number, part in enumerate(trajectories.carried(parts, scene, robot), 1):
-        with progress_of(f"part {number}" if len(parts) > 1 else options.trajectory.name) as progress:
-            bodies.append(robot.swept(part, links=options.links, progress=progress, **kept))
+    gaps = [
+        np.stack([trajectories.end(robot, part, -1), trajectories.end(robot, after, 0)])
+        for (part, _), (after, _) in pairwise(parts)
+    ]
+    if any(np.abs(there - here).max() > START_TOLERANCE for here, there in gaps):
+        raise InputError(
+            f"{options.trajectory}: expected parts that begin where the part before them ends, found a gap, whose "
+            "way the body would not contain; split the file there"
+        )
+    sweep = partial(
+        robot.swept, links=options.links, tolerance=options.tolerance, joint_error=options.joint_error, scene=scene
+    )
+    for number, part in enumerate(trajectories.carried(parts, scene, robot)):
+        with progress_of(f"part {number + 1}" if gaps else options.trajectory.name) as progress:
+            bodies.append(sweep(part, progress=progress))
+        if number and np.ptp(gaps[number - 1], axis=0).any():
+            bodies.append(sweep(gaps[number - 1]))
     body, excess = united(bodies)
     if options.out.suffix.lower() == ".npz":
         body.save(options.out)
