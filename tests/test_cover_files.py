@@ -387,6 +387,10 @@ def test_bad_arguments(robot, tmp_path):
         robot.with_cover("a.yml", "cuRobo")
     with pytest.raises(InputError, match="for a file with the suffix '.txt'"):
         robot.save_cover(tmp_path / "a.txt")
+    for name, format in (("a.yml", "vamp"), ("a.json", "foam"), ("a.xrdf", None), ("a.json", "scene")):
+        with pytest.raises(FileError, match=rf"{name}: expected a \.\w+.* file for"):
+            robot.save_cover(tmp_path / name, format)
+    assert not list(tmp_path.glob("a.*"))
     with pytest.raises(FileError, match="no such file"):
         robot.with_cover(tmp_path / "a.yml")
     with pytest.raises(InputError, match="path"):

@@ -522,6 +522,15 @@ def test_motions_are_kept_in_files(rng, tmp_path):
             load_scene(tmp_path / "wrong.yaml")
 
 
+@pytest.mark.parametrize(("first", "last", "warns"), [(0, 3.1, 0), (3.1, -3.1, 0), (0, 3.2, 1), (6.2, 3, 1)])
+def test_more_than_half_a_turn_between_rows_of_a_file_is_reported(tmp_path, recwarn, first, last, warns):
+    """A body turns through the smaller angle, so a file that states a larger turn states another motion."""
+    rows = f"[{{time: 0, rpy: [0, 0, {first}]}}, {{time: 1, rpy: [0, 0, {last}]}}]"
+    (tmp_path / "s.yaml").write_text(f"bodies: {{a: {{sphere: {{radius: 1}}, follow: {{poses: {rows}}}}}}}")
+    load_scene(tmp_path / "s.yaml")
+    assert ["turns through the smaller angle" in str(each.message) for each in recwarn] == [True] * warns
+
+
 def test_bad_motions_are_refused(slider):
     """Motions, times and queries without a time."""
     scene = Scene()

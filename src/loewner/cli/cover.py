@@ -10,7 +10,7 @@ from loewner._base._files import shown
 from loewner.cli import cover_tables, inputs
 from loewner.cli.output import print_answer, progress_of
 from loewner.errors import InputError
-from loewner.robots.cover_files import FORMATS, OF_SPHERES, format_of
+from loewner.robots.cover_files import FORMATS, OF_SPHERES, written_format
 from loewner.robots.covers import KINDS, exempt_pairs, new_contacts
 
 EXAMPLES = """examples:
@@ -49,7 +49,7 @@ def add(commands: Any) -> None:
 
 def _run(options: argparse.Namespace) -> int:
     inputs.expect_suffix(options.picture, "--picture", inputs.DRAWN)
-    chosen = format_of(options.out, options.format)
+    chosen = written_format(options.out, options.format)
     if chosen in OF_SPHERES and options.kind != "spheres":
         raise InputError(f"--kind: expected spheres for {chosen}, which has nothing else, found {options.kind}")
     robot = inputs.robot(options)

@@ -41,6 +41,11 @@ OF_SPHERES = ("curobo", "vamp", "foam", "pyroki")
 BY_SUFFIX = {".yml": "curobo", ".yaml": "curobo", ".xrdf": "curobo", ".json": "pyroki", ".urdf": "urdf"}
 BY_SUFFIX |= {".xml": "mjcf", ".mjcf": "mjcf"}
 
+# Suffixes of the files that are written, keyed by the format.
+YAML = (".yml", ".yaml")
+WRITTEN = {"curobo": YAML, "scene": YAML, "pyroki": (".json",), "mjcf": (".xml", ".mjcf")}
+WRITTEN |= dict.fromkeys(("vamp", "foam", "urdf"), (".urdf",))
+
 # Size of the largest file that is read [bytes]: ten thousand spheres take one megabyte.
 MOST_BYTES = 2**25
 
@@ -128,7 +133,7 @@ def save_cover(self: Robot, path: str | os.PathLike[str], format: str | None = N
     from loewner.robots.description.exports import mjcf_text, save_urdf
 
     file = _validate.path(path, "path")
-    chosen = format_of(file, format)
+    chosen = written_format(file, format)
     if not self.bodies:
         raise InputError("expected a robot with bodies, found one without")
     if chosen in OF_SPHERES:
@@ -216,6 +221,14 @@ def format_of(file: Path, format: str | None) -> str:
             f"format: expected one of {', '.join(FORMATS)} for a file with the suffix {file.suffix!r}, found none"
         )
     return BY_SUFFIX[file.suffix.lower()]
+
+
+def written_format(file: Path, format: str | None) -> str:
+    """Return the format in which a file is written, and refuse a file whose suffix belongs to another format."""
+    chosen = format_of(file, format)
+    if file.suffix.lower() not in WRITTEN[chosen]:
+        raise FileError(f"{file}: expected a {' or '.join(WRITTEN[chosen])} file for {chosen}")
+    return chosen
 
 
 def _of_foam(node: Node) -> bool:

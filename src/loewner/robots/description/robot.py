@@ -1353,7 +1353,7 @@ class Robot(KeepsReadOnly):
         UnknownNameError
             If there is no such format.
         FileError
-            If a file cannot be written.
+            If a file cannot be written, or its suffix belongs to another format.
 
         Examples
         --------

@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import re
 from collections.abc import Callable
+from itertools import pairwise
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -280,6 +281,15 @@ def _add_moving(scene: Scene, name: str, body: Body, margin: float | None, entry
     if not rows:
         raise keys["poses"].error("expected one row or more, found none")
     times, poses = [row_keys["time"].number() for _, row_keys in rows], [_pose(row, row_keys) for row, row_keys in rows]
+    for (_, before), (row, after) in pairwise(rows):
+        if "rpy" in before and "rpy" in after:
+            angles = np.array([before["rpy"].numbers(3), after["rpy"].numbers(3)])
+            # Angles within pi may have been wrapped, so that their difference is not the turn.
+            if min(np.abs(angles).max(), np.ptp(angles, axis=0).max()) > np.pi:
+                warn(
+                    f"{row.file}, line {row.line}: expected roll, pitch and yaw within pi of those in the row before, "
+                    f"found {angles[1].tolist()}; the body turns through the smaller angle; add a row between"
+                )
     repeat = "repeat" in keys and keys["repeat"].flag()
     bounds: dict[str, Any] = {key: keys[key].number() for key in ("speed", "turn", "since") if key in keys}
     if "error" in keys:
