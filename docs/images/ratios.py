@@ -55,19 +55,19 @@ def place(ratio: float) -> float:
 
 
 def ratios(text: str) -> list[tuple[str, list[tuple[str, float, float]]]]:
-    """Of each row of the table the question, and each rival with its least and largest ratio."""
+    """Return each question of the table, and for each rival its name and its smallest and largest ratio.
+
+    A row with an empty first cell belongs to the question above it.
+    """
     table = text[text.index("| Question |") :].split("\n\n")[0].splitlines()[2:]
-    found = []
+    questions: list[tuple[str, list[tuple[str, float, float]]]] = []
     for line in table:
-        question, _, named, ratio, *_ = (cell.strip().replace("`", "") for cell in line.strip("|").split("|"))
-        rows = []
-        library, colon, _ = named.partition(":")  # the rivals after it are other ways to use this library
-        for rival, numbers in zip(named.split(";"), ratio.split(";"), strict=True):
-            ends = [float(number) for number in re.findall(r"[\d.]+", numbers)]
-            whole = rival if not colon or colon in rival else f"{library}: {rival.strip()}"
-            rows.append((whole.strip(), ends[0], ends[-1]))
-        found.append((question, rows))
-    return found
+        question, _, rival, ratio, *_ = (cell.strip().replace("`", "") for cell in line.strip("|").split("|"))
+        ends = [float(number) for number in re.findall(r"[\d.]+", ratio)]
+        if question:
+            questions.append((question, []))
+        questions[-1][1].append((rival, ends[0], ends[-1]))
+    return questions
 
 
 if __name__ == "__main__":
